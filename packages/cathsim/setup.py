@@ -1,0 +1,45 @@
+"""Builds the native code against the headers that ship inside the mujoco wheel; nothing is linked."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+from setuptools.errors import CCompilerError, CompileError, ExecError, LinkError, PlatformError
+
+NATIVE = Path("src/cathsim/native")
+
+
+def mujoco_include() -> str:
+    spec = importlib.util.find_spec("mujoco")
+    if spec is None or spec.origin is None:
+        sys.exit("cathsim: building needs the mujoco package (its C headers): pip install mujoco==4.0.0")
+    return str(Path(spec.origin).parent / "include")
+
+
+class BuildNative(build_ext):
+    def run(self) -> None:
+        try:
+            super().run()
+        except (CCompilerError, CompileError, ExecError, LinkError, PlatformError, FileNotFoundError) as error:
+            sys.exit(
+                "cathsim: no working C compiler was found; install one (Debian and Ubuntu: apt install gcc libc6-dev; "
+                f"Fedora: dnf install gcc; macOS: xcode-select --install) and install again ({error})"
+            )
+
+
+setup(
+    ext_modules=[
+        Extension(
+            "cathsim._native",
+            sources=sorted(str(path) for path in NATIVE.glob("*.c")),
+            depends=sorted(str(path) for path in NATIVE.glob("*.h")),
+            include_dirs=[mujoco_include(), str(NATIVE)],
+            # no contraction: the same bits whatever the compiler thinks of fused multiply-add
+            extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off", "-Wall", "-Wextra"],
+            libraries=["m", "pthread"],
+        )
+    ],
+    cmdclass={"build_ext": BuildNative},
+)

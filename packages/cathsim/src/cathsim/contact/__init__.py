@@ -1,0 +1,1 @@
+"""Contact between the wire and the vessel's wall."""

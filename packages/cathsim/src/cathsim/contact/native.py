@@ -1,0 +1,157 @@
+"""The native code, loaded once: signatures, MuJoCo's function addresses, and the check that both agree on struct layout."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+LAYOUT_FIELDS = (
+    "nq nv nu ngeom nuser_geom timestep geom_size geom_user ncon time qpos qvel ctrl qacc_warmstart geom_xpos "
+    "geom_xmat contact_x contact_geom contact_efc_address"
+).split()
+
+
+class Engine(ctypes.Structure):
+    """MuJoCo functions that the native code calls (struct Engine of step.h)."""
+
+    _fields_ = (("step", ctypes.c_void_p), ("kinematics", ctypes.c_void_p), ("contact_force", ctypes.c_void_p))
+
+
+class SimulationStruct(ctypes.Structure):
+    """One simulation (struct Simulation of step.h)."""
+
+    _fields_ = (
+        ("model", ctypes.c_void_p),
+        ("fine", ctypes.c_void_p),
+        ("data", ctypes.c_void_p),
+        ("saved", ctypes.c_void_p),
+        ("vessel_geom", ctypes.c_int),
+        ("first_geom", ctypes.c_int),
+        ("last_geom", ctypes.c_int),
+        ("refinement", ctypes.c_int),
+        ("tolerance", ctypes.c_double),
+        ("rise", ctypes.c_double),
+        ("depth_samples", ctypes.c_int),
+        ("depth", ctypes.c_double),
+    )
+
+
+class StepSummary(ctypes.Structure):
+    """What one control step reports (struct StepSummary of step.h)."""
+
+    _fields_ = (
+        ("force", ctypes.c_double * 3),
+        ("force_max", ctypes.c_double),
+        ("force_mean", ctypes.c_double),
+        ("penetration_max", ctypes.c_double),
+        ("contacts", ctypes.c_int),
+        ("refined", ctypes.c_int),
+        ("warnings", ctypes.c_int),
+    )
+
+
+def address(array: np.ndarray) -> ctypes.c_void_p:
+    """Pointer to the first element of an array that must outlive its use."""
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _find(folder: Path, pattern: str) -> Path | None:
+    return next(iter(sorted(folder.glob(pattern))), None)
+
+
+@functools.cache
+def mujoco_library() -> ctypes.CDLL:
+    """The MuJoCo library that the Python bindings have loaded."""
+    path = _find(Path(mujoco.__file__).parent, "libmujoco*")
+    if path is None:
+        raise ImportError("cathsim expected libmujoco inside the mujoco package and found none: reinstall mujoco==4.0.0")
+    return ctypes.CDLL(str(path))
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """Loads the native code, checks it against the running MuJoCo and installs the contact function.
+
+    Returns:
+        The library; its calls release the interpreter's lock.
+
+    Raises:
+        ImportError: it was not built, or was built for another MuJoCo.
+    """
+    path = _find(Path(__file__).parent.parent, "_native*.so") or _find(Path(__file__).parent.parent, "_native*.pyd")
+    if path is None:
+        raise ImportError(
+            "cathsim's native code is not built: install a C compiler (Debian: apt install gcc libc6-dev), "
+            "then run 'pip install ./packages/cathsim'"
+        )
+    native = ctypes.CDLL(str(path))
+    if native.cathsim_header_version() != mujoco.mj_version():
+        raise ImportError(
+            f"cathsim's native code was built for MuJoCo {native.cathsim_header_version()} and {mujoco.mj_version()} is "
+            "running: reinstall cathsim with 'pip install --force-reinstall --no-deps ./packages/cathsim'"
+        )
+    native.cathsim_vessel_register.argtypes = (
+        [ctypes.c_void_p] * 2
+        + [ctypes.c_double]
+        + [ctypes.c_void_p] * 3
+        + [
+            ctypes.c_double,
+            ctypes.c_double,
+        ]
+    )
+    native.cathsim_vessel_distances.argtypes = [ctypes.c_int, ctypes.c_int] + [ctypes.c_void_p] * 3
+    native.cathsim_penetration.restype = ctypes.c_double
+    table = ctypes.c_void_p.in_dll(mujoco_library(), "mjCOLLISIONFUNC")
+    native.cathsim_contact_install(ctypes.c_void_p(ctypes.addressof(table)))
+    model = mujoco.MjModel.from_xml_string(_PROBE)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    seen, expected = layout_seen(native, model, data), layout_expected(model, data)
+    wrong = [name for name in LAYOUT_FIELDS if seen[name] != expected[name]]
+    if wrong:
+        raise ImportError(
+            f"cathsim's native code and MuJoCo {mujoco.mj_versionString()} disagree on {', '.join(wrong)}: reinstall "
+            "cathsim with 'pip install --force-reinstall --no-deps ./packages/cathsim'"
+        )
+    return native
+
+
+_PROBE = """
+<mujoco><option timestep="0.003"/><size nuser_geom="3"/><worldbody><geom type="plane" size="1 1 1"/>
+<body pos="0.25 0 0.04"><joint name="lift" type="slide" axis="0 0 1"/><geom type="sphere" size="0.05" user="1 2 3"/></body>
+</worldbody><actuator><motor joint="lift"/></actuator></mujoco>
+"""
+
+
+def layout_seen(native: ctypes.CDLL, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int]:
+    """What the native code reads in a model and its data, by field."""
+    seen = np.zeros(len(LAYOUT_FIELDS), np.int64)
+    native.cathsim_layout(ctypes.c_void_p(model._address), ctypes.c_void_p(data._address), address(seen))
+    return dict(zip(LAYOUT_FIELDS, seen.tolist(), strict=True))
+
+
+def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int]:
+    """The same fields as MuJoCo's own bindings give them."""
+    contact = data.contact
+    some = data.ncon > 0
+    values = (
+        *(model.nq, model.nv, model.nu, model.ngeom, model.nuser_geom, int(model.opt.timestep * 1e9 + 0.5)),
+        *(model.geom_size.ctypes.data, model.geom_user.ctypes.data, data.ncon, int(data.time * 1e9 + 0.5)),
+        *(array.ctypes.data for array in (data.qpos, data.qvel, data.ctrl, data.qacc_warmstart)),
+        *(data.geom_xpos.ctypes.data, data.geom_xmat.ctypes.data),
+        int(contact.pos[0, 0] * 1e9) if some else 0,
+        int(contact.geom[0, 1]) if some else 0,
+        int(contact.efc_address[0]) if some else 0,
+    )
+    return dict(zip(LAYOUT_FIELDS, (int(value) for value in values), strict=True))
+
+
+@functools.cache
+def engine() -> Engine:
+    """Addresses of MuJoCo's functions for the native code."""
+    names = ("mj_step", "mj_kinematics", "mj_contactForce")
+    return Engine(*(ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value for name in names))

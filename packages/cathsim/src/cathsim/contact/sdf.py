@@ -1,0 +1,102 @@
+"""A vessel as a signed-distance grid with an introducer sheath, known to the native contact function by a number."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from cathsim.contact.native import address, library
+
+MAGIC = 1129469011.0
+GEOM_NAME = "vessel"
+
+
+@dataclass(frozen=True, eq=False)
+class Vessel:
+    """The free space a wire moves in: a lumen, and the bore of a straight sheath behind the entry.
+
+    The vessel is one dummy box geom of the MuJoCo model (`add_to`); contacts come from the grid.
+
+    Attributes:
+        values: signed distance to the wall, m, positive inside. Shape (nx, ny, nz), float32, C order.
+        origin: world position of node (0, 0, 0), m. Shape (3,).
+        spacing: distance between nodes, m.
+        entry: where the sheath opens into the vessel, m. Shape (3,).
+        direction: unit vector into the vessel. Shape (3,).
+        sheath_radius: inner radius of the sheath, m; 0 for no sheath.
+        sheath_overlap: how far the bore reaches past `entry`, m.
+    """
+
+    values: np.ndarray
+    origin: np.ndarray
+    spacing: float
+    entry: np.ndarray
+    direction: np.ndarray
+    sheath_radius: float = 0.75e-3
+    sheath_overlap: float = 6.0e-3
+    number: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        values = np.ascontiguousarray(self.values, np.float32)
+        if values.ndim != 3 or min(values.shape) < 3:
+            raise ValueError(f"a signed-distance grid needs shape (nx, ny, nz) of at least 3 each, got {values.shape}")
+        direction = np.array(self.direction, float)
+        if direction.shape != (3,) or abs(np.linalg.norm(direction) - 1) > 1e-6:
+            raise ValueError(f"direction must be a unit vector of shape (3,), got {direction}")
+        origin, entry = np.array(self.origin, float), np.array(self.entry, float)
+        size = np.array(values.shape, np.int32)
+        number = library().cathsim_vessel_register(
+            address(size),
+            address(origin),
+            float(self.spacing),
+            address(values),
+            address(entry),
+            address(direction),
+            float(self.sheath_radius),
+            float(self.sheath_overlap),
+        )
+        if number < 0:
+            raise RuntimeError("4096 vessels are in use at once, the most there can be: release environments first")
+        for name, value in (("values", values), ("origin", origin), ("entry", entry), ("direction", direction)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "number", number)
+        weakref.finalize(self, library().cathsim_vessel_release, number)
+
+    def add_to(self, spec: mujoco.MjSpec) -> mujoco.MjsGeom:
+        """Adds the dummy geom that stands for this vessel to a model under construction.
+
+        The model must not outlive this object while it is stepped.
+        """
+        spec.nuser_geom = max(spec.nuser_geom, 2)
+        return spec.worldbody.add_geom(
+            name=GEOM_NAME,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[10.0, 10.0, 10.0],
+            contype=1,
+            conaffinity=0,
+            condim=3,
+            group=5,
+            rgba=[0, 0, 0, 0],
+            userdata=[MAGIC, float(self.number)],
+        )
+
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance as the contact function sees it, sheath included.
+
+        Args:
+            points: world positions, m. Shape (n, 3).
+
+        Returns:
+            Distances, m, positive in free space, shape (n,), and their gradients, shape (n, 3).
+        """
+        points = np.ascontiguousarray(np.atleast_2d(points), float)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ValueError(f"points must have shape (n, 3), got {points.shape}")
+        distances, gradients = np.empty(len(points)), np.empty_like(points)
+        library().cathsim_vessel_distances(
+            self.number, len(points), address(points), address(distances), address(gradients)
+        )
+        return distances, gradients

@@ -1,0 +1,182 @@
+"""The guidewire: its mechanics in physical units, and the chain of capsules that stands for it in MuJoCo."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+LINK_NAME, TIP_SITE = "wire{}", "tip"
+NMM2 = 1.0e-6  # one N mm^2 in N m^2
+
+
+@dataclass(frozen=True)
+class Guidewire:
+    """A wire that bends and does not twist or stretch, as a chain of links with two hinges between neighbours.
+
+    A hinge between links of lengths a and b has the stiffness EI / ((a + b) / 2), which makes the chain bend like a
+    rod of bending stiffness EI. Torsion is rigid: what turns the proximal end turns the tip.
+
+    Attributes:
+        links: lengths from the proximal to the distal end, m.
+        diameter: m.
+        shaft_stiffness_nmm2: bending stiffness EI proximally of `taper[1]`, N mm^2.
+        tip_stiffness_nmm2: EI distally of `taper[0]`, N mm^2; between them its logarithm is linear in arc length.
+        taper: the two distances from the tip, m.
+        tip_angle: angle by which the unloaded tip is bent, rad.
+        tip_length: length of the bent part, m.
+        density: kg/m^3, mean over core and jacket.
+        relaxation: time in which a bent free wire relaxes, s; joint damping is relaxation x stiffness.
+        friction: sliding friction coefficient on the wall.
+        motor_joints: distal joints with motors in the 21-action control mode.
+        motor_angle: angle by which a motor bends its free joint at full action, rad.
+    """
+
+    links: tuple[float, ...] = (0.016,) * 10 + (0.008,) * 8 + (0.004,) * 10
+    diameter: float = 0.89e-3
+    shaft_stiffness_nmm2: float = 400.0
+    tip_stiffness_nmm2: float = 15.0
+    taper: tuple[float, float] = (0.025, 0.060)
+    tip_angle: float = np.radians(80.0)
+    tip_length: float = 0.020
+    density: float = 6450.0
+    relaxation: float = 0.1
+    friction: float = 0.06
+    motor_joints: int = 10
+    motor_angle: float = np.radians(12.0)
+
+    def __post_init__(self) -> None:
+        if len(self.links) < 2 or min(self.links) <= 0:
+            raise ValueError(f"a guidewire needs at least two links of positive length (m), got {self.links}")
+        for name in ("diameter", "shaft_stiffness_nmm2", "tip_stiffness_nmm2", "density"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("friction", "relaxation", "tip_length"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        if not 0 <= self.taper[0] <= self.taper[1]:
+            raise ValueError(f"taper must be two increasing distances from the tip (m), got {self.taper}")
+        if min(self.links) < self.diameter:
+            raise ValueError(f"links ({min(self.links)} m) shorter than the diameter ({self.diameter} m) are no capsules")
+
+    @property
+    def length(self) -> float:
+        """Length from end to end, m."""
+        return float(sum(self.links))
+
+    @property
+    def radius(self) -> float:
+        """Half the diameter, m."""
+        return self.diameter / 2
+
+    @property
+    def joints(self) -> int:
+        """Number of two-hinge joints."""
+        return len(self.links) - 1
+
+    def stiffness(self, from_tip: float) -> float:
+        """Bending stiffness EI (N m^2) at a distance from the tip (m)."""
+        low, high = np.log(self.tip_stiffness_nmm2), np.log(self.shaft_stiffness_nmm2)
+        return float(np.exp(np.interp(from_tip, self.taper, (low, high)))) * NMM2
+
+    def scaled(self, length: float) -> Guidewire:
+        """The same wire made `length` (m) long by adding or dropping links at the proximal end."""
+        links, shaft = list(self.links), self.links[0]
+        while sum(links) < length - 1e-9:
+            links.insert(0, shaft)
+        while len(links) > 2 and sum(links) - links[0] >= length - 1e-9:
+            links.pop(0)
+        return dataclasses.replace(self, links=tuple(links))
+
+    def distal(self, count: int) -> Guidewire:
+        """The most distal `count` links of the wire."""
+        return dataclasses.replace(self, links=self.links[len(self.links) - count :])
+
+    def add_to(self, parent: mujoco.MjsBody, *, mass_scale: float = 1.0, clamped: bool = False) -> list[mujoco.MjsGeom]:
+        """Adds the chain to a body, from its origin along its +z.
+
+        Args:
+            parent: body that holds the first link rigidly.
+            mass_scale: factor on the density: larger is faster to simulate and, the motion being quasi-static,
+                changes forces little.
+            clamped: the wire is a rod clamped at the parent's origin: a joint there stands for the bending of the first
+                half link. Without it the first link is rigid, as inside the feeder.
+
+        Returns:
+            The capsules, proximal first.
+        """
+        body, geoms = parent, []
+        for index, length in enumerate(self.links):
+            if index > 0 or clamped:
+                start = self.links[index - 1] if index > 0 else 0.0
+                body = body.add_body(name=LINK_NAME.format(index), pos=[0, 0, start])
+                self._add_joint(body, index)
+            geoms.append(
+                body.add_geom(
+                    name=LINK_NAME.format(index),
+                    type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                    size=[self.radius, length / 2, 0],
+                    pos=[0, 0, length / 2],
+                    density=self.density * mass_scale,
+                    contype=0,
+                    conaffinity=1,
+                    condim=3,
+                    priority=1,
+                    friction=[self.friction, 0.0, 0.0],
+                    solref=[0.004, 1.0],
+                    solimp=[0.98, 0.998, 0.0002, 0.5, 2.0],
+                    rgba=[0.12, 0.12, 0.14, 1.0],
+                )
+            )
+        body.add_site(name=TIP_SITE, pos=[0, 0, self.links[-1]], size=[self.radius] * 3, rgba=[0.9, 0.1, 0.1, 1])
+        return geoms
+
+    def _add_joint(self, body: mujoco.MjsBody, index: int) -> None:
+        # a joint stands for the bending of the half links on both its sides; at a clamp there is one
+        before = self.links[index - 1] if index > 0 else 0.0
+        length = (before + self.links[index]) / 2
+        from_tip = sum(self.links[index:])
+        stiffness = self.stiffness(from_tip) / length
+        bent = from_tip <= self.tip_length + 1e-9 and self.tip_length > 0
+        rest = self.tip_angle * length / self.tip_length if bent else 0.0
+        for axis, name, angle in (([1, 0, 0], "x", rest), ([0, 1, 0], "y", 0.0)):
+            body.add_joint(
+                name=f"{LINK_NAME.format(index)}{name}",
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=axis,
+                stiffness=[stiffness, 0, 0],
+                damping=[self.relaxation * stiffness, 0, 0],
+                springref=angle,
+                armature=1e-9,
+            )
+
+
+GUIDEWIRES: dict[str, Guidewire] = {
+    # 56 degrees of freedom with the feeder's two
+    "default": Guidewire(),
+    # the thesis's chain: 80 links and a tip of 4, 168 degrees of freedom; 3 mm links, so that it reaches the targets
+    "thesis": Guidewire(links=(0.003,) * 84, diameter=1.0e-3),
+    # hydrophilic nitinol, 0.035 in, angled; shaft at the low end of what is estimated for the stiff version
+    "radifocus_angled": Guidewire(
+        shaft_stiffness_nmm2=260.0, tip_stiffness_nmm2=12.0, tip_angle=np.radians(45.0), tip_length=0.012, friction=0.04
+    ),
+    # nitinol, 0.035 in, straight; stiffness computed from a superelastic core of 0.6 mm at 60 GPa
+    "nitrex_straight": Guidewire(shaft_stiffness_nmm2=380.0, tip_stiffness_nmm2=20.0, tip_angle=0.0, tip_length=0.0),
+}
+
+
+def guidewire(name: str, **changes: object) -> Guidewire:
+    """A preset wire, with fields of `Guidewire` replaced.
+
+    Raises:
+        ValueError: unknown preset or field.
+    """
+    if name not in GUIDEWIRES:
+        raise ValueError(f"unknown guidewire '{name}'; there are {', '.join(GUIDEWIRES)}")
+    unknown = set(changes) - {field.name for field in dataclasses.fields(Guidewire)}
+    if unknown:
+        fields = ", ".join(field.name for field in dataclasses.fields(Guidewire))
+        raise ValueError(f"a guidewire has no {', '.join(sorted(unknown))}; its parameters are {fields}")
+    return dataclasses.replace(GUIDEWIRES[name], **changes)  # type: ignore[arg-type]

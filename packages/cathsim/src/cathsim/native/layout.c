@@ -1,0 +1,30 @@
+/* What this code, compiled against MuJoCo's headers, sees in a model and its data: compared with the running library. */
+#include <stdint.h>
+
+#include "vessel.h"
+
+int cathsim_header_version(void) { return mjVERSION_HEADER; }
+
+/* Fills `seen` (19 numbers) in the order that contact/native.py lists. */
+void cathsim_layout(const mjModel* m, const mjData* d, int64_t* seen) {
+  int i = 0;
+  seen[i++] = m->nq;
+  seen[i++] = m->nv;
+  seen[i++] = m->nu;
+  seen[i++] = m->ngeom;
+  seen[i++] = m->nuser_geom;
+  seen[i++] = (int64_t)(m->opt.timestep * 1e9 + 0.5);
+  seen[i++] = (int64_t)(intptr_t)m->geom_size;
+  seen[i++] = (int64_t)(intptr_t)m->geom_user;
+  seen[i++] = d->ncon;
+  seen[i++] = (int64_t)(d->time * 1e9 + 0.5);
+  seen[i++] = (int64_t)(intptr_t)d->qpos;
+  seen[i++] = (int64_t)(intptr_t)d->qvel;
+  seen[i++] = (int64_t)(intptr_t)d->ctrl;
+  seen[i++] = (int64_t)(intptr_t)d->qacc_warmstart;
+  seen[i++] = (int64_t)(intptr_t)d->geom_xpos;
+  seen[i++] = (int64_t)(intptr_t)d->geom_xmat;
+  seen[i++] = d->ncon > 0 ? (int64_t)(d->contact[0].pos[0] * 1e9) : 0;
+  seen[i++] = d->ncon > 0 ? d->contact[0].geom[1] : 0;
+  seen[i++] = d->ncon > 0 ? d->contact[0].efc_address : 0;
+}

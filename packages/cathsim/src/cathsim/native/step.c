@@ -1,0 +1,120 @@
+#include "step.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Contact forces on the wire: points (m) and forces (N), world frame; returns how many, at most `capacity`. */
+int cathsim_contact_forces(const Simulation* s, const Engine* engine, int capacity, double* points, double* forces) {
+  const mjData* d = s->data;
+  const Vessel* v = vessel_of_geom(s->model, s->vessel_geom);
+  int count = 0;
+  for (int i = 0; i < d->ncon && count < capacity; i++) {
+    const mjContact* c = d->contact + i;
+    if (c->geom[1] != s->vessel_geom || c->efc_address < 0) continue;
+    if (v && v->sheath_radius > 0 && vessel_sheath_coordinate(v, c->pos) < 0) continue;
+    mjtNum local[6];
+    engine->contact_force(s->model, d, i, local);
+    for (int k = 0; k < 3; k++) {
+      points[3 * count + k] = c->pos[k];
+      /* MuJoCo's force acts on the second geom, the wall; the wire feels the opposite */
+      forces[3 * count + k] = -(c->frame[k] * local[0] + c->frame[3 + k] * local[1] + c->frame[6 + k] * local[2]);
+    }
+    count++;
+  }
+  return count;
+}
+
+/* Deepest penetration (m) of the wire's surface at the current geom poses, `samples` points a capsule; what lies in
+ * the sheath is left out. */
+double cathsim_penetration(const Simulation* s, int samples) {
+  const mjModel* m = s->model;
+  const mjData* d = s->data;
+  const Vessel* v = vessel_of_geom(m, s->vessel_geom);
+  double deepest = 0;
+  if (!v) return 0;
+  for (int g = s->first_geom; g <= s->last_geom; g++) {
+    const double radius = m->geom_size[3 * g], half = m->geom_size[3 * g + 1];
+    const double *centre = d->geom_xpos + 3 * g, *frame = d->geom_xmat + 9 * g;
+    if (v->sheath_radius > 0 && vessel_sheath_coordinate(v, centre) < -half) continue;
+    if (vessel_distance(v, centre) > radius + half - deepest) continue;
+    for (int i = 0; i < samples; i++) {
+      const double at = half * (2.0 * (i + 1) / samples - 1);
+      const double p[3] = {centre[0] + at * frame[2], centre[1] + at * frame[5], centre[2] + at * frame[8]};
+      if (v->sheath_radius > 0 && vessel_sheath_coordinate(v, p) < 0) continue;
+      const double depth = radius - vessel_distance(v, p);
+      if (depth > deepest) deepest = depth;
+    }
+  }
+  return deepest;
+}
+
+/* One substep. A wire that snaps free crosses a millimetre in one long substep and is found inside the wall: such a
+ * substep is taken back and repeated in `refinement` shorter ones. Returns whether it was. */
+static int substep(Simulation* s, const Engine* engine) {
+  mjData* d = s->data;
+  const int nq = s->model->nq, nv = s->model->nv;
+  if (s->refinement <= 1) {
+    engine->step(s->model, d);
+    return 0;
+  }
+  double *qpos = s->saved, *qvel = qpos + nq, *warm = qvel + nv, time = d->time;
+  memcpy(qpos, d->qpos, sizeof(double) * nq);
+  memcpy(qvel, d->qvel, sizeof(double) * nv);
+  memcpy(warm, d->qacc_warmstart, sizeof(double) * nv);
+  engine->step(s->model, d);
+  engine->kinematics(s->model, d);
+  double depth = cathsim_penetration(s, 3);
+  const int repeat = depth > s->tolerance && depth > s->depth + s->rise;
+  if (repeat) {
+    memcpy(d->qpos, qpos, sizeof(double) * nq);
+    memcpy(d->qvel, qvel, sizeof(double) * nv);
+    memcpy(d->qacc_warmstart, warm, sizeof(double) * nv);
+    d->time = time;
+    for (int i = 0; i < s->refinement; i++) engine->step(s->fine, d);
+    engine->kinematics(s->model, d);
+    depth = cathsim_penetration(s, 3);
+  }
+  s->depth = depth;
+  return repeat;
+}
+
+/* Advances by `substeps` while the controls (nu) go linearly from one value to the other. `points` and `forces`
+ * (capacity x 3) hold the contacts of the substep with the largest force, `scratch` has room for both; `depths`
+ * (substeps) the penetration after each substep, or NULL. */
+void cathsim_step(Simulation* s, const Engine* engine, int substeps, const double* control_from,
+                  const double* control_to, int capacity, double* points, double* forces, double* scratch,
+                  double* depths, StepSummary* summary) {
+  mjData* d = s->data;
+  memset(summary, 0, sizeof *summary);
+  summary->force_max = -1;
+  double *now_points = scratch, *now_forces = scratch + 3 * capacity;
+  for (int i = 0; i < substeps; i++) {
+    const double t = (i + 1.0) / substeps;
+    for (int k = 0; k < s->model->nu; k++) d->ctrl[k] = control_from[k] + t * (control_to[k] - control_from[k]);
+    summary->refined += substep(s, engine);
+
+    const int count = cathsim_contact_forces(s, engine, capacity, now_points, now_forces);
+    double f[3] = {0, 0, 0};
+    for (int c = 0; c < count; c++)
+      for (int k = 0; k < 3; k++) f[k] += now_forces[3 * c + k];
+    const double norm = sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
+    summary->force_mean += norm / substeps;
+    if (norm > summary->force_max) {
+      summary->force_max = norm;
+      memcpy(summary->force, f, sizeof f);
+      summary->contacts = count;
+      memcpy(points, now_points, sizeof(double) * 3 * count);
+      memcpy(forces, now_forces, sizeof(double) * 3 * count);
+    }
+    if (s->depth_samples > 0) {
+      if (s->refinement <= 1) engine->kinematics(s->model, d);
+      const double depth = cathsim_penetration(s, s->depth_samples);
+      if (depth > summary->penetration_max) summary->penetration_max = depth;
+      if (depths) depths[i] = depth;
+    }
+  }
+  if (s->refinement <= 1) engine->kinematics(s->model, d);
+  summary->warnings =
+      d->warning[mjWARN_BADQPOS].number + d->warning[mjWARN_BADQVEL].number + d->warning[mjWARN_BADQACC].number;
+  if (!(summary->force_max >= 0)) summary->force_max = 0; /* NaN forces: the warnings tell */
+}

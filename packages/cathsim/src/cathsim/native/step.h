@@ -1,0 +1,45 @@
+/* Stepping a wire in a vessel, with contact forces and adaptive substeps. */
+#ifndef CATHSIM_STEP_H_
+#define CATHSIM_STEP_H_
+
+#include "vessel.h"
+
+/* MuJoCo's functions; their addresses come from the running library, so nothing is linked against it. */
+typedef struct {
+  void (*step)(const mjModel* m, mjData* d);
+  void (*kinematics)(const mjModel* m, mjData* d);
+  void (*contact_force)(const mjModel* m, const mjData* d, int id, mjtNum result[6]);
+} Engine;
+
+/* A simulation: `fine` is `model` with a timestep `refinement` times shorter. */
+typedef struct {
+  const mjModel* model;
+  const mjModel* fine;
+  mjData* data;
+  double* saved;          /* room for nq + 2 nv numbers */
+  int vessel_geom;
+  int first_geom;         /* the wire's capsules are geoms first_geom..last_geom */
+  int last_geom;
+  int refinement;         /* 1: never refine */
+  double tolerance;       /* a substep that ends deeper than this in the wall is repeated with `fine`, m */
+  double rise;            /* ... if it also went in by more than this, m */
+  int depth_samples;      /* points a capsule of the reported penetration; 0: not reported */
+  double depth;           /* penetration at the end of the last substep, m */
+} Simulation;
+
+typedef struct {
+  double force[3];          /* resultant of the wall's contact forces on the wire where its norm is largest, N, world */
+  double force_max;         /* that norm, N */
+  double force_mean;        /* mean norm over the substeps, N */
+  double penetration_max;   /* deepest point of the wire's surface in the wall over the substeps, m */
+  int contacts;             /* contacts with the vessel (the sheath left out) in the substep of the largest force */
+  int refined;              /* substeps that were repeated */
+  int warnings;             /* nonzero: MuJoCo found the state invalid */
+} StepSummary;
+
+int cathsim_contact_forces(const Simulation* s, const Engine* engine, int capacity, double* points, double* forces);
+double cathsim_penetration(const Simulation* s, int samples);
+void cathsim_step(Simulation* s, const Engine* engine, int substeps, const double* control_from, const double* control_to,
+                  int capacity, double* points, double* forces, double* scratch, double* depths, StepSummary* summary);
+
+#endif

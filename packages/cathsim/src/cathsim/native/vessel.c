@@ -1,0 +1,158 @@
+#include "vessel.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define MAX_VESSELS 4096
+
+/* Slots are written once under the lock and read without it: a geom only carries a number that registration returned. */
+static Vessel* vessels[MAX_VESSELS];
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
+
+/* Returns the vessel's number, -1 when the table is full or memory is short. The grid must outlive the registration. */
+int cathsim_vessel_register(const int size[3], const double origin[3], double spacing, const float* values,
+                            const double entry[3], const double direction[3], double sheath_radius,
+                            double sheath_overlap) {
+  Vessel* v = malloc(sizeof(Vessel));
+  if (!v) return -1;
+  memcpy(v->size, size, sizeof v->size);
+  memcpy(v->origin, origin, sizeof v->origin);
+  v->spacing = spacing;
+  v->inverse = 1.0 / spacing;
+  v->values = values;
+  memcpy(v->entry, entry, sizeof v->entry);
+  memcpy(v->direction, direction, sizeof v->direction);
+  v->sheath_radius = sheath_radius;
+  v->sheath_overlap = sheath_overlap;
+
+  int number = -1;
+  pthread_mutex_lock(&lock);
+  for (int i = 0; i < MAX_VESSELS; i++) {
+    if (!vessels[i]) {
+      __atomic_store_n(&vessels[i], v, __ATOMIC_RELEASE);
+      number = i;
+      break;
+    }
+  }
+  pthread_mutex_unlock(&lock);
+  if (number < 0) free(v);
+  return number;
+}
+
+/* The caller guarantees that no model with this number is stepped any more. */
+void cathsim_vessel_release(int number) {
+  if (number < 0 || number >= MAX_VESSELS) return;
+  pthread_mutex_lock(&lock);
+  free(vessels[number]);
+  __atomic_store_n(&vessels[number], NULL, __ATOMIC_RELEASE);
+  pthread_mutex_unlock(&lock);
+}
+
+const Vessel* vessel_of_geom(const mjModel* m, int geom) {
+  if (m->nuser_geom < 2) return NULL;
+  const mjtNum* user = m->geom_user + (size_t)geom * m->nuser_geom;
+  if (user[0] != CATHSIM_MAGIC) return NULL;
+  int number = (int)user[1];
+  if (number < 0 || number >= MAX_VESSELS) return NULL;
+  return __atomic_load_n(&vessels[number], __ATOMIC_ACQUIRE);
+}
+
+double vessel_sheath_coordinate(const Vessel* v, const double p[3]) {
+  return (p[0] - v->entry[0]) * v->direction[0] + (p[1] - v->entry[1]) * v->direction[1] +
+         (p[2] - v->entry[2]) * v->direction[2];
+}
+
+/* Distance to the wall of the sheath's bore; -HUGE_VAL where the sheath cannot matter. */
+static double sheath_distance(const Vessel* v, const double p[3], double gradient[3]) {
+  if (v->sheath_radius <= 0) return -HUGE_VAL;
+  double s = vessel_sheath_coordinate(v, p);
+  if (s > v->sheath_overlap) return -HUGE_VAL;
+  double radial[3], rho2 = 0;
+  for (int i = 0; i < 3; i++) {
+    radial[i] = p[i] - v->entry[i] - s * v->direction[i];
+    rho2 += radial[i] * radial[i];
+  }
+  double rho = sqrt(rho2), distance = v->sheath_radius - rho;
+  if (gradient) {
+    double scale = rho > 1e-9 ? -1 / rho : 0;
+    for (int i = 0; i < 3; i++) gradient[i] = radial[i] * scale;
+  }
+  return distance;
+}
+
+static inline double clamp(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
+
+double vessel_distance(const Vessel* v, const double p[3]) {
+  int index[3];
+  double t[3];
+  for (int i = 0; i < 3; i++) {
+    double u = clamp((p[i] - v->origin[i]) * v->inverse, 0, v->size[i] - 1.000001);
+    index[i] = (int)u;
+    t[i] = u - index[i];
+  }
+  const size_t sy = v->size[2], sx = (size_t)v->size[1] * v->size[2];
+  const float* c = v->values + index[0] * sx + index[1] * sy + index[2];
+  double c00 = c[0] + t[2] * (c[1] - c[0]);
+  double c01 = c[sy] + t[2] * (c[sy + 1] - c[sy]);
+  double c10 = c[sx] + t[2] * (c[sx + 1] - c[sx]);
+  double c11 = c[sx + sy] + t[2] * (c[sx + sy + 1] - c[sx + sy]);
+  double c0 = c00 + t[1] * (c01 - c00), c1 = c10 + t[1] * (c11 - c10);
+  double grid = c0 + t[0] * (c1 - c0);
+  double sheath = sheath_distance(v, p, NULL);
+  return grid > sheath ? grid : sheath;
+}
+
+double vessel_distance_gradient(const Vessel* v, const double p[3], double gradient[3]) {
+  int index[3];
+  double w[3][3], dw[3][3];
+  for (int i = 0; i < 3; i++) {
+    double u = clamp((p[i] - v->origin[i]) * v->inverse, 1, v->size[i] - 2.000001);
+    int nearest = (int)(u + 0.5);
+    double t = u - nearest;
+    index[i] = nearest - 1;
+    w[i][0] = 0.5 * (0.5 - t) * (0.5 - t);
+    w[i][1] = 0.75 - t * t;
+    w[i][2] = 0.5 * (0.5 + t) * (0.5 + t);
+    dw[i][0] = t - 0.5;
+    dw[i][1] = -2 * t;
+    dw[i][2] = t + 0.5;
+  }
+  const size_t sy = v->size[2], sx = (size_t)v->size[1] * v->size[2];
+  const float* base = v->values + index[0] * sx + index[1] * sy + index[2];
+  double value = 0, gx = 0, gy = 0, gz = 0;
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      const float* c = base + i * sx + j * sy;
+      double line = w[2][0] * c[0] + w[2][1] * c[1] + w[2][2] * c[2];
+      double slope = dw[2][0] * c[0] + dw[2][1] * c[1] + dw[2][2] * c[2];
+      double wij = w[0][i] * w[1][j];
+      value += wij * line;
+      gx += dw[0][i] * w[1][j] * line;
+      gy += w[0][i] * dw[1][j] * line;
+      gz += wij * slope;
+    }
+  }
+  gradient[0] = gx * v->inverse;
+  gradient[1] = gy * v->inverse;
+  gradient[2] = gz * v->inverse;
+
+  double sheath_gradient[3];
+  double sheath = sheath_distance(v, p, sheath_gradient);
+  if (sheath > value) {
+    memcpy(gradient, sheath_gradient, sizeof sheath_gradient);
+    return sheath;
+  }
+  return value;
+}
+
+/* Distances (m) of n points (n x 3, m); for checks from outside. */
+void cathsim_vessel_distances(int number, int n, const double* points, double* distances, double* gradients) {
+  const Vessel* v = vessels[number];
+  for (int i = 0; i < n; i++) {
+    double g[3];
+    distances[i] = vessel_distance_gradient(v, points + 3 * i, g);
+    if (gradients) memcpy(gradients + 3 * i, g, sizeof g);
+  }
+}

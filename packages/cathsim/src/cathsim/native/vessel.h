@@ -1,0 +1,33 @@
+/* Vessels known to the native code: a signed-distance grid each, and the introducer sheath behind the entry. */
+#ifndef CATHSIM_VESSEL_H_
+#define CATHSIM_VESSEL_H_
+
+#include <mujoco/mujoco.h>
+
+/* geom_user[0] of a vessel's geom; geom_user[1] is its number here. */
+#define CATHSIM_MAGIC 1129469011.0
+
+typedef struct {
+  int size[3];           /* nodes along x, y, z; z is contiguous */
+  double origin[3];      /* world position of node (0, 0, 0), m */
+  double spacing;        /* m */
+  double inverse;        /* 1 / spacing */
+  const float* values;   /* signed distance, m, positive inside the lumen; owned by the caller */
+  double entry[3];       /* where the sheath opens into the vessel, m */
+  double direction[3];   /* unit vector into the vessel */
+  double sheath_radius;  /* inner radius, m; 0: no sheath */
+  double sheath_overlap; /* how far the sheath's bore reaches past `entry`, m */
+} Vessel;
+
+const Vessel* vessel_of_geom(const mjModel* m, int geom);
+
+/* Signed distance (m) at p, linear interpolation: cheap, for rejecting what is far from the wall. */
+double vessel_distance(const Vessel* v, const double p[3]);
+
+/* Signed distance (m) and its gradient at p, quadratic B-spline: the gradient is continuous. */
+double vessel_distance_gradient(const Vessel* v, const double p[3], double gradient[3]);
+
+/* Coordinate of p along the sheath's axis, m: negative inside the sheath. */
+double vessel_sheath_coordinate(const Vessel* v, const double p[3]);
+
+#endif

@@ -1,0 +1,291 @@
+"""A wire in a vessel: state, stepping, forces and shape, without any task."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from cathsim.anatomy import Phantom
+from cathsim.arena import FEEDER, max_insertion
+from cathsim.contact.native import SimulationStruct, StepSummary, address, engine, library
+from cathsim.contact.sdf import GEOM_NAME, Vessel
+from cathsim.feed import Ladder, pass_on, rung_models
+from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
+from cathsim.presets import Accuracy
+
+CONTROL_STEP = 0.1  # s
+MAX_CONTACTS = 512
+# The servo's target never runs further ahead of the wire than its force limit can use.
+LEAD_ADVANCE, LEAD_ROTATION = 0.004, 0.4
+SETTLE_STEPS = 3
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Wire-wall contacts of the substep in which their resultant was largest.
+
+    Attributes:
+        points: world positions, m. Shape (k, 3).
+        forces: force of the wall on the wire, N, world frame. Shape (k, 3).
+    """
+
+    points: np.ndarray
+    forces: np.ndarray
+
+
+@functools.lru_cache(maxsize=256)
+def vessel_of(phantom: Phantom, entry: str) -> Vessel:
+    """The native vessel of a phantom with a sheath at one of its entries.
+
+    Raises:
+        ValueError: the phantom has no such entry.
+    """
+    if entry not in phantom.entries:
+        raise ValueError(f"phantom {phantom.name} has no entry '{entry}'; there are {', '.join(phantom.entries)}")
+    gate, grid = phantom.entries[entry], phantom.grid
+    return Vessel(grid.values, grid.origin, grid.spacing, gate.position, gate.direction)
+
+
+class _Rung:
+    """One model of the ladder with its data, and the native struct of both."""
+
+    def __init__(self, vessel: Vessel, wire: Guidewire, numerics: Accuracy, tip_motors: bool, depth_samples: int) -> None:
+        self.model, self.fine = rung_models(vessel, wire, numerics, tip_motors)
+        self.data = mujoco.MjData(self.model)
+        self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
+        first = self.model.geom(LINK_NAME.format(0)).id
+        self.struct = SimulationStruct(
+            model=self.model._address,
+            fine=self.fine._address,
+            data=self.data._address,
+            saved=self._saved.ctypes.data,
+            vessel_geom=self.model.geom(GEOM_NAME).id,
+            first_geom=first,
+            last_geom=first + len(wire.links) - 1,
+            refinement=numerics.refinement,
+            tolerance=numerics.tolerance,
+            rise=numerics.rise,
+            depth_samples=depth_samples,
+        )
+        self.reference = ctypes.byref(self.struct)
+        self.tip = self.data.site_xpos[self.model.site(TIP_SITE).id]
+        # links 1, 2, … follow the feeder's body in the order of the chain
+        feeder = self.model.body(FEEDER).id
+        self.nodes = self.data.xpos[feeder : feeder + len(wire.links)]
+
+
+class Simulation:
+    """A guidewire fed through a sheath into a phantom; one control step lasts 0.1 s.
+
+    Only the inserted links and a few in the sheath are simulated; `model` and `data` are those of the moment, and the
+    arrays that this class returns always have the size of the whole wire.
+
+    Args:
+        phantom: the vessel.
+        wire: the guidewire.
+        numerics: time stepping.
+        entry: name of the phantom's entry.
+        tip_motors: with motors in the tip's joints.
+        measure_penetration: keeps the deepest penetration after every substep in `depths`, at about 3 % of the speed.
+
+    Raises:
+        ValueError: the phantom has no such entry.
+    """
+
+    def __init__(
+        self,
+        phantom: Phantom,
+        wire: Guidewire,
+        numerics: Accuracy,
+        *,
+        entry: str = "descending",
+        tip_motors: bool = False,
+        measure_penetration: bool = False,
+    ) -> None:
+        self.phantom, self.wire, self.numerics, self.entry = phantom, wire, numerics, entry
+        self.vessel = vessel_of(phantom, entry)
+        self.tip_motors = tip_motors
+        self.substeps = round(CONTROL_STEP / numerics.timestep)
+        self.max_insertion = max_insertion(wire)
+        if self.max_insertion <= 0:
+            raise ValueError(f"a wire of {wire.length:.3f} m is too short to be fed through the sheath")
+        self.ladder = Ladder.of(wire)
+        self.nq = 2 + 2 * wire.joints
+        self.motors = 2 * min(wire.motor_joints, wire.joints) if tip_motors else 0
+        self._measure = 6 if measure_penetration else 0
+        self._rungs: dict[int, _Rung] = {}
+
+        self._points, self._forces = np.zeros((MAX_CONTACTS, 3)), np.zeros((MAX_CONTACTS, 3))
+        self._scratch = np.zeros((2 * MAX_CONTACTS, 3))
+        self.depths = np.zeros(self.substeps)
+        self._from, self._to = np.zeros(2 + self.motors), np.zeros(2 + self.motors)
+        self.summary = StepSummary()
+        self._native_step = library().cathsim_step
+        self._arguments = (
+            ctypes.byref(engine()),
+            self.substeps,
+            *(address(array) for array in (self._from, self._to)),
+            MAX_CONTACTS,
+            *(address(array) for array in (self._points, self._forces, self._scratch, self.depths)),
+            ctypes.byref(self.summary),
+        )
+        self._index = 0
+        self._rung = self._rung_at(0)
+        self.reset()
+
+    def _rung_at(self, index: int) -> _Rung:
+        if index not in self._rungs:
+            wire = self.wire.distal(self.ladder.counts[index])
+            self._rungs[index] = _Rung(self.vessel, wire, self.numerics, self.tip_motors, self._measure)
+        return self._rungs[index]
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """Model of the links that are simulated now."""
+        return self._rung.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """State of the links that are simulated now."""
+        return self._rung.data
+
+    @property
+    def active_links(self) -> int:
+        """How many links are simulated now."""
+        return self.ladder.counts[self._index]
+
+    def reset(self, insertion: float = 0.0, rotation: float = 0.0) -> None:
+        """Puts the wire straight into the sheath and lets its tip unbend for 0.3 s.
+
+        Args:
+            insertion: how far it is advanced, m.
+            rotation: of its proximal end, rad.
+        """
+        if not 0 <= insertion <= self.max_insertion:
+            raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {insertion}")
+        self._index = self.ladder.rung(insertion)
+        self._rung = self._rung_at(self._index)
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:2] = insertion, rotation
+        self._to[:] = 0.0
+        self._to[:2] = insertion, rotation
+        self._rung.struct.depth = 0.0
+        for _ in range(SETTLE_STEPS):
+            self.advance(0.0, 0.0)
+        self.data.time = 0.0
+        ctypes.memset(ctypes.byref(self.summary), 0, ctypes.sizeof(self.summary))
+
+    def _change_rung(self, index: int) -> None:
+        """Goes on with more or fewer links, in the same state."""
+        old, new = self._rung, self._rung_at(index)
+        mujoco.mj_resetData(new.model, new.data)
+        new.data.qpos[:] = pass_on(old.data.qpos, new.model.nq, bend=True)
+        new.data.qvel[:] = pass_on(old.data.qvel, new.model.nv, bend=False)
+        new.data.qacc_warmstart[:] = pass_on(old.data.qacc_warmstart, new.model.nv, bend=False)
+        new.data.time, new.struct.depth = old.data.time, old.struct.depth
+        self._index, self._rung = index, new
+
+    def advance(self, translation: float, rotation: float, motors: np.ndarray | None = None) -> None:
+        """One control step of 0.1 s, the feeder moving at constant speed.
+
+        Args:
+            translation: of the feeder, m; positive inserts.
+            rotation: of the feeder, rad; positive about the direction of insertion.
+            motors: of the tip, share of their range, -1 to 1. Shape (motors,).
+        """
+        to, qpos = self._to, self.data.qpos
+        self._from[:] = to
+        at, angle = float(qpos[0]), float(qpos[1])
+        lead = min(max(float(to[0]) + translation - at, -LEAD_ADVANCE), LEAD_ADVANCE)
+        target = min(max(at + lead, 0.0), self.max_insertion)
+        to[0] = target
+        lead = min(max(float(to[1]) + rotation - angle, -LEAD_ROTATION), LEAD_ROTATION)
+        to[1] = angle + lead
+        if motors is not None:
+            to[2:] = motors * self.model.actuator_ctrlrange[2:, 1]
+        index = self.ladder.rung(max(target, at), self._index)
+        if index != self._index:
+            self._change_rung(index)
+        self._native_step(self._rung.reference, *self._arguments)
+
+    @property
+    def valid(self) -> bool:
+        """Whether the state is finite and MuJoCo has not complained about it."""
+        return self.summary.warnings == 0 and bool(np.isfinite(self.data.qpos).all())
+
+    @property
+    def insertion(self) -> float:
+        """How far the feeder has advanced, m."""
+        return float(self.data.qpos[0])
+
+    @property
+    def rotation(self) -> float:
+        """Angle of the feeder, rad."""
+        return float(self.data.qpos[1])
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Tip position, m. Shape (3,)."""
+        return self._rung.tip.copy()
+
+    def joint_positions(self) -> np.ndarray:
+        """Feeder's advance (m) and rotation (rad), then two angles (rad) a joint from the proximal end. Shape (nq,)."""
+        return pass_on(self.data.qpos, self.nq, bend=False)
+
+    def joint_velocities(self) -> np.ndarray:
+        """Rates of `joint_positions`. Shape (nq,)."""
+        return pass_on(self.data.qvel, self.nq, bend=False)
+
+    def wire_points(self) -> np.ndarray:
+        """Ends of the links from the tip to the proximal end, m, those in the sheath included. Shape (links + 1, 3)."""
+        active, count = self.active_links, len(self.wire.links)
+        points = np.empty((count + 1, 3))
+        points[0] = self._rung.tip
+        points[1 : active + 1] = self._rung.nodes[::-1]
+        if active < count:
+            behind = np.cumsum(self.wire.links[count - active - 1 :: -1])
+            points[active + 1 :] = points[active] - behind[:, None] * self.vessel.direction
+        return points
+
+    def inserted_points(self) -> np.ndarray:
+        """The simulated links' ends from the tip down to the sheath, m. Shape (active links + 1, 3)."""
+        return np.concatenate((self._rung.tip[None], self._rung.nodes[::-1]))
+
+    def contacts(self) -> Contacts:
+        """Contacts of the last control step, where their resultant was largest."""
+        count = self.summary.contacts
+        return Contacts(self._points[:count].copy(), self._forces[:count].copy())
+
+    def force(self) -> np.ndarray:
+        """Resultant of the wall's contact forces on the wire, largest of the last control step, N. Shape (3,)."""
+        return np.array(self.summary.force)
+
+    def state(self) -> np.ndarray:
+        """Everything that a continuation depends on, for `restore`. Shape (3 nq + controls + 3,)."""
+        data = self.data
+        parts = [pass_on(vector, self.nq, bend=False) for vector in (data.qpos, data.qvel, data.qacc_warmstart)]
+        return np.concatenate((*parts, self._to, [data.time, self._rung.struct.depth, self._index]))
+
+    def restore(self, state: np.ndarray) -> None:
+        """Returns to a state of a simulation with the same arguments.
+
+        Raises:
+            ValueError: the state has another size.
+        """
+        size = 3 * self.nq + len(self._to) + 3
+        if state.shape != (size,):
+            raise ValueError(f"expected a state of shape ({size},), got {state.shape}")
+        self._index = int(state[-1])
+        self._rung = self._rung_at(self._index)
+        data, active = self.data, self.model.nq
+        mujoco.mj_resetData(self.model, data)
+        vectors = state[: 3 * self.nq].reshape(3, self.nq)
+        for target, source in zip((data.qpos, data.qvel, data.qacc_warmstart), vectors, strict=True):
+            target[:] = pass_on(source, active, bend=False)
+        self._to[:] = state[3 * self.nq : -3]
+        data.time, self._rung.struct.depth = state[-3], state[-2]
+        mujoco.mj_kinematics(self.model, data)
