@@ -1,5 +1,6 @@
 """Builds the native code against the headers that ship inside the mujoco wheel; nothing is linked."""
 
+import hashlib
 import importlib.util
 import sys
 from pathlib import Path
@@ -16,6 +17,14 @@ def mujoco_include() -> str:
     if spec is None or spec.origin is None:
         sys.exit("cathsim: building needs the mujoco package (its C headers): pip install mujoco==4.0.0")
     return str(Path(spec.origin).parent / "include")
+
+
+def sources_digest() -> str:
+    """Tells at import whether the build is older than the sources beside it; contact/native.py computes the same."""
+    digest = hashlib.sha256()
+    for path in sorted(NATIVE.glob("*.[ch]")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 class BuildNative(build_ext):
@@ -36,6 +45,7 @@ setup(
             sources=sorted(str(path) for path in NATIVE.glob("*.c")),
             depends=sorted(str(path) for path in NATIVE.glob("*.h")),
             include_dirs=[mujoco_include(), str(NATIVE)],
+            define_macros=[("CATHSIM_SOURCES", f'"{sources_digest()}"')],
             # no contraction: the same bits whatever the compiler thinks of fused multiply-add
             extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off", "-Wall", "-Wextra"],
             libraries=["m", "pthread"],

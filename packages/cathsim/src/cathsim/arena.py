@@ -35,9 +35,11 @@ def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motor
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.tolerance = 1e-6  # a hundredth of what changes forces visibly
     option.gravity = [0.0, 0.0, 0.0]  # the wire's weight is below a hundredth of its contact forces
     # an invalid state is reported, never silently reset
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)  # one wire is one island
     vessel.add_to(spec)
 
     quaternion = np.zeros(4)
@@ -54,9 +56,7 @@ def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motor
     if tip_motors:
         for joint in spec.joints[-2 * min(wire.motor_joints, wire.joints) :]:
             limit = float(np.asarray(joint.stiffness).flat[0]) * wire.motor_angle
-            motor = spec.add_actuator(
-                name=f"{joint.name}_motor", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-            )
+            motor = spec.add_actuator(name=f"{joint.name}_motor", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
     return spec
 

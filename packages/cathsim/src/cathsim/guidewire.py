@@ -59,7 +59,9 @@ class Guidewire:
         if not 0 <= self.taper[0] <= self.taper[1]:
             raise ValueError(f"taper must be two increasing distances from the tip (m), got {self.taper}")
         if min(self.links) < self.diameter:
-            raise ValueError(f"links ({min(self.links)} m) shorter than the diameter ({self.diameter} m) are no capsules")
+            raise ValueError(
+                f"links ({min(self.links)} m) shorter than the diameter ({self.diameter} m) are no capsules"
+            )
 
     @property
     def length(self) -> float:
@@ -167,7 +169,7 @@ GUIDEWIRES: dict[str, Guidewire] = {
 }
 
 
-def guidewire(name: str, **changes: object) -> Guidewire:
+def load_guidewire(name: str, **changes: object) -> Guidewire:
     """A preset wire, with fields of `Guidewire` replaced.
 
     Raises:

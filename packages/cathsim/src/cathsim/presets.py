@@ -11,7 +11,7 @@ class Accuracy:
 
     Attributes:
         timestep: of a substep, s.
-        refinement: a substep that ends with the wire deep in the wall is repeated in this many shorter ones; 1 for never.
+        refinement: a substep that ends with the wire deep in the wall is repeated in so many shorter ones; 1: never.
         tolerance: penetration that calls for it, m.
         rise: ... if the penetration also grew by this much in the substep, m.
         mass_scale: factor on the wire's mass.
@@ -28,7 +28,7 @@ class Accuracy:
 ACCURACY: dict[str, Accuracy] = {
     "reference": Accuracy(timestep=0.001, refinement=4),
     "accurate": Accuracy(timestep=0.010, refinement=4, mass_scale=10.0),
-    "fast": Accuracy(timestep=0.020, refinement=4, tolerance=5e-4, rise=3e-4, mass_scale=10.0),
+    "fast": Accuracy(timestep=0.020, refinement=4, tolerance=5e-4, rise=3e-4, mass_scale=30.0),
 }
 
 

@@ -53,7 +53,9 @@ def vessel_of(phantom: Phantom, entry: str) -> Vessel:
 class _Rung:
     """One model of the ladder with its data, and the native struct of both."""
 
-    def __init__(self, vessel: Vessel, wire: Guidewire, numerics: Accuracy, tip_motors: bool, depth_samples: int) -> None:
+    def __init__(
+        self, vessel: Vessel, wire: Guidewire, numerics: Accuracy, tip_motors: bool, depth_samples: int
+    ) -> None:
         self.model, self.fine = rung_models(vessel, wire, numerics, tip_motors)
         self.data = mujoco.MjData(self.model)
         self._saved = np.zeros(self.model.nq + 2 * self.model.nv)

@@ -1,18 +1,20 @@
-"""The native code, loaded once: signatures, MuJoCo's function addresses, and the check that both agree on struct layout."""
+"""The native code, loaded once: MuJoCo's function addresses, and the check that both agree on struct layout."""
 
 from __future__ import annotations
 
 import ctypes
 import functools
+import hashlib
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 LAYOUT_FIELDS = (
-    "nq nv nu ngeom nuser_geom timestep geom_size geom_user ncon time qpos qvel ctrl qacc_warmstart geom_xpos "
-    "geom_xmat contact_x contact_geom contact_efc_address"
-).split()
+    *("nq", "nv", "nu", "ngeom", "nuser_geom", "timestep", "geom_size", "geom_user", "ncon", "time"),
+    *("qpos", "qvel", "ctrl", "qacc_warmstart", "geom_xpos", "geom_xmat"),
+    *("contact_x", "contact_geom", "contact_efc_address"),
+)
 
 
 class Engine(ctypes.Structure):
@@ -68,7 +70,7 @@ def mujoco_library() -> ctypes.CDLL:
     """The MuJoCo library that the Python bindings have loaded."""
     path = _find(Path(mujoco.__file__).parent, "libmujoco*")
     if path is None:
-        raise ImportError("cathsim expected libmujoco inside the mujoco package and found none: reinstall mujoco==4.0.0")
+        raise ImportError("cathsim found no libmujoco inside the mujoco package: reinstall mujoco==4.0.0")
     return ctypes.CDLL(str(path))
 
 
@@ -89,6 +91,9 @@ def library() -> ctypes.CDLL:
             "then run 'pip install ./packages/cathsim'"
         )
     native = ctypes.CDLL(str(path))
+    native.cathsim_sources.restype = ctypes.c_char_p
+    if native.cathsim_sources().decode() != _sources_digest(native.cathsim_sources().decode()):
+        raise ImportError("cathsim's native code is older than its sources: run 'make setup', or install cathsim again")
     if native.cathsim_header_version() != mujoco.mj_version():
         raise ImportError(
             f"cathsim's native code was built for MuJoCo {native.cathsim_header_version()} and {mujoco.mj_version()} is "
@@ -120,9 +125,21 @@ def library() -> ctypes.CDLL:
     return native
 
 
+def _sources_digest(built: str) -> str:
+    """Digest of the C sources beside this package in a checkout; of an installed package, that of the build."""
+    paths = sorted((Path(__file__).parent.parent / "native").glob("*.[ch]"))
+    if not any(path.suffix == ".c" for path in paths):
+        return built
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 _PROBE = """
 <mujoco><option timestep="0.003"/><size nuser_geom="3"/><worldbody><geom type="plane" size="1 1 1"/>
-<body pos="0.25 0 0.04"><joint name="lift" type="slide" axis="0 0 1"/><geom type="sphere" size="0.05" user="1 2 3"/></body>
+<body pos="0.25 0 0.04"><joint name="lift" type="slide" axis="0 0 1"/>
+<geom type="sphere" size="0.05" user="1 2 3"/></body>
 </worldbody><actuator><motor joint="lift"/></actuator></mujoco>
 """
 

@@ -11,14 +11,15 @@ import numpy as np
 from cathsim.contact.native import address, library
 
 MAGIC = 1129469011.0
-GEOM_NAME = "vessel"
+GEOM_NAME, SHEATH_NAME = "vessel", "sheath"
+LUMEN, SHEATH = 0, 1
 
 
 @dataclass(frozen=True, eq=False)
 class Vessel:
     """The free space a wire moves in: a lumen, and the bore of a straight sheath behind the entry.
 
-    The vessel is one dummy box geom of the MuJoCo model (`add_to`); contacts come from the grid.
+    In a MuJoCo model it is a dummy box geom for each (`add_to`); contacts come from the grid.
 
     Attributes:
         values: signed distance to the wall, m, positive inside. Shape (nx, ny, nz), float32, C order.
@@ -66,13 +67,25 @@ class Vessel:
         weakref.finalize(self, library().cathsim_vessel_release, number)
 
     def add_to(self, spec: mujoco.MjSpec) -> mujoco.MjsGeom:
-        """Adds the dummy geom that stands for this vessel to a model under construction.
+        """Adds the dummy geoms that stand for this vessel to a model under construction.
 
-        The model must not outlive this object while it is stepped.
+        The lumen's contacts have the wire's friction, the sheath's none. The model must not be stepped after this
+        object is gone.
+
+        Returns:
+            The lumen's geom; the sheath's, if there is one, is named "sheath".
         """
-        spec.nuser_geom = max(spec.nuser_geom, 2)
+        spec.nuser_geom = max(spec.nuser_geom, 3)
+        lumen = self._add_geom(spec, GEOM_NAME, LUMEN)
+        if self.sheath_radius > 0:
+            sheath = self._add_geom(spec, SHEATH_NAME, SHEATH)
+            sheath.condim, sheath.priority = 1, 2
+            sheath.solref, sheath.solimp = [0.004, 1.0], [0.98, 0.998, 0.0002, 0.5, 2.0]
+        return lumen
+
+    def _add_geom(self, spec: mujoco.MjSpec, name: str, part: int) -> mujoco.MjsGeom:
         return spec.worldbody.add_geom(
-            name=GEOM_NAME,
+            name=name,
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[10.0, 10.0, 10.0],
             contype=1,
@@ -80,7 +93,7 @@ class Vessel:
             condim=3,
             group=5,
             rgba=[0, 0, 0, 0],
-            userdata=[MAGIC, float(self.number)],
+            userdata=[MAGIC, float(self.number), float(part)],
         )
 
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -29,7 +29,8 @@ static int emit(mjPreContact* contact, const Candidate* c, double radius) {
 }
 
 static int capsule_vessel(const mjModel* m, mjData* d, mjPreContact* con, int g1, int g2, mjtNum margin) {
-  const Vessel* v = vessel_of_geom(m, g2);
+  int part;
+  const Vessel* v = vessel_of_geom(m, g2, &part);
   if (!v) return original(m, d, con, g1, g2, margin);
 
   const double radius = m->geom_size[3 * g1], half = m->geom_size[3 * g1 + 1];
@@ -37,6 +38,12 @@ static int capsule_vessel(const mjModel* m, mjData* d, mjPreContact* con, int g1
   const double* frame = d->geom_xmat + 9 * g1;
   const double axis[3] = {frame[2], frame[5], frame[8]};
   const double limit = radius + margin, reach = limit + 0.1 * v->spacing;
+
+  const int sheathed = v->sheath_radius > 0;
+  const double sheath_centre = sheathed ? vessel_sheath_coordinate(v, centre) : 1;
+  if (sheathed && (part == VESSEL_SHEATH ? sheath_centre > half : sheath_centre < -half)) return 0;
+  const double sheath_slope =
+      axis[0] * v->direction[0] + axis[1] * v->direction[1] + axis[2] * v->direction[2];
 
   /* |distance(a) - distance(b)| <= |a - b|: one sample at the centre clears most links in a wide vessel */
   if (vessel_distance(v, centre) > reach + half) return 0;
@@ -54,6 +61,9 @@ static int capsule_vessel(const mjModel* m, mjData* d, mjPreContact* con, int g1
     if (distance[i] > reach || distance[i - 1] < distance[i] ||
         (i + 1 < NSAMPLES && distance[i + 1] <= distance[i]))
       continue;
+    /* each part of the vessel has the contacts on its side of the entry */
+    const double along = half * (2.0 * i / (NSAMPLES - 1) - 1);
+    if (sheathed && (sheath_centre + along * sheath_slope < 0) != (part == VESSEL_SHEATH)) continue;
     if (first < 0 || distance[i] < distance[first]) {
       second = first;
       first = i;

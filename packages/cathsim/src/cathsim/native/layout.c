@@ -3,6 +3,9 @@
 
 #include "vessel.h"
 
+/* Digest of the sources this was built from. */
+const char* cathsim_sources(void) { return CATHSIM_SOURCES; }
+
 int cathsim_header_version(void) { return mjVERSION_HEADER; }
 
 /* Fills `seen` (19 numbers) in the order that contact/native.py lists. */

@@ -6,12 +6,10 @@
 /* Contact forces on the wire: points (m) and forces (N), world frame; returns how many, at most `capacity`. */
 int cathsim_contact_forces(const Simulation* s, const Engine* engine, int capacity, double* points, double* forces) {
   const mjData* d = s->data;
-  const Vessel* v = vessel_of_geom(s->model, s->vessel_geom);
   int count = 0;
   for (int i = 0; i < d->ncon && count < capacity; i++) {
     const mjContact* c = d->contact + i;
     if (c->geom[1] != s->vessel_geom || c->efc_address < 0) continue;
-    if (v && v->sheath_radius > 0 && vessel_sheath_coordinate(v, c->pos) < 0) continue;
     mjtNum local[6];
     engine->contact_force(s->model, d, i, local);
     for (int k = 0; k < 3; k++) {
@@ -29,7 +27,7 @@ int cathsim_contact_forces(const Simulation* s, const Engine* engine, int capaci
 double cathsim_penetration(const Simulation* s, int samples) {
   const mjModel* m = s->model;
   const mjData* d = s->data;
-  const Vessel* v = vessel_of_geom(m, s->vessel_geom);
+  const Vessel* v = vessel_of_geom(m, s->vessel_geom, NULL);
   double deepest = 0;
   if (!v) return 0;
   for (int g = s->first_geom; g <= s->last_geom; g++) {

@@ -50,11 +50,12 @@ void cathsim_vessel_release(int number) {
   pthread_mutex_unlock(&lock);
 }
 
-const Vessel* vessel_of_geom(const mjModel* m, int geom) {
-  if (m->nuser_geom < 2) return NULL;
+const Vessel* vessel_of_geom(const mjModel* m, int geom, int* part) {
+  if (m->nuser_geom < 3) return NULL;
   const mjtNum* user = m->geom_user + (size_t)geom * m->nuser_geom;
   if (user[0] != CATHSIM_MAGIC) return NULL;
   int number = (int)user[1];
+  if (part) *part = (int)user[2];
   if (number < 0 || number >= MAX_VESSELS) return NULL;
   return __atomic_load_n(&vessels[number], __ATOMIC_ACQUIRE);
 }

@@ -4,8 +4,9 @@
 
 #include <mujoco/mujoco.h>
 
-/* geom_user[0] of a vessel's geom; geom_user[1] is its number here. */
+/* geom_user of a vessel's geoms: this mark, the vessel's number here, and the part that the geom stands for. */
 #define CATHSIM_MAGIC 1129469011.0
+enum { VESSEL_LUMEN = 0, VESSEL_SHEATH = 1 };
 
 typedef struct {
   int size[3];           /* nodes along x, y, z; z is contiguous */
@@ -19,7 +20,8 @@ typedef struct {
   double sheath_overlap; /* how far the sheath's bore reaches past `entry`, m */
 } Vessel;
 
-const Vessel* vessel_of_geom(const mjModel* m, int geom);
+/* The vessel that a geom stands for, or NULL; `part` may be NULL. */
+const Vessel* vessel_of_geom(const mjModel* m, int geom, int* part);
 
 /* Signed distance (m) at p, linear interpolation: cheap, for rejecting what is far from the wall. */
 double vessel_distance(const Vessel* v, const double p[3]);

@@ -1,0 +1,90 @@
+# Verbs of the project. `make help` lists them; CI runs `lint` and `test`.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.NOTPARALLEL:
+
+PYTHON ?= $(firstword $(foreach p,python3.11 python3.12 python3,$(shell command -v $(p) 2>/dev/null)))
+VENV ?= .venv
+PY := $(VENV)/bin/python
+BUDGET ?= desk
+NAME ?= $(BUDGET)
+ARGS ?=
+TEST_JOBS ?= 2
+GPU ?=
+
+# One thread a process: more made learning slower beside other work, and sweeps bring their own processes.
+export OMP_NUM_THREADS ?= 1
+
+# Stages in the order they depend on each other; one whose module is not there yet is left out.
+ALL_STAGES := phantoms expert
+STAGES := $(patsubst pipeline/stages/%.py,%,$(wildcard $(ALL_STAGES:%=pipeline/stages/%.py)))
+STAGES := $(filter $(STAGES),$(ALL_STAGES))
+
+INSTALLED := $(VENV)/.endonav-installed
+INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard packages/*/pyproject.toml packages/*/setup.py) \
+	$(shell find packages/*/src -name '*.c' -o -name '*.h' 2>/dev/null)
+
+RUN = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)} $(PY) -m pipeline
+
+.PHONY: help setup all smoke demo test lint format bench-quick clean clean-all report $(ALL_STAGES)
+
+help:  ## list the verbs
+	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
+	@sed -nE 's/^([a-z][a-z -]*):.*##[ ]*(.*)/  \1@\2/p' $(firstword $(MAKEFILE_LIST)) | column -t -s@ 2>/dev/null \
+		|| sed -nE 's/^([a-z][a-z -]*):.*##[ ]*(.*)/  \1: \2/p' $(firstword $(MAKEFILE_LIST))
+
+setup: $(INSTALLED)  ## virtual environment, pinned packages, native build, system libraries
+
+$(INSTALLED): $(INSTALL_INPUTS)
+	@test -n "$(PYTHON)" || { echo "no Python found: install Python 3.11 or newer, or run make PYTHON=/path/to/python" >&2; exit 1; }
+	@$(PYTHON) pipeline/installation.py before
+	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
+	@echo "installing into $(VENV) (a minute or two)"
+	@# Build tools first, pinned like everything else: builds then need no environments of their own.
+	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt setuptools hatchling editables mujoco
+	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -r requirements.txt
+	@$(PY) pipeline/installation.py after $(if $(GPU),--gpu)
+	@touch $@
+
+all: setup  ## every stage, then the report: runs/<name>/report/index.html
+	@for stage in $(STAGES) report; do $(RUN) stage=$$stage budget=$(BUDGET) name=$(NAME) $(ARGS) || exit $$?; done
+
+smoke:  ## the whole chain in minutes; its numbers mean nothing
+	@$(MAKE) --no-print-directory all BUDGET=smoke
+
+demo: setup  ## an expert episode into the BCA: its log, its films, the report
+	@$(RUN) stage=phantoms budget=smoke name=demo 'stage.phantoms=[type_1]' stage.resolution_mm=1.0
+	@$(RUN) stage=expert budget=smoke experiment=demo $(ARGS)
+	@$(RUN) stage=report budget=smoke name=demo
+
+phantoms: setup  ## stage: the aortas with meshes, grids, pictures
+	@$(RUN) stage=phantoms budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+expert: phantoms  ## stage: episodes of the sampling expert
+	@$(RUN) stage=expert budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+report: setup  ## stage: the page, from whatever has run
+	@$(RUN) stage=report budget=$(BUDGET) name=$(NAME)
+
+test: setup  ## all tests, TEST_JOBS=2 beside each other (ARGS go to pytest)
+	@MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)} $(PY) -m pytest -n $(TEST_JOBS) --dist loadfile $(ARGS)
+
+lint: setup  ## ruff and mypy
+	@$(PY) -m ruff check .
+	@$(PY) -m ruff format --check .
+	@$(PY) -m mypy
+
+format: setup  ## let ruff format and mend what it can
+	@$(PY) -m ruff check --fix .
+	@$(PY) -m ruff format .
+
+bench-quick: setup  ## every benchmark, at most 50 s each
+	@for benchmark in benchmarks/*.py; do echo "== $$benchmark"; $(PY) $$benchmark --quick || exit $$?; done
+
+clean:  ## remove caches and build products; runs and the environment stay
+	@find . -path ./$(VENV) -prune -o -type d \( -name __pycache__ -o -name '*.egg-info' \) -prune -exec rm -rf {} +
+	@rm -rf .pytest_cache .mypy_cache .ruff_cache build dist packages/*/build packages/*/dist
+
+clean-all: clean  ## also remove the environment and every run
+	@rm -rf $(VENV) runs

@@ -1,0 +1,20 @@
+"""Anatomy: parametric aortic arches, their lumens as signed distance grids, targets and geodesic distances."""
+
+from .arch_parameters import Aneurysm, ArchParameters
+from .distance_grid import SignedDistanceGrid
+from .library import PHANTOMS, load_phantom
+from .phantom import Entry, Phantom, Target
+from .vessel_tree import Branch, VesselTree
+
+__all__ = [
+    "PHANTOMS",
+    "Aneurysm",
+    "ArchParameters",
+    "Branch",
+    "Entry",
+    "Phantom",
+    "SignedDistanceGrid",
+    "Target",
+    "VesselTree",
+    "load_phantom",
+]

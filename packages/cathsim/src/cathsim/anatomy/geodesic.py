@@ -1,0 +1,164 @@
+"""Distance to a target along the lumen: a field on the grid, and arc length through the centreline graph."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .distance_grid import SignedDistanceGrid
+from .vessel_tree import VesselTree, nearest_on_branch
+
+MARGIN = 4e-3  # m outside the lumen up to which the field continues its nearest inside value
+_SEED_RADIUS = 2e-3  # m: within this ball about the target the distance is the straight one
+
+
+def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> NDArray[np.float32]:
+    """Shortest distance to a target inside the lumen, by fast marching.
+
+    Args:
+        grid: the lumen.
+        target: (3,) m, world frame, inside the lumen.
+
+    Returns:
+        (nx, ny, nz) float32 m, finite everywhere. Up to MARGIN outside the wall it continues the nearest inside values;
+        further out, and where the target cannot be reached, it holds its largest value.
+
+    Raises:
+        ValueError: where the target lies outside the lumen.
+    """
+    import skfmm
+
+    target = np.asarray(target, dtype=np.float64)
+    depth = float(grid.sample(target))
+    if depth <= 0:
+        raise ValueError(f"a geodesic target must lie inside the lumen, got {target.tolist()} m, {-depth:g} m outside.")
+    seed = max(min(_SEED_RADIUS, 0.8 * depth), 1.01 * grid.spacing)
+    inside = grid.values > 0
+    box = _bounding_box(inside)
+    inside = inside[box]
+    axes = [grid.origin[k] + np.arange(grid.shape[k])[box[k]] * grid.spacing - target[k] for k in range(3)]
+    straight = np.sqrt(axes[0][:, None, None] ** 2 + axes[1][None, :, None] ** 2 + axes[2][None, None, :] ** 2)
+    marched = skfmm.distance(np.ma.MaskedArray(straight - seed, ~inside), dx=grid.spacing)
+    reached = inside & ~np.ma.getmaskarray(marched)
+    distance = np.where(straight < seed, straight, np.ma.getdata(marched) + seed)
+    field = np.full(grid.shape, np.inf, dtype=np.float32)
+    field[box][reached] = distance[reached]
+    return _continue_outwards(field, float(distance[reached].max()), grid)
+
+
+def _bounding_box(inside: NDArray[np.bool_]) -> tuple[slice, slice, slice]:
+    """The part of the lattice that holds the lumen."""
+    spans = []
+    for axis in range(3):
+        taken = np.flatnonzero(inside.any(axis=tuple(k for k in range(3) if k != axis)))
+        spans.append(slice(int(taken[0]), int(taken[-1]) + 1))
+    return spans[0], spans[1], spans[2]
+
+
+def _continue_outwards(field: NDArray[np.float32], farthest: float, grid: SignedDistanceGrid) -> NDArray[np.float32]:
+    """Fills the lattice outside the lumen, layer by layer outwards, with the mean of known neighbours."""
+    strides = np.array([grid.shape[1] * grid.shape[2], grid.shape[2], 1])
+    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3) @ strides
+    around = around[around != 0]
+    flat, depth = field.reshape(-1), -grid.values.reshape(-1)
+    open_ = np.flatnonzero((depth < MARGIN + grid.spacing) & ~np.isfinite(flat))
+    layers = int(np.ceil(MARGIN / grid.spacing)) + 1
+    for layer in range(1, layers + 1):
+        chosen = open_[depth[open_] < layer * grid.spacing]
+        total = np.zeros(len(chosen), dtype=np.float32)
+        count = np.zeros(len(chosen), dtype=np.float32)
+        for offset in around:
+            neighbour = flat[chosen + offset]  # the grid's padding keeps every neighbour on the lattice
+            finite = np.isfinite(neighbour)
+            count += finite
+            total += np.where(finite, neighbour, 0)
+        reached = count > 0
+        flat[chosen[reached]] = total[reached] / count[reached]
+        open_ = open_[~np.isfinite(flat[open_])]
+    flat[~np.isfinite(flat)] = farthest
+    return field
+
+
+def arc_distance(tree: VesselTree, points: ArrayLike, branch: str, arc: float) -> NDArray[np.float64]:
+    """Distance along the centreline graph from points to a place on a branch.
+
+    Each point is first projected onto the nearest vessel, nearness measured in that vessel's radii.
+
+    Args:
+        tree: the vessels.
+        points: (..., 3) m, world frame.
+        branch: the target's branch.
+        arc: m along that branch.
+
+    Returns:
+        (...,) m.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    flat = points.reshape(-1, 3)
+    best = np.full(len(flat), np.inf)
+    result = np.zeros(len(flat))
+    for candidate in tree:
+        _, at, distance = nearest_on_branch(candidate, flat)
+        relative = distance / candidate.radius_at(at)
+        better = relative < best
+        best[better] = relative[better]
+        result[better] = graph_distance(tree, candidate.name, at[better], branch, arc)
+    return result.reshape(points.shape[:-1])
+
+
+def graph_distance(tree: VesselTree, start: str, start_arc: ArrayLike, branch: str, arc: float) -> NDArray[np.float64]:
+    """Arc length of the only way through the centreline graph between two places.
+
+    Args:
+        tree: the vessels.
+        start: branch of the first place.
+        start_arc: (...,) m along it.
+        branch: branch of the second place.
+        arc: m along it.
+
+    Returns:
+        (...,) m.
+    """
+    start_arc = np.asarray(start_arc, dtype=np.float64)
+    if start == branch:
+        return np.abs(start_arc - arc)
+    chain = tree.ancestry(branch)
+    if start in chain:
+        child = tree[chain[chain.index(start) + 1]]
+        return np.abs(start_arc - child.parent_arc) + graph_distance(tree, child.name, 0.0, branch, arc)
+    here = tree[start]
+    assert here.parent is not None  # the root is in every chain
+    return start_arc + graph_distance(tree, here.parent, here.parent_arc, branch, arc)
+
+
+def centreline_path(tree: VesselTree, start: tuple[str, float], end: tuple[str, float]) -> NDArray[np.float64]:
+    """Points of the centreline graph from one place to another.
+
+    Args:
+        tree: the vessels.
+        start: branch and arc length (m) of the first place.
+        end: branch and arc length (m) of the second place.
+
+    Returns:
+        (n, 3) m, world frame, about 1 mm apart, both places included.
+    """
+    first, last = tree.ancestry(start[0]), tree.ancestry(end[0])
+    shared = max(i for i in range(min(len(first), len(last))) if first[i] == last[i])
+
+    def climb(chain: tuple[str, ...], arc: float) -> tuple[list[NDArray[np.float64]], float]:
+        pieces = []
+        for name in reversed(chain[shared + 1 :]):
+            pieces.append(_stretch(tree, name, arc, 0.0))
+            arc = tree[name].parent_arc
+        return pieces, arc
+
+    up, leave = climb(first, start[1])
+    down, arrive = climb(last, end[1])
+    middle = _stretch(tree, first[shared], leave, arrive)
+    path = np.concatenate([*up, middle, *[piece[::-1] for piece in reversed(down)]])
+    repeated = np.linalg.norm(np.diff(path, axis=0), axis=1) < 1e-9
+    return path[np.concatenate([[True], ~repeated])]
+
+
+def _stretch(tree: VesselTree, name: str, start: float, end: float) -> NDArray[np.float64]:
+    return tree[name].point_at(np.linspace(start, end, max(int(np.ceil(abs(end - start) / 1e-3)), 1) + 1))

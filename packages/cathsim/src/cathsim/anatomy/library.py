@@ -1,0 +1,172 @@
+"""The named phantoms, built from their parameters and cached."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import threading
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from .aortic_arch import build_arch
+from .arch_parameters import Aneurysm, ArchParameters
+from .lumen import build_lumen
+from .phantom import Phantom, locate_entries, locate_targets
+from .phantom_cache import PhantomCache, default_cache_directory
+
+GENERATOR_VERSION = 5  # raise it whenever the same parameters give another geometry
+
+NAMED: dict[str, ArchParameters] = {
+    "type_1": ArchParameters(),
+    "type_2": ArchParameters(
+        apex_ratio=1.4,
+        lcca_diameter=0.0098,
+        arch_skew=0.03,
+        arch_width=0.068,
+        ascending_height=0.090,
+        bca_takeoff=math.radians(46),
+        winding_seed=2,
+    ),
+    "type_1_aneurysm": ArchParameters(
+        apex_ratio=0.6,
+        arch_width=0.074,
+        aneurysm=Aneurysm("fusiform", distance=0.052, length=0.075, bulge=0.010),
+        winding_seed=3,
+    ),
+    "low_tortuosity": ArchParameters(
+        apex_ratio=0.4,
+        tortuosity=0.0,
+        branch_tortuosity=0.0003,
+        out_of_plane=0.002,
+        ascending_lean=0.12,
+        arch_tilt=0.0,
+        bca_takeoff=math.radians(28),
+        lcca_takeoff=math.radians(8),
+        lsa_takeoff=math.radians(14),
+        winding_seed=4,
+    ),
+    "type_3": ArchParameters(
+        apex_ratio=2.6,
+        lcca_diameter=0.0095,
+        arch_skew=0.04,
+        arch_width=0.066,
+        ascending_height=0.100,
+        bca_takeoff=math.radians(40),
+        winding_seed=5,
+    ),
+    "bovine": ArchParameters(apex_ratio=0.6, bovine=True, bca_diameter=0.0165, lcca_diameter=0.0088, winding_seed=6),
+}
+PHANTOMS: tuple[str, ...] = tuple(NAMED)
+
+_loading = threading.Lock()
+
+
+def load_phantom(
+    name: str,
+    *,
+    seed: int | None = None,
+    resolution: float = 1e-3,
+    cache_dir: Path | None = None,
+    parameters: ArchParameters | None = None,
+) -> Phantom:
+    """Loads a phantom, from memory, from the disk cache, or by building it.
+
+    Args:
+        name: one of PHANTOMS; "random", which needs a seed; or with `parameters` any name of your own.
+        seed: which random arch.
+        resolution: m between lattice points of the distance grid.
+        cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
+        parameters: measures of an arch of your own.
+
+    Returns:
+        The phantom; calls with the same arguments share one object.
+
+    Raises:
+        ValueError: for an unknown name, a missing or misplaced seed, or an impossible resolution.
+    """
+    if parameters is None:
+        parameters = _parameters_of(name, seed)
+        if name == "random":
+            name = f"random_{seed}"
+    elif seed is not None or name in NAMED or name == "random":
+        raise ValueError(
+            f"with parameters of your own give a name of your own and no seed; got name {name!r} and seed {seed!r}."
+        )
+    if not (isinstance(resolution, int | float) and math.isfinite(resolution)):
+        raise ValueError(f"resolution must be a finite length in m, got {resolution!r}.")
+    directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
+    with _loading:  # threads asking at once for one phantom get one object
+        return _load(name, parameters, float(resolution), directory)
+
+
+def phantom_hash(parameters: ArchParameters, resolution: float) -> str:
+    """Digest of everything that determines a phantom's geometry.
+
+    Args:
+        parameters: the arch's measures.
+        resolution: m between lattice points.
+
+    Returns:
+        32 hexadecimal digits.
+    """
+    content = {
+        "generator": GENERATOR_VERSION,
+        "parameters": dataclasses.asdict(parameters),
+        "resolution": float(resolution),
+    }
+    return hashlib.blake2b(json.dumps(content, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def build_phantom(name: str, parameters: ArchParameters, *, resolution: float = 1e-3) -> Phantom:
+    """Builds a phantom without any cache.
+
+    Args:
+        name: its name.
+        parameters: the arch's measures.
+        resolution: m between lattice points.
+
+    Returns:
+        The phantom; its geodesic fields are computed at first use.
+    """
+    tree = build_arch(parameters)
+    grid = build_lumen(tree, resolution=resolution, fillet_radius=parameters.fillet_radius)
+    return Phantom(
+        name=name,
+        hash=phantom_hash(parameters, resolution),
+        parameters=parameters,
+        tree=tree,
+        grid=grid,
+        targets=locate_targets(tree),
+        entries=locate_entries(tree),
+    )
+
+
+def _parameters_of(name: str, seed: int | None) -> ArchParameters:
+    if name == "random":
+        if seed is None or isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+            raise ValueError(f"phantom 'random' needs a seed, a whole number from 0 on; got {seed!r}.")
+        from .random_arch import sample_parameters
+
+        return sample_parameters(np.random.default_rng(int(seed)))
+    if name not in NAMED:
+        raise ValueError(f"unknown phantom {name!r}; choose from {', '.join(PHANTOMS)} or random (with a seed).")
+    if seed is not None:
+        raise ValueError(f"phantom {name!r} takes no seed, got {seed!r}; only 'random' does.")
+    return NAMED[name]
+
+
+@lru_cache(maxsize=32)
+def _load(name: str, parameters: ArchParameters, resolution: float, directory: Path) -> Phantom:
+    cache = PhantomCache(directory)
+    digest = phantom_hash(parameters, resolution)
+    phantom = cache.read(name, digest, parameters)
+    if phantom is None:
+        phantom = build_phantom(name, parameters, resolution=resolution)
+        for target in phantom.targets:
+            phantom.geodesic_field(target)
+        cache.write(phantom)
+    return phantom

@@ -1,0 +1,121 @@
+"""Is a phantom's lumen fit for a guidewire: open, connected, wide enough, every target within reach?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .distance_grid import SignedDistanceGrid
+from .geodesic import centreline_path
+from .phantom import ENTRY_DEPTH, Phantom
+
+WIRE_RADIUS = 0.45e-3  # m
+_RAYS = 16
+_REACH = 0.030  # m: longer than any vessel's radius
+_SPECK = 8  # lattice points: what is smaller is rounding at an edge, not a chamber
+
+
+@dataclass(frozen=True)
+class LumenReport:
+    """Findings about one lumen.
+
+    Attributes:
+        open_ends: whether each entry lies inside, with an opening of the least radius around it.
+        components: separate chambers in which the wire's axis can lie.
+        reachable: per target, whether it lies in the chamber of the entries.
+        least_radius: per target, m from the centreline to the wall where the way from the default entry is narrowest.
+        required_radius: m, what least_radius is held against.
+    """
+
+    open_ends: dict[str, bool]
+    components: int
+    reachable: dict[str, bool]
+    least_radius: dict[str, float]
+    required_radius: float
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """One sentence for each thing that is wrong."""
+        found = [f"the {name} end is closed or too narrow." for name, is_open in self.open_ends.items() if not is_open]
+        if self.components != 1:
+            found.append(f"the lumen falls into {self.components} chambers at the wire's clearance, expected 1.")
+        found += [f"target {name} cannot be reached." for name, within in self.reachable.items() if not within]
+        found += [
+            f"the way to {name} narrows to {radius * 1e3:.2f} mm of radius, {self.required_radius * 1e3:.2f} mm needed."
+            for name, radius in self.least_radius.items()
+            if radius < self.required_radius
+        ]
+        if not self.reachable:
+            found.append("there is no target.")
+        return tuple(found)
+
+    @property
+    def valid(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+
+def check_lumen(phantom: Phantom, *, required_radius: float = 2e-3, wire_radius: float = WIRE_RADIUS) -> LumenReport:
+    """Checks a lumen on its distance grid.
+
+    Args:
+        phantom: what to check.
+        required_radius: m, the least distance from centreline to wall on the way to any target.
+        wire_radius: m, clearance at which the lumen must hang together.
+
+    Returns:
+        The findings.
+    """
+    from scipy.ndimage import label
+
+    grid = phantom.grid
+    free = grid.values > wire_radius
+    labels, _ = label(free)
+    sizes = np.bincount(labels.reshape(-1))[1:]
+    chambers = np.flatnonzero(sizes >= _SPECK) + 1
+    entry = phantom.entry()
+    home = _chamber(labels, grid, entry.position)
+
+    aorta = phantom.tree.root
+    ends = {"descending": 3 * ENTRY_DEPTH, "ascending": aorta.length - 3 * ENTRY_DEPTH}
+    open_ends = {}
+    for name, place in phantom.entries.items():
+        across = _radius_around(grid, aorta.point_at([ends[name]]), aorta.tangent_at([ends[name]]))
+        inside = float(grid.sample(place.position)) > wire_radius
+        open_ends[name] = inside and float(across.min()) >= required_radius
+    reachable, least = {}, {}
+    for name, target in phantom.targets.items():
+        reachable[name] = home > 0 and _chamber(labels, grid, target.position) == home
+        path = centreline_path(phantom.tree, (aorta.name, ENTRY_DEPTH), (target.branch, target.arc))
+        tangents = np.gradient(path, axis=0)
+        tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+        least[name] = float(_radius_around(grid, path, tangents).min())
+    return LumenReport(open_ends, len(chambers), reachable, least, required_radius)
+
+
+def _chamber(labels: NDArray[np.int32], grid: SignedDistanceGrid, point: NDArray[np.float64]) -> int:
+    """Label of the chamber that a point lies in, 0 for none."""
+    index = np.rint((point - grid.origin) / grid.spacing).astype(int)
+    return int(labels[tuple(np.clip(index, 0, np.array(grid.shape) - 1))])
+
+
+def _radius_around(
+    grid: SignedDistanceGrid, points: NDArray[np.float64], tangents: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Smallest distance (n,) m to the wall within the plane across the vessel, found along rays."""
+    aside = np.where(np.abs(tangents[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    first = np.cross(tangents, aside)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(tangents, first)
+    angles = np.arange(_RAYS) * 2 * math.pi / _RAYS
+    rays = np.cos(angles)[:, None, None] * first + np.sin(angles)[:, None, None] * second
+    travelled = np.zeros(rays.shape[:2])
+    for _ in range(60):  # sphere tracing from within: never steps across the wall
+        value = grid.sample(points + travelled[..., None] * rays)
+        travelled = np.minimum(travelled + np.maximum(value, 0.0), _REACH)
+        if float(np.max(np.where(travelled < _REACH, value, 0.0))) < 2e-5:
+            break
+    return travelled.min(axis=0)

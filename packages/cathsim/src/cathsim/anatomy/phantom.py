@@ -1,0 +1,242 @@
+"""A phantom: vessel tree, lumen, targets and entries of one anatomy, with its geodesic fields and meshes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .arch_parameters import ArchParameters
+from .distance_grid import SignedDistanceGrid, sample_trilinear
+from .geodesic import arc_distance, geodesic_field
+from .vessel_tree import VesselTree
+
+if TYPE_CHECKING:
+    import trimesh
+
+# Distance beyond the ostium (for rsa and rcca: beyond the bifurcation of the trunk), m.
+TARGET_DISTANCE = {"bca": 0.030, "lcca": 0.040, "lsa": 0.040, "rcca": 0.020, "rsa": 0.020}
+ENTRY_DEPTH = 2e-3  # m: entries lie this far inside the aorta's open ends
+_END_CLEARANCE = 5e-3  # m between a target and the open end of its branch
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A place to reach, on the centreline of a branch.
+
+    Attributes:
+        name: the target's name, that of its branch.
+        branch: the branch it lies in.
+        position: (3,) m, world frame.
+        arc: m along the branch, from where that begins on its parent's centreline.
+    """
+
+    name: str
+    branch: str
+    position: NDArray[np.float64]
+    arc: float
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A place where the guidewire comes in, just inside an open end of the aorta.
+
+    Attributes:
+        name: "descending" (femoral access) or "ascending".
+        position: (3,) m, world frame.
+        direction: (3,) unit vector along the centreline into the lumen.
+    """
+
+    name: str
+    position: NDArray[np.float64]
+    direction: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Phantom:
+    """One anatomy, ready for simulation.
+
+    Attributes:
+        name: its name in the library.
+        hash: hexadecimal digest of everything that determines its geometry.
+        parameters: the arch's measures.
+        tree: branches with centreline and radius.
+        grid: signed distance to the wall, positive inside.
+        targets: places to reach, by name.
+        entries: places to come in, by name.
+    """
+
+    name: str
+    hash: str
+    parameters: ArchParameters
+    tree: VesselTree
+    grid: SignedDistanceGrid
+    targets: dict[str, Target]
+    entries: dict[str, Entry]
+    _load_field: Callable[[str], NDArray[np.float32] | None] | None = field(default=None, repr=False)
+    _fields: dict[str, NDArray[np.float32]] = field(default_factory=dict, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state, _lock=threading.Lock())
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Phantom:
+        return self  # never changes, so that copied environments go on sharing its grids
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lowest and highest corner (2, 3) m of the lumen, world frame."""
+        return np.stack(self._bounds)
+
+    @cached_property
+    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        inside = self.grid.values > 0
+        low, high = [], []
+        for axis in range(3):
+            others = tuple(k for k in range(3) if k != axis)
+            taken = np.flatnonzero(inside.any(axis=others))
+            low.append(self.grid.origin[axis] + taken[0] * self.grid.spacing)
+            high.append(self.grid.origin[axis] + taken[-1] * self.grid.spacing)
+        return np.array(low), np.array(high)
+
+    def target(self, name: str) -> Target:
+        """The target of a name.
+
+        Args:
+            name: one of `targets`.
+
+        Returns:
+            The target.
+
+        Raises:
+            ValueError: for an unknown name, listing the valid ones.
+        """
+        if name not in self.targets:
+            known = ", ".join(self.targets)
+            raise ValueError(f"unknown target {name!r} in phantom {self.name!r}; choose from {known}.")
+        return self.targets[name]
+
+    def entry(self, name: str = "descending") -> Entry:
+        """The entry of a name.
+
+        Args:
+            name: one of `entries`.
+
+        Returns:
+            The entry.
+
+        Raises:
+            ValueError: for an unknown name, listing the valid ones.
+        """
+        if name not in self.entries:
+            known = ", ".join(self.entries)
+            raise ValueError(f"unknown entry {name!r} in phantom {self.name!r}; choose from {known}.")
+        return self.entries[name]
+
+    def geodesic_field(self, target: str) -> NDArray[np.float32]:
+        """In-lumen distance to a target on the grid's lattice; read from the cache or computed at first use.
+
+        Args:
+            target: one of `targets`.
+
+        Returns:
+            (nx, ny, nz) float32 m, finite everywhere, read-only.
+        """
+        place = self.target(target)
+        with self._lock:
+            if target not in self._fields:
+                values = self._load_field(target) if self._load_field is not None else None
+                if values is None:
+                    values = geodesic_field(self.grid, place.position)
+                values.flags.writeable = False
+                self._fields[target] = values
+            return self._fields[target]
+
+    def geodesic_distance(self, points: ArrayLike, target: str) -> NDArray[np.float64]:
+        """In-lumen distance from points to a target, trilinear in the geodesic field.
+
+        Args:
+            points: (..., 3) m, world frame; a little outside the lumen the nearest inside value counts.
+            target: one of `targets`.
+
+        Returns:
+            (...,) m.
+        """
+        return sample_trilinear(self.geodesic_field(target), self.grid.origin, self.grid.spacing, points)
+
+    def centreline_distance(self, points: ArrayLike, target: str) -> NDArray[np.float64]:
+        """Arc length from points, projected onto the nearest vessel, to a target through the centreline graph.
+
+        Args:
+            points: (..., 3) m, world frame.
+            target: one of `targets`.
+
+        Returns:
+            (...,) m.
+        """
+        place = self.target(target)
+        return arc_distance(self.tree, points, place.branch, place.arc)
+
+    @cached_property
+    def lumen_mesh(self) -> trimesh.Trimesh:
+        """Watertight surface of the lumen, m, world frame, normals pointing out of the lumen."""
+        from .surface import lumen_surface
+
+        return lumen_surface(self.grid)
+
+    def wall_mesh(self, thickness: float = 1.5e-3) -> trimesh.Trimesh:
+        """The vessel wall as a solid, cut open at the ends.
+
+        Args:
+            thickness: m.
+
+        Returns:
+            Surface in m, world frame.
+        """
+        from .surface import wall_surface
+
+        return wall_surface(self.grid, self.tree, thickness)
+
+
+def locate_targets(tree: VesselTree) -> dict[str, Target]:
+    """Targets of an aortic arch, on the centrelines, at the distances of TARGET_DISTANCE.
+
+    Args:
+        tree: the vessels.
+
+    Returns:
+        Targets by name; those whose branch is missing or too short are left out.
+    """
+    targets = {}
+    for name, distance in TARGET_DISTANCE.items():
+        if name in tree:
+            arc = tree.ostium_arc(name) + distance
+            clearance = _END_CLEARANCE if tree[name].open_end else 0.0
+            if arc + clearance <= tree[name].length:
+                targets[name] = Target(name, name, tree[name].point_at(arc), arc)
+    return targets
+
+
+def locate_entries(tree: VesselTree) -> dict[str, Entry]:
+    """Entries at the two ends of the aorta.
+
+    Args:
+        tree: the vessels; the root runs from the descending end to the aortic root.
+
+    Returns:
+        Entries "descending" and "ascending".
+    """
+    aorta = tree.root
+    end = aorta.length - ENTRY_DEPTH
+    return {
+        "descending": Entry("descending", aorta.point_at(ENTRY_DEPTH), aorta.tangent_at(ENTRY_DEPTH)),
+        "ascending": Entry("ascending", aorta.point_at(end), -aorta.tangent_at(end)),
+    }

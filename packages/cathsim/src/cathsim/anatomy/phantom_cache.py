@@ -1,0 +1,203 @@
+"""Built phantoms on disk: one file each, named by content, written atomically, rebuilt when damaged.
+
+Only lattice points near the lumen are stored; all others hold one constant (the distance grid's clamp, a geodesic
+field's largest value), which makes a file about six times smaller than its grids.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import tempfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arch_parameters import ArchParameters
+from .distance_grid import SignedDistanceGrid
+from .geodesic import MARGIN
+from .phantom import Entry, Phantom, Target
+from .vessel_tree import Branch, VesselTree
+
+logger = logging.getLogger(__name__)
+_DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexError, NotImplementedError, zlib.error)
+
+
+def default_cache_directory() -> Path:
+    """Where phantoms are cached: $CATHSIM_CACHE, else `cathsim` in the user's cache directory.
+
+    Returns:
+        The directory, which need not exist yet.
+    """
+    chosen = os.environ.get("CATHSIM_CACHE")
+    if chosen:
+        return Path(chosen).expanduser()
+    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"
+    return Path(base).expanduser() / "cathsim"
+
+
+@dataclass(frozen=True)
+class PhantomCache:
+    """Reads and writes built phantoms below a directory.
+
+    Attributes:
+        directory: the cache's directory; made when first written to.
+    """
+
+    directory: Path
+
+    def path(self, digest: str) -> Path:
+        """File of a phantom.
+
+        Args:
+            digest: the phantom's hash.
+
+        Returns:
+            Its path, whether it exists or not.
+        """
+        return self.directory / "phantoms" / f"{digest}.npz"
+
+    def read(self, name: str, digest: str, parameters: ArchParameters) -> Phantom | None:
+        """Reads a phantom; its geodesic fields are read at first use.
+
+        Args:
+            name: name to give it.
+            digest: its hash.
+            parameters: its measures.
+
+        Returns:
+            The phantom, or None where there is no sound file (a damaged one is reported with a warning).
+        """
+        path = self.path(digest)
+        if not path.is_file():
+            return None
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                meta = json.loads(str(file["meta"]))
+                if meta["hash"] != digest:
+                    raise ValueError("it holds another phantom")
+                near = _unpack(file["near"], meta["shape"])
+                values = np.full(meta["shape"], meta["outside"], dtype=np.float32)
+                values[near] = file["distance"]
+                grid = SignedDistanceGrid(values, np.array(meta["origin"]), meta["spacing"])
+                points, radius = file["points"], file["radius"]
+        except _DAMAGE as error:
+            logger.warning("cached phantom %s is damaged (%s) and is built anew.", path, error)
+            return None
+        branches, start = [], 0
+        for b in meta["branches"]:
+            end = start + b["count"]
+            branches.append(
+                Branch(b["name"], points[start:end], radius[start:end], b["parent"], b["parent_arc"], b["open_end"])
+            )
+            start = end
+        return Phantom(
+            name=name,
+            hash=digest,
+            parameters=parameters,
+            tree=VesselTree(tuple(branches)),
+            grid=grid,
+            targets={
+                t["name"]: Target(t["name"], t["branch"], np.array(t["position"]), t["arc"]) for t in meta["targets"]
+            },
+            entries={
+                e["name"]: Entry(e["name"], np.array(e["position"]), np.array(e["direction"])) for e in meta["entries"]
+            },
+            _load_field=_FieldReader(path, grid),
+        )
+
+    def write(self, phantom: Phantom) -> None:
+        """Writes a phantom with its geodesic fields; a directory that cannot be written to only costs a warning.
+
+        Args:
+            phantom: what to store.
+        """
+        grid = phantom.grid
+        outside = float(grid.values.min())
+        near = grid.values > outside
+        meta = {
+            "hash": phantom.hash,
+            "shape": list(grid.shape),
+            "origin": grid.origin.tolist(),
+            "spacing": grid.spacing,
+            "outside": outside,
+            "branches": [
+                {
+                    "name": b.name,
+                    "count": len(b.points),
+                    "parent": b.parent,
+                    "parent_arc": b.parent_arc,
+                    "open_end": b.open_end,
+                }
+                for b in phantom.tree
+            ],
+            "targets": [
+                {"name": t.name, "branch": t.branch, "position": t.position.tolist(), "arc": t.arc}
+                for t in phantom.targets.values()
+            ],
+            "entries": [
+                {"name": e.name, "position": e.position.tolist(), "direction": e.direction.tolist()}
+                for e in phantom.entries.values()
+            ],
+        }
+        arrays: dict[str, NDArray] = {
+            "meta": np.array(json.dumps(meta)),
+            "near": np.packbits(near),
+            "distance": grid.values[near],
+            "points": np.concatenate([b.points for b in phantom.tree]),
+            "radius": np.concatenate([b.radius for b in phantom.tree]),
+        }
+        marched = _marched(grid)
+        for target in phantom.targets:
+            values = phantom.geodesic_field(target)
+            arrays[f"geodesic_{target}"] = values[marched]
+            arrays[f"farthest_{target}"] = values.max()
+        path = self.path(phantom.hash)
+        temporary = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".building-", suffix=".npz", delete=False) as file:
+                temporary = file.name
+                np.savez(file, **arrays)  # type: ignore[arg-type]
+            os.replace(temporary, path)
+            temporary = None
+        except OSError as error:
+            logger.warning("phantom %s is not cached: %s cannot be written (%s).", phantom.name, path.parent, error)
+        finally:
+            if temporary is not None:  # also after an interruption
+                with contextlib.suppress(OSError):
+                    os.unlink(temporary)
+
+
+@dataclass(frozen=True, eq=False)
+class _FieldReader:
+    """Reads one geodesic field of a cached phantom."""
+
+    path: Path
+    grid: SignedDistanceGrid
+
+    def __call__(self, target: str) -> NDArray[np.float32] | None:
+        try:
+            with np.load(self.path, allow_pickle=False) as file:
+                values = np.full(self.grid.shape, file[f"farthest_{target}"], dtype=np.float32)
+                values[_marched(self.grid)] = file[f"geodesic_{target}"]
+        except _DAMAGE as error:
+            logger.warning("geodesic field %s in %s is damaged (%s) and is computed anew.", target, self.path, error)
+            return None
+        return values
+
+
+def _marched(grid: SignedDistanceGrid) -> NDArray[np.bool_]:
+    """Lattice points at which geodesic fields are more than a constant."""
+    return grid.values > -MARGIN - grid.spacing
+
+
+def _unpack(bits: NDArray[np.uint8], shape: list[int]) -> NDArray[np.bool_]:
+    count = int(np.prod(shape))
+    return np.unpackbits(bits, count=count).view(np.bool_).reshape(shape)

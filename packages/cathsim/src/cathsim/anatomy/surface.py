@@ -1,0 +1,151 @@
+"""Surfaces of a phantom: the watertight lumen and the wall around it, cut open at the vessel ends."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .distance_grid import SignedDistanceGrid
+from .vessel_tree import VesselTree
+
+if TYPE_CHECKING:
+    import trimesh
+
+MAXIMUM_WALL = 5e-3  # m: beyond it the distance grid's padding ends
+
+Array = NDArray[np.float64]
+
+
+def lumen_surface(grid: SignedDistanceGrid, *, level: float = 0.0) -> trimesh.Trimesh:
+    """Surface at a distance from the wall, by marching cubes.
+
+    Args:
+        grid: the lumen.
+        level: m, positive inside the lumen; 0 is the wall itself.
+
+    Returns:
+        Watertight mesh in m, world frame, normals pointing out of the lumen.
+    """
+    import trimesh
+    from skimage.measure import marching_cubes
+
+    # A copy, because marching_cubes refuses read-only arrays.
+    vertices, faces, _, _ = marching_cubes(
+        grid.values.copy(), level=level, spacing=(grid.spacing,) * 3, allow_degenerate=False
+    )
+    mesh = trimesh.Trimesh(vertices + grid.origin, faces, process=False)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
+
+
+def open_ends(tree: VesselTree) -> list[tuple[Array, Array, float]]:
+    """Flat openings of a vessel tree.
+
+    Args:
+        tree: the vessels.
+
+    Returns:
+        For each opening its centre (3,) m, unit normal (3,) out of the vessel, and radius m.
+    """
+    root = tree.root
+    ends = [(root.points[0], -root.tangents[0], float(root.radius[0]))]
+    ends += [(b.points[-1], b.tangents[-1], float(b.radius[-1])) for b in tree if b.open_end]
+    return ends
+
+
+def wall_surface(grid: SignedDistanceGrid, tree: VesselTree, thickness: float) -> trimesh.Trimesh:
+    """The vessel wall as a solid of even thickness, cut open at the ends.
+
+    Args:
+        grid: the lumen.
+        tree: the vessels, which tell where the ends are.
+        thickness: m.
+
+    Returns:
+        Mesh in m, world frame: the outer surface, the inner one turned round, and flat rims between them.
+
+    Raises:
+        ValueError: for a thickness that is not positive or larger than the grid's padding.
+    """
+    if not 0 < thickness <= MAXIMUM_WALL:
+        raise ValueError(f"wall thickness must lie in (0, {MAXIMUM_WALL:g}] m, got {thickness!r}.")
+    outer = lumen_surface(grid, level=-thickness)
+    inner = lumen_surface(grid)
+    # Cut a little inside the caps, where both surfaces still run along the vessel.
+    planes = [(c - 1.5 * grid.spacing * n, n, r + thickness + 4e-3) for c, n, r in open_ends(tree)]
+    for centre, normal, radius in planes:
+        outer = _cut(outer, centre, normal, radius)
+        inner = _cut(inner, centre, normal, radius)
+    inner.invert()
+    rims = [_rim(inner, outer, centre, normal, radius) for centre, normal, radius in planes]
+    return _weld([outer, inner, *rims])
+
+
+def _cut(mesh: trimesh.Trimesh, centre: Array, normal: Array, radius: float) -> trimesh.Trimesh:
+    """Removes what lies beyond a plane, near its centre only."""
+    import trimesh
+
+    offset = mesh.vertices - centre
+    height = offset @ normal
+    aside = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+    local = (aside < radius) & (np.abs(height) < radius)
+    near = local[mesh.faces].all(axis=1)
+    vertices, faces, _ = trimesh.intersections.slice_faces_plane(mesh.vertices, mesh.faces[near], -normal, centre)
+    piece = trimesh.Trimesh(vertices, faces, process=False)
+    rest = trimesh.Trimesh(mesh.vertices, mesh.faces[~near], process=False)
+    return _weld([rest, piece])
+
+
+def _weld(pieces: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of several, equal vertices merged and faces that thereby shrank to a line removed."""
+    import trimesh
+
+    joined: trimesh.Trimesh = trimesh.util.concatenate(pieces)  # type: ignore[assignment]
+    joined.merge_vertices(digits_vertex=8)
+    a, b, c = joined.faces.T
+    joined.update_faces((a != b) & (b != c) & (c != a))
+    joined.remove_unreferenced_vertices()
+    return joined
+
+
+def _rim(
+    inner: trimesh.Trimesh, outer: trimesh.Trimesh, centre: Array, normal: Array, radius: float
+) -> trimesh.Trimesh:
+    """Flat ring between the cut edges of the two surfaces, zipped up in order of angle."""
+    import trimesh
+
+    first = np.cross(normal, [0.3, 0.5, 0.8])
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+
+    def loop(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
+        edges = mesh.edges_sorted
+        unique, count = np.unique(edges, axis=0, return_counts=True)
+        border = mesh.vertices[np.unique(unique[count == 1])]
+        offset = border - centre
+        here = (np.abs(offset @ normal) < 1e-6) & (np.linalg.norm(offset, axis=1) < radius + 2e-3)
+        border, offset = border[here], offset[here]
+        angle = np.arctan2(offset @ second, offset @ first)
+        order = np.argsort(angle)
+        return border[order], angle[order]
+
+    inside, inside_angle = loop(inner)
+    outside, outside_angle = loop(outer)
+    n, m = len(inside), len(outside)
+    if n < 3 or m < 3:
+        return trimesh.Trimesh()
+    faces = []
+    i = j = 0
+    while i < n or j < m:
+        next_inside = inside_angle[i + 1] if i + 1 < n else inside_angle[0] + 2 * np.pi
+        next_outside = outside_angle[j + 1] if j + 1 < m else outside_angle[0] + 2 * np.pi
+        if j >= m or (i < n and next_inside <= next_outside):
+            faces.append((i % n, n + j % m, (i + 1) % n))
+            i += 1
+        else:
+            faces.append((i % n, n + j % m, n + (j + 1) % m))
+            j += 1
+    return trimesh.Trimesh(np.concatenate([inside, outside]), faces, process=False)

@@ -1,0 +1,270 @@
+"""The Gymnasium environment: navigate a guidewire to a branch of the aorta."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from cathsim.anatomy import Phantom, load_phantom
+from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.navigation import POTENTIAL_PER_METRE, STEP_COST, SUCCESS_REWARD, NavigationTask
+from cathsim.observables import Fluoroscope, make_observable
+from cathsim.presets import Accuracy, accuracy
+from cathsim.simulation import CONTROL_STEP, Simulation
+
+TRANSLATION_STEP = 0.002  # m at full action
+ROTATION_STEP = np.radians(15.0)  # rad at full action
+ACTIONS = ("feeder", "tip_motors")
+
+
+class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
+    """A guidewire is fed through an introducer sheath into an aorta; its tip is to reach a target in a branch.
+
+    One step lasts 0.1 s of simulated time, the feeder moving at constant speed.
+
+    ## Actions
+    `actions="feeder"`: `Box(-1, 1, (2,))`
+
+    | index | action | at 1 |
+    |---|---|---|
+    | 0 | translation of the feeder; positive inserts | 2 mm |
+    | 1 | rotation of the feeder about the direction of insertion | 15 degrees |
+
+    `actions="tip_motors"`: `Box(-1, 1, (21,))`, the order of the thesis
+
+    | index | action | at 1 |
+    |---|---|---|
+    | 0-19 | motors of the ten most distal joints, two hinges each | bend the free joint by 12 degrees |
+    | 20 | translation of the feeder | 2 mm |
+
+    ## Observations
+    `observation` is one name, which gives a `Box`, or several, which give a `Dict`.
+
+    | name | what | shape (default wire) | unit |
+    |---|---|---|---|
+    | internal | joints, centre-of-mass inertia and velocity of bodies, actuator and external forces | (784,) | SI |
+    | joints | joint positions, then velocities | (112,), thesis wire (336,) | m, rad, m/s, rad/s |
+    | image | frontal fluoroscopic image | (1, size, size) uint8 | grey |
+    | mask | pixels of the wire | (1, size, size) uint8 | 0 or 255 |
+    | sequential | the last three images, oldest first | (3, size, size) uint8 | grey |
+    | shape | ends of the links from tip to feeder | (29, 3) | m, world |
+    | tip | position of the tip | (3,) | m, world |
+    | feeder | insertion, cosine and sine of the rotation | (3,) | m, 1 |
+    | force | resultant contact force | (3,) | N, world |
+
+    ## Reward
+    "distance" (the thesis's): -|tip - target| in metres; "geodesic": 100 per metre of decrease of the distance along
+    the lumen, less 0.02 a step. Both: 10 on reaching the target, less `force_penalty` per newton of contact force.
+
+    ## Start
+    The wire lies in the sheath, its tip 5 mm inside the vessel, advanced by up to `start_jitter` and turned by up to
+    `start_rotation`.
+
+    ## Endings
+    Terminated when the tip is within `success_radius` of the target; truncated after `max_steps`, or when the
+    simulation becomes invalid (`info["invalid"]`).
+
+    ## Info
+    `tip` (3,) m, `distance` m, `insertion` m, `rotation` rad, `force` N (largest resultant of the step), `force_vector`
+    (3,) N, `contact_points` (k, 3) m and `contact_forces` (k, 3) N of that moment, `success`, `invalid`.
+
+    ## Arguments
+    Args:
+        phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), or a `Phantom`.
+        target: "bca", "lcca", "lsa", or another of the phantom's targets.
+        entry: "descending" (femoral access) or "ascending".
+        wire: a preset's name or a `Guidewire`.
+        accuracy: "accurate", "fast" (1.4 times as fast, deeper contacts), "reference", or an `Accuracy`.
+        actions: "feeder" or "tip_motors".
+        observation: see above.
+        image_size: side of the images, px (the thesis uses 80 and 128).
+        render_mode: "rgb_array" (a 3-D view, needs EGL or OSMesa) or "fluoroscopy".
+        phantom_seed: of the random phantom.
+        contact_info: with `contact_points` and `contact_forces` in `info`; vector environments leave them out.
+        task: the task; or its fields as further keywords: success_radius, max_steps, start_jitter, start_rotation,
+            reward, force_penalty.
+
+    ## Versions
+    v0: first.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "fluoroscopy"], "render_fps": round(1 / CONTROL_STEP)}  # noqa: RUF012
+
+    def __init__(
+        self,
+        phantom: str | Phantom = "type_1",
+        target: str = "bca",
+        *,
+        entry: str = "descending",
+        wire: str | Guidewire = "default",
+        accuracy: str | Accuracy = "accurate",
+        actions: str = "feeder",
+        observation: str | Sequence[str] = "internal",
+        image_size: int = 80,
+        render_mode: str | None = None,
+        phantom_seed: int | None = None,
+        contact_info: bool = True,
+        task: NavigationTask | None = None,
+        **task_fields: Any,
+    ) -> None:
+        if actions not in ACTIONS:
+            raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(
+                f"unknown render_mode '{render_mode}'; there are {', '.join(self.metadata['render_modes'])}"
+            )
+        self.task = _task(task, target, task_fields)
+        self.phantom = load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom
+        self._goal = self.task.goal(self.phantom)
+        self.simulation = Simulation(
+            self.phantom,
+            load_guidewire(wire) if isinstance(wire, str) else wire,
+            _numerics(accuracy),
+            entry=entry,
+            tip_motors=actions == "tip_motors",
+        )
+        self.render_mode = render_mode
+        self._contact_info = contact_info
+        self.fluoroscope = Fluoroscope(self.simulation, image_size)
+        self._view: Any = None
+        self.steps = 0
+        self._ended = True
+        self._remaining = 0.0
+
+        self._motors = self.simulation.motors
+        self._action_shape = (self._motors + 1,) if self._motors else (2,)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._action_shape, np.float32)
+        names = [observation] if isinstance(observation, str) else list(observation)
+        if not names:
+            raise ValueError("observation must name at least one observable")
+        self._observables = {name: make_observable(name, self.simulation, self.fluoroscope) for name in names}
+        self._single = names[0] if isinstance(observation, str) else None
+        spaces: dict[str, gymnasium.Space[Any]] = {name: entry_.space for name, entry_ in self._observables.items()}
+        self.observation_space = spaces[self._single] if self._single else gymnasium.spaces.Dict(spaces)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode; the same seed gives the same episode to the same actions, bit for bit.
+
+        Args:
+            seed: of the start's jitter.
+            options: none are known.
+        """
+        super().reset(seed=seed)
+        self.task.start(self.simulation, self.np_random)
+        self.fluoroscope.update(restart=True)
+        self.steps = 0
+        self._ended = False
+        if self.task.reward == "geodesic":
+            self._remaining = self.task.remaining(self.phantom, self.simulation.tip)
+        tip = self.simulation.tip
+        return self.observe(), self._info(tip, _distance(tip, self._goal), success=False, invalid=False)
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advances by 0.1 s.
+
+        Raises:
+            ValueError: the action has another shape or is not finite.
+            RuntimeError: the episode has ended, or none was started.
+        """
+        if self._ended:
+            raise RuntimeError("the episode has ended: call reset() before step()")
+        action = np.asarray(action, np.float64)
+        if action.shape != self._action_shape:
+            raise ValueError(f"expected an action of shape {self._action_shape}, got {action.shape}")
+        if not np.isfinite(action).all():
+            raise ValueError(f"expected a finite action, got {action.tolist()}")
+        action = action.clip(-1.0, 1.0)
+        simulation, task = self.simulation, self.task
+        if self._motors:
+            simulation.advance(TRANSLATION_STEP * float(action[-1]), 0.0, action[:-1])
+        else:
+            simulation.advance(TRANSLATION_STEP * float(action[0]), ROTATION_STEP * float(action[1]))
+        self.fluoroscope.update()
+        self.steps += 1
+
+        invalid = not simulation.valid
+        if invalid:
+            simulation.reset()  # so that the last observation is at least finite
+        tip = simulation.tip
+        distance = _distance(tip, self._goal)
+        success = distance <= task.success_radius and not invalid
+        reward = self._reward(tip, distance, success=success)
+        truncated = not success and (invalid or self.steps >= task.max_steps)
+        self._ended = success or truncated
+        return self.observe(), reward, success, truncated, self._info(tip, distance, success=success, invalid=invalid)
+
+    def _reward(self, tip: np.ndarray, distance: float, *, success: bool) -> float:
+        task = self.task
+        if task.reward == "geodesic":
+            remaining = task.remaining(self.phantom, tip)
+            reward = POTENTIAL_PER_METRE * (self._remaining - remaining) - STEP_COST
+            self._remaining = remaining
+            if success:
+                reward += SUCCESS_REWARD
+        else:
+            reward = SUCCESS_REWARD if success else -distance
+        return reward - task.force_penalty * float(self.simulation.summary.force_max)
+
+    def observe(self) -> Any:
+        """The observation of the moment."""
+        if self._single:
+            return self._observables[self._single].read()
+        return {name: observable.read() for name, observable in self._observables.items()}
+
+    def _info(self, tip: np.ndarray, distance: float, *, success: bool, invalid: bool) -> dict[str, Any]:
+        simulation = self.simulation
+        info = {
+            "tip": tip,
+            "distance": distance,
+            "insertion": simulation.insertion,
+            "rotation": simulation.rotation,
+            "force": float(simulation.summary.force_max),
+            "force_vector": simulation.force(),
+            "success": success,
+            "invalid": invalid,
+        }
+        if self._contact_info:
+            contacts = simulation.contacts()
+            info["contact_points"], info["contact_forces"] = contacts.points, contacts.forces
+        return info
+
+    def render(self) -> np.ndarray | None:
+        """A picture as `render_mode` says. Shape (height, width, 3), uint8."""
+        if self.render_mode == "fluoroscopy":
+            return np.repeat(self.fluoroscope.image()[:, :, None], 3, axis=2)
+        if self.render_mode == "rgb_array":
+            if self._view is None:
+                from cathsim.view import View
+
+                self._view = View(self.phantom)
+            return self._view.render(self.simulation, self._goal)
+        return None
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        if self._view is not None:
+            self._view.close()
+            self._view = None
+
+
+def _distance(a: np.ndarray, b: np.ndarray) -> float:
+    x, y, z = (a - b).tolist()
+    return float((x * x + y * y + z * z) ** 0.5)
+
+
+def _numerics(preset: str | Accuracy) -> Accuracy:
+    return accuracy(preset) if isinstance(preset, str) else preset
+
+
+def _task(task: NavigationTask | None, target: str, fields: dict[str, Any]) -> NavigationTask:
+    known = [field.name for field in dataclasses.fields(NavigationTask)]
+    unknown = sorted(set(fields) - set(known))
+    if unknown:
+        raise ValueError(f"the environment has no argument {', '.join(unknown)}; the task's are {', '.join(known)}")
+    if task is not None:
+        return dataclasses.replace(task, **fields)
+    return NavigationTask(target=target, **fields)

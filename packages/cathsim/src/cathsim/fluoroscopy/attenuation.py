@@ -1,0 +1,164 @@
+"""The background of a fluoroscopic image: attenuation integrated once along every ray through lumen and body."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .body import THORAX, Ellipsoid, body_depth
+from .projector import Projector
+
+CONTRAST = 28.0  # 1/m, diluted iodine over blood
+GAMMA = 0.5  # of the display: wide enough a range for lungs, spine and wire in one image
+MIDDLE = 120.0  # grey level of the middle of the background
+_BORDER = 0.2  # of the image on each side, left out where the exposure is measured
+_RAYS = 256  # rays along the shorter side at least, so that small images have smooth edges
+
+
+class DistanceGrid(Protocol):
+    """Signed distance to the vessel's wall on a lattice, positive inside."""
+
+    @property
+    def values(self) -> NDArray[np.float32]:
+        """(nx, ny, nz) m."""
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """(3,) m, world position of values[0, 0, 0]."""
+
+    @property
+    def spacing(self) -> float:
+        """m."""
+
+
+class _GridStruct(ctypes.Structure):
+    """struct DistanceGrid of fluoroscopy.c."""
+
+    _fields_ = (
+        ("size", ctypes.c_int * 3),
+        ("origin", ctypes.c_double * 3),
+        ("spacing", ctypes.c_double),
+        ("values", ctypes.c_void_p),
+    )
+
+
+def lumen_path_length(
+    grid: DistanceGrid, projector: Projector, *, level: float = 0.0, samples: int | None = None
+) -> NDArray[np.float32]:
+    """Length of every pixel's ray inside the lumen.
+
+    Args:
+        grid: signed distance to the wall.
+        projector: the camera.
+        level: m; where the distance exceeds it counts as inside, so a negative one adds a wall of that thickness.
+        samples: rays along each side of a pixel, averaged; by default enough for smooth edges.
+
+    Returns:
+        (height, width) m.
+
+    Raises:
+        ValueError: for a grid that is not a lattice of finite values.
+    """
+    from cathsim.contact.native import library
+
+    values = np.ascontiguousarray(grid.values, dtype=np.float32)
+    if values.ndim != 3 or min(values.shape) < 2 or not np.isfinite(values).all():
+        raise ValueError(f"a distance grid must be a finite (nx, ny, nz) array, got shape {values.shape}.")
+    if samples is None:
+        samples = max(1, -(-_RAYS // min(projector.width, projector.height)))
+    struct = _GridStruct(
+        (ctypes.c_int * 3)(*values.shape),
+        (ctypes.c_double * 3)(*np.asarray(grid.origin, dtype=np.float64)),
+        float(grid.spacing),
+        values.ctypes.data,
+    )
+    lengths = np.empty((projector.height, projector.width), dtype=np.float32)
+    source, rays = np.ascontiguousarray(projector.source), np.ascontiguousarray(projector.rays)
+    integrate = library().cathsim_fluoroscopy_integrate
+    integrate.argtypes = [ctypes.c_void_p] * 3 + [ctypes.c_double] + [ctypes.c_int] * 3 + [ctypes.c_void_p]
+    integrate.restype = None
+    integrate(
+        ctypes.addressof(struct),
+        source.ctypes.data,
+        rays.ctypes.data,
+        level,
+        projector.width,
+        projector.height,
+        samples,
+        lengths.ctypes.data,
+    )
+    return lengths
+
+
+def expose(depth: NDArray[np.float32], *, middle: float = MIDDLE, gamma: float = GAMMA) -> NDArray[np.float32]:
+    """Grey levels of optical depths by Beer and Lambert's law, under automatic brightness and a display's gamma.
+
+    Args:
+        depth: (height, width) optical depth, dimensionless.
+        middle: grey level of the median depth in the middle of the image, where the exposure is measured.
+        gamma: exponent of the display; below 1 it lifts the dark parts.
+
+    Returns:
+        (height, width), 0 to 255, not rounded. An object of depth d put in front multiplies a level by exp(-gamma d).
+    """
+    rows, columns = (slice(int(_BORDER * n), n - int(_BORDER * n)) for n in depth.shape)
+    reference = np.float32(np.median(depth[rows, columns]))
+    return np.minimum(middle * np.exp(-gamma * (depth - reference)), 255.0).astype(np.float32)
+
+
+def background_image(
+    grid: DistanceGrid,
+    projector: Projector,
+    *,
+    contrast: float = CONTRAST,
+    body: tuple[Ellipsoid, ...] = THORAX,
+    key: str | None = None,
+) -> NDArray[np.float32]:
+    """Fluoroscopic image of the anatomy without a wire.
+
+    Args:
+        grid: signed distance to the vessel's wall.
+        projector: the camera.
+        contrast: 1/m, what the contrast agent adds to the lumen's attenuation.
+        body: solids around the vessels, placed about the grid's centre.
+        key: content hash of the phantom; images of the same key, camera and settings are computed once a process.
+
+    Returns:
+        (height, width) grey levels 0 to 255, float32, read-only.
+    """
+    if key is None:
+        return _background(grid, projector, contrast, body)
+    return _cached_background(_Keyed((key, projector.key, contrast, body), grid, projector))
+
+
+class _Keyed:
+    """A background to be made, told from others by its key alone."""
+
+    def __init__(self, key: tuple[Any, ...], grid: DistanceGrid, projector: Projector) -> None:
+        self.key, self.grid, self.projector = key, grid, projector
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Keyed) and self.key == other.key
+
+
+@lru_cache(maxsize=64)
+def _cached_background(wanted: _Keyed) -> NDArray[np.float32]:
+    *_, contrast, body = wanted.key
+    return _background(wanted.grid, wanted.projector, contrast, body)
+
+
+def _background(
+    grid: DistanceGrid, projector: Projector, contrast: float, body: tuple[Ellipsoid, ...]
+) -> NDArray[np.float32]:
+    centre = np.asarray(grid.origin) + (np.array(grid.values.shape) - 1) * grid.spacing / 2
+    depth = contrast * lumen_path_length(grid, projector) + body_depth(projector, body, centre)
+    image = expose(depth)
+    image.flags.writeable = False
+    return image

@@ -1,0 +1,208 @@
+"""The wire in a fluoroscopic image: a smooth anti-aliased curve over a finished background, and its mask."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .attenuation import GAMMA
+from .detector import quantum_noise
+from .projector import Projector
+
+WIRE_RADIUS = 0.45e-3  # m
+WIRE_ATTENUATION = 3500.0  # 1/m: nitinol (about 760) under a radiopaque jacket and coil
+MINIMUM_WIDTH_PX = 1.2
+_MASK_REACH_PX = 0.7072  # half a pixel's diagonal: every pixel that the axis enters is in the mask, without a gap
+_ENTRIES = 1024
+
+_FAILURES = {
+    1: "a coordinate of the wire is not finite; the simulation has diverged, reset it.",
+    2: "a point of the wire lies behind the X-ray source; move the camera back.",
+}
+
+
+class _ViewStruct(ctypes.Structure):
+    """struct FluoroscopyView of fluoroscopy.c."""
+
+    _fields_ = (
+        ("width", ctypes.c_int),
+        ("height", ctypes.c_int),
+        ("projection", ctypes.c_double * 12),
+        ("background", ctypes.c_void_p),
+        ("transmission", ctypes.c_void_p),
+        ("entries", ctypes.c_int),
+        ("ink_reach", ctypes.c_float),
+        ("mask_reach", ctypes.c_float),
+        ("piece", ctypes.c_double),
+    )
+
+
+class FluoroscopyRenderer:
+    """Draws a wire over one camera's background; deterministic, and safe to share between threads.
+
+    The wire is a smooth curve through its nodes. It attenuates as a cylinder does, averaged over each pixel; where the
+    image is too coarse for it, it is drawn 1.2 px wide so that it does not vanish. Its width is that at the image's
+    centre: perspective would change it by some per cent over a phantom.
+
+    Args:
+        projector: the camera.
+        background: (height, width) grey levels 0 to 255 without the wire, as `background_image` makes them.
+        wire_radius: m.
+        wire_attenuation: 1/m, of the wire's material.
+        centre: (3,) m, where the wire's width is taken; the middle of the phantom.
+        gamma: the display's exponent, as used for the background.
+        photons: mean count of a white pixel for quantum noise, or None for an image without noise.
+
+    Raises:
+        ValueError: when the background does not fit the camera or a wire property is not positive.
+    """
+
+    def __init__(
+        self,
+        projector: Projector,
+        background: ArrayLike,
+        *,
+        wire_radius: float = WIRE_RADIUS,
+        wire_attenuation: float = WIRE_ATTENUATION,
+        centre: ArrayLike = (0.0, 0.0, 0.0),
+        gamma: float = GAMMA,
+        photons: float | None = None,
+    ) -> None:
+        grey = np.ascontiguousarray(background, dtype=np.float32)
+        shape = (projector.height, projector.width)
+        if grey.shape != shape:
+            raise ValueError(f"the background must have the camera's shape {shape}, got {grey.shape}.")
+        if not (np.isfinite(grey).all() and grey.min() >= 0 and grey.max() <= 255):
+            raise ValueError("the background's grey levels must lie between 0 and 255; pass it through expose().")
+        if not (wire_radius > 0 and wire_attenuation > 0):
+            raise ValueError(
+                f"wire_radius and wire_attenuation must be positive, got {wire_radius!r} m and {wire_attenuation!r} /m."
+            )
+        self.projector = projector
+        self.shape = shape
+        self.photons = photons
+        self._gamma = gamma
+        self._grey = grey
+        self._empty = np.rint(grey).astype(np.uint8)
+        self._empty.flags.writeable = False
+        radius = max(wire_radius * projector.pixels_per_metre(centre), MINIMUM_WIDTH_PX / 2)
+        self.wire_width_px = 2 * radius
+        self._transmission = _transmission(radius, gamma * wire_attenuation * 2 * wire_radius)
+        self._view = _ViewStruct(
+            projector.width,
+            projector.height,
+            (ctypes.c_double * 12)(*projector.P.ravel()),
+            grey.ctypes.data,
+            self._transmission.ctypes.data,
+            len(self._transmission),
+            radius + 0.5,
+            max(radius, _MASK_REACH_PX),
+            max(2.0, radius),
+        )
+        self._address = ctypes.addressof(self._view)
+        self._draw = _native_draw()
+
+    @property
+    def background(self) -> NDArray[np.uint8]:
+        """(height, width) uint8, the image without a wire, read-only."""
+        return self._empty
+
+    def render(self, points: ArrayLike, *, generator: np.random.Generator | None = None) -> NDArray[np.uint8]:
+        """Image of the wire.
+
+        Args:
+            points: (n, 3) m, the wire's nodes in order, world frame; only the part outside the sheath.
+            generator: source of the quantum noise; needed where `photons` is set.
+
+        Returns:
+            (height, width) uint8, a new array.
+
+        Raises:
+            ValueError: for points of another shape, not finite, or behind the source.
+        """
+        image = np.empty(self.shape, np.uint8)
+        self.render_into(points, image, None)
+        if self.photons is None:
+            return image
+        if generator is None:
+            raise ValueError("this renderer adds quantum noise: pass render() a numpy Generator.")
+        return quantum_noise(image, self.photons, generator, gamma=self._gamma)
+
+    def mask(self, points: ArrayLike) -> NDArray[np.uint8]:
+        """Pixels that show the wire.
+
+        Args:
+            points: (n, 3) m, the wire's nodes in order, world frame.
+
+        Returns:
+            (height, width) uint8, 1 on the wire; connected, at least every pixel that the wire's axis enters.
+
+        Raises:
+            ValueError: for points of another shape, not finite, or behind the source.
+        """
+        mask = np.empty(self.shape, np.uint8)
+        self.render_into(points, None, mask)
+        return mask
+
+    def render_into(
+        self, points: ArrayLike, image_out: NDArray[np.uint8] | None, mask_out: NDArray[np.uint8] | None
+    ) -> None:
+        """Image without noise and mask, written into the caller's arrays in one pass.
+
+        Args:
+            points: (n, 3) m, the wire's nodes in order, world frame; fewer than two draw nothing.
+            image_out: (height, width) uint8, C order; None where it is not wanted.
+            mask_out: (height, width) uint8, C order; None where it is not wanted.
+
+        Raises:
+            ValueError: for points of another shape, not finite, or behind the source, or outputs that do not fit.
+        """
+        nodes = np.ascontiguousarray(points, dtype=np.float64)
+        if nodes.ndim != 2 or nodes.shape[1] != 3:
+            raise ValueError(f"the wire's nodes must have shape (n, 3), got {nodes.shape}.")
+        image, mask = None, None
+        if image_out is not None:
+            self._check_output(image_out)
+            image_out[:] = self._empty
+            image = image_out.ctypes.data
+        if mask_out is not None:
+            self._check_output(mask_out)
+            mask_out.fill(0)
+            mask = mask_out.ctypes.data
+        state = self._draw(self._address, len(nodes), nodes.ctypes.data, image, mask)
+        if state:
+            raise ValueError(_FAILURES[state])
+
+    def _check_output(self, out: NDArray[np.uint8]) -> None:
+        flags = out.flags
+        if out.shape != self.shape or out.dtype != np.uint8 or not (flags.c_contiguous and flags.writeable):
+            raise ValueError(
+                f"an output must be a writeable C-ordered uint8 array of shape {self.shape}, "
+                f"got {out.dtype} of shape {out.shape}."
+            )
+
+
+def _native_draw() -> ctypes._NamedFuncPointer:
+    from cathsim.contact.native import library
+
+    draw = library().cathsim_fluoroscopy_draw
+    draw.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    draw.restype = ctypes.c_int
+    return draw
+
+
+def _transmission(radius_px: float, depth: float) -> NDArray[np.float32]:
+    """Grey level over background by squared distance from the wire's axis, evenly over [0, (radius + 1/2)^2].
+
+    A cylinder's chord at distance x is 2 sqrt(r^2 - x^2); its mean over the width of a pixel has a closed form.
+    """
+    distance = np.sqrt(np.linspace(0.0, (radius_px + 0.5) ** 2, _ENTRIES))
+
+    def area(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        s = np.clip(x / radius_px, -1.0, 1.0)
+        return 0.5 * radius_px * (s * np.sqrt(1.0 - s * s) + np.arcsin(s))
+
+    chord = area(distance + 0.5) - area(distance - 0.5)  # over the diameter
+    return np.exp(-depth * chord).astype(np.float32)

@@ -1,0 +1,66 @@
+"""The task: bring the wire's tip to a target; start, reward, ending."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cathsim.anatomy import Phantom
+from cathsim.simulation import Simulation
+
+REWARDS = ("distance", "geodesic")
+SUCCESS_REWARD = 10.0
+POTENTIAL_PER_METRE = 100.0  # of the geodesic reward
+STEP_COST = 0.02  # of the geodesic reward
+
+
+@dataclass(frozen=True)
+class NavigationTask:
+    """What an episode asks for.
+
+    Attributes:
+        target: name of one of the phantom's targets.
+        success_radius: the target is reached within this Euclidean distance of the tip, m.
+        max_steps: an episode is truncated after this many control steps.
+        start_jitter: the wire starts advanced by 0 to this much, uniformly, m.
+        start_rotation: the feeder starts turned by up to this much either way, uniformly, rad.
+        reward: "distance", the thesis's: minus the Euclidean distance to the target in metres; or "geodesic": the
+            decrease of the distance along the lumen times 100 per metre, less 0.02 a step. Both give 10 at the target.
+        force_penalty: subtracted per newton of the step's largest resultant contact force.
+
+    Source: thesis, chapter CathSim, "Actions and Rewards".
+    """
+
+    target: str = "bca"
+    success_radius: float = 0.008
+    max_steps: int = 300
+    start_jitter: float = 0.001
+    start_rotation: float = 0.0
+    reward: str = "distance"
+    force_penalty: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.reward not in REWARDS:
+            raise ValueError(f"unknown reward '{self.reward}'; there are {', '.join(REWARDS)}")
+        if not self.success_radius > 0:
+            raise ValueError(f"success_radius must be positive (m), got {self.success_radius}")
+        if self.max_steps < 1:
+            raise ValueError(f"max_steps must be at least 1, got {self.max_steps}")
+        for name in ("start_jitter", "start_rotation", "force_penalty"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+    def start(self, simulation: Simulation, generator: np.random.Generator) -> None:
+        """Puts the wire at the start of an episode."""
+        insertion = generator.uniform(0.0, self.start_jitter) if self.start_jitter else 0.0
+        rotation = generator.uniform(-self.start_rotation, self.start_rotation) if self.start_rotation else 0.0
+        simulation.reset(insertion, rotation)
+
+    def goal(self, phantom: Phantom) -> np.ndarray:
+        """Position of the target, m. Shape (3,)."""
+        return phantom.target(self.target).position
+
+    def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
+        """Distance along the lumen from the tip to the target, m."""
+        return float(phantom.geodesic_distance(tip, self.target))

@@ -1,0 +1,161 @@
+"""What an agent sees: named observables of a simulation, each with its space."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from cathsim.anatomy import Phantom
+from cathsim.feed import pass_on
+from cathsim.fluoroscopy import FluoroscopyRenderer, Projector, background_image
+from cathsim.simulation import Simulation
+
+FRAMES = 3  # of the sequential observation
+SHOWN_SHEATH = 0.010  # this much of the wire inside the sheath is drawn, m
+
+
+@functools.lru_cache(maxsize=64)
+def camera(phantom: Phantom, size: int, wire_radius: float) -> FluoroscopyRenderer:
+    """The frontal fluoroscope of a phantom, shared by every environment that looks at it."""
+    projector = Projector.frontal(phantom.bounds, size)
+    background = background_image(phantom.grid, projector, key=phantom.hash)
+    centre = phantom.bounds.mean(axis=0)
+    return FluoroscopyRenderer(projector, background, wire_radius=wire_radius, centre=centre)
+
+
+class Fluoroscope:
+    """Frontal image and mask of a simulation, drawn once a step at most."""
+
+    def __init__(self, simulation: Simulation, size: int) -> None:
+        if size < 16:
+            raise ValueError(f"images need at least 16 px a side, got {size}")
+        self.simulation = simulation
+        self.renderer = camera(simulation.phantom, size, simulation.wire.radius)
+        self.shape = (size, size)
+        self._image, self._mask = np.empty(self.shape, np.uint8), np.empty(self.shape, np.uint8)
+        self._drawn = False
+        self.frames: list[np.ndarray] = []
+
+    def update(self, *, restart: bool = False) -> None:
+        """Says that the simulation has moved on (or restarted): the next look draws anew."""
+        self._drawn = False
+        if restart:
+            self.frames = []
+
+    def _draw(self) -> None:
+        if not self._drawn:
+            self.renderer.render_into(shown_points(self.simulation), self._image, self._mask)
+            self._drawn = True
+
+    def image(self) -> np.ndarray:
+        """Grey image, wire dark. Shape (size, size), uint8, a copy."""
+        self._draw()
+        return self._image.copy()
+
+    def mask(self) -> np.ndarray:
+        """The wire's pixels, 0 or 1. Shape (size, size), uint8, a copy."""
+        self._draw()
+        return self._mask.copy()
+
+    def sequence(self) -> np.ndarray:
+        """The last three images, oldest first; the first image of an episode stands for the missing ones."""
+        self._draw()
+        latest = self._image.copy()
+        if not self.frames:
+            self.frames = [latest] * FRAMES
+        else:
+            self.frames = [*self.frames[1:], latest]
+        return np.stack(self.frames)
+
+
+def shown_points(simulation: Simulation) -> np.ndarray:
+    """Nodes of the wire that a fluoroscope sees: from the tip to just inside the sheath, m. Shape (n, 3)."""
+    points = simulation.inserted_points()
+    vessel = simulation.vessel
+    along = (points - vessel.entry) @ vessel.direction
+    end = vessel.entry - SHOWN_SHEATH * vessel.direction
+    return np.concatenate((points[along > -SHOWN_SHEATH], end[None]))
+
+
+@dataclass(frozen=True)
+class Observable:
+    """One entry of an observation."""
+
+    space: gymnasium.spaces.Box
+    read: Callable[[], np.ndarray]
+
+
+def _box(size: int) -> gymnasium.spaces.Box:
+    return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+
+
+def joints(simulation: Simulation) -> np.ndarray:
+    """Joint positions, then velocities (m, rad, m/s, rad/s). Shape (2 nq,)."""
+    return np.concatenate((simulation.joint_positions(), simulation.joint_velocities())).astype(np.float32)
+
+
+def internal(simulation: Simulation) -> np.ndarray:
+    """The thesis's internal observation: positions, velocities, inertias, and actuator and external forces.
+
+    Joint positions (nq), joint velocities (nq), centre-of-mass inertia (10 a body), centre-of-mass velocity (6 a body),
+    actuator forces (nq), external forces (6 a body); bodies are the feeder and links 1 to N - 1; links that are not yet
+    simulated give zeros. Shape (3 nq + 22 bodies,).
+    """
+    model, data, nq = simulation.model, simulation.data, simulation.nq
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_comVel(model, data)
+    mujoco.mj_rnePostConstraint(model, data)
+    bodies = len(simulation.wire.links)
+    per_body = np.zeros((bodies, 22), np.float32)
+    # row 0 is the feeder; the simulated links are the most distal ones
+    rows = np.r_[0, bodies - model.nbody + 2 : bodies]
+    per_body[rows, :10] = data.cinert[1:]
+    per_body[rows, 10:16] = data.cvel[1:]
+    per_body[rows, 16:] = data.cfrc_ext[1:]
+    actuator = pass_on(data.qfrc_actuator, nq, bend=False)
+    return np.concatenate((joints(simulation), actuator.astype(np.float32), per_body.ravel()))
+
+
+OBSERVABLES = ("internal", "joints", "image", "mask", "sequential", "shape", "tip", "feeder", "force")
+
+
+def make_observable(name: str, simulation: Simulation, fluoroscope: Fluoroscope) -> Observable:
+    """The observable of a name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    box, nodes = gymnasium.spaces.Box, len(simulation.wire.links) + 1
+    if name == "internal":
+        size = 3 * simulation.nq + 22 * len(simulation.wire.links)
+        return Observable(_box(size), lambda: internal(simulation))
+    if name == "joints":
+        return Observable(_box(2 * simulation.nq), lambda: joints(simulation))
+    if name == "image":
+        return Observable(box(0, 255, (1, *fluoroscope.shape), np.uint8), lambda: fluoroscope.image()[None])
+    if name == "mask":
+        return Observable(
+            box(0, 255, (1, *fluoroscope.shape), np.uint8), lambda: fluoroscope.mask()[None] * np.uint8(255)
+        )
+    if name == "sequential":
+        return Observable(box(0, 255, (FRAMES, *fluoroscope.shape), np.uint8), fluoroscope.sequence)
+    if name == "shape":
+        space = box(-np.inf, np.inf, (nodes, 3), np.float32)
+        return Observable(space, lambda: simulation.wire_points().astype(np.float32))
+    if name == "tip":
+        return Observable(_box(3), lambda: simulation.tip.astype(np.float32))
+    if name == "feeder":
+        return Observable(
+            _box(3),
+            lambda: np.array(
+                (simulation.insertion, np.cos(simulation.rotation), np.sin(simulation.rotation)), np.float32
+            ),
+        )
+    if name == "force":
+        return Observable(_box(3), lambda: simulation.force().astype(np.float32))
+    raise ValueError(f"unknown observation '{name}'; there are {', '.join(OBSERVABLES)}")

@@ -1,0 +1,1 @@
+"""Planning: shortest paths in the lumen and expert control by sampling."""

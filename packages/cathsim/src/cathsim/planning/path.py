@@ -1,0 +1,363 @@
+"""Shortest paths in the lumen: A* on the distance grid, pulled taut and smoothed without touching the wall."""
+
+from __future__ import annotations
+
+import heapq
+import logging
+from array import array
+from dataclasses import dataclass
+from math import inf, sqrt
+from pathlib import Path as FilePath
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+
+logger = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+CLEARANCE = 0.45e-3  # m, the radius of a guidewire
+_SNAP = 3  # lattice points between an end of the path and the lattice, at most
+_STEP = 1e-3  # m between the points of a smoothed path
+_ROUNDS = 60
+
+
+class UnreachableError(ValueError):
+    """No way leads through the lumen from start to target."""
+
+
+@dataclass(frozen=True, eq=False)
+class LumenPath:
+    """A way through the lumen.
+
+    Attributes:
+        points: (n, 3) m, world frame, from start to target.
+    """
+
+    points: Array
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 1 or not np.isfinite(points).all():
+            raise ValueError(f"a path needs finite points of shape (n, 3) with n >= 1, got shape {points.shape}.")
+        points.flags.writeable = False
+        object.__setattr__(self, "points", points)
+
+    @property
+    def arc(self) -> Array:
+        """(n,) m along the path."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+
+    @property
+    def length(self) -> float:
+        """m."""
+        return float(self.arc[-1])
+
+    def resampled(self, step: float) -> LumenPath:
+        """The same path with evenly spaced points.
+
+        Args:
+            step: m between points, about.
+
+        Returns:
+            A path with both ends kept.
+        """
+        arc = self.arc
+        even = np.linspace(0.0, arc[-1], max(2, round(arc[-1] / step) + 1))
+        return LumenPath(np.column_stack([np.interp(even, arc, self.points[:, k]) for k in range(3)]))
+
+    def clearance(self, grid: SignedDistanceGrid) -> float:
+        """Least distance to the wall along the path.
+
+        Args:
+            grid: signed distance to the wall.
+
+        Returns:
+            m; negative where the path leaves the lumen.
+        """
+        return float(grid.sample(self.resampled(0.25 * grid.spacing).points).min())
+
+
+def plan_path(
+    grid: SignedDistanceGrid,
+    start: ArrayLike,
+    target: ArrayLike,
+    *,
+    clearance: float = CLEARANCE,
+    preferred_clearance: float = 0.0,
+    aversion: float = 4.0,
+    smooth: bool = True,
+) -> LumenPath:
+    """A smooth short way through the lumen.
+
+    Args:
+        grid: signed distance to the wall, positive inside.
+        start: (3,) m, world frame, inside the lumen.
+        target: (3,) m, world frame, inside the lumen.
+        clearance: m that the path keeps from the wall.
+        preferred_clearance: m below which nearness to the wall costs; 0 gives the shortest way.
+        aversion: how many times longer a way along the wall may count, on top of its length.
+        smooth: round the corners of the taut path.
+
+    Returns:
+        The path, from start to target themselves.
+
+    Raises:
+        ValueError: for an end outside the lumen.
+        UnreachableError: where no way keeps the clearance.
+    """
+    path = shortest_lattice_path(
+        grid, start, target, clearance=clearance, preferred_clearance=preferred_clearance, aversion=aversion
+    )
+    if preferred_clearance <= clearance:
+        # pulled taut, a way that keeps off the wall would go back to it
+        path = pull_taut(path, grid, clearance=clearance)
+    return smooth_path(path, grid, clearance=clearance) if smooth else path
+
+
+def shortest_lattice_path(
+    grid: SignedDistanceGrid,
+    start: ArrayLike,
+    target: ArrayLike,
+    *,
+    clearance: float = CLEARANCE,
+    preferred_clearance: float = 0.0,
+    aversion: float = 4.0,
+) -> LumenPath:
+    """Cheapest way over the lattice, by A* with 26 neighbours and the straight distance as its bound.
+
+    Args:
+        grid: signed distance to the wall, positive inside.
+        start: (3,) m, world frame, inside the lumen.
+        target: (3,) m, world frame, inside the lumen.
+        clearance: m that every lattice point of the path keeps from the wall.
+        preferred_clearance: m below which nearness to the wall costs.
+        aversion: extra cost per length at the wall, falling linearly to none at the preferred clearance.
+
+    Returns:
+        start, the lattice points between, target.
+
+    Raises:
+        ValueError: for an end outside the lumen, or a negative aversion.
+        UnreachableError: where no way keeps the clearance.
+    """
+    if aversion < 0:
+        raise ValueError(
+            f"aversion must not be negative, got {aversion!r}: the search needs costs no less than length."
+        )
+    ends = [np.asarray(end, dtype=np.float64) for end in (start, target)]
+    free = grid.values >= clearance
+    first, last = (_nearest_free(grid, free, end, name) for end, name in zip(ends, ("start", "target"), strict=True))
+
+    # Crop to the free region with a closed border, so that a step never leaves the array.
+    inside = np.argwhere(free)
+    low, high = inside.min(axis=0), inside.max(axis=0) + 1
+    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    room = np.pad(free[box], 1)
+    corner = low - 1
+    weight = np.ones(room.shape, dtype=np.float64)
+    if preferred_clearance > 0:
+        near = 1.0 - np.pad(grid.values[box], 1) / preferred_clearance
+        weight += aversion * np.clip(near, 0.0, 1.0)
+
+    route = _search(room, weight, tuple(first - corner), tuple(last - corner))
+    if route is None:
+        raise UnreachableError(
+            f"no way through the lumen leads from {_text(ends[0])} to {_text(ends[1])} with {clearance * 1e3:g} mm of "
+            "clearance: choose another target or less clearance."
+        )
+    points = grid.coordinates(np.array(route) + corner)
+    points = np.concatenate([ends[0][None], points, ends[1][None]])
+    moved = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9 * grid.spacing])
+    return LumenPath(points[moved])
+
+
+def _search(
+    room: NDArray[np.bool_], weight: Array, first: tuple[int, ...], last: tuple[int, ...]
+) -> list[tuple[int, ...]] | None:
+    """A* from the target back to the start; lattice indices from start to target, or None. Lengths in lattice steps."""
+    shape = room.shape
+    strides = (shape[1] * shape[2], shape[2], 1)
+    begin, goal = (sum(i * s for i, s in zip(index, strides, strict=True)) for index in (last, first))
+    # flat arrays of the standard library: indexing a numpy array element by element costs several times as much
+    squares = [(np.arange(n) - i) ** 2.0 for n, i in zip(shape, first, strict=True)]
+    bound = np.sqrt(squares[0][:, None, None] + squares[1][None, :, None] + squares[2][None, None, :])
+    estimate, cost_here = array("d", bound.tobytes()), array("d", (0.5 * weight).tobytes())
+    waiting = bytearray(room.tobytes())
+    best = array("d", [inf]) * room.size
+    came_from: dict[int, int] = {}
+    moves = [
+        (i * strides[0] + j * strides[1] + k, sqrt(i * i + j * j + k * k))
+        for i in (-1, 0, 1)
+        for j in (-1, 0, 1)
+        for k in (-1, 0, 1)
+        if i or j or k
+    ]
+    best[begin] = 0.0
+    heap = [(estimate[begin], begin)]
+    push, pop = heapq.heappush, heapq.heappop
+    while heap:
+        _, here = pop(heap)
+        if not waiting[here]:
+            continue
+        waiting[here] = 0
+        if here == goal:
+            route = [here]
+            while route[-1] != begin:
+                route.append(came_from[route[-1]])
+            return [tuple(int(i) for i in np.unravel_index(index, shape)) for index in route]
+        so_far, half = best[here], cost_here[here]
+        for offset, distance in moves:
+            there = here + offset
+            if waiting[there]:
+                cost = so_far + distance * (half + cost_here[there])
+                if cost < best[there]:
+                    best[there] = cost
+                    came_from[there] = here
+                    push(heap, (cost + estimate[there], there))
+    return None
+
+
+def _nearest_free(grid: SignedDistanceGrid, free: NDArray[np.bool_], end: Array, name: str) -> NDArray[np.intp]:
+    if end.shape != (3,) or not np.isfinite(end).all():
+        raise ValueError(f"the path's {name} must be three finite coordinates, got {end.tolist()}.")
+    index = (end - grid.origin) / grid.spacing
+    low = np.clip(np.floor(index).astype(int) - _SNAP, 0, np.array(free.shape))
+    high = np.clip(np.ceil(index).astype(int) + _SNAP + 1, 0, np.array(free.shape))
+    near = np.argwhere(free[low[0] : high[0], low[1] : high[1], low[2] : high[2]]) + low
+    distance = np.linalg.norm(near - index, axis=1)
+    if len(near) == 0 or distance.min() > _SNAP:
+        raise ValueError(f"the path's {name} {_text(end)} lies outside the lumen: move it inside, away from the wall.")
+    chosen: NDArray[np.intp] = near[np.argmin(distance)]
+    return chosen
+
+
+def _text(point: Array) -> str:
+    return "(" + ", ".join(f"{x * 1e3:.1f}" for x in point) + ") mm"
+
+
+def pull_taut(path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = CLEARANCE) -> LumenPath:
+    """Leaves out every point that a straight line inside the lumen can skip.
+
+    Args:
+        path: a way through the lumen.
+        grid: signed distance to the wall.
+        clearance: m that the straight lines keep from the wall.
+
+    Returns:
+        A path no longer than before, with the same ends.
+    """
+    points = path.points
+    kept, here = [0], 0
+    while here < len(points) - 1:
+        visible, hidden = here + 1, len(points)
+        reach = 2
+        while hidden - visible > 1:
+            # gallop ahead while the line stays free, then halve the interval in which it ends
+            trial = min(here + reach, len(points) - 1) if hidden == len(points) else (visible + hidden) // 2
+            if _line_is_free(points[here], points[trial], grid, clearance):
+                visible, reach = trial, 2 * reach
+            else:
+                hidden = trial
+        kept.append(visible)
+        here = visible
+    return LumenPath(points[kept])
+
+
+def _line_is_free(a: Array, b: Array, grid: SignedDistanceGrid, clearance: float) -> bool:
+    count = int(np.linalg.norm(b - a) / (0.5 * grid.spacing)) + 2
+    return bool(grid.sample(a + np.linspace(0.0, 1.0, count)[:, None] * (b - a)).min() >= clearance)
+
+
+def smooth_path(
+    path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = CLEARANCE, step: float = _STEP
+) -> LumenPath:
+    """Rounds the corners of a path by averaging neighbours, wherever the result keeps its clearance.
+
+    Args:
+        path: a way through the lumen.
+        grid: signed distance to the wall.
+        clearance: m to keep from the wall; where the path comes nearer already, it may stay as near as it is.
+        step: m between the points of the result.
+
+    Returns:
+        Evenly sampled path with the same ends.
+    """
+    points = np.array(path.resampled(step).points)
+    if len(points) < 3:
+        return LumenPath(points)
+    floor = np.minimum(grid.sample(points), clearance)
+    floor_between = np.minimum(grid.sample((points[1:] + points[:-1]) / 2), clearance)
+    for _ in range(_ROUNDS):
+        moved = points.copy()
+        moved[1:-1] = 0.5 * points[1:-1] + 0.25 * (points[:-2] + points[2:])
+        while True:
+            bad = grid.sample(moved) < floor
+            between = grid.sample((moved[1:] + moved[:-1]) / 2) < floor_between
+            bad[1:] |= between
+            bad[:-1] |= between
+            bad &= (moved != points).any(axis=1)
+            if not bad.any():
+                break
+            moved[bad] = points[bad]  # back to where it was good; its neighbours are judged again
+        points = moved
+    return LumenPath(points).resampled(step)
+
+
+def picture(
+    path: LumenPath, grid: SignedDistanceGrid, file: str | FilePath, *, title: str = "Shortest path in the lumen"
+) -> FilePath:
+    """Saves a picture of a path in the vessel, seen from the front and from the patient's left.
+
+    Args:
+        path: the way.
+        grid: signed distance to the wall.
+        file: where the PNG goes; its folder must exist.
+        title: over the picture.
+
+    Returns:
+        The file.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    thickness = 1e3 * grid.spacing * np.clip(grid.values / grid.spacing + 0.5, 0.0, 1.0)
+    low, high = grid.bounds * 1e3
+    points = path.points * 1e3
+    figure = Figure(figsize=(8.0, 6.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, 2, sharey=True)
+    views = (("from the front", 1, 0, "x, left (mm)"), ("from the left", 0, 1, "y, posterior (mm)"))
+    for plot, (name, through, across, label) in zip(axes, views, strict=True):
+        depth = thickness.sum(axis=through)
+        half = 500 * grid.spacing
+        extent = (low[across] - half, high[across] + half, low[2] - half, high[2] + half)
+        plot.imshow(depth.T, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1.6 * depth.max())
+        silhouette = grid.values.max(axis=through).T
+        scale = [np.linspace(low[k], high[k], grid.shape[k]) for k in (across, 2)]
+        plot.contour(*scale, silhouette, levels=[0.0], colors="0.35", linewidths=0.8)
+        plot.plot(points[:, across], points[:, 2], color="tab:red", linewidth=1.8)
+        plot.plot(*points[0, [across, 2]], "o", color="tab:blue", label="start")
+        plot.plot(*points[-1, [across, 2]], "*", color="tab:green", markersize=12, label="target")
+        plot.set(title=name, xlabel=label, aspect="equal")
+    axes[0].set_ylabel("z, superior (mm)")
+    axes[0].legend(loc="lower left", frameon=False)
+    figure.suptitle(f"{title}: {points_summary(path, grid)}")
+    figure.savefig(file, dpi=120)
+    logger.info("saved the picture of a path to %s", file)
+    return FilePath(file)
+
+
+def points_summary(path: LumenPath, grid: SignedDistanceGrid) -> str:
+    """Length and least distance to the wall of a path, in words.
+
+    Args:
+        path: the way.
+        grid: signed distance to the wall.
+
+    Returns:
+        For a title or a log line.
+    """
+    return f"{path.length * 1e3:.1f} mm, at least {path.clearance(grid) * 1e3:.1f} mm from the wall"

@@ -1,0 +1,167 @@
+"""The sampling expert: model-predictive control by the cross-entropy method on roll-outs of the simulator itself."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
+from cathsim.navigation import NavigationTask
+from cathsim.presets import ACCURACY, Accuracy
+from cathsim.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class ExpertSettings:
+    """How the expert searches.
+
+    Attributes:
+        horizon: length of a plan, control steps.
+        hold: steps for which a sampled action is held.
+        execute: steps of a plan that are carried out before it is looked at again.
+        samples: plans a round.
+        elites: best plans, to which the sampling distribution is fitted.
+        rounds: of sampling at most.
+        force_cost: cost of a newton of contact force above `free_force`, in metres of distance to the target.
+        free_force: N.
+    """
+
+    horizon: int = 12
+    hold: int = 3
+    execute: int = 4
+    samples: int = 24
+    elites: int = 5
+    rounds: int = 3
+    force_cost: float = 0.004
+    free_force: float = 0.15
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.elites <= self.samples:
+            raise ValueError(f"elites must lie in 1 to samples ({self.samples}), got {self.elites}")
+        if not 1 <= self.hold <= self.horizon or not 1 <= self.execute <= self.horizon:
+            raise ValueError(f"hold and execute must lie in 1 to the horizon ({self.horizon})")
+
+
+class SamplingExpert:
+    """Steers the two-action environment to its target by looking ahead in copies of its simulation.
+
+    A plan's cost is the distance along the lumen that is left at its end, plus its contact forces; reaching the target
+    early costs least. As long as the plan in hand still advances nearly as fast as the feeder can, no search is made.
+
+    Args:
+        environment: to be steered; its state is only read.
+        seed: of the sampling; the same seed gives the same actions, whatever the number of threads.
+        settings: of the search.
+        numerics: time stepping of the roll-outs.
+        threads: by default one a core.
+    """
+
+    def __init__(
+        self,
+        environment: NavigateEnv,
+        *,
+        seed: int = 0,
+        settings: ExpertSettings | None = None,
+        numerics: Accuracy = ACCURACY["fast"],
+        threads: int | None = None,
+    ) -> None:
+        if environment.action_space.shape != (2,):
+            raise ValueError(
+                "the sampling expert steers the two actions of the feeder: make the environment with actions='feeder'"
+            )
+        self.settings = settings or ExpertSettings()
+        self.environment = environment
+        self.task: NavigationTask = environment.task
+        self._goal = self.task.goal(environment.phantom)
+        self._generator = np.random.default_rng(seed)
+        real = environment.simulation
+        count = threads or os.cpu_count() or 1
+        self._copies = [Simulation(real.phantom, real.wire, numerics, entry=real.entry) for _ in range(count)]
+        self._pool = ThreadPoolExecutor(count, "expert") if count > 1 else None
+        self._plan = np.zeros((0, 2))
+        self._left = 0
+        self.rollouts = 0
+
+    def restart(self, seed: int | None = None) -> None:
+        """Forgets the plan; to be called when the environment is reset."""
+        self._plan, self._left = np.zeros((0, 2)), 0
+        if seed is not None:
+            self._generator = np.random.default_rng(seed)
+
+    def action(self) -> np.ndarray:
+        """The next action for the environment's present state. Shape (2,), in [-1, 1]."""
+        if self._left == 0:
+            self._search()
+            self._left = self.settings.execute
+        action, self._plan = self._plan[0], self._plan[1:]
+        self._left -= 1
+        return action.astype(np.float32)
+
+    def _search(self) -> None:
+        settings, generator = self.settings, self._generator
+        simulation = self.environment.simulation
+        state = simulation.state()
+        here = self.task.remaining(self.environment.phantom, simulation.tip)
+        knots = -(-settings.horizon // settings.hold)
+        straight = np.tile([1.0, 0.0], (settings.horizon, 1))
+        kept = np.concatenate((self._plan, straight))[: settings.horizon]
+        candidates = np.stack((kept, straight))
+        costs = self._costs(state, candidates)
+        best = int(np.argmin(costs))
+        self._plan, cost = candidates[best], float(costs[best])
+        good = here - 0.85 * TRANSLATION_STEP * settings.horizon
+        if cost <= good:
+            return
+
+        mean = np.tile([0.6, 0.0], (knots, 1))
+        spread = np.tile([0.7, 0.9], (knots, 1))
+        for _ in range(settings.rounds):
+            draws = np.clip(generator.normal(mean, spread, (settings.samples, knots, 2)), -1.0, 1.0)
+            plans = np.repeat(draws, settings.hold, axis=1)[:, : settings.horizon]
+            costs = self._costs(state, plans)
+            order = np.argsort(costs, kind="stable")[: settings.elites]
+            if costs[order[0]] < cost:
+                self._plan, cost = plans[order[0]], float(costs[order[0]])
+            if cost <= good:
+                break
+            mean = draws[order].mean(0)
+            spread = 0.1 + 0.9 * draws[order].std(0)
+
+    def _costs(self, state: np.ndarray, plans: np.ndarray) -> np.ndarray:
+        """Costs of plans (n, horizon, 2) from a state, in metres. Shape (n,)."""
+        costs = np.empty(len(plans))
+        order = itertools.count()
+
+        def run(copy: Simulation) -> None:
+            while (index := next(order)) < len(plans):
+                costs[index] = self._cost(copy, state, plans[index])
+
+        if self._pool is None:
+            run(self._copies[0])
+        else:
+            for future in [self._pool.submit(run, copy) for copy in self._copies]:
+                future.result()
+        self.rollouts += len(plans)
+        return costs
+
+    def _cost(self, copy: Simulation, state: np.ndarray, plan: np.ndarray) -> float:
+        settings, radius = self.settings, self.task.success_radius
+        copy.restore(state)
+        force = 0.0
+        for step, (translation, rotation) in enumerate(plan.tolist()):
+            copy.advance(TRANSLATION_STEP * translation, ROTATION_STEP * rotation)
+            if not copy.valid:
+                return 1.0
+            force += max(copy.summary.force_max - settings.free_force, 0.0) / len(plan)
+            if np.linalg.norm(copy.tip - self._goal) < 0.9 * radius:
+                return -1.0 + 0.01 * step + settings.force_cost * force
+        return self.task.remaining(self.environment.phantom, copy.tip) + settings.force_cost * force
+
+    def close(self) -> None:
+        """Ends the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()

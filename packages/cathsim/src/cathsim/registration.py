@@ -1,0 +1,17 @@
+"""Entry in Gymnasium's registry; Gymnasium calls it when it is imported, so it pulls in nothing else."""
+
+from __future__ import annotations
+
+import gymnasium
+
+ENVIRONMENT = "cathsim/Navigate-v0"
+
+
+def register() -> None:
+    """Registers the environment; safe to call again."""
+    if ENVIRONMENT not in gymnasium.registry:
+        gymnasium.register(
+            id=ENVIRONMENT,
+            entry_point="cathsim.environment:NavigateEnv",
+            vector_entry_point="cathsim.vector:ThreadedVectorEnv",
+        )

@@ -1,0 +1,159 @@
+"""Many environments stepped in one process on all cores: the native code releases the interpreter's lock."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
+
+from cathsim.environment import NavigateEnv
+
+
+class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
+    """`num_envs` navigation environments in threads; nothing is pickled or copied between processes.
+
+    Results do not depend on the number of threads. An environment that has ended is reset by the next step, which
+    ignores its action and returns reward 0 (`autoreset="next_step"`), or in the same step, with the last observation in
+    `info["final_obs"]` and `info["final_info"]` (`autoreset="same_step"`).
+
+    Args:
+        num_envs: number of environments.
+        threads: number of threads; by default one a core.
+        autoreset: "next_step" or "same_step".
+        variations: arguments of single environments, over `arguments`; as many as environments.
+        arguments: of `NavigateEnv`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        threads: int | None = None,
+        autoreset: str = "next_step",
+        variations: Sequence[dict[str, Any]] | None = None,
+        **arguments: Any,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, got {num_envs}")
+        if autoreset not in ("next_step", "same_step"):
+            raise ValueError(f"unknown autoreset '{autoreset}'; there are next_step, same_step")
+        if variations is not None and len(variations) != num_envs:
+            raise ValueError(f"expected {num_envs} variations, one an environment, got {len(variations)}")
+        arguments.setdefault("contact_info", False)
+        self.envs = [NavigateEnv(**{**arguments, **(variations[i] if variations else {})}) for i in range(num_envs)]
+        self.num_envs = num_envs
+        self._same_step = autoreset == "same_step"
+        mode = AutoresetMode.SAME_STEP if self._same_step else AutoresetMode.NEXT_STEP
+        self.metadata = {**NavigateEnv.metadata, "autoreset_mode": mode}
+        self.render_mode = self.envs[0].render_mode
+        self.single_action_space = self.envs[0].action_space
+        self.single_observation_space = self.envs[0].observation_space
+        for env in self.envs:
+            if env.action_space != self.single_action_space or env.observation_space != self.single_observation_space:
+                raise ValueError("all environments of a vector need the same action and observation spaces")
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._threads = min(num_envs, threads or os.cpu_count() or 1)
+        self._pool = ThreadPoolExecutor(self._threads, "cathsim") if self._threads > 1 else None
+        self._ended = np.zeros(num_envs, bool)
+
+    def _each(self, work: Callable[[int], Any]) -> list[Any]:
+        """Does the work for every environment, each thread taking the next one that is left."""
+        results: list[Any] = [None] * self.num_envs
+        order = itertools.count()
+
+        def run() -> None:
+            while (index := next(order)) < self.num_envs:
+                results[index] = work(index)
+
+        if self._pool is None:
+            run()
+        else:
+            for future in [self._pool.submit(run) for _ in range(self._threads)]:
+                future.result()
+        return results
+
+    def _batch(self, observations: list[Any]) -> Any:
+        out: Any = create_empty_array(self.single_observation_space, self.num_envs)
+        return concatenate(self.single_observation_space, observations, out)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Resets the environments; an integer seed gives environment i the seed + i.
+
+        Args:
+            seed: of all, or one each.
+            options: `reset_mask`, bool of shape (num_envs,), restricts the reset to some environments.
+        """
+        seeds = (
+            [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed or [None] * self.num_envs)
+        )
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"expected {self.num_envs} seeds, one an environment, got {len(seeds)}")
+        mask = np.ones(self.num_envs, bool)
+        if options and "reset_mask" in options:
+            mask = np.asarray(options["reset_mask"], bool)
+        if mask.shape != (self.num_envs,):
+            raise ValueError(f"expected a reset_mask of shape ({self.num_envs},), got {mask.shape}")
+
+        def start(index: int) -> tuple[Any, dict[str, Any]]:
+            env = self.envs[index]
+            return env.reset(seed=seeds[index]) if mask[index] else (env.observe(), {})
+
+        results = self._each(start)
+        self._ended[mask] = False
+        infos: dict[str, Any] = {}
+        for index, (_, info) in enumerate(results):
+            infos = self._add_info(infos, info, index)
+        return self._batch([observation for observation, _ in results]), infos
+
+    def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Steps every environment.
+
+        Args:
+            actions: shape (num_envs, actions).
+        """
+        actions = np.asarray(actions)
+        if actions.shape != self.action_space.shape:
+            raise ValueError(f"expected actions of shape {self.action_space.shape}, got {actions.shape}")
+
+        def advance(index: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+            env = self.envs[index]
+            if self._ended[index]:
+                observation, info = env.reset()
+                return observation, 0.0, False, False, info
+            result = env.step(actions[index])
+            if self._same_step and (result[2] or result[3]):
+                observation, info = env.reset()
+                info = {**info, "final_obs": result[0], "final_info": result[4]}
+                return (observation, *result[1:4], info)
+            return result
+
+        results = self._each(advance)
+        infos: dict[str, Any] = {}
+        for index, result in enumerate(results):
+            infos = self._add_info(infos, result[4], index)
+        terminated = np.array([result[2] for result in results], bool)
+        truncated = np.array([result[3] for result in results], bool)
+        if not self._same_step:
+            self._ended = terminated | truncated
+        rewards = np.array([result[1] for result in results], np.float64)
+        return self._batch([result[0] for result in results]), rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[Any, ...] | None:
+        """A picture of every environment."""
+        return tuple(env.render() for env in self.envs)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the threads and frees the renderers."""
+        if self._pool is not None:
+            self._pool.shutdown()
+        for env in self.envs:
+            env.close()

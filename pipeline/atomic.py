@@ -1,0 +1,106 @@
+"""Atomic writing: a file is either the old one or the new one, whole, whatever happens in between."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+TEMPORARY_PREFIX = ".writing-"
+# No space, quota used up, file larger than the process may write: for the user all three mean "no room".
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Lends a temporary path beside ``path`` and moves it there once the body has written it.
+
+    The temporary name keeps the suffix, because writers such as ``numpy.savez`` and mesh exporters choose their format
+    by it. When the body raises, also through Ctrl-C, the temporary file is removed and ``path`` stays as it was.
+
+    Args:
+        path: the final file; its folder is made when missing.
+
+    Yields:
+        The path to write to.
+
+    Raises:
+        FileNotFoundError: when the body wrote nothing.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
+    try:
+        yield temporary
+        _flush_to_disk(temporary)
+        os.replace(temporary, path)
+        _flush_to_disk(path.parent)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file atomically in UTF-8.
+
+    Args:
+        path: the file.
+        text: its new content.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes a JSON file atomically, readable by people: indented, keys in the order given.
+
+    Args:
+        path: the file.
+        value: anything JSON can hold; NaN and infinity are refused, other programs could not read them.
+
+    Raises:
+        ValueError: when a number is NaN or infinite.
+    """
+    write_text(path, json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def remove_unfinished(folder: Path) -> int:
+    """Removes what a killed writer left behind.
+
+    Args:
+        folder: searched with everything below it; call it only while holding the folder's lock.
+
+    Returns:
+        How many temporary files were removed.
+    """
+    leftovers = list(folder.rglob(f"{TEMPORARY_PREFIX}*"))
+    for leftover in leftovers:
+        leftover.unlink(missing_ok=True)
+    return len(leftovers)
+
+
+def is_no_room(error: BaseException | None) -> bool:
+    """Tells whether an error, or what caused it, means that no more could be written.
+
+    Args:
+        error: any exception, or None.
+
+    Returns:
+        True for a full disk, a used-up quota or a file size limit.
+    """
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _NO_ROOM:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _flush_to_disk(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,28 @@
+"""Episode logs: one MCAP file an episode, written safely, read by step, checked and recovered."""
+
+from pipeline.episodes.camera import Camera
+from pipeline.episodes.check import CheckReport, check
+from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError
+from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
+from pipeline.episodes.recover import RecoveryReport, recover
+from pipeline.episodes.scene import PhantomMesh
+from pipeline.episodes.schema import SCHEMA_VERSION
+from pipeline.episodes.writer import EpisodeWriter
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "Camera",
+    "CheckReport",
+    "EpisodeInfo",
+    "EpisodeOutcome",
+    "EpisodeReadError",
+    "EpisodeReader",
+    "EpisodeWriteError",
+    "EpisodeWriter",
+    "PhantomMesh",
+    "RecoveryReport",
+    "StepRecord",
+    "check",
+    "recover",
+]

@@ -1,0 +1,164 @@
+"""The command line of episode logs: `python -m pipeline.episodes info|check|recover FILE`.
+
+Exit codes: 0 all is well, 1 a log is damaged, 2 wrong usage or a file that is not there or cannot be written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pipeline.episodes.check import check
+from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError
+from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.recover import recover
+
+FINE, DAMAGED, USAGE = 0, 1, 2
+
+
+def _complain(message: object) -> None:
+    print(message, file=sys.stderr)
+
+
+def _show_info(path: Path) -> int:
+    with EpisodeReader(path) as log:
+        info, outcome = log.info, log.outcome
+        started = datetime.fromtimestamp(info.start_time_ns / 1e9, tz=UTC).isoformat(timespec="milliseconds")
+        success = {True: "success", False: "no success", None: "success unknown"}[outcome.success]
+        mesh = log.phantom_mesh()
+        rows = [
+            ("phantom", f"{info.phantom} ({info.phantom_hash})"),
+            ("task", f"{info.entry} -> {info.target}, seed {info.seed}, steered by {info.operator}"),
+            ("started", started),
+            ("outcome", f"{outcome.status}, {success}, {outcome.steps} steps of {info.control_dt:g} s"),
+            ("records", f"{len(log)}, {path.stat().st_size / max(len(log), 1):.0f} bytes each"),
+            *((f"metric {name}", str(value)) for name, value in sorted(outcome.metrics.items())),
+        ]
+        for name in log.cameras:
+            camera = log.camera(name)
+            streams = [stream for stream in ("image", "mask") if log.has(name, stream)]
+            rows.append(
+                (f"camera {name}", f"{camera.width} x {camera.height} px, {' + '.join(streams) or 'no pictures'}")
+            )
+        if mesh is not None:
+            rows.append(("mesh", f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces"))
+        if outcome.missing_steps:
+            rows.append(("lost steps", ", ".join(map(str, outcome.missing_steps))))
+        rows += [(f"version {name}", value) for name, value in sorted(info.versions.items())]
+        rows.append(("configuration", json.dumps(info.configuration, sort_keys=True)))
+    width = max(len(key) for key, _ in rows)
+    print(path)
+    for key, value in rows:
+        print(f"  {key:<{width}}  {value}")
+    return FINE
+
+
+def _show_check(path: Path) -> int:
+    report = check(path)
+    for problem in report.problems:
+        _complain(problem if str(path) in problem else f"{path} is damaged: {problem}")
+    if report.problems:
+        return DAMAGED
+    notes = f" ({'; '.join(report.notes)})" if report.notes else ""
+    print(f"{path} is fine: {report.records} records, {report.pictures} pictures{notes}")
+    return FINE
+
+
+def _default_destination(source: Path) -> Path:
+    if source.suffix == ".partial":
+        return source.with_suffix("")
+    return source.with_name(f"{source.stem}.recovered{source.suffix}")
+
+
+def _run_recover(source: Path, destination: Path | None, overwrite: bool) -> int:
+    report = recover(source, destination or _default_destination(source), overwrite=overwrite)
+    outcome = "the outcome is kept" if report.outcome_kept else "the outcome is lost: marked as interrupted"
+    missing = f", {len(report.missing_steps)} known to be missing" if report.missing_steps else ""
+    print(
+        f"{report.destination}: {report.steps_kept} records kept{missing}; "
+        f"{report.bytes_dropped} damaged bytes dropped; {outcome}"
+    )
+    return FINE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline.episodes",
+        description="Look at episode logs, check them and recover damaged ones.",
+        epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file or unwritable destination.",
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover")
+    for name, text in (("info", "show what a log holds"), ("check", "verify every checksum, step and picture")):
+        command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
+        command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a log")
+    command = commands.add_parser(
+        "recover",
+        help="save what is intact of a damaged or unfinished log",
+        description="Save what is intact of a damaged or unfinished log; the file itself is left as it is.",
+    )
+    command.add_argument("file", type=Path, metavar="FILE", help="the damaged log, or the .partial of a killed writer")
+    command.add_argument(
+        "out",
+        nargs="?",
+        type=Path,
+        metavar="OUT",
+        help="the valid log (default: FILE without .partial, or with .recovered before its ending)",
+    )
+    command.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
+    return parser
+
+
+def _run(arguments: argparse.Namespace, path: Path) -> int:
+    if not path.is_file():
+        _complain(f"{path} is no file: give the path of an episode log")
+        return USAGE
+    if not os.access(path, os.R_OK):
+        _complain(f"{path} may not be read: check its permissions")
+        return USAGE
+    try:
+        if arguments.command == "info":
+            return _show_info(path)
+        if arguments.command == "check":
+            return _show_check(path)
+        return _run_recover(path, arguments.out, arguments.overwrite)
+    except EpisodeReadError as error:
+        _complain(error)
+        return DAMAGED
+    except EpisodeWriteError as error:
+        _complain(error)
+        return USAGE
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _complain(f"cannot read {path}: {error.strerror or error}; check its permissions")
+        return USAGE
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: arguments without the program's name; None for those of the process.
+
+    Returns:
+        The exit code: 0 fine, 1 damaged, 2 usage.
+    """
+    arguments = _parser().parse_args(argv)
+    files = arguments.files if hasattr(arguments, "files") else [arguments.file]
+    try:
+        code = max(_run(arguments, path) for path in files)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        # The reader of our output went away (e.g. `| head`): leave quietly, and keep Python from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FINE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,157 @@
+"""The camera of an episode: a calibrated 3x4 projection, and its calibration and transform messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from numpy.typing import NDArray
+
+from pipeline.episodes.schema import WORLD_FRAME
+
+FloatArray = NDArray[np.float64]
+
+
+def camera_frame(name: str) -> str:
+    """Name the frame of a camera: origin at the source, x right and y down in the image, z into it.
+
+    Args:
+        name: the camera.
+
+    Returns:
+        The frame id.
+    """
+    return f"camera/{name}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Camera:
+    """A pinhole camera with P ~ K [R t]: world points in metres to pixels."""
+
+    P: FloatArray
+    """(3, 4), px, up to scale"""
+    K: FloatArray
+    """(3, 3), px"""
+    R: FloatArray
+    """(3, 3), world to camera"""
+    t: FloatArray
+    """(3,), m: the world's origin in the camera frame"""
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        for name, shape in (("P", (3, 4)), ("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise ValueError(f"{name} must be {shape} and finite, got {array.shape}: {array.tolist()}")
+            object.__setattr__(self, name, array)
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"an image needs at least 1 x 1 pixels, got {self.width} x {self.height}")
+        if not np.allclose(self.R @ self.R.T, np.eye(3), atol=1e-6):
+            raise ValueError(f"R must be orthonormal, got R R^T = {(self.R @ self.R.T).tolist()}")
+        product = self.K @ np.column_stack((self.R, self.t))
+        given = self.P / np.linalg.norm(self.P)
+        product /= np.linalg.norm(product)
+        if not np.allclose(given * np.sign(np.sum(given * product)), product, atol=1e-6):
+            raise ValueError(f"P must be K [R t] up to scale, got {given.tolist()} and {product.tolist()}")
+
+    @classmethod
+    def from_projection(cls, P: FloatArray, width: int, height: int) -> Camera:
+        """Make a camera of its projection matrix alone.
+
+        Args:
+            P: (3, 4), world in metres to pixels, up to scale; its left 3x3 block is not singular.
+            width: px.
+            height: px.
+
+        Returns:
+            The camera with K's diagonal positive and det R = +1, by an RQ decomposition.
+
+        Raises:
+            ValueError: P is not 3x4, or is no finite camera.
+        """
+        P = np.asarray(P, dtype=np.float64)
+        if P.shape != (3, 4):
+            raise ValueError(f"P must have shape (3, 4), got {P.shape}")
+        determinant = np.linalg.det(P[:, :3])
+        if not abs(determinant) > 1e-12 * np.linalg.norm(P[:, :3]) ** 3:
+            raise ValueError(f"P's left 3x3 block must not be singular, got determinant {determinant}")
+        M = P * np.sign(determinant)
+        # RQ by QR of the row-reversed transpose.
+        q, r = np.linalg.qr(M[::-1, :3].T)
+        K, R = r.T[::-1, ::-1], q.T[::-1]
+        signs = np.sign(np.diag(K))
+        K, R = K * signs, R * signs[:, None]
+        t = np.linalg.solve(K, M[:, 3])
+        return cls(P=P, K=K / K[2, 2], R=R, t=t, width=width, height=height)
+
+    def calibration(self, name: str, time_ns: int) -> bytes:
+        """Serialise as `foxglove.CameraCalibration`.
+
+        Args:
+            name: the camera's name.
+            time_ns: nanoseconds since the epoch.
+
+        Returns:
+            Protobuf bytes. P is [K 0] there, as that message means it; the pose is in `transform`.
+        """
+        message = CameraCalibration(frame_id=camera_frame(name), width=self.width, height=self.height)
+        message.timestamp.FromNanoseconds(time_ns)
+        message.K.extend(self.K.ravel().tolist())
+        message.R.extend(np.eye(3).ravel().tolist())
+        message.P.extend(np.column_stack((self.K, np.zeros(3))).ravel().tolist())
+        return bytes(message.SerializeToString())
+
+    def transform(self, name: str, time_ns: int) -> FrameTransform:
+        """Give the camera's pose in the world as `foxglove.FrameTransform`.
+
+        Args:
+            name: the camera's name.
+            time_ns: nanoseconds since the epoch.
+
+        Returns:
+            The message: source position in m, rotation camera to world as a unit quaternion.
+        """
+        message = FrameTransform(parent_frame_id=WORLD_FRAME, child_frame_id=camera_frame(name))
+        message.timestamp.FromNanoseconds(time_ns)
+        x, y, z = (-self.R.T @ self.t).tolist()
+        message.translation.x, message.translation.y, message.translation.z = x, y, z
+        quaternion = _quaternion(self.R.T)
+        message.rotation.w, message.rotation.x, message.rotation.y, message.rotation.z = quaternion
+        return message
+
+    def to_json(self) -> dict[str, Any]:
+        """Give the matrices as plain JSON values, which keep every bit of a double."""
+        arrays = {name: getattr(self, name).tolist() for name in ("P", "K", "R", "t")}
+        return {**arrays, "width": int(self.width), "height": int(self.height)}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Camera:
+        """Read what `to_json` gave.
+
+        Args:
+            values: the matrices and the size.
+
+        Returns:
+            The camera.
+        """
+        return cls(**{name: values[name] for name in ("P", "K", "R", "t", "width", "height")})
+
+
+def _quaternion(R: FloatArray) -> tuple[float, float, float, float]:
+    """Unit quaternion (w, x, y, z) of a rotation, as the eigenvector that survives every angle (Bar-Itzhack)."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    matrix = np.array(
+        [
+            [a - e - i, b + d, c + g, h - f],
+            [b + d, e - a - i, f + h, c - g],
+            [c + g, f + h, i - a - e, d - b],
+            [h - f, c - g, d - b, a + e + i],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(matrix)[1][:, -1].tolist()
+    return w, x, y, z

@@ -1,0 +1,292 @@
+"""The MCAP container, written so that a killed process leaves every flushed chunk whole.
+
+Chunks go to the file in one positioned write each, at the end of what is known to be whole: a write that fails half-way
+(a full disk, an interrupt) is cut off again and can be repeated. Nothing is synchronised to the disk platter, so a kill
+of the process costs only what was not flushed, while a power failure may cost more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+import zlib
+from collections import defaultdict
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+MAX_CHUNK_BYTES = 256 * 1024
+"""A chunk is closed before it grows beyond this (a single message that is larger gets a chunk of its own)."""
+
+_ZSTD_LEVEL = -1  # on real episodes 3 % larger than level 1, at less than half its time
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_FIXED = _MESSAGE_HEAD.size - 9  # the record's length does not count opcode and length
+_CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
+_INDEX_HEAD = struct.Struct("<BQHI")
+_CHUNK_INDEX_HEAD = struct.Struct("<BQQQQQI")
+_CHUNK_INDEX_TAIL = struct.Struct("<QI4sQQ")
+_LIBRARY = f"endonav episodes, mcap {version('mcap')}"
+
+
+def record_bytes(record: McapRecord) -> bytes:
+    """Serialise one MCAP record.
+
+    Args:
+        record: the record.
+
+    Returns:
+        Opcode, length and content.
+    """
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+def _chunk_index_bytes(index: ChunkIndex) -> bytes:
+    """Serialise a chunk's index in one go: a long episode has hundreds."""
+    offsets = b"".join(struct.pack("<HQ", *item) for item in index.message_index_offsets.items())
+    length = _CHUNK_INDEX_HEAD.size - 9 + len(offsets) + _CHUNK_INDEX_TAIL.size
+    head = _CHUNK_INDEX_HEAD.pack(
+        Opcode.CHUNK_INDEX,
+        length,
+        index.message_start_time,
+        index.message_end_time,
+        index.chunk_start_offset,
+        index.chunk_length,
+        len(offsets),
+    )
+    tail = _CHUNK_INDEX_TAIL.pack(
+        index.message_index_length, 4, b"zstd", index.compressed_size, index.uncompressed_size
+    )
+    return head + offsets + tail
+
+
+class McapFile:
+    """An MCAP file being written: channels and metadata, chunks of messages, and at the end the index."""
+
+    def __init__(self, path: Path, profile: str) -> None:
+        """Create the file; it must not exist.
+
+        Args:
+            path: where to write.
+            profile: the MCAP profile that stands in the header.
+
+        Raises:
+            OSError: the file exists or cannot be created.
+        """
+        self.path = path
+        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        self._end = 0
+        self._crc = 0
+        self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
+        self._schemas: dict[bytes, Schema] = {}
+        self._channels: dict[str, Channel] = {}
+        self._chunk_indexes: list[ChunkIndex] = []
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._counts: dict[int, int] = defaultdict(int)
+        self._preamble = MCAP0_MAGIC + record_bytes(Header(profile=profile, library=_LIBRARY))
+        self._start_chunk()
+
+    def _start_chunk(self) -> None:
+        self._parts: list[bytes] = []
+        self._offsets: dict[int, list[int]] = {}
+        self._first_ns, self._last_ns = 2**64 - 1, 0
+        self.pending_bytes = 0
+
+    def _append(self, data: bytes) -> int:
+        """Write at the known end, and move that end only once all bytes are there; return where they start."""
+        start, view, done = self._end, memoryview(data), 0
+        try:
+            while done < len(view):
+                done += os.pwrite(self._fd, view[done:], start + done)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, start)
+            raise
+        self._end = start + len(view)
+        self._crc = zlib.crc32(data, self._crc)
+        return start
+
+    def register(self, topic: str, schema_name: str, schema_data: bytes, encoding: str = "protobuf") -> int:
+        """Declare a topic, before or between chunks.
+
+        Args:
+            topic: the topic.
+            schema_name: full name of its message.
+            schema_data: the schema: for protobuf a serialised FileDescriptorSet.
+            encoding: of schema and messages.
+
+        Returns:
+            The channel id: 1, 2, ... in the order of declaration.
+        """
+        schema = self._schemas.get(schema_data)
+        if schema is None:
+            schema = Schema(id=len(self._schemas) + 1, name=schema_name, encoding=encoding, data=schema_data)
+            self._schemas[schema_data] = schema
+            self._preamble += record_bytes(schema)
+        channel = Channel(
+            id=len(self._channels) + 1, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema.id
+        )
+        self._channels[topic] = channel
+        self._preamble += record_bytes(channel)
+        return channel.id
+
+    def add(self, channel_id: int, log_time_ns: int, sequence: int, payload: bytes) -> None:
+        """Add a message to the chunk in memory.
+
+        Args:
+            channel_id: of the topic.
+            log_time_ns: nanoseconds since the epoch.
+            sequence: the step index.
+            payload: the serialised message.
+        """
+        size = len(payload)
+        self._parts.append(
+            _MESSAGE_HEAD.pack(
+                Opcode.MESSAGE, _MESSAGE_FIXED + size, channel_id, sequence & 0xFFFFFFFF, log_time_ns, log_time_ns
+            )
+        )
+        self._parts.append(payload)
+        self._offsets.setdefault(channel_id, []).extend((log_time_ns, self.pending_bytes))
+        if log_time_ns < self._first_ns:
+            self._first_ns = log_time_ns
+        if log_time_ns > self._last_ns:
+            self._last_ns = log_time_ns
+        self.pending_bytes += _MESSAGE_HEAD.size + size
+
+    def flush(self) -> None:
+        """Compress the chunk in memory and hand it to the operating system.
+
+        Raises:
+            OSError: it could not be written; the chunk stays in memory, and flushing may be tried again.
+        """
+        if self._preamble:
+            self._append(self._preamble)
+            self._preamble = b""
+        if not self._parts:
+            return
+        data = b"".join(self._parts)
+        compressed = self._compressor.compress(data)
+        first, last = self._first_ns, self._last_ns
+        fixed = _CHUNK_HEAD.size - 9
+        head = _CHUNK_HEAD.pack(
+            Opcode.CHUNK, fixed + len(compressed), first, last, len(data), zlib.crc32(data), 4, b"zstd", len(compressed)
+        )
+        chunk_length = len(head) + len(compressed)
+        record, index_offsets = [head, compressed], {}
+        index_start = position = self._end + chunk_length
+        for channel_id, entries in self._offsets.items():
+            index_offsets[channel_id] = position
+            size = 8 * len(entries)
+            record.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel_id, size))
+            record.append(struct.pack(f"<{len(entries)}Q", *entries))
+            position += _INDEX_HEAD.size + size
+        start = self._append(b"".join(record))
+        self._chunk_indexes.append(
+            ChunkIndex(
+                chunk_length=chunk_length,
+                chunk_start_offset=start,
+                compression="zstd",
+                compressed_size=len(compressed),
+                message_end_time=last,
+                message_index_length=position - index_start,
+                message_index_offsets=index_offsets,
+                message_start_time=first,
+                uncompressed_size=len(data),
+            )
+        )
+        for channel_id, entries in self._offsets.items():
+            self._counts[channel_id] += len(entries) // 2
+        self._start_chunk()
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record now, after what is in memory.
+
+        Args:
+            name: of the record.
+            values: its content.
+
+        Raises:
+            OSError: it could not be written; may be tried again.
+        """
+        self.flush()
+        record = record_bytes(Metadata(name=name, metadata=dict(values)))
+        self._metadata_indexes.append(MetadataIndex(offset=self._append(record), length=len(record), name=name))
+
+    def _summary(self, start: int) -> bytes:
+        """Build the summary section and the footer for a file whose summary starts at `start`."""
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunk_indexes),
+            message_count=sum(self._counts.values()),
+            message_start_time=min((index.message_start_time for index in self._chunk_indexes), default=0),
+            message_end_time=max((index.message_end_time for index in self._chunk_indexes), default=0),
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(self._schemas),
+        )
+        groups: tuple[tuple[Opcode, list[McapRecord]], ...] = (
+            (Opcode.SCHEMA, list(self._schemas.values())),
+            (Opcode.CHANNEL, list(self._channels.values())),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, list(self._chunk_indexes)),
+            (Opcode.METADATA_INDEX, list(self._metadata_indexes)),
+        )
+        summary, offsets = b"", b""
+        for opcode, records in groups:
+            group = b"".join(
+                _chunk_index_bytes(record) if isinstance(record, ChunkIndex) else record_bytes(record)
+                for record in records
+            )
+            if group:
+                offset = SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
+                offsets += record_bytes(offset)
+                summary += group
+        offset_start = start + len(summary)
+        summary += offsets
+        footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
+        crc = zlib.crc32(footer_head, zlib.crc32(summary))
+        footer = Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)
+        return summary + record_bytes(footer) + MCAP0_MAGIC
+
+    def close_with_index(self) -> None:
+        """Flush, write the index and close.
+
+        Raises:
+            OSError: it could not be written; the file stays open without index, and closing may be tried again.
+        """
+        self.flush()
+        data_end = record_bytes(DataEnd(self._crc))
+        self._append(data_end + self._summary(self._end + len(data_end)))
+        self.close()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the file was closed."""
+        return self._fd < 0
+
+    def close(self) -> None:
+        """Close the file as it is; closing again does nothing."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1

@@ -1,0 +1,42 @@
+"""What can go wrong with an episode log, each error one sentence that says what to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class EpisodeWriteError(OSError):
+    """A log cannot be written; what was flushed before is safe in its partial file."""
+
+
+class EpisodeReadError(ValueError):
+    """A log cannot be read, because it is damaged, foreign or too new."""
+
+
+class ContainerError(ValueError):
+    """A part of an MCAP file is damaged; the message is the reason alone, without file name or advice."""
+
+
+def damaged(path: Path, reason: object) -> EpisodeReadError:
+    """Make the error of a damaged log.
+
+    Args:
+        path: the log.
+        reason: what is wrong.
+
+    Returns:
+        The error to raise.
+    """
+    return EpisodeReadError(f"{path} is damaged: {reason}; run '{recover_command(path)}' to save what is intact")
+
+
+def recover_command(path: Path) -> str:
+    """Give the command line that recovers a log.
+
+    Args:
+        path: the log.
+
+    Returns:
+        The command.
+    """
+    return f"python -m pipeline.episodes recover {path}"

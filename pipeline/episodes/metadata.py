@@ -1,0 +1,109 @@
+"""The metadata records of a log: an episode's information and outcome as JSON, with checksum and version."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+from pipeline.episodes.camera import Camera
+from pipeline.episodes.errors import ContainerError
+from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, as_json
+from pipeline.episodes.schema import EPISODE_METADATA, SCHEMA_VERSION
+
+
+class VersionError(ContainerError):
+    """The record has no schema version, or one that this reader does not know."""
+
+
+def _checksum(schema_version: str, text: str) -> str:
+    return f"{zlib.crc32(f'{schema_version} {text}'.encode()):08x}"
+
+
+def _seal(values: Mapping[str, Any]) -> dict[str, str]:
+    text, schema_version = as_json(values), str(SCHEMA_VERSION)
+    return {"schema_version": schema_version, "json": text, "crc32": _checksum(schema_version, text)}
+
+
+def _open(record: Mapping[str, str]) -> dict[str, Any]:
+    if "schema_version" not in record:
+        raise VersionError("it has no schema version, so it was not written as an episode log")
+    schema_version = record["schema_version"]
+    if record.get("crc32") != _checksum(schema_version, record.get("json", "")):
+        raise ContainerError("the checksum of its metadata does not match")
+    if not schema_version.isdecimal() or int(schema_version) > SCHEMA_VERSION:
+        raise VersionError(
+            f"it has schema version {schema_version}, this reader knows up to {SCHEMA_VERSION}: update the software"
+        )
+    values = json.loads(record["json"])
+    if not isinstance(values, dict):
+        raise ContainerError("its metadata is no JSON object")
+    return values
+
+
+def seal_episode(info: EpisodeInfo, cameras: Mapping[str, Camera]) -> dict[str, str]:
+    """Make the content of the record `endonav.episode`.
+
+    Args:
+        info: the episode's information.
+        cameras: the cameras by name.
+
+    Returns:
+        Key-value pairs.
+    """
+    ordered = [{"name": name, **camera.to_json()} for name, camera in cameras.items()]
+    return _seal({"info": info.to_json(), "cameras": ordered})
+
+
+def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Camera]]:
+    """Read the content of the record `endonav.episode`.
+
+    Args:
+        record: key-value pairs.
+
+    Returns:
+        The information, and the cameras by name in the order in which they were declared.
+
+    Raises:
+        ContainerError: it is damaged.
+        VersionError: its schema version is missing or too new.
+    """
+    values = _open(record)
+    try:
+        cameras = {camera["name"]: Camera.from_json(camera) for camera in values["cameras"]}
+        return EpisodeInfo(**values["info"]), cameras
+    except (KeyError, TypeError, ValueError) as error:
+        raise ContainerError(f"the metadata record {EPISODE_METADATA} is incomplete ({error})") from error
+
+
+def seal_outcome(outcome: EpisodeOutcome) -> dict[str, str]:
+    """Make the content of the record `endonav.outcome`.
+
+    Args:
+        outcome: how the episode ended.
+
+    Returns:
+        Key-value pairs.
+    """
+    return _seal(outcome.to_json())
+
+
+def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
+    """Read the content of the record `endonav.outcome`.
+
+    Args:
+        record: key-value pairs.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        ContainerError: it is damaged.
+        VersionError: its schema version is missing or too new.
+    """
+    values = _open(record)
+    try:
+        return EpisodeOutcome(**values)
+    except (TypeError, ValueError) as error:
+        raise ContainerError(f"the episode's outcome is incomplete ({error})") from error

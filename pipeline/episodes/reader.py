@@ -1,0 +1,375 @@
+"""The reader of episode logs: streaming, random access by step, and stacked arrays, all with checksums verified."""
+
+from __future__ import annotations
+
+import os
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.message import DecodeError
+from mcap.records import ChunkIndex
+from numpy.typing import NDArray
+
+from pipeline.episodes.camera import Camera
+from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
+from pipeline.episodes.metadata import VersionError, open_episode, open_outcome
+from pipeline.episodes.png import decode_image, decode_mask
+from pipeline.episodes.protobuf_wire import DELIMITED, fields
+from pipeline.episodes.records import EpisodeOutcome, StepRecord
+from pipeline.episodes.scan import MessageSpan, Summary, messages, read_chunk, read_metadata, read_summary
+from pipeline.episodes.scene import PhantomMesh, decode_phantom
+from pipeline.episodes.schema import (
+    EPISODE_METADATA,
+    OUTCOME_METADATA,
+    PHANTOM_TOPIC,
+    STEP_FIELDS,
+    STEP_TOPIC,
+    camera_topic,
+)
+from pipeline.episodes.step_codec import decode_step
+
+_IMAGE_DATA = CompressedImage.DESCRIPTOR.fields_by_name["data"].number
+_Decoded = TypeVar("_Decoded")
+_RAGGED = {"wire_points": "wire", "contact_positions": "contact", "contact_forces": "contact"}
+
+
+class EpisodeReader:
+    """Reads one finished episode; memory is bounded by a chunk, never by the file.
+
+    with EpisodeReader("episode.mcap") as log:
+        for record in log:
+            ...
+        image = log.image("frontal", 17)
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open a log.
+
+        Args:
+            path: a finished log.
+
+        Raises:
+            EpisodeReadError: it is missing, damaged, unfinished, no episode log, or newer than this reader.
+        """
+        self.path = Path(path)
+        try:
+            self._fd = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
+        except OSError as error:
+            raise EpisodeReadError(f"cannot open {self.path}: {error.strerror}; check the path") from error
+        try:
+            self._summary = read_summary(self._fd)
+            self.info, self._cameras = self._metadata(EPISODE_METADATA, open_episode)
+            self.outcome: EpisodeOutcome = self._metadata(OUTCOME_METADATA, open_outcome)
+        except VersionError as error:
+            self.close()
+            raise EpisodeReadError(f"{self.path} cannot be read: {error}") from error
+        except (ContainerError, OSError) as error:
+            self.close()
+            raise damaged(self.path, error) from error
+        self._topics = {channel.topic: channel.id for channel in self._summary.channels.values()}
+        self._chunks: dict[int, list[ChunkIndex]] = {
+            channel_id: [index for index in self._summary.chunk_indexes if channel_id in index.message_index_offsets]
+            for channel_id in self._topics.values()
+        }
+        self._ends = {key: [index.message_end_time for index in chunks] for key, chunks in self._chunks.items()}
+        self._cached: tuple[int, bytes, dict[tuple[int, int], MessageSpan]] = (-1, b"", {})
+
+    def _metadata(self, name: str, parse: Callable[[dict[str, str]], _Decoded]) -> _Decoded:
+        """Read the first intact one of the metadata records of a name."""
+        failure: ContainerError = VersionError(
+            f"it has no metadata record {name}, so it was not written as an episode log"
+        )
+        for index in self._summary.metadata_indexes:
+            if index.name == name:
+                try:
+                    return parse(read_metadata(self._fd, index).metadata)
+                except ContainerError as error:
+                    failure = error
+        raise failure
+
+    # -- chunks and messages ------------------------------------------------------------------------------------------
+
+    @property
+    def summary(self) -> Summary:
+        """The container's index."""
+        return self._summary
+
+    def _channel(self, topic: str) -> int:
+        channel_id = self._topics.get(topic)
+        if channel_id is None or not self._chunks[channel_id]:
+            held = ", ".join(sorted(topic for topic, channel in self._topics.items() if self._chunks[channel]))
+            raise EpisodeReadError(f"{self.path} holds nothing on {topic}; it holds {held or 'no messages'}")
+        return channel_id
+
+    def _spans(self, index: ChunkIndex) -> tuple[bytes, dict[tuple[int, int], MessageSpan]]:
+        """Read a chunk, or take it from the one-chunk cache, and find its messages by channel and time."""
+        offset, chunk, spans = self._cached
+        if offset != index.chunk_start_offset:
+            try:
+                chunk = read_chunk(self._fd, index)
+                spans = {(span.channel_id, span.log_time_ns): span for span in messages(chunk)}
+            except (ContainerError, OSError) as error:
+                raise damaged(self.path, error) from error
+            self._cached = (index.chunk_start_offset, chunk, spans)
+        return chunk, spans
+
+    def payloads(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        """Stream the messages of a topic.
+
+        Args:
+            topic: e.g. `/step`.
+
+        Yields:
+            Log time in nanoseconds, and the serialised message.
+
+        Raises:
+            EpisodeReadError: the log holds nothing on the topic, or is damaged.
+        """
+        channel_id = self._channel(topic)
+        for index in self._chunks[channel_id]:
+            chunk, spans = self._spans(index)
+            for span in spans.values():
+                if span.channel_id == channel_id:
+                    yield span.log_time_ns, chunk[span.start : span.end]
+
+    def _payload(self, topic: str, step: int) -> bytes:
+        """Find the message of a step by its time."""
+        channel_id, time_ns = self._channel(topic), self.info.time_ns(step)
+        chunks = self._chunks[channel_id]
+        for index in chunks[bisect_left(self._ends[channel_id], time_ns) :]:
+            if index.message_start_time > time_ns:
+                break
+            chunk, spans = self._spans(index)
+            if span := spans.get((channel_id, time_ns)):
+                return chunk[span.start : span.end]
+        if step in self.outcome.missing_steps:
+            raise EpisodeReadError(f"step {step} of {self.path} was lost before the log was recovered; skip it")
+        raise EpisodeReadError(f"{self.path} has no step {step} on {topic}; it holds steps 0 to {self.last_step}")
+
+    def _decode(self, decode: Callable[[bytes], _Decoded], payload: bytes) -> _Decoded:
+        try:
+            return decode(payload)
+        except (ValueError, DecodeError) as error:
+            raise damaged(self.path, error) from error
+
+    # -- steps --------------------------------------------------------------------------------------------------------
+
+    @property
+    def last_step(self) -> int:
+        """Index of the last step (-1 if there is none)."""
+        ends = self._ends.get(self._topics.get(STEP_TOPIC, 0), [])
+        return (ends[-1] - self.info.start_time_ns) // self.info.interval_ns if ends else -1
+
+    def __len__(self) -> int:
+        """Count the records, from the state after reset to the last step."""
+        return self.last_step + 1 - sum(step <= self.last_step for step in self.outcome.missing_steps)
+
+    def __iter__(self) -> Iterator[StepRecord]:
+        """Stream the records in order.
+
+        Raises:
+            EpisodeReadError: the log is damaged.
+        """
+        for _, payload in self.payloads(STEP_TOPIC):
+            yield self._decode(decode_step, payload)
+
+    def step(self, step: int) -> StepRecord:
+        """Read one step at random.
+
+        Args:
+            step: its index.
+
+        Returns:
+            The record.
+
+        Raises:
+            EpisodeReadError: there is no such step, or its chunk is damaged.
+        """
+        return self._decode(decode_step, self._payload(STEP_TOPIC, step))
+
+    # -- cameras and scene --------------------------------------------------------------------------------------------
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return tuple(self._cameras)
+
+    def camera(self, name: str) -> Camera:
+        """Give a camera's calibration.
+
+        Args:
+            name: the camera.
+
+        Returns:
+            Its matrices, every bit as written.
+
+        Raises:
+            EpisodeReadError: there is no such camera.
+        """
+        if name not in self._cameras:
+            known = ", ".join(self._cameras) or "none"
+            raise EpisodeReadError(f"{self.path} has no camera {name!r}; its cameras are: {known}")
+        return self._cameras[name]
+
+    def image(self, camera: str, step: int) -> NDArray[np.uint8]:
+        """Read one image at random.
+
+        Args:
+            camera: its name.
+            step: step index.
+
+        Returns:
+            (H, W) uint8.
+
+        Raises:
+            EpisodeReadError: there is no such image, or its chunk is damaged.
+        """
+        self.camera(camera)
+        return self._decode(_picture(decode_image), self._payload(camera_topic(camera, "image"), step))
+
+    def mask(self, camera: str, step: int) -> NDArray[np.bool_]:
+        """Read one mask at random.
+
+        Args:
+            camera: its name.
+            step: step index.
+
+        Returns:
+            (H, W) bool.
+
+        Raises:
+            EpisodeReadError: there is no such mask, or its chunk is damaged.
+        """
+        self.camera(camera)
+        return self._decode(_picture(decode_mask), self._payload(camera_topic(camera, "mask"), step))
+
+    def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
+        """Stream the images of a camera, one a step.
+
+        Args:
+            camera: its name.
+
+        Yields:
+            (H, W) uint8.
+
+        Raises:
+            EpisodeReadError: there are no such images, or the log is damaged.
+        """
+        self.camera(camera)
+        for _, payload in self.payloads(camera_topic(camera, "image")):
+            yield self._decode(_picture(decode_image), payload)
+
+    def masks(self, camera: str) -> Iterator[NDArray[np.bool_]]:
+        """Stream the masks of a camera, one a step.
+
+        Args:
+            camera: its name.
+
+        Yields:
+            (H, W) bool.
+
+        Raises:
+            EpisodeReadError: there are no such masks, or the log is damaged.
+        """
+        self.camera(camera)
+        for _, payload in self.payloads(camera_topic(camera, "mask")):
+            yield self._decode(_picture(decode_mask), payload)
+
+    def has(self, camera: str, stream: str) -> bool:
+        """Say whether a camera's stream holds pictures.
+
+        Args:
+            camera: its name.
+            stream: "image" or "mask".
+
+        Returns:
+            True if there is at least one.
+        """
+        return bool(self._chunks.get(self._topics.get(camera_topic(camera, stream), 0)))
+
+    def phantom_mesh(self) -> PhantomMesh | None:
+        """Read the phantom's wall, target and entry.
+
+        Returns:
+            The mesh, or None if the log was written without.
+
+        Raises:
+            EpisodeReadError: the log is damaged.
+        """
+        if not self._chunks.get(self._topics.get(PHANTOM_TOPIC, 0)):
+            return None
+        _, payload = next(self.payloads(PHANTOM_TOPIC))
+        return self._decode(decode_phantom, payload)
+
+    # -- the whole episode --------------------------------------------------------------------------------------------
+
+    def load_arrays(self, *, pictures: bool = True) -> dict[str, NDArray[Any]]:
+        """Stack the whole episode into arrays.
+
+        Args:
+            pictures: also stack images and masks.
+
+        Returns:
+            By field name, first axis = records: `step` and `time_s` (T,), `action` (T, a), ...; `wire_points`,
+            `contact_positions` and `contact_forces` are padded with NaN to the largest count, the counts being
+            `wire_count` and `contact_count` (T,); extra scalars as `extra/<key>` (NaN where absent); pictures as
+            `image/<camera>` (T, H, W) uint8 and `mask/<camera>` (T, H, W) bool.
+
+        Raises:
+            EpisodeReadError: the log is damaged, or holds no step.
+        """
+        records = list(self)
+        steps = np.array([record.step for record in records], dtype=np.int64)
+        arrays: dict[str, NDArray[Any]] = {"step": steps}
+        arrays["time_s"] = steps * self.info.interval_ns * 1e-9
+        for name in STEP_FIELDS:
+            if name == "step":
+                continue
+            values = [getattr(record, name) for record in records]
+            if name in _RAGGED:
+                counts = np.array([len(value) for value in values])
+                padded = np.full((len(values), counts.max(), 3), np.nan)
+                for row, value in zip(padded, values, strict=True):
+                    row[: len(value)] = value
+                arrays[name], arrays[f"{_RAGGED[name]}_count"] = padded, counts
+            else:
+                arrays[name] = np.array(values)
+        for key in dict.fromkeys(key for record in records for key in record.extra):
+            arrays[f"extra/{key}"] = np.array([record.extra.get(key, np.nan) for record in records])
+        for camera in self._cameras if pictures else ():
+            if self.has(camera, "image"):
+                arrays[f"image/{camera}"] = np.stack(list(self.images(camera)))
+            if self.has(camera, "mask"):
+                arrays[f"mask/{camera}"] = np.stack(list(self.masks(camera)))
+        return arrays
+
+    def close(self) -> None:
+        """Close the file; closing again does nothing."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> EpisodeReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _picture(decode: Callable[[bytes], _Decoded]) -> Callable[[bytes], _Decoded]:
+    """Take the PNG out of a `foxglove.CompressedImage` and decode it."""
+
+    def read(message: bytes) -> _Decoded:
+        for number, wire_type, start, end in fields(message):
+            if number == _IMAGE_DATA and wire_type == DELIMITED:
+                return decode(message[start:end])
+        raise ValueError("an image message holds no picture")
+
+    return read

@@ -1,0 +1,205 @@
+"""What an episode log holds, as dataclasses: a step, the episode's information and its outcome."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def _vector(name: str, value: Any, length: int | None) -> FloatArray:
+    array = np.array(value, dtype=np.float64, order="C")
+    if array.ndim != 1 or (length is not None and array.shape[0] != length):
+        expected = "(n,)" if length is None else f"({length},)"
+        raise ValueError(f"{name} must have shape {expected}, got {np.shape(value)}")
+    return array
+
+
+def _points(name: str, value: Any) -> FloatArray:
+    array = np.array(value, dtype=np.float64, order="C")
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name} must have shape (n, 3), got {np.shape(value)}; no points is np.zeros((0, 3))")
+    return array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, slots=True)
+class StepRecord:
+    """One step of an episode: the action, and the reward and the state that followed it.
+
+    Record 0 is the state after reset; its action is what the producer calls "none" (zeros) and its reward is 0.
+    Arrays are copied, as simulators like to give views of what the next step overwrites.
+    Non-finite numbers are kept, so that a diverged run can be looked at; `check` reports them.
+    """
+
+    step: int
+    action: FloatArray
+    """(a,), as given to the environment"""
+    reward: float
+    terminated: bool
+    truncated: bool
+    joint_positions: FloatArray
+    """(q,), m or rad"""
+    joint_velocities: FloatArray
+    """(v,), m/s or rad/s"""
+    wire_points: FloatArray
+    """(n, 3), m, world, tip first"""
+    tip: FloatArray
+    """(3,), m, world"""
+    contact_positions: FloatArray
+    """(k, 3), m, world"""
+    contact_forces: FloatArray
+    """(k, 3), N, world"""
+    resultant_force: FloatArray
+    """(3,), N, world: the largest resultant of the contact forces over the step"""
+    insertion: float
+    """m"""
+    rotation: float
+    """rad"""
+    extra: Mapping[str, float] = field(default_factory=dict)
+    """further scalars, unit in the name"""
+
+    def __post_init__(self) -> None:
+        if self.step < 0:
+            raise ValueError(f"step must be at least 0, got {self.step}")
+        put = object.__setattr__
+        put(self, "action", _vector("action", self.action, None))
+        put(self, "joint_positions", _vector("joint_positions", self.joint_positions, None))
+        put(self, "joint_velocities", _vector("joint_velocities", self.joint_velocities, None))
+        put(self, "wire_points", _points("wire_points", self.wire_points))
+        put(self, "tip", _vector("tip", self.tip, 3))
+        put(self, "contact_positions", _points("contact_positions", self.contact_positions))
+        put(self, "contact_forces", _points("contact_forces", self.contact_forces))
+        put(self, "resultant_force", _vector("resultant_force", self.resultant_force, 3))
+        if len(self.contact_positions) != len(self.contact_forces):
+            raise ValueError(
+                f"every contact needs a position and a force, got {len(self.contact_positions)} positions "
+                f"and {len(self.contact_forces)} forces"
+            )
+
+    @property
+    def resultant_force_norm(self) -> float:
+        """Norm of `resultant_force`, N."""
+        x, y, z = self.resultant_force.tolist()
+        return math.sqrt(x * x + y * y + z * z)
+
+
+def _plain(value: Any) -> Any:
+    """Turn numpy scalars and arrays, paths and sets into what JSON knows."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, set | frozenset):
+        return sorted(value)
+    return str(value)
+
+
+def _finite(value: Any) -> Any:
+    """Replace non-finite numbers by None: JSON has no NaN."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value
+
+
+def as_json(value: Any) -> str:
+    """Serialise plain values as strict JSON.
+
+    Args:
+        value: numbers, strings, sequences and mappings; numpy values become lists, non-finite numbers null.
+
+    Returns:
+        The JSON text, keys sorted.
+    """
+    plain = json.loads(json.dumps(value, default=_plain))
+    return json.dumps(_finite(plain), sort_keys=True, allow_nan=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeInfo:
+    """What is known of an episode before its first step."""
+
+    phantom: str
+    phantom_hash: str
+    target: str
+    entry: str
+    seed: int
+    operator: str
+    """who steered: a policy's name, "sampling_expert", "human", ..."""
+    control_dt: float
+    """s, from one step to the next"""
+    start_time_ns: int = field(default_factory=time.time_ns)
+    """nanoseconds since the epoch"""
+    configuration: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    """software -> version"""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.control_dt) and round(self.control_dt * 1e9) > 0):
+            raise ValueError(f"control_dt must be a positive time in seconds (at least 1e-9), got {self.control_dt}")
+        if not 0 <= self.start_time_ns < 2**62:
+            raise ValueError(f"start_time_ns must be nanoseconds since the epoch, got {self.start_time_ns}")
+        # What is kept is what a reader will give back: plain JSON values.
+        object.__setattr__(self, "configuration", json.loads(as_json(self.configuration)))
+        object.__setattr__(self, "versions", {str(key): str(value) for key, value in self.versions.items()})
+
+    @property
+    def interval_ns(self) -> int:
+        """Nanoseconds from one step to the next."""
+        return round(self.control_dt * 1e9)
+
+    def time_ns(self, step: int) -> int:
+        """Give the log time of a step.
+
+        Args:
+            step: step index.
+
+        Returns:
+            Nanoseconds since the epoch.
+        """
+        return self.start_time_ns + step * self.interval_ns
+
+    def to_json(self) -> dict[str, Any]:
+        """Give the fields as plain JSON values."""
+        return asdict(self)
+
+
+OUTCOME_STATES = ("finished", "interrupted")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeOutcome:
+    """How an episode ended."""
+
+    success: bool | None
+    """None: not known"""
+    steps: int
+    """actions taken: one less than the records, as record 0 is the state after reset"""
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    """numbers, strings or None; a non-finite number becomes None"""
+    status: str = "finished"
+    """"finished", or "interrupted" for a log whose writer was stopped"""
+    missing_steps: tuple[int, ...] = ()
+    """steps that a recovery found missing between the first and the last one"""
+
+    def __post_init__(self) -> None:
+        if self.status not in OUTCOME_STATES:
+            raise ValueError(f"status must be one of {', '.join(OUTCOME_STATES)}, got {self.status!r}")
+        if self.steps < 0:
+            raise ValueError(f"steps must be at least 0, got {self.steps}")
+        object.__setattr__(self, "success", None if self.success is None else bool(self.success))
+        object.__setattr__(self, "metrics", json.loads(as_json(self.metrics)))
+        object.__setattr__(self, "missing_steps", tuple(int(step) for step in self.missing_steps))
+
+    def to_json(self) -> dict[str, Any]:
+        """Give the fields as plain JSON values."""
+        return asdict(self)

@@ -1,0 +1,251 @@
+"""Recovery of a damaged or unfinished log: all intact chunks, streamed into a valid log under a new name."""
+
+from __future__ import annotations
+
+import logging
+import mmap
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from pipeline.episodes.camera import Camera
+from pipeline.episodes.container import McapFile
+from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError
+from pipeline.episodes.metadata import VersionError, open_episode, open_outcome, seal_episode, seal_outcome
+from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome
+from pipeline.episodes.scan import find_record, messages, open_chunk, parse_record, read_summary, walk
+from pipeline.episodes.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
+from pipeline.episodes.writer import schema_data
+
+logger = logging.getLogger(__name__)
+
+_MAGIC_BYTES = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecoveryReport:
+    """What a recovery saved and what it could not."""
+
+    source: Path
+    destination: Path
+    steps_kept: int
+    missing_steps: tuple[int, ...]
+    """steps known to be lost; a killed writer's last few steps leave no trace and are not counted"""
+    bytes_dropped: int
+    """bytes of the source from the last verified record before damage to the next one behind it"""
+    outcome_kept: bool
+    """whether the outcome was intact; otherwise the log says "interrupted" """
+
+
+@dataclass
+class _Findings:
+    """What is intact in a source."""
+
+    episode: tuple[EpisodeInfo, dict[str, Camera]] | None = None
+    outcome: EpisodeOutcome | None = None
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[tuple[int, int]] = field(default_factory=list)
+    """where each intact chunk's content begins and ends"""
+    bytes_dropped: int = 0
+    refusal: VersionError | None = None
+
+
+@contextmanager
+def mapped(path: Path) -> Iterator[tuple[int, Any]]:
+    """Map a file into memory, which reads what is used and nothing else.
+
+    Args:
+        path: the file.
+
+    Yields:
+        File descriptor and memory map.
+
+    Raises:
+        EpisodeReadError: it cannot be opened, or is empty.
+    """
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError as error:
+        raise EpisodeReadError(f"cannot open {path}: {error.strerror}; check the path") from error
+    try:
+        if os.fstat(fd).st_size == 0:
+            raise EpisodeReadError(f"{path} is empty: there is nothing to recover")
+        with mmap.mmap(fd, 0, access=mmap.ACCESS_READ) as data:
+            yield fd, data
+    finally:
+        os.close(fd)
+
+
+def _examine(data: Any) -> _Findings:
+    """Find what is intact, going on behind damaged records.
+
+    Most records have no checksum of their own, and a wrong length may swallow what follows: after damage the search
+    goes back to the end of the last record whose checksum was right.
+    """
+    findings, position, verified = _Findings(), _MAGIC_BYTES, _MAGIC_BYTES
+    while position < len(data):
+        try:
+            for opcode, start, end in walk(data, position):
+                position = start - 9
+                if opcode == Opcode.CHUNK:
+                    open_chunk(data[start:end], position)
+                    findings.chunks.append((start, end))
+                    verified = end
+                elif opcode == Opcode.METADATA:
+                    if _keep_metadata(findings, parse_record(Metadata, data[start:end])):
+                        verified = end
+                elif opcode == Opcode.SCHEMA:
+                    schema = parse_record(Schema, data[start:end])
+                    findings.schemas.setdefault(schema.id, schema)
+                elif opcode == Opcode.CHANNEL:
+                    channel = parse_record(Channel, data[start:end])
+                    findings.channels.setdefault(channel.id, channel)
+                elif opcode == Opcode.FOOTER and end == len(data) - _MAGIC_BYTES:
+                    return findings
+                elif opcode == Opcode.FOOTER or not Opcode.HEADER <= opcode <= Opcode.DATA_END:
+                    raise ContainerError(f"the record at byte {position} is of no known kind")
+                position = end
+        except ContainerError as error:
+            if isinstance(error, VersionError):
+                findings.refusal = error
+            following = find_record(data, verified)
+            resumed = len(data) if following is None else following
+            logger.info("%s; %d bytes skipped", error, resumed - verified)
+            findings.bytes_dropped += resumed - verified
+            # Whatever stands there is either right, which moves on, or is not looked at again.
+            position, verified = resumed, resumed + 1
+    return findings
+
+
+def _keep_metadata(findings: _Findings, record: Metadata) -> bool:
+    """Keep an episode's information or outcome; say whether it was one."""
+    if record.name == EPISODE_METADATA:
+        findings.episode = open_episode(record.metadata)
+    elif record.name == OUTCOME_METADATA:
+        findings.outcome = open_outcome(record.metadata)
+    else:
+        return False
+    return True
+
+
+def _declare(out: McapFile, findings: _Findings, cameras: dict[str, Camera]) -> dict[int, int]:
+    """Register the topics; return the new channel id of each old one."""
+    known = topic_messages(tuple(cameras))
+    new_ids = {
+        topic: out.register(topic, message.DESCRIPTOR.full_name, schema_data(message))
+        for topic, message in known.items()
+    }
+    # A writer numbers its channels in the order of the table, so the table stands in where a record is damaged.
+    renumbered = {number: new_ids[topic] for number, topic in enumerate(known, start=1)}
+    for channel in findings.channels.values():
+        schema = findings.schemas.get(channel.schema_id)
+        if channel.topic not in new_ids and channel.id not in renumbered and schema is not None:
+            new_ids[channel.topic] = out.register(channel.topic, schema.name, schema.data, schema.encoding)
+        if channel.topic in new_ids:
+            renumbered[channel.id] = new_ids[channel.topic]
+    return renumbered
+
+
+def recover(
+    source: str | os.PathLike[str], destination: str | os.PathLike[str], *, overwrite: bool = False
+) -> RecoveryReport:
+    """Save what is intact of a log.
+
+    Args:
+        source: a partial, truncated or damaged log; it is left as it is.
+        destination: where the valid log goes, in one instant when it is complete.
+        overwrite: replace an existing destination instead of refusing.
+
+    Returns:
+        What was saved.
+
+    Raises:
+        EpisodeReadError: the source is no episode log, is too new, or holds no intact step.
+        EpisodeWriteError: the destination exists or cannot be written.
+    """
+    source, destination = Path(source), Path(destination)
+    if destination.exists() and (not overwrite or destination.samefile(source)):
+        raise EpisodeWriteError(f"{destination} exists already: name another file to recover {source} into")
+    with mapped(source) as (fd, data):
+        findings = _examine(data)
+        try:
+            summary = read_summary(fd)
+            findings.schemas, findings.channels = summary.schemas, summary.channels
+        except ContainerError:
+            pass  # no index: the records in the data section must do
+        if findings.episode is None:
+            reason = findings.refusal or f"it holds no intact {EPISODE_METADATA} record"
+            raise EpisodeReadError(f"{source} cannot be recovered: {reason}")
+        info, cameras = findings.episode
+        temporary = destination.with_name(destination.name + ".recovering")
+        try:
+            destination.parent.mkdir(parents=True, exist_ok=True)
+            temporary.unlink(missing_ok=True)
+            out = McapFile(temporary, PROFILE)
+        except OSError as error:
+            raise EpisodeWriteError(f"cannot write {temporary}: {error.strerror}; choose another folder") from error
+        try:
+            steps = _copy(data, findings, out, info, cameras)
+            if not steps:
+                raise EpisodeReadError(f"{source} cannot be recovered: it holds no intact step")
+            outcome = _outcome(findings.outcome, steps)
+            out.add_metadata(OUTCOME_METADATA, seal_outcome(outcome))
+            out.close_with_index()
+            os.replace(temporary, destination)
+        except OSError as error:
+            raise EpisodeWriteError(
+                f"cannot write {destination}: {error.strerror}; {source} is unharmed: free space and try again"
+            ) from error
+        finally:
+            out.close()
+            temporary.unlink(missing_ok=True)
+    return RecoveryReport(
+        source=source,
+        destination=destination,
+        steps_kept=len(steps),
+        missing_steps=outcome.missing_steps,
+        bytes_dropped=findings.bytes_dropped,
+        outcome_kept=findings.outcome is not None,
+    )
+
+
+def _copy(data: Any, findings: _Findings, out: McapFile, info: EpisodeInfo, cameras: dict[str, Camera]) -> list[int]:
+    """Copy the intact messages chunk by chunk; return the steps among them."""
+    renumbered = _declare(out, findings, cameras)
+    step_channel = renumbered[1] if not findings.channels else None
+    for channel in findings.channels.values():
+        if channel.topic == STEP_TOPIC:
+            step_channel = channel.id
+    sealed = seal_episode(info, cameras)
+    for _ in range(2):
+        out.add_metadata(EPISODE_METADATA, sealed)
+    steps: list[int] = []
+    for start, end in findings.chunks:
+        chunk = open_chunk(data[start:end], start - 9)
+        for span in messages(chunk):
+            channel_id = renumbered.get(span.channel_id)
+            if channel_id is None:
+                continue
+            step = (span.log_time_ns - info.start_time_ns) // info.interval_ns
+            if span.channel_id == step_channel:
+                steps.append(step)
+            out.add(channel_id, span.log_time_ns, step, chunk[span.start : span.end])
+        out.flush()
+    return steps
+
+
+def _outcome(outcome: EpisodeOutcome | None, steps: list[int]) -> EpisodeOutcome:
+    """Give the outcome of the recovered log, with the steps that are known to be missing."""
+    kept = set(steps)
+    if outcome is None:
+        missing = tuple(step for step in range(max(kept)) if step not in kept)
+        return EpisodeOutcome(success=None, steps=max(kept), status="interrupted", missing_steps=missing)
+    missing = tuple(step for step in range(outcome.steps + 1) if step not in kept)
+    return replace(outcome, missing_steps=missing)

@@ -1,0 +1,371 @@
+"""The writer of episode logs: a context manager whose finished file is whole and whose killed file can be recovered."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from mcap_protobuf.schema import build_file_descriptor_set
+from numpy.typing import NDArray
+
+from pipeline.episodes.camera import Camera, camera_frame
+from pipeline.episodes.container import MAX_CHUNK_BYTES, McapFile
+from pipeline.episodes.errors import EpisodeWriteError, recover_command
+from pipeline.episodes.metadata import seal_episode, seal_outcome
+from pipeline.episodes.png import encode_image, encode_mask
+from pipeline.episodes.protobuf_wire import delimited, timestamp
+from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
+from pipeline.episodes.scene import PhantomMesh, encode_wire_line, encode_wire_points
+from pipeline.episodes.schema import (
+    EPISODE_METADATA,
+    OUTCOME_METADATA,
+    PHANTOM_TOPIC,
+    PROFILE,
+    STEP_TOPIC,
+    TRANSFORM_TOPIC,
+    WIRE_POINTS_TOPIC,
+    WIRE_TOPIC,
+    camera_topic,
+    topic_messages,
+)
+from pipeline.episodes.step_codec import encode_step
+
+logger = logging.getLogger(__name__)
+
+MAX_FLUSH_EVERY = 10
+"""A killed writer may lose at most so many steps."""
+
+_DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_IMAGE_TYPES = (np.dtype(np.uint8),)
+_MASK_TYPES = (np.dtype(np.bool_), np.dtype(np.uint8))
+_Picture = tuple[str, str, Callable[[Any], bytes], NDArray[Any]]  # topic, camera, encoder, pixels
+_IMAGE_FIELDS = CompressedImage.DESCRIPTOR.fields_by_name
+
+
+@cache
+def schema_data(message: Any) -> bytes:
+    """Serialise the schema that MCAP wants of a protobuf message.
+
+    Args:
+        message: the protobuf class.
+
+    Returns:
+        A serialised FileDescriptorSet with all dependencies.
+    """
+    return bytes(build_file_descriptor_set(message).SerializeToString())
+
+
+def partial_path(path: Path) -> Path:
+    """Say where a log lies until it is finished.
+
+    Args:
+        path: the finished log.
+
+    Returns:
+        The same with ".partial" appended.
+    """
+    return path.with_name(path.name + ".partial")
+
+
+class EpisodeWriter:
+    """Writes one episode.
+
+    The log grows in `<path>.partial` and moves to `path` in one instant when it is finished. Every `flush_every` steps
+    the chunk goes to the operating system, so that a kill at any moment loses fewer steps than that; `recover` makes a
+    valid log of the rest.
+
+        with EpisodeWriter("episode.mcap", info, cameras={"frontal": camera}) as log:
+            log.step(record, images={"frontal": image}, masks={"frontal": mask})
+            log.finish(EpisodeOutcome(success=True, steps=0))
+
+    Leaving the block without `finish` finishes the log with an unknown success; leaving it by an exception keeps the
+    partial file as it is.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        info: EpisodeInfo,
+        *,
+        cameras: Mapping[str, Camera] | None = None,
+        phantom_mesh: PhantomMesh | None = None,
+        flush_every: int = 8,
+        overwrite: bool = False,
+    ) -> None:
+        """Start a log.
+
+        Args:
+            path: the finished log; folders are made.
+            info: what is known of the episode.
+            cameras: cameras by name; each may give an image and a mask at every step.
+            phantom_mesh: the phantom's wall, target and entry for viewers.
+            flush_every: steps from flush to flush, 1 to 10.
+            overwrite: replace an existing log or partial log instead of refusing.
+
+        Raises:
+            ValueError: `flush_every` is out of range.
+            EpisodeWriteError: there is such a log already, or the file cannot be written.
+        """
+        if not 1 <= flush_every <= MAX_FLUSH_EVERY:
+            raise ValueError(f"flush_every must be 1 to {MAX_FLUSH_EVERY} steps, got {flush_every}")
+        self.path = Path(path)
+        self.partial = partial_path(self.path)
+        self.info = info
+        self.cameras = dict(cameras or {})
+        self._flush_every = flush_every
+        self._recorded = self._safe = 0
+        self._state: Literal["open", "finished", "abandoned"] = "open"
+        self._outcome_written = False
+        self._pending: deque[tuple[StepRecord, list[_Picture]]] = deque()
+        self._streams: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+        self._shapes: tuple[tuple[int, ...], ...] = ()
+        if self.path.exists() and not overwrite:
+            raise EpisodeWriteError(f"{self.path} exists already: choose another name, or pass overwrite=True")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise EpisodeWriteError(
+                f"cannot make {self.path.parent}: {error.strerror}; choose another folder"
+            ) from error
+        try:
+            if overwrite:
+                self.partial.unlink(missing_ok=True)
+            self._file = McapFile(self.partial, PROFILE)
+        except FileExistsError:
+            raise EpisodeWriteError(
+                f"{self.partial} exists already, from a writer that is at work or was killed: run "
+                f"'{recover_command(self.partial)}' and delete it, or pass overwrite=True"
+            ) from None
+        except OSError as error:
+            raise EpisodeWriteError(f"cannot write {self.partial}: {error.strerror}; choose another folder") from error
+        topics = topic_messages(tuple(self.cameras)).items()
+        self._channels = {
+            topic: self._file.register(topic, message.DESCRIPTOR.full_name, schema_data(message))
+            for topic, message in topics
+        }
+        self._image_tails = {
+            name: delimited(_IMAGE_FIELDS["format"].number, b"png")
+            + delimited(_IMAGE_FIELDS["frame_id"].number, camera_frame(name).encode())
+            for name in self.cameras
+        }
+        try:
+            self._begin(phantom_mesh)
+        except OSError as error:
+            self._file.close()
+            self.partial.unlink(missing_ok=True)  # it holds no step, and would only be in the way of the next try
+            raise self._write_error(error) from error
+
+    def _begin(self, phantom_mesh: PhantomMesh | None) -> None:
+        """Write what stands once at the beginning."""
+        sealed = seal_episode(self.info, self.cameras)
+        for _ in range(2):  # twice: see the schema
+            self._file.add_metadata(EPISODE_METADATA, sealed)
+        time_ns = self.info.start_time_ns
+        if self.cameras:
+            transforms = [camera.transform(name, time_ns) for name, camera in self.cameras.items()]
+            message = FrameTransforms(transforms=transforms).SerializeToString()
+            self._file.add(self._channels[TRANSFORM_TOPIC], time_ns, 0, message)
+        for name, camera in self.cameras.items():
+            topic = camera_topic(name, "calibration")
+            self._file.add(self._channels[topic], time_ns, 0, camera.calibration(name, time_ns))
+        if phantom_mesh is not None:
+            self._file.add(self._channels[PHANTOM_TOPIC], time_ns, 0, phantom_mesh.scene(time_ns))
+        self._file.flush()
+
+    @property
+    def steps_recorded(self) -> int:
+        """Records given so far."""
+        return self._recorded
+
+    @property
+    def steps_safe(self) -> int:
+        """Records that a kill of the process cannot take any more."""
+        return self._safe
+
+    def step(
+        self,
+        record: StepRecord,
+        *,
+        images: Mapping[str, NDArray[np.uint8]] | None = None,
+        masks: Mapping[str, NDArray[np.bool_] | NDArray[np.uint8]] | None = None,
+    ) -> None:
+        """Record a step.
+
+        Args:
+            record: the step; steps are consecutive, and record 0 is the state after reset.
+            images: (H, W) uint8 by camera; the same cameras at every step.
+            masks: (H, W) bool, or uint8 with wire = not 0, by camera; the same cameras at every step.
+
+        Raises:
+            ValueError: the step does not continue the episode; nothing of it is recorded.
+            EpisodeWriteError: the disk is full or failed; the steps flushed before are safe in the partial file.
+        """
+        if self._state != "open":
+            raise EpisodeWriteError(f"{self.path} is {self._state}: start a new writer for a new episode")
+        images, masks = images or {}, masks or {}
+        self._check(record, images, masks)
+        pictures: list[_Picture] = []
+        pictures += [(f"/camera/{name}/image", name, encode_image, image.copy()) for name, image in images.items()]
+        pictures += [(f"/camera/{name}/mask", name, encode_mask, mask.copy()) for name, mask in masks.items()]
+        self._pending.append((record, pictures))
+        self._recorded += 1
+        if self._recorded - self._safe >= self._flush_every:
+            try:
+                self._flush()
+            except OSError as error:
+                raise self._write_error(error) from error
+
+    def _flush(self) -> None:
+        """Encode what is pending and hand it to the operating system.
+
+        Several steps are encoded in a row because that is faster than one between two steps of a simulator, which leave
+        the processor's caches cold.
+        """
+        while self._pending:
+            batch = self._encode(*self._pending[0])
+            size = sum(len(payload) for _, payload in batch) + 64 * len(batch)
+            if self._file.pending_bytes and self._file.pending_bytes + size > MAX_CHUNK_BYTES:
+                self._file.flush()
+                self._safe = self._recorded - len(self._pending)
+            record, _ = self._pending.popleft()
+            time_ns = self.info.time_ns(record.step)
+            for channel_id, payload in batch:
+                self._file.add(channel_id, time_ns, record.step, payload)
+        self._file.flush()
+        self._safe = self._recorded
+
+    def _encode(self, record: StepRecord, pictures: list[_Picture]) -> list[tuple[int, bytes]]:
+        """Serialise a step as messages with their channels."""
+        time_ns, channels = self.info.time_ns(record.step), self._channels
+        batch = [
+            (channels[STEP_TOPIC], encode_step(record)),
+            (channels[WIRE_TOPIC], encode_wire_line(record.wire_points, time_ns)),
+            (channels[WIRE_POINTS_TOPIC], encode_wire_points(record.wire_points, time_ns)),
+        ]
+        head = timestamp(_IMAGE_FIELDS["timestamp"].number, time_ns)
+        for topic, camera, encode, picture in pictures:
+            payload = head + delimited(_IMAGE_FIELDS["data"].number, encode(picture)) + self._image_tails[camera]
+            batch.append((channels[topic], payload))
+        return batch
+
+    def _check(self, record: StepRecord, images: Mapping[str, Any], masks: Mapping[str, Any]) -> None:
+        """Refuse a step that would make a log nobody can stack into arrays."""
+        if record.step != self._recorded:
+            raise ValueError(f"expected step {self._recorded}, got {record.step}: steps are consecutive, from 0")
+        for stream, arrays, types in (("image", images, _IMAGE_TYPES), ("mask", masks, _MASK_TYPES)):
+            for name, array in arrays.items():
+                camera = self.cameras.get(name)
+                if camera is None:
+                    known = ", ".join(self.cameras) or "none"
+                    raise ValueError(f"camera {name!r} was not declared; the cameras of this log are: {known}")
+                if array.shape != (camera.height, camera.width) or array.dtype not in types:
+                    raise ValueError(
+                        f"the {stream} of camera {name!r} must be {types[0]} of shape "
+                        f"({camera.height}, {camera.width}), got {array.dtype} of shape {array.shape}"
+                    )
+        streams = (tuple(images), tuple(masks))
+        shapes = (record.action.shape, record.joint_positions.shape, record.joint_velocities.shape)
+        if self._recorded == 0:
+            self._streams, self._shapes = streams, shapes
+        if streams != self._streams:
+            raise ValueError(
+                f"every step needs the images and masks of step 0, {self._streams}, in this order, got {streams}"
+            )
+        if shapes != self._shapes:
+            raise ValueError(
+                f"step {record.step} must have action, joint_positions and joint_velocities of the shapes of step 0, "
+                f"{self._shapes}, got {shapes}"
+            )
+
+    def _write_error(self, error: OSError) -> EpisodeWriteError:
+        cause = "disk full" if error.errno in _DISK_FULL else f"{error.strerror or error}"
+        if not self._recorded:
+            return EpisodeWriteError(
+                f"{cause} while writing {self.path} before its first step: free space, start again"
+            )
+        return EpisodeWriteError(
+            f"{cause} while writing {self.path}: {self._safe} of {self._recorded} steps are safe in {self.partial}; "
+            f"free space and run '{recover_command(self.partial)}'"
+        )
+
+    def finish(self, outcome: EpisodeOutcome | None = None) -> Path:
+        """Write the outcome and the index, and move the log to its name; finishing again does nothing.
+
+        Args:
+            outcome: how the episode ended; None for an unknown success.
+
+        Returns:
+            The finished log.
+
+        Raises:
+            ValueError: the outcome counts other steps than were recorded; the log stays open.
+            EpisodeWriteError: the disk is full or failed, which may be tried again; or the writer was abandoned.
+        """
+        if self._state == "finished":
+            return self.path
+        if self._state == "abandoned":
+            raise EpisodeWriteError(f"{self.path} was abandoned: run '{recover_command(self.partial)}'")
+        taken = max(self._recorded - 1, 0)
+        outcome = outcome or EpisodeOutcome(success=None, steps=taken)
+        if outcome.steps != taken:
+            raise ValueError(
+                f"the outcome must count {taken} steps, as {self._recorded} records from the reset on were written, "
+                f"got {outcome.steps}"
+            )
+        try:
+            self._flush()
+            if not self._outcome_written:
+                self._file.add_metadata(OUTCOME_METADATA, seal_outcome(outcome))
+                self._outcome_written = True
+            if not self._file.closed:
+                self._file.close_with_index()
+            os.replace(self.partial, self.path)
+        except OSError as error:
+            raise self._write_error(error) from error
+        self._state = "finished"
+        return self.path
+
+    def abandon(self) -> None:
+        """Close without finishing: what was recorded stays in the partial file for `recover`."""
+        if self._state != "open":
+            return
+        self._state = "abandoned"
+        try:
+            if not self._file.closed:
+                self._flush()
+        except OSError as error:
+            logger.warning("%s", self._write_error(error))
+        self._file.close()
+        if not self._recorded:
+            self.partial.unlink(missing_ok=True)  # it holds no step, and would only be in the way of the next try
+            return
+        logger.warning(
+            "%s was not finished; %d steps are in %s: run '%s'",
+            self.path,
+            self._safe,
+            self.partial,
+            recover_command(self.partial),
+        )
+
+    def __enter__(self) -> EpisodeWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self.finish()
+        finally:
+            if self._state == "open":
+                self.abandon()

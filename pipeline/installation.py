@@ -1,0 +1,133 @@
+"""What an installation needs: checked before pip runs (Python, compiler, GL library) and after (no CUDA got in).
+
+Runs with the standard library alone, before anything is installed: ``python pipeline/installation.py before|after``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import ctypes.util
+import importlib.metadata
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+
+OLDEST_PYTHON = (3, 11)
+# Renderers of MuJoCo without a screen, in the order of preference: MUJOCO_GL's value and the shared library behind it.
+GL_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
+DEBIAN_GL_PACKAGES = ("libegl1", "libgl1-mesa-dri", "libosmesa6")
+# torchvision breaks transformers and torchmetrics when its version does not fit torch exactly.
+UNWANTED_ALWAYS = ("torchvision",)
+UNWANTED_WITHOUT_GPU = ("nvidia-", "triton")
+
+
+def missing_for_build() -> list[str]:
+    """Lists what keeps the packages from being built.
+
+    Returns:
+        One sentence a missing thing, saying how to get it; empty when all is there.
+    """
+    missing = []
+    if sys.version_info < OLDEST_PYTHON:
+        wanted, have = ".".join(map(str, OLDEST_PYTHON)), ".".join(map(str, sys.version_info[:3]))
+        missing.append(
+            f"Python {wanted} or newer is needed, this is {have}: install one and run `make PYTHON=/path/to/python`"
+        )
+    if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
+        version = f"{sys.version_info[0]}.{sys.version_info[1]}"
+        missing.append(f"Python's venv module is missing: on Debian `apt-get install python{version}-venv`")
+    if not (os.environ.get("CC") or any(shutil.which(name) for name in ("cc", "gcc", "clang"))):
+        missing.append("no C compiler found: on Debian `apt-get install build-essential`, or set CC")
+    return missing
+
+
+def gl_backend() -> str | None:
+    """Finds a library that MuJoCo can render with when there is no screen.
+
+    Returns:
+        The value for ``MUJOCO_GL``, or None when there is no such library.
+    """
+    for backend, library in GL_LIBRARIES.items():
+        name = ctypes.util.find_library(library)
+        if name is None:
+            continue
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            continue
+        return backend
+    return None
+
+
+def install_gl() -> None:
+    """Tries to install a GL library, which works as root on Debian and its relatives; elsewhere it does nothing."""
+    if os.geteuid() != 0 or shutil.which("apt-get") is None:
+        return
+    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+    for command in (
+        ["apt-get", "update", "-q"],
+        ["apt-get", "install", "-qy", "--no-install-recommends", *DEBIAN_GL_PACKAGES],
+    ):
+        subprocess.run(command, check=False, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def unwanted_distributions(names: list[str], *, gpu: bool) -> list[str]:
+    """Picks out distributions that must not be installed.
+
+    Args:
+        names: what is installed.
+        gpu: whether CUDA is wanted.
+
+    Returns:
+        The offending names, sorted.
+    """
+    prefixes = UNWANTED_ALWAYS if gpu else UNWANTED_ALWAYS + UNWANTED_WITHOUT_GPU
+    return sorted({name.lower() for name in names if name.lower().startswith(prefixes)})
+
+
+def main(arguments: list[str]) -> int:
+    """Runs the command line.
+
+    Args:
+        arguments: ``before`` or ``after``; ``--gpu`` accepts CUDA.
+
+    Returns:
+        0 when all is well, 1 otherwise.
+    """
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "when", choices=["before", "after", "gl"], help="the installation; gl prints the renderer to use"
+    )
+    parser.add_argument("--gpu", action="store_true", help="accept CUDA distributions")
+    options = parser.parse_args(arguments)
+    if options.when == "gl":
+        print(gl_backend() or "disabled")
+        return 0
+    if options.when == "before":
+        problems = missing_for_build()
+        if gl_backend() is None:
+            install_gl()
+        if gl_backend() is None:
+            # Only rendering for people needs it: fluoroscopy, learning and tests of physics run without.
+            print("note: no GL library for rendering (libEGL or libOSMesa): on Debian "
+                  f"`apt-get install {' '.join(DEBIAN_GL_PACKAGES)}`; the 3-D films are left out until then",
+                  file=sys.stderr)  # fmt: skip
+    else:
+        names = [str(distribution.metadata["Name"]) for distribution in importlib.metadata.distributions()]
+        unwanted = unwanted_distributions(names, gpu=options.gpu)
+        problems = []
+        if unwanted:
+            problems.append(
+                f"{', '.join(unwanted)} got installed: let pip find the CPU build of torch (PIP_EXTRA_INDEX_URL) "
+                "and run `make clean-all setup`, or accept CUDA with `make setup GPU=1`; torchvision is never wanted"
+            )
+    for problem in problems:
+        print(problem, file=sys.stderr)
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,153 @@
+"""Launching: from a command line through Hydra to one stage or a sweep, and every foreseeable failure as one sentence.
+
+The task function lives here and not in ``__main__`` because sweep launchers pickle it by its import path.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import signal
+import sys
+from types import FrameType
+
+from hydra import main as hydra_main
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from pipeline.atomic import is_no_room
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_config
+from pipeline.errors import PipelineError
+from pipeline.execution import execute, variant_of
+from pipeline.explain import one_line
+from pipeline.stages import available_stages
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
+
+_LOGGER = logging.getLogger(__name__)
+
+_USAGE = """\
+python -m pipeline stage=STAGE [budget=BUDGET] [name=RUN] [seed=N] [force=true] [stage.KEY=VALUE ...]
+
+Runs one stage; its results go to runs/RUN/STAGE/. A stage whose results are up to date ends at once.
+
+stages
+{stages}
+budgets: {budgets} (default desk)
+experiments: {experiments} (experiment=NAME sets several values at once)
+
+options
+  name=RUN          run folder below runs_dir; default: the budget's name
+  seed=N            seed of every random draw; default 0
+  force=true        run although the results are up to date
+  stage.KEY=VALUE   a setting of the stage, e.g. 'stage.phantoms=[type_1,bovine]'; --cfg job shows all of them
+  -m, --multirun    sweep: 'seed=0,1,2' runs three jobs, each in runs/RUN/STAGE@seed=N/;
+                    hydra/launcher=joblib or hydra/launcher=submitit_local runs them beside each other
+  --cfg job         print the configuration and stop
+  --hydra-help      Hydra's own options
+"""
+
+
+class _Stop(BaseException):
+    """Carries an error past Hydra, which would print the overrides first; Hydra lets only non-Exceptions through."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+def task(composed: DictConfig) -> None:
+    """Runs the stage of one composed configuration; Hydra and its launchers call it.
+
+    Args:
+        composed: the configuration.
+
+    Raises:
+        PipelineError: in a sweep, so that the launcher counts the job as failed and goes on with the others.
+    """
+    hydra = HydraConfig.get()
+    in_sweep = hydra.mode == RunMode.MULTIRUN
+    variant = variant_of(list(hydra.overrides.task)) if in_sweep else ""
+    try:
+        execute(run_config(composed), variant=variant)
+    except (PipelineError, OSError) as error:
+        if isinstance(error, OSError) and not is_no_room(error):
+            raise
+        if not in_sweep:
+            raise _Stop(error) from error
+        _LOGGER.error("%s failed: %s", variant or composed.stage.name, one_line(error, list(hydra.overrides.task)))
+        raise
+
+
+def main(arguments: list[str]) -> int:
+    """Runs the command line.
+
+    Args:
+        arguments: what follows ``python -m pipeline``.
+
+    Returns:
+        The exit code: 0 done or up to date, 1 failed, 2 wrong settings, 130 after Ctrl-C, 143 after SIGTERM.
+    """
+    if not arguments or "--help" in arguments or "-h" in arguments:
+        print(usage())  # noqa: T201 - the answer to --help
+        return 0 if arguments else EXIT_USAGE
+    # Learning libraries start as many threads as there are cores; more than one made them slower beside other work.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and the sentence below is the only one
+    logging.raiseExceptions = False  # a full disk must not add the log file's traceback to the one sentence
+    signal.signal(signal.SIGTERM, _terminate)
+    sys.argv = [sys.argv[0], *arguments]
+    register_schemas()
+    try:
+        hydra_main(version_base="1.3", config_path=str(CONFIG_DIRECTORY), config_name="config")(task)()
+    except KeyboardInterrupt:
+        return _say("interrupted: finished items are kept; the same command goes on from there", EXIT_INTERRUPTED)
+    except _Stop as stop:
+        return _say(
+            one_line(stop.error, arguments), EXIT_USAGE if isinstance(stop.error, PipelineError) else EXIT_FAILED
+        )
+    except (PipelineError, HydraException, OmegaConfBaseException) as error:
+        return _say(one_line(error, arguments), EXIT_USAGE)
+    except OSError as error:
+        if not is_no_room(error):
+            raise
+        return _say(one_line(error, arguments), EXIT_FAILED)
+    return 0
+
+
+def usage() -> str:
+    """Words the help, with the stages, budgets and experiments that exist.
+
+    Returns:
+        The text of ``--help``.
+    """
+    summaries = {}
+    for name in available_stages():
+        summaries[name] = _summary(name)
+    stages = "\n".join(f"  {name:<10} {summary}" for name, summary in summaries.items())
+    experiments = sorted(p.stem for p in (CONFIG_DIRECTORY / "experiment").glob("*.yaml"))
+    return _USAGE.format(stages=stages, budgets=", ".join(BUDGETS), experiments=", ".join(experiments) or "none")
+
+
+def _summary(stage: str) -> str:
+    """The comment that opens the stage's configuration: reading it imports nothing."""
+    text = (CONFIG_DIRECTORY / "stage" / f"{stage}.yaml").read_text(encoding="utf-8")
+    found = re.match(r"#\s*(.+)", text)
+    return found[1] if found else ""
+
+
+def _say(sentence: str, code: int) -> int:
+    print(sentence, file=sys.stderr)  # noqa: T201 - the last word of a command line
+    return code
+
+
+def _terminate(signum: int, frame: FrameType | None) -> None:
+    # SystemExit unwinds the stack, so that temporary files go; the kernel frees the lock.
+    raise SystemExit(EXIT_TERMINATED)

@@ -1,0 +1,298 @@
+"""Tables of the report: the thesis's cells beside the measured ones, as rows to draw, CSV, LaTeX and metrics."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import io
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pipeline.report.results import SAMPLES, Cell, Table, pool
+
+_THESIS = Path(__file__).with_name("thesis.yaml")
+KINDS = ("results", "settings", "literature", "own")
+NOT_RUN = "not run"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table."""
+
+    key: str
+    label: str
+    unit: str = ""
+    better: str = ""  # "higher", "lower", or "" where neither is better
+    decimals: int | None = None  # as the thesis prints it; None: as many as the value needs
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table: the thesis's cells, and the measured ones once a stage has run."""
+
+    key: str
+    label: str
+    group: str  # "" in a table without groups
+    thesis: dict[str, Cell]
+    measured: dict[str, Cell]
+    samples: int | None = None  # behind the measured pairs
+    in_thesis: bool = True
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """One table of the report."""
+
+    key: str
+    title: str
+    chapter: str
+    label: str
+    kind: str
+    stage: str  # which stage measures it; "" for literature
+    note: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+
+    def has_words(self, column: Column) -> bool:
+        """Whether a column holds text, which reads better from the left.
+
+        Args:
+            column: one of the table's.
+
+        Returns:
+            True when any of its cells, thesis or measured, is text.
+        """
+        return any(isinstance(side.get(column.key), str) for row in self.rows for side in (row.thesis, row.measured))
+
+    @property
+    def cells(self) -> int:
+        """How many cells of the thesis could be measured; of an own table, how many are shown."""
+        if self.kind == "literature":
+            return 0
+        return sum(
+            1 for row in self.rows for c in self.columns if row.thesis.get(c.key) is not None or not row.in_thesis
+        )
+
+    @property
+    def measured_cells(self) -> int:
+        """How many cells have been measured."""
+        return sum(1 for row in self.rows for c in self.columns if row.measured.get(c.key) is not None)
+
+    @property
+    def has_run(self) -> bool:
+        """Whether anything of it has been measured."""
+        return self.measured_cells > 0
+
+
+@dataclass(frozen=True)
+class _Spec:
+    """A table as ``thesis.yaml`` holds it."""
+
+    title: str
+    chapter: str
+    label: str
+    columns: dict[str, dict[str, Any]]
+    rows: dict[str, list[Cell]]
+    kind: str = "results"
+    stage: str = ""
+    note: str = ""
+    labels: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Checks that every row fills every column."""
+        if self.kind not in KINDS:
+            raise ValueError(f"table {self.title!r}: kind {self.kind!r} is none of {', '.join(KINDS)}")
+        for key, cells in self.rows.items():
+            if len(cells) != len(self.columns):
+                raise ValueError(
+                    f"table {self.title!r}, row {key!r}: {len(cells)} cells for {len(self.columns)} columns"
+                )
+
+
+@functools.cache
+def _thesis() -> tuple[dict[str, _Spec], dict[str, str]]:
+    content = yaml.safe_load(_THESIS.read_text(encoding="utf-8"))
+    return {key: _Spec(**table) for key, table in content["tables"].items()}, content["groups"]
+
+
+def join_sweep(parts: Iterable[dict[str, Table]]) -> dict[str, Table]:
+    """Joins what several folders measured: different cells side by side, equal cells pooled.
+
+    Args:
+        parts: the results of each stage folder.
+
+    Returns:
+        table -> row -> column -> cell, with ``n`` in rows whose sample count is known.
+    """
+    collected: dict[tuple[str, str, str], list[tuple[Cell, int | None]]] = {}
+    for results in parts:
+        for table, rows in results.items():
+            for row, columns in rows.items():
+                samples = columns.get(SAMPLES)
+                count = int(samples) if isinstance(samples, int | float) else None
+                for column, cell in columns.items():
+                    if column != SAMPLES:
+                        collected.setdefault((table, row, column), []).append((cell, count))
+    joined: dict[str, Table] = {}
+    for (table, row, column), cells in collected.items():
+        cell, count = pool(cells)
+        target = joined.setdefault(table, {}).setdefault(row, {})
+        target[column] = cell
+        if count is not None:
+            target[SAMPLES] = count
+    return joined
+
+
+def report_tables(measured: dict[str, Table]) -> list[ReportTable]:
+    """Puts the measured cells beside the thesis's.
+
+    Args:
+        measured: table -> row -> column -> cell, over all stages.
+
+    Returns:
+        Every table of the thesis, in its order, then tables the thesis does not have and something was measured for.
+    """
+    specs, groups = _thesis()
+    tables = [_merge(key, spec, groups, measured.get(key, {})) for key, spec in specs.items()]
+    for key, rows in measured.items():
+        if key not in specs:
+            columns = {c: {"label": c} for cells in rows.values() for c in cells if c != SAMPLES}
+            spec = _Spec(title=key.replace("_", " "), chapter="Beyond the thesis", label="not in the thesis",
+                         kind="own", columns=columns, rows={})  # fmt: skip
+            tables.append(_merge(key, spec, groups, rows))
+    return [table for table in tables if table.kind != "own" or table.rows]
+
+
+def _merge(key: str, spec: _Spec, groups: dict[str, str], measured: Table) -> ReportTable:
+    columns = [Column(key=name, **column) for name, column in spec.columns.items()]
+    known = set(spec.columns)
+    further = dict.fromkeys(c for cells in measured.values() for c in cells if c not in known and c != SAMPLES)
+    columns += [Column(key=name, label=name.replace("_", " ")) for name in further]
+    rows = []
+    for name in [*spec.rows, *(row for row in measured if row not in spec.rows)]:
+        group, _, short = name.rpartition("/")
+        cells = measured.get(name, {})
+        samples = cells.get(SAMPLES)
+        rows.append(Row(
+            key=name, label=spec.labels.get(short, short), group=groups.get(group, group),
+            thesis=dict(zip(spec.columns, spec.rows.get(name, []), strict=False)),
+            measured={c.key: cells.get(c.key) for c in columns},
+            samples=int(samples) if isinstance(samples, int | float) else None, in_thesis=name in spec.rows,
+        ))  # fmt: skip
+    order = list(dict.fromkeys(row.group for row in rows))
+    rows.sort(key=lambda row: order.index(row.group))  # own rows join their group
+    return ReportTable(key=key, title=spec.title, chapter=spec.chapter, label=spec.label, kind=spec.kind,
+                       stage=spec.stage, note=spec.note, columns=tuple(columns), rows=tuple(rows))  # fmt: skip
+
+
+def metrics(tables: list[ReportTable]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Lists every measured cell for programs.
+
+    Args:
+        tables: the report's tables.
+
+    Returns:
+        table -> row -> column -> number, pair, text, or None where it has not run; ``n`` beside the
+        columns where known.
+    """
+    return {
+        table.key: {
+            row.key: dict(row.measured) | ({SAMPLES: row.samples} if row.samples is not None else {})
+            for row in table.rows
+        }
+        for table in tables
+    }
+
+
+def format_cell(cell: Cell, decimals: int | None = None) -> str:
+    """Words a cell.
+
+    Args:
+        cell: number, pair, text or None.
+        decimals: places after the point; None gives as many as the value needs.
+
+    Returns:
+        The text; empty for None.
+    """
+    if cell is None:
+        return ""
+    if isinstance(cell, str):
+        return cell
+    if isinstance(cell, list):
+        places = _decimals(max(map(abs, cell))) if decimals is None else decimals
+        return f"{cell[0]:.{places}f} ± {cell[1]:.{places}f}"
+    if decimals is not None:
+        return f"{cell:.{decimals}f}"
+    if float(cell).is_integer():
+        return f"{int(cell):,}" if abs(cell) >= 10_000 else str(int(cell))
+    return f"{cell:.4g}"
+
+
+def _decimals(value: float) -> int:
+    """Enough decimals for three to four significant digits."""
+    magnitude = math.floor(math.log10(abs(value))) if value else 0
+    return max(0, min(4, 2 - magnitude))
+
+
+def as_csv(table: ReportTable) -> str:
+    """Writes a table as CSV: two columns each, thesis and measured; pairs as ``mean ± sd``.
+
+    Args:
+        table: the table.
+
+    Returns:
+        The text; cells that have not run are empty.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    head = [f"{c.key}{suffix}" for c in table.columns for suffix in ("_thesis", "_measured")]
+    writer.writerow(["row", *head, "samples"])
+    for row in table.rows:
+        cells = [format_cell(side.get(c.key), c.decimals) for c in table.columns for side in (row.thesis, row.measured)]
+        writer.writerow([row.key, *cells, row.samples if row.samples is not None else ""])
+    return stream.getvalue()
+
+
+_LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+          "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "±": r"$\pm$", "≥": r"$\geq$", "×": r"$\times$",
+          "²": r"$^2$", "τ": r"$\tau$", "γ": r"$\gamma$", "–": "--"}  # fmt: skip
+
+
+def as_latex(table: ReportTable) -> str:
+    """Writes a table for LaTeX with booktabs: thesis and measured value in columns beside each other.
+
+    Args:
+        table: the table.
+
+    Returns:
+        A ``table`` environment; cells that have not run are dashes.
+    """
+    width = len(table.columns)
+    heads = [_escape(f"{c.label}{f', {c.unit}' if c.unit else ''}") for c in table.columns]
+    lines = [
+        r"\begin{table}[ht]", r"\centering", rf"\caption{{{_escape(table.title)}}}\label{{tab:{table.key}}}",
+        r"\begin{tabular}{l" + " rr" * width + "}", r"\toprule",
+        " & ".join(["", *(rf"\multicolumn{{2}}{{c}}{{{head}}}" for head in heads)]) + r" \\",
+        " & ".join(["", *["thesis & measured"] * width]) + r" \\", r"\midrule",
+    ]  # fmt: skip
+    group = ""
+    for row in table.rows:
+        if row.group != group:
+            group = row.group
+            lines.append(rf"\multicolumn{{{1 + 2 * width}}}{{l}}{{\textit{{{_escape(group)}}}}} \\")
+        cells = [
+            _escape(format_cell(side.get(c.key), c.decimals)) or "--"
+            for c in table.columns
+            for side in (row.thesis, row.measured)
+        ]
+        lines.append(" & ".join([_escape(row.label), *cells]) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
+
+
+def _escape(text: str) -> str:
+    return "".join(_LATEX.get(character, character) for character in text)

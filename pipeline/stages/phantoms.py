@@ -1,0 +1,172 @@
+"""The phantoms stage: each aorta as files other programs can read, with its picture and its dimensions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.atomic import atomic_path, write_json
+from pipeline.config import PhantomsSettings
+from pipeline.errors import ConfigurationError
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stages import Stage, StageContext
+
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
+
+_MM = 1e3
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """One aorta to write: a named phantom, or a random one by its seed."""
+
+    phantom: str
+    seed: int | None = None
+
+    @property
+    def label(self) -> str:
+        """Its folder's name."""
+        return self.phantom if self.seed is None else f"{self.phantom}_{self.seed}"
+
+
+def check_phantoms(settings: PhantomsSettings) -> None:
+    """Refuses unknown phantoms.
+
+    Args:
+        settings: the stage's settings.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    require_known_phantoms(settings.phantoms, hint="; random ones by stage.random_seeds=[0,1]")
+
+
+def require_known_phantoms(names: list[str], *, hint: str = "") -> None:
+    """Refuses names that are no phantom's.
+
+    Args:
+        names: what the user asked for.
+        hint: added after the list of valid names.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    from cathsim.anatomy import PHANTOMS
+
+    unknown = [name for name in names if name not in PHANTOMS]
+    if unknown:
+        raise ConfigurationError(
+            f"unknown phantom {', '.join(map(repr, unknown))}: choose from {', '.join(PHANTOMS)}{hint}"
+        )
+
+
+def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
+    """Builds every phantom and writes its files.
+
+    Args:
+        settings: which phantoms, how fine.
+        context: where to write.
+    """
+    from cathsim.anatomy import load_phantom
+
+    anatomies = [Anatomy(name) for name in settings.phantoms]
+    anatomies += [Anatomy("random", seed) for seed in settings.random_seeds]
+    for anatomy in context.folder.resumable(anatomies, key=lambda a: a.label, label="phantoms"):
+        try:
+            phantom = load_phantom(anatomy.phantom, seed=anatomy.seed, resolution=settings.resolution_mm / _MM)
+        except ValueError as error:
+            raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {error}") from error
+        folder = context.path / anatomy.label
+        write_bundle(phantom, folder, wall_thickness=settings.wall_thickness_mm / _MM, picture=settings.picture)
+        context.folder.mark_done(anatomy.label, dimensions(phantom))
+    measured = {a.label: context.folder.result_of(a.label) for a in anatomies}
+    models = {a.label: {"convex_hulls": "none", "source": "parametric"} for a in anatomies}
+    write_results(context.path, {"phantoms": measured, "aortas": models})
+    if settings.picture:
+        write_figures(context.path, [_figure(a, measured[a.label] or {}) for a in anatomies])
+
+
+def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, picture: bool) -> None:
+    """Writes the files of one phantom: meshes, grid, centrelines, targets, picture.
+
+    Args:
+        phantom: the anatomy.
+        folder: where the files go; made when missing.
+        wall_thickness: thickness of the wall mesh, m.
+        picture: whether to draw the picture.
+    """
+    with atomic_path(folder / "lumen.stl") as path:
+        phantom.lumen_mesh.export(path)
+    with atomic_path(folder / "wall.stl") as path:
+        phantom.wall_mesh(wall_thickness).export(path)
+    grid = phantom.grid
+    with atomic_path(folder / "grid.npz") as path:
+        np.savez_compressed(path, values=grid.values, origin=grid.origin, spacing=grid.spacing)
+    write_json(folder / "centrelines.json", {
+        branch.name: {"points_m": np.asarray(branch.points).tolist(), "radius_m": np.asarray(branch.radius).tolist()}
+        for branch in phantom.tree.branches
+    })  # fmt: skip
+    write_json(folder / "targets.json", {
+        "targets": {t.name: {"position_m": np.asarray(t.position).tolist()} for t in phantom.targets.values()},
+        "entries": {
+            e.name: {"position_m": np.asarray(e.position).tolist(), "direction": np.asarray(e.direction).tolist()}
+            for e in phantom.entries.values()
+        },
+    })  # fmt: skip
+    write_json(folder / "phantom.json", {"name": phantom.name, "hash": phantom.hash, **dimensions(phantom)})
+    if picture:
+        from cathsim.anatomy.picture import draw_phantom
+
+        with atomic_path(folder / "picture.png") as path:
+            draw_phantom(phantom, path)
+
+
+def dimensions(phantom: Phantom) -> dict[str, Any]:
+    """Measures a phantom for the report.
+
+    Args:
+        phantom: the anatomy.
+
+    Returns:
+        Lumen volume in mL, centreline lengths in mm and median diameters in mm of the branches the thesis navigates.
+    """
+    branches = {branch.name: branch for branch in phantom.tree.branches}
+    row: dict[str, Any] = {
+        "lumen_volume_ml": round(float(phantom.lumen_mesh.volume) * 1e6, 1),
+        "aorta_length_mm": round(_length(np.asarray(branches["aorta"].points)) * _MM, 1),
+        "branches": len(branches),
+    }
+    for name in ("aorta", "bca", "lcca", "lsa"):
+        if name in branches:
+            row[f"{name}_diameter_mm"] = round(2 * float(np.median(branches[name].radius)) * _MM, 1)
+    return row
+
+
+def _length(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:
+    return Figure(
+        title=f"Phantom {anatomy.label}",
+        caption=f"{measured.get('branches', 0)} branches, lumen {measured.get('lumen_volume_ml', 0)} mL, aorta "
+        f"{measured.get('aorta_length_mm', 0)} mm long.",
+        file=f"{anatomy.label}/picture.png",
+    )
+
+
+STAGE = Stage(
+    name="phantoms",
+    run=run_phantoms,
+    writes=(
+        "<phantom>/{lumen.stl, wall.stl, grid.npz, centrelines.json, targets.json, phantom.json, picture.png}",
+        "results.json",
+        "figures.json",
+    ),
+    code=("cathsim.anatomy",),
+    check=check_phantoms,
+)

@@ -1,0 +1,107 @@
+"""The report stage: gathers what every stage of the run left and writes the page, the tables and the metrics."""
+
+from __future__ import annotations
+
+import logging
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pipeline.artifacts import Manifest, read_manifest
+from pipeline.atomic import write_json, write_text
+from pipeline.config import ReportSettings
+from pipeline.provenance import git_state, machine, software_versions
+from pipeline.report.figures import gather_figures
+from pipeline.report.page import PAGE, StageRecord, render_page
+from pipeline.report.results import Table, read_results
+from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
+from pipeline.stages import STAGE_NAMES, Stage, StageContext
+
+METRICS = "metrics.json"
+TABLES_FOLDER = "tables"
+# Stages of the plan, in order; the page says of each whether it has run.
+PLANNED_STAGES = ("phantoms", "expert", "validate", "baselines", "enn", "imitation", "force", "guide3d", "shape",
+                  "segmentation", "splineformer", "navigation")  # fmt: skip
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def finished_stages(run_path: Path) -> dict[str, Manifest]:
+    """Finds every stage folder of a run that has finished, sweep jobs included.
+
+    Args:
+        run_path: the folder of the run.
+
+    Returns:
+        Folder name (``expert``, ``expert@seed=1``) to manifest, in the order of the plan; the report itself is
+        left out.
+    """
+    folders = sorted(p for p in run_path.iterdir() if p.is_dir()) if run_path.is_dir() else []
+    found = {folder.name: read_manifest(folder) for folder in folders}
+    order = [*PLANNED_STAGES, *STAGE_NAMES]
+    finished = {name: m for name, m in found.items() if m is not None and m.stage != "report"}
+    return dict(
+        sorted(finished.items(), key=lambda kv: (order.index(kv[1].stage) if kv[1].stage in order else 99, kv[0]))
+    )
+
+
+def run_report(settings: ReportSettings, context: StageContext) -> None:
+    """Writes the report.
+
+    Args:
+        settings: the report's settings.
+        context: where the run lies.
+    """
+    finished = finished_stages(context.run_path)
+    measured = join_sweep(
+        [read_results(context.run_path / name) for name in finished] + [{"environment": _environment()}]
+    )
+    tables = report_tables(measured)
+    for table in tables:
+        write_text(context.path / TABLES_FOLDER / f"{table.key}.csv", as_csv(table))
+        write_text(context.path / TABLES_FOLDER / f"{table.key}.tex", as_latex(table))
+    write_json(context.path / METRICS, metrics(tables))
+    figures = [
+        figure
+        for name in finished
+        for figure in gather_figures(
+            name, context.run_path / name, context.path, embed_limit=int(settings.embed_limit_mb * 1e6)
+        )
+    ]
+    records = [StageRecord(name, manifest) for name, manifest in finished.items()]
+    have_run = {manifest.stage for manifest in finished.values()}
+    records += [StageRecord(name, None) for name in PLANNED_STAGES if name not in have_run]
+    page = render_page(
+        run=context.run_path.name,
+        budget="+".join(dict.fromkeys(m.budget for m in finished.values())) or context.budget,
+        seeds=sorted({m.seed for m in finished.values()}) or [context.seed],
+        written=datetime.now(UTC).isoformat(timespec="minutes"),
+        records=records, tables=tables, figures=figures, git=git_state(), versions=software_versions(),
+        machine=machine(),
+    )  # fmt: skip
+    write_text(context.path / PAGE, page)
+    _LOGGER.info("report: %s", context.path / PAGE)
+
+
+def _environment() -> Table:
+    versions = software_versions()
+    libraries = {"PyTorch": "torch", "Stable-Baselines3": "stable-baselines3"}
+    learning = [f"{label} {versions[name]}" for label, name in libraries.items() if name in versions]
+    rows: Table = {name: {"value": text} for name, text in machine().items()}
+    rows |= {name: {"value": versions[name]} for name in ("python", "mujoco", "gymnasium") if name in versions}
+    rows["learning"] = {"value": ", ".join(learning) or None}
+    return rows
+
+
+def _inputs(run_path: Path) -> dict[str, str]:
+    return {
+        name: manifest.identity.fingerprint + manifest.finished for name, manifest in finished_stages(run_path).items()
+    }
+
+
+STAGE = Stage(
+    name="report",
+    run=run_report,
+    writes=(PAGE, METRICS, f"{TABLES_FOLDER}/<table>.{{csv,tex}}", "figures/"),
+    code=("pipeline.report",),
+    further_inputs=_inputs,
+)

@@ -1,0 +1,47 @@
+"""The distance grid's interpolation."""
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy import SignedDistanceGrid
+
+SLOPE = np.array([0.5, -0.3, 0.2])
+
+
+@pytest.fixture(scope="module")
+def linear() -> SignedDistanceGrid:
+    origin = np.array([0.01, -0.02, 0.03])
+    axes = np.meshgrid(np.arange(6), np.arange(7), np.arange(8), indexing="ij")
+    points = origin + np.stack(axes, axis=-1) * 2e-3
+    return SignedDistanceGrid((points @ SLOPE).astype(np.float32), origin, 2e-3)
+
+
+def test_trilinear_interpolation_reproduces_a_linear_field(linear):
+    rng = np.random.default_rng(0)
+    low, high = linear.bounds
+    points = rng.uniform(low, high, (4, 50, 3))
+    assert linear.sample(points).shape == (4, 50)
+    assert linear.sample(points) == pytest.approx(points @ SLOPE, abs=1e-8)
+    inner = rng.uniform(low + 2e-3, high - 2e-3, (50, 3))
+    assert linear.gradient(inner) == pytest.approx(np.broadcast_to(SLOPE, (50, 3)), abs=1e-5)
+
+
+def test_beyond_the_border_the_border_counts(linear):
+    low, high = linear.bounds
+    assert linear.sample(low - 1.0) == pytest.approx(linear.values[0, 0, 0])
+    assert linear.sample(high + 1.0) == pytest.approx(linear.values[-1, -1, -1])
+
+
+def test_lattice_points_have_their_own_values(linear):
+    assert linear.sample(linear.coordinates([2, 3, 4])) == pytest.approx(linear.values[2, 3, 4], abs=1e-9)
+
+
+def test_bad_input_is_refused(linear):
+    with pytest.raises(ValueError, match=r"points must have shape \(..., 3\), got \(2,\)"):
+        linear.sample([0.0, 1.0])
+    with pytest.raises(ValueError, match="at least 2 x 2 x 2"):
+        SignedDistanceGrid(np.zeros((1, 4, 4), np.float32), np.zeros(3), 1e-3)
+    with pytest.raises(ValueError, match="spacing must be positive"):
+        SignedDistanceGrid(np.zeros((4, 4, 4), np.float32), np.zeros(3), 0.0)
+    with pytest.raises(ValueError, match="read-only"):
+        linear.values[0, 0, 0] = 1.0

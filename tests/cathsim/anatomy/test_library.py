@@ -1,0 +1,189 @@
+"""Named and random phantoms: targets, entries, messages, cache."""
+
+import copy
+import logging
+import multiprocessing
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy import PHANTOMS, ArchParameters, library, load_phantom
+from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
+
+COARSE = 2e-3
+
+
+def _forget():
+    library._load.cache_clear()
+
+
+def test_the_names():
+    assert set(PHANTOMS) == {"type_1", "type_2", "type_1_aneurysm", "low_tortuosity", "type_3", "bovine"}
+
+
+def test_targets_lie_at_their_distance_from_the_ostium(phantom):
+    tree = phantom.tree
+    for name, distance in {"bca": 0.030, "lcca": 0.040, "lsa": 0.040}.items():
+        target = phantom.targets[name]
+        assert target.branch == name
+        assert target.arc - tree.ostium_arc(name) == pytest.approx(distance)
+        assert target.position == pytest.approx(tree[name].point_at(target.arc))
+        assert phantom.grid.sample(target.position) > 0.003
+    assert phantom.targets["rcca"].arc == pytest.approx(0.020)
+
+
+def test_entries_lie_inside_the_ends_and_point_in(phantom):
+    for name, end in (("descending", 0), ("ascending", -1)):
+        entry = phantom.entry(name)
+        assert np.linalg.norm(entry.direction) == pytest.approx(1)
+        assert np.linalg.norm(entry.position - phantom.tree.root.points[end]) == pytest.approx(2e-3, abs=1e-5)
+        assert phantom.grid.sample(entry.position) == pytest.approx(2e-3, abs=1e-4)
+        assert phantom.grid.sample(entry.position + 0.010 * entry.direction) > 0.009
+        assert phantom.grid.sample(entry.position - 0.003 * entry.direction) < 0
+
+
+def test_wrong_names_list_the_valid_ones(phantom, cache):
+    with pytest.raises(ValueError, match=r"unknown phantom 'type_9'; choose from type_1, .*bovine or random"):
+        load_phantom("type_9", cache_dir=cache)
+    with pytest.raises(ValueError, match="unknown target 'brain' in phantom 'type_1'; choose from bca, lcca, lsa"):
+        phantom.geodesic_distance(np.zeros(3), "brain")
+    with pytest.raises(ValueError, match=r"unknown entry 'radial'.*choose from descending, ascending"):
+        phantom.entry("radial")
+    with pytest.raises(ValueError, match="'random' needs a seed"):
+        load_phantom("random", cache_dir=cache)
+    with pytest.raises(ValueError, match="'type_1' takes no seed, got 3"):
+        load_phantom("type_1", seed=3, cache_dir=cache)
+    with pytest.raises(ValueError, match="name of your own"):
+        load_phantom("type_1", parameters=ArchParameters(), cache_dir=cache)
+    with pytest.raises(ValueError, match="resolution must be a finite length"):
+        load_phantom("type_1", resolution=float("inf"), cache_dir=cache)
+
+
+def test_own_parameters_and_seeds_make_own_phantoms(tmp_path):
+    own = load_phantom("mine", parameters=ArchParameters(trunk_length=0.036), resolution=COARSE, cache_dir=tmp_path)
+    first = load_phantom("random", seed=4, resolution=COARSE, cache_dir=tmp_path)
+    other = load_phantom("random", seed=5, resolution=COARSE, cache_dir=tmp_path)
+    assert (own.name, first.name) == ("mine", "random_4")
+    assert len({own.hash, first.hash, other.hash}) == 3
+    _forget()
+    again = load_phantom("random", seed=4, resolution=COARSE, cache_dir=tmp_path)
+    assert again is not first
+    assert again.hash == first.hash
+    assert np.array_equal(again.grid.values, first.grid.values)
+
+
+def test_one_object_for_many_environments(cache):
+    phantom = load_phantom("type_1", cache_dir=cache)
+    assert load_phantom("type_1", cache_dir=cache) is phantom
+    assert copy.deepcopy({"phantom": phantom})["phantom"] is phantom
+    with ThreadPoolExecutor(4) as pool:
+        futures = [pool.submit(load_phantom, "bovine", resolution=COARSE, cache_dir=cache) for _ in range(4)]
+    assert len({id(future.result()) for future in futures}) == 1
+
+
+def test_a_phantom_survives_pickling(cache):
+    small = load_phantom("type_1", resolution=COARSE, cache_dir=cache)
+    twin = pickle.loads(pickle.dumps(small))
+    assert np.array_equal(twin.geodesic_field("lsa"), small.geodesic_field("lsa"))
+
+
+def test_what_the_cache_returns_is_what_was_built(tmp_path):
+    built = load_phantom("type_3", resolution=COARSE, cache_dir=tmp_path)
+    _forget()
+    read = load_phantom("type_3", resolution=COARSE, cache_dir=tmp_path)
+    assert read is not built
+    assert read.hash == built.hash
+    assert np.array_equal(read.grid.values, built.grid.values)
+    assert np.array_equal(read.grid.origin, built.grid.origin)
+    for a, b in zip(read.tree, built.tree, strict=True):
+        assert (a.name, a.parent, a.parent_arc, a.open_end) == (b.name, b.parent, b.parent_arc, b.open_end)
+        assert np.array_equal(a.points, b.points)
+        assert np.array_equal(a.radius, b.radius)
+    for name, target in built.targets.items():
+        assert np.array_equal(read.targets[name].position, target.position)
+        assert np.array_equal(read.geodesic_field(name), built.geodesic_field(name))
+    for name, entry in built.entries.items():
+        assert np.array_equal(read.entries[name].direction, entry.direction)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty", "text"])
+def test_a_damaged_cache_file_is_rebuilt_with_a_warning(tmp_path, caplog, damage):
+    built = load_phantom("type_1", resolution=COARSE, cache_dir=tmp_path)
+    path = PhantomCache(tmp_path).path(built.hash)
+    content = bytearray(path.read_bytes())
+    if damage == "flip":
+        content[content.index(b"distance.npy") + 4000] ^= 0x10
+    replacement = {"cut": content[: len(content) // 2], "flip": content, "empty": b"", "text": b"not a phantom"}[damage]
+    path.write_bytes(replacement)
+    _forget()
+    with caplog.at_level(logging.WARNING):
+        again = load_phantom("type_1", resolution=COARSE, cache_dir=tmp_path)
+    assert "is damaged" in caplog.text
+    assert np.array_equal(again.grid.values, built.grid.values)
+    _forget()
+    caplog.clear()
+    load_phantom("type_1", resolution=COARSE, cache_dir=tmp_path)
+    assert caplog.text == ""
+
+
+def test_a_damaged_field_is_computed_anew(tmp_path, caplog):
+    built = load_phantom("type_1", resolution=COARSE, cache_dir=tmp_path)
+    expected = built.geodesic_field("lcca")
+    path = PhantomCache(tmp_path).path(built.hash)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"geodesic_lcca.npy") + 4000] ^= 0x10
+    path.write_bytes(content)
+    _forget()
+    again = load_phantom("type_1", resolution=COARSE, cache_dir=tmp_path)
+    with caplog.at_level(logging.WARNING):
+        field = again.geodesic_field("lcca")
+    assert "computed anew" in caplog.text
+    assert np.array_equal(field, expected)
+
+
+def test_without_a_writable_cache_it_still_works(tmp_path, caplog):
+    blocker = tmp_path / "file"
+    blocker.write_text("in the way")
+    with caplog.at_level(logging.WARNING):
+        phantom = load_phantom("type_1", resolution=COARSE, cache_dir=blocker / "cache")
+    assert "is not cached" in caplog.text
+    assert phantom.grid.sample(phantom.entry().position) > 0
+
+
+def _build(directory, barrier, queue):
+    barrier.wait()
+    phantom = load_phantom("type_2", resolution=COARSE, cache_dir=directory)
+    queue.put(float(np.abs(phantom.grid.values).sum(dtype=np.float64)))
+
+
+def test_two_processes_building_one_phantom_do_not_harm_each_other(tmp_path):
+    context = multiprocessing.get_context("fork")
+    barrier, queue = context.Barrier(2), context.Queue()
+    workers = [context.Process(target=_build, args=(tmp_path, barrier, queue)) for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    sums = [queue.get(timeout=30) for _ in workers]
+    for worker in workers:
+        worker.join(timeout=30)
+        assert worker.exitcode == 0
+    assert sums[0] == sums[1]
+    assert [p.suffix for p in (tmp_path / "phantoms").iterdir()] == [".npz"], "no temporary file is left"
+    phantom = load_phantom("type_2", resolution=COARSE, cache_dir=tmp_path)
+    assert float(np.abs(phantom.grid.values).sum(dtype=np.float64)) == sums[0]
+
+
+def test_the_cache_directory_follows_the_environment(monkeypatch, tmp_path):
+    monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path / "own"))
+    assert default_cache_directory() == tmp_path / "own"
+    monkeypatch.delenv("CATHSIM_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert default_cache_directory() == tmp_path / "cathsim"
+
+
+def test_the_hash_follows_parameters_and_resolution():
+    base = library.phantom_hash(ArchParameters(), 1e-3)
+    assert base == library.phantom_hash(ArchParameters(), 0.001)
+    assert base != library.phantom_hash(ArchParameters(), 1.5e-3)
+    assert base != library.phantom_hash(ArchParameters(lsa_takeoff=0.4), 1e-3)

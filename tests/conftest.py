@@ -1,0 +1,94 @@
+"""Fixtures shared by all tests: a command line of the pipeline in a process of its own, in a folder of its own."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+PROJECT_ROOT = Path(__file__).resolve().parent.parent
+
+# Before numpy or torch is imported anywhere: tests run beside each other and beside other work.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+@dataclass(frozen=True)
+class PipelineProcess:
+    """Starts ``python -m pipeline`` with its runs below a temporary folder."""
+
+    folder: Path
+    environment: dict[str, str]
+
+    @property
+    def runs(self) -> Path:
+        """Where the runs go."""
+        return self.folder / "runs"
+
+    def run(self, *overrides: str, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
+        """Runs a command line to its end."""
+        return subprocess.run(
+            self._command(overrides),
+            cwd=PROJECT_ROOT,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
+
+    def start(self, *overrides: str, largest_file: int | None = None) -> subprocess.Popen[str]:
+        """Starts a command line; the caller stops it. No file it writes may exceed ``largest_file`` bytes."""
+
+        def before_it_runs() -> None:
+            # A shell that started the tests in the background made them ignore Ctrl-C: children would inherit that.
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            if largest_file is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
+
+        return subprocess.Popen(
+            self._command(overrides),
+            cwd=PROJECT_ROOT,
+            env=self.environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=before_it_runs,
+        )
+
+    def _command(self, overrides: tuple[str, ...]) -> list[str]:
+        arguments = [*overrides] if "--help" in overrides else [*overrides, f"runs_dir={self.runs}"]
+        return [sys.executable, "-m", "pipeline", *arguments]
+
+
+@pytest.fixture(scope="session")
+def anatomy_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache of anatomies for the test session: tests neither see nor fill the user's own."""
+    return tmp_path_factory.mktemp("anatomy_cache")
+
+
+@pytest.fixture
+def pipeline_process(tmp_path: Path, anatomy_cache: Path) -> PipelineProcess:
+    """A pipeline that writes below the test's temporary folder."""
+    environment = {**os.environ, "CATHSIM_CACHE": str(anatomy_cache)}
+    return PipelineProcess(tmp_path, environment)
+
+
+@pytest.fixture(scope="session")
+def run_python() -> Callable[[str], str]:
+    """Runs a snippet in a fresh interpreter and returns what it printed; the test fails when the snippet does."""
+
+    def run(snippet: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", snippet], cwd=PROJECT_ROOT, capture_output=True, text=True, timeout=120, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run

@@ -1,0 +1,97 @@
+"""Distributions install alone: into an empty environment, then used from there, not from this tree."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+
+USE_GUIDE3D = "import guide3d; print(guide3d.__version__)"
+USE_CATHSIM = """
+import gymnasium, numpy as np, cathsim
+from cathsim.anatomy import load_phantom
+phantom = load_phantom("type_1", resolution=2e-3)
+assert phantom.grid.sample(phantom.targets["bca"].position[None])[0] > 0
+environment = gymnasium.make("cathsim/Navigate-v0", phantom="type_1", target="bca")
+environment.reset(seed=0)
+for _ in range(3):
+    _, reward, terminated, truncated, _ = environment.step(np.ones(environment.action_space.shape, np.float32))
+assert np.isfinite(reward) and not truncated
+print(cathsim.__version__)
+"""
+
+
+def make_environment(folder: Path) -> Path:
+    """Makes an empty virtual environment.
+
+    Args:
+        folder: where.
+
+    Returns:
+        Its Python.
+    """
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True, capture_output=True, timeout=60)
+    return folder / "bin" / "python"
+
+
+def install_and_use(package: str, snippet: str, folder: Path) -> str:
+    """Installs one distribution with pinned dependencies and runs a snippet outside this tree.
+
+    Args:
+        package: its folder below packages/.
+        snippet: Python code that uses it.
+        folder: a temporary folder.
+
+    Returns:
+        What the snippet printed.
+    """
+    python = make_environment(folder / "environment")
+    # A copy: building leaves files beside the sources, and stale ones there would end up in later builds.
+    source = folder / package
+    shutil.copytree(
+        PROJECT_ROOT / "packages" / package, source, ignore=shutil.ignore_patterns("build", "*.so", "*.egg-info")
+    )
+    constraints = PROJECT_ROOT / "constraints.txt"
+    # This environment's pip works on the empty one: giving that a pip of its own would only cost time.
+    pip = [sys.executable, "-m", "pip", "--python", str(python), "--disable-pip-version-check"]
+    done = subprocess.run(
+        [*pip, "install", "-qq", "-c", str(constraints), str(source)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    environment["CATHSIM_CACHE"] = str(folder / "cache")
+    used = subprocess.run(
+        [str(python), "-c", snippet],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert used.returncode == 0, used.stderr[-2000:]
+    listed = subprocess.run([*pip, "list", "--format=freeze"], capture_output=True, text=True, timeout=60, check=True)
+    installed = {line.split("==")[0].lower() for line in listed.stdout.splitlines()}
+    assert {name for name in installed if name.startswith("endonav")} == {f"endonav-{package}"}
+    assert not installed & {"torch", "torchvision", "hydra-core", "stable-baselines3"}
+    return used.stdout.strip()
+
+
+@pytest.mark.slow
+def test_guide3d_installs_alone(tmp_path: Path) -> None:
+    assert install_and_use("guide3d", USE_GUIDE3D, tmp_path) == "0.1.0"
+
+
+@pytest.mark.slow
+def test_cathsim_installs_alone_with_its_native_code(tmp_path: Path) -> None:
+    assert install_and_use("cathsim", USE_CATHSIM, tmp_path).startswith("0.")

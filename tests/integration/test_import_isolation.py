@@ -1,0 +1,101 @@
+"""Import isolation: who may import whom, by the sources and by what an import really loads."""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
+# package -> the project's packages it may import
+ALLOWED = {
+    "cathsim": set(),
+    "enn": set(),
+    "guide3d": set(),
+    "splineformer": {"guide3d"},
+    "pipeline": {"cathsim", "enn", "guide3d", "splineformer"},
+}
+FORBIDDEN_MODULE_NAMES = {"utils", "util", "common", "helpers", "helper", "misc", "fn"}
+
+
+def source_root(package: str) -> Path:
+    return PROJECT_ROOT / "pipeline" if package == "pipeline" else PROJECT_ROOT / "packages" / package / "src" / package
+
+
+def sources(package: str) -> list[Path]:
+    found = sorted(source_root(package).rglob("*.py"))
+    assert found, f"no sources of {package}: has it moved?"
+    return found
+
+
+def imported_packages(text: str) -> Iterator[str]:
+    """Yields the top-level package of every import, also of those inside functions and of import_module("...")."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.split(".")[0]
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if name in ("import_module", "__import__", "importorskip") and isinstance(node.args[0].value, str):
+                yield node.args[0].value.split(".")[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("import cathsim.anatomy", {"cathsim"}),
+        ("def f():\n    from guide3d.camera import Camera", {"guide3d"}),
+        ("from . import camera", set()),
+        ("import importlib\nimportlib.import_module('enn.policies')", {"importlib", "enn"}),
+    ],
+)
+def test_import_finder_sees_every_kind_of_import(text: str, expected: set[str]) -> None:
+    assert set(imported_packages(text)) == expected
+
+
+@pytest.mark.parametrize("package", list(ALLOWED))
+def test_package_imports_only_what_it_may(package: str) -> None:
+    others = set(ALLOWED) - {package}
+    offences = [
+        f"{file.relative_to(PROJECT_ROOT)} imports {name}"
+        for file in sources(package)
+        for name in imported_packages(file.read_text(encoding="utf-8"))
+        if name in others - ALLOWED[package]
+    ]
+    assert not offences
+
+
+def test_episodes_need_neither_simulator_nor_learning() -> None:
+    files = sorted((source_root("pipeline") / "episodes").rglob("*.py"))
+    found = {name for file in files for name in imported_packages(file.read_text(encoding="utf-8"))}
+    assert not found & {"cathsim", "mujoco", "torch", "hydra", "omegaconf"}
+
+
+@pytest.mark.parametrize("package", list(ALLOWED))
+def test_no_module_is_called_after_nothing(package: str) -> None:
+    names = {file.stem for file in sources(package)} | {file.parent.name for file in sources(package)}
+    assert not names & FORBIDDEN_MODULE_NAMES
+
+
+@pytest.mark.parametrize(
+    ("package", "forbidden"),
+    [
+        ("cathsim", {"torch", "stable_baselines3", "hydra", "matplotlib", "dm_control", "enn", "guide3d", "pipeline"}),
+        ("guide3d", {"mujoco", "torch", "cathsim", "pipeline"}),
+        ("enn", {"cathsim", "guide3d", "splineformer", "pipeline", "mujoco"}),
+        ("splineformer", {"cathsim", "enn", "pipeline", "mujoco"}),
+        ("pipeline", {"cathsim", "torch", "mujoco"}),
+    ],
+)
+def test_import_loads_nothing_it_should_not(
+    package: str, forbidden: set[str], run_python: Callable[[str], str]
+) -> None:
+    snippet = f"import {package}, json, sys; print(json.dumps(sorted({{m.split('.')[0] for m in sys.modules}})))"
+    loaded = set(json.loads(run_python(snippet)))
+    assert package in loaded
+    assert not loaded & forbidden

@@ -1,0 +1,108 @@
+"""The command line of episode logs: what it prints, its exit codes, and one sentence for bad input."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipeline.episodes import check
+from pipeline.episodes.__main__ import main
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture
+def damaged_path(log_path):
+    data = bytearray(log_path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path = log_path.with_name("damaged.mcap")
+    path.write_bytes(data)
+    return path
+
+
+def test_info_tells_the_episode(log_path, capsys):
+    assert main(["info", str(log_path)]) == 0
+    text = capsys.readouterr().out
+    for part in (
+        "type_1",
+        "descending_aorta -> bca, seed 17",
+        "success, 22 steps of 0.1 s",
+        "spl",
+        "33 x 20 px, image + mask",
+    ):
+        assert part in text
+
+
+def test_check_counts(log_path, capsys):
+    assert main(["check", str(log_path)]) == 0
+    assert capsys.readouterr().out == f"{log_path} is fine: 23 records, 46 pictures\n"
+
+
+def test_check_of_several_files_reports_each(log_path, damaged_path, capsys):
+    assert main(["check", str(log_path), str(damaged_path)]) == 1
+    out, err = capsys.readouterr()
+    assert "is fine" in out
+    assert err.count("\n") == 1
+    assert f"{damaged_path} is damaged: " in err
+    assert main(["check", str(damaged_path), str(log_path.with_name("none"))]) == 2
+
+
+def test_recover_names_its_output(damaged_path, log_path, capsys):
+    assert main(["recover", str(damaged_path)]) == 0
+    saved = damaged_path.with_name("damaged.recovered.mcap")
+    assert "18 records kept, 5 known to be missing" in capsys.readouterr().out
+    assert not check(saved).problems
+    assert main(["recover", str(damaged_path)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["recover", "--overwrite", str(damaged_path), str(saved)]) == 0
+    partial = log_path.with_name("killed.mcap.partial")
+    partial.write_bytes(log_path.read_bytes()[:-500])
+    assert main(["recover", str(partial)]) == 0
+    assert not check(log_path.with_name("killed.mcap")).problems
+    assert partial.exists()
+
+
+@pytest.mark.parametrize("command", ["info", "check", "recover"])
+@pytest.mark.parametrize("content", [b"", b"text\n" * 50, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + bytes(range(256)) * 20])
+def test_bad_files_get_one_sentence(command, content, tmp_path, capsys):
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(content)
+    assert main([command, str(path)]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert str(path) in err
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["bad.mcap"]
+
+
+@pytest.mark.parametrize("command", ["info", "check", "recover"])
+def test_missing_file_is_usage(command, tmp_path, capsys):
+    assert main([command, str(tmp_path / "none.mcap")]) == 2
+    assert capsys.readouterr().err == f"{tmp_path / 'none.mcap'} is no file: give the path of an episode log\n"
+    assert main([command, str(tmp_path)]) == 2
+
+
+def test_wrong_usage_exits_with_two(capsys):
+    for arguments in ([], ["open", "x"], ["info"]):
+        with pytest.raises(SystemExit) as stop:
+            main(arguments)
+        assert stop.value.code == 2
+    assert "usage: python -m pipeline.episodes" in capsys.readouterr().err
+
+
+def test_module_runs_without_simulator_and_learning_library(log_path):
+    code = (
+        "import sys; from pipeline.episodes.__main__ import main; code = main(['check', sys.argv[1]]); "
+        "heavy = {'torch', 'cathsim', 'hydra', 'mujoco'} & set(sys.modules); assert not heavy, heavy; sys.exit(code)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(log_path)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    shown = subprocess.run(
+        [sys.executable, "-m", "pipeline.episodes", "--help"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert shown.returncode == 0
+    assert "recover" in shown.stdout

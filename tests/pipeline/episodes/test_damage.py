@@ -1,0 +1,246 @@
+"""Damaged logs: flipped bits, cut files and foreign files are found out, and what is intact is recovered."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError, check, recover
+from pipeline.episodes.container import McapFile
+from pipeline.episodes.metadata import seal_episode, seal_outcome
+from pipeline.episodes.scan import messages, read_chunk
+from pipeline.episodes.schema import topic_messages
+from pipeline.episodes.writer import schema_data
+
+
+def flip(data: bytes, offset: int, bit: int) -> bytes:
+    changed = bytearray(data)
+    changed[offset] ^= 1 << bit
+    return bytes(changed)
+
+
+def read_or_refuse(path):
+    """Give the records of a log, or the sentence with which the reader refuses it."""
+    try:
+        with EpisodeReader(path) as log:
+            return list(log), ""
+    except EpisodeReadError as error:
+        return [], str(error)
+
+
+def assert_recovered(path, episode, assert_same, at_least: int) -> int:
+    """A recovered log is fine and holds true steps only; return how many."""
+    assert not check(path).problems
+    with EpisodeReader(path) as log:
+        kept = list(log)
+        assert len(kept) == len(log) >= at_least
+        assert log.info == episode.info
+        for record in kept:
+            assert_same(record, episode.records[record.step])
+            np.testing.assert_array_equal(log.image("frontal", record.step), episode.images[record.step])
+    return len(kept)
+
+
+def test_every_flipped_bit_is_found(log_path, episode, assert_same, tmp_path):
+    data = log_path.read_bytes()
+    rng = np.random.default_rng(5)
+    ends = {*range(12), *range(len(data) - 120, len(data))}
+    victim = tmp_path / "victim.mcap"
+    for offset in sorted(ends | {int(offset) for offset in rng.integers(len(data), size=150)}):
+        victim.write_bytes(flip(data, offset, int(rng.integers(8))))
+        problems = check(victim).problems
+        assert len(problems) == 1, offset
+        assert str(victim) in problems[0]
+        records, refusal = read_or_refuse(victim)
+        if refusal:
+            assert "recover" in refusal or "cannot be read" in refusal
+            assert "\n" not in refusal
+        else:  # the flip hit what a reader of steps does not use: then all it gives is true
+            for found, given in zip(records, episode.records, strict=True):
+                assert_same(found, given)
+
+
+def test_recovery_of_one_flipped_bit_loses_one_flush_at_most(log_path, episode, assert_same, tmp_path):
+    data = log_path.read_bytes()
+    rng = np.random.default_rng(6)
+    victim = tmp_path / "victim.mcap"
+    for number, offset in enumerate(rng.integers(8, len(data), size=60)):
+        victim.write_bytes(flip(data, int(offset), int(rng.integers(8))))
+        saved = tmp_path / f"saved_{number}.mcap"
+        report = recover(victim, saved)
+        assert report.steps_kept == assert_recovered(saved, episode, assert_same, 23 - 5), offset
+        assert report.steps_kept + len(report.missing_steps) == 23, offset
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.6, 0.7, 0.8, 0.999])
+def test_cut_file_is_found_and_recovered(log_path, episode, assert_same, tmp_path, fraction):
+    data = log_path.read_bytes()
+    victim, saved = tmp_path / "victim.mcap", tmp_path / "saved.mcap"
+    length = int(fraction * len(data))
+    victim.write_bytes(data[:length])
+    with EpisodeReader(log_path) as log:  # chunk 0 holds what stands once, then come five steps a chunk
+        whole = sum(chunk.chunk_start_offset + chunk.chunk_length <= length for chunk in log.summary.chunk_indexes)
+    with pytest.raises(EpisodeReadError, match=r"no index at its end.*; run 'python -m pipeline\.episodes recover"):
+        EpisodeReader(victim)
+    assert len(check(victim).problems) == 1
+    report = recover(victim, saved)
+    assert report.steps_kept == min(23, 5 * (whole - 1))
+    assert_recovered(saved, episode, assert_same, 1)
+    with EpisodeReader(saved) as log:
+        assert log.outcome.status == ("finished" if report.outcome_kept else "interrupted")
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 8, 30, 200])
+def test_nothing_to_recover_is_said(log_path, tmp_path, length):
+    victim = tmp_path / "victim.mcap"
+    victim.write_bytes(log_path.read_bytes()[:length])
+    with pytest.raises(EpisodeReadError, match=r"empty|damaged"):
+        EpisodeReader(victim)
+    assert len(check(victim).problems) == 1
+    with pytest.raises(EpisodeReadError, match=r"nothing to recover|cannot be recovered"):
+        recover(victim, tmp_path / "saved.mcap")
+    assert [path.name for path in tmp_path.iterdir() if "saved" in path.name] == []
+
+
+def test_lost_steps_are_named(log_path, tmp_path):
+    with EpisodeReader(log_path) as log:
+        chunk = log.summary.chunk_indexes[2]  # chunk 0 holds what stands once, chunk 2 steps 5 to 9
+    data = flip(log_path.read_bytes(), chunk.chunk_start_offset + chunk.chunk_length // 2, 3)
+    victim, saved = tmp_path / "victim.mcap", tmp_path / "saved.mcap"
+    victim.write_bytes(data)
+    with EpisodeReader(victim) as log:  # steps before and behind it can still be read
+        assert (log.step(4).step, log.step(10).step) == (4, 10)
+        with pytest.raises(EpisodeReadError, match=r"checksum|decompressed"):
+            log.step(7)
+    report = recover(victim, saved)
+    assert report.missing_steps == (5, 6, 7, 8, 9)
+    assert report.outcome_kept
+    with EpisodeReader(saved) as log:
+        assert len(log) == 18
+        np.testing.assert_array_equal(log.load_arrays()["step"], [*range(5), *range(10, 23)])
+        with pytest.raises(EpisodeReadError, match=r"step 7 of .* was lost before the log was recovered"):
+            log.step(7)
+    assert check(saved).notes == ["5 steps were lost before recovery"]
+
+
+def test_one_damaged_copy_of_the_information_does_no_harm(log_path, episode):
+    data = log_path.read_bytes()
+    victim = log_path.with_name("victim.mcap")
+    victim.write_bytes(flip(data, data.index(b"sampling_expert"), 0))
+    with EpisodeReader(victim) as log:
+        assert log.info == episode.info
+    assert "data section" in check(victim).problems[0]
+
+
+def test_recovery_of_a_fine_log_keeps_all(log_path, episode, assert_same, tmp_path):
+    report = recover(log_path, tmp_path / "copy.mcap")
+    assert (report.steps_kept, report.bytes_dropped, report.outcome_kept) == (23, 0, True)
+    assert assert_recovered(tmp_path / "copy.mcap", episode, assert_same, 23) == 23
+    with pytest.raises(EpisodeWriteError, match="exists already: name another file"):
+        recover(log_path, log_path)
+
+
+def test_recovery_numbers_foreign_channels_anew(log_path, episode, assert_same, tmp_path):
+    """Another program may have written the same topics in another order."""
+    other = tmp_path / "other.mcap"
+    with log_path.open("rb") as source, other.open("wb") as target:
+        reader, writer = make_reader(source), Writer(target)
+        writer.start()
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        schemas = {
+            schema.id: writer.register_schema(schema.name, schema.encoding, schema.data)
+            for schema in reader.get_summary().schemas.values()
+        }
+        channels = {
+            channel.id: writer.register_channel(channel.topic, "protobuf", schemas[channel.schema_id])
+            for channel in reversed(reader.get_summary().channels.values())
+        }
+        for _, channel, message in reader.iter_messages():
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    with EpisodeReader(other) as log:
+        assert_same(log.step(3), episode.records[3])
+    report = recover(other, tmp_path / "saved.mcap")
+    assert report.steps_kept == 23
+    assert_recovered(tmp_path / "saved.mcap", episode, assert_same, 23)
+
+
+def write_container(path, metadata: dict[str, dict[str, str]]) -> None:
+    file = McapFile(path, "test")
+    for name, values in metadata.items():
+        file.add_metadata(name, values)
+    file.close_with_index()
+
+
+def reseal(values: dict[str, str], version: str) -> dict[str, str]:
+    checksum = zlib.crc32(f"{version} {values['json']}".encode())
+    return {**values, "schema_version": version, "crc32": f"{checksum:08x}"}
+
+
+def test_foreign_and_newer_logs_are_refused(episode, tmp_path):
+    foreign, newer, bare = (tmp_path / f"{name}.mcap" for name in ("foreign", "newer", "bare"))
+    write_container(foreign, {"robot": {"name": "arm"}})
+    sealed = seal_episode(episode.info, episode.cameras)
+    write_container(newer, {"endonav.episode": reseal(sealed, "2")})
+    write_container(bare, {"endonav.episode": {"json": json.dumps({})}})
+    with pytest.raises(EpisodeReadError, match=r"has no metadata record endonav\.episode"):
+        EpisodeReader(foreign)
+    with pytest.raises(EpisodeReadError, match="has schema version 2, this reader knows up to 1: update"):
+        EpisodeReader(newer)
+    with pytest.raises(EpisodeReadError, match="has schema version 2, this reader knows up to 1: update"):
+        recover(newer, tmp_path / "saved.mcap")
+    with pytest.raises(EpisodeReadError, match="has no schema version"):
+        EpisodeReader(bare)
+    (tmp_path / "text.mcap").write_text("not a log at all\n" * 100)
+    with pytest.raises(EpisodeReadError, match="does not begin as an MCAP file"):
+        EpisodeReader(tmp_path / "text.mcap")
+
+
+def test_check_finds_what_checksums_cannot(episode, tmp_path):
+    """A log whose bytes are whole may still tell nonsense."""
+    episode.records[3] = replace(episode.records[3], tip=np.array([0.0, np.nan, 0.0]))
+    episode.records[4] = replace(episode.records[4], extra={"distance_m": float("inf")})
+    path = episode.write(tmp_path / "nan.mcap")
+    assert check(path).problems == [
+        "step 3 has a non-finite number in tip",
+        "step 4 has a non-finite number in extra distance_m",
+    ]
+    # Swap two messages' steps, drop an image and miscount, in an otherwise valid container.
+    odd = tmp_path / "odd.mcap"
+    file = McapFile(odd, "test")
+    topics = topic_messages(("frontal",))
+    ids = {topic: file.register(topic, m.DESCRIPTOR.full_name, schema_data(m)) for topic, m in topics.items()}
+    file.add_metadata("endonav.episode", seal_episode(episode.info, episode.cameras))
+    with EpisodeReader(path) as log:
+        chunk = read_chunk(log._fd, log.summary.chunk_indexes[1])
+        for span in messages(chunk):
+            late = 1 if span.channel_id == ids["/step"] else 0
+            if span.channel_id == ids["/camera/frontal/image"] and span.log_time_ns == episode.info.time_ns(2):
+                continue
+            file.add(span.channel_id, span.log_time_ns + late, 0, chunk[span.start : span.end])
+    file.add_metadata("endonav.outcome", seal_outcome(episode.outcome))
+    file.close_with_index()
+    problems = "\n".join(check(odd).problems)
+    assert f"step 0 has log time {episode.info.time_ns(0) + 1}" in problems
+    assert "camera frontal has 4 images for 5 records" in problems
+    assert "the outcome counts 22 steps, the records 4" in problems
+
+
+def test_huge_lengths_do_not_allocate(log_path, tmp_path):
+    data = bytearray(log_path.read_bytes())
+    with EpisodeReader(log_path) as log:
+        offset = log.summary.chunk_indexes[3].chunk_start_offset
+    data[offset + 25 : offset + 33] = struct.pack("<Q", 2**60)  # the uncompressed size
+    victim = tmp_path / "victim.mcap"
+    victim.write_bytes(data)
+    with EpisodeReader(victim) as log, pytest.raises(EpisodeReadError, match="impossible size"):
+        log.step(11)
+    assert recover(victim, tmp_path / "saved.mcap").steps_kept == 18

@@ -1,0 +1,222 @@
+"""Writing and reading a log: every field, in order, at random and by other programs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.stream_reader import StreamReader
+from mcap_protobuf.decoder import DecoderFactory
+from PIL import Image
+
+from pipeline.episodes import (
+    EpisodeOutcome,
+    EpisodeReader,
+    EpisodeReadError,
+    EpisodeWriteError,
+    EpisodeWriter,
+    check,
+)
+
+
+@pytest.mark.parametrize("flush_every", [1, 5, 10])
+def test_every_field_comes_back(episode, assert_same, tmp_path, flush_every):
+    path = episode.write(tmp_path / "episode.mcap", flush_every=flush_every)
+    with EpisodeReader(path) as log:
+        assert log.info == episode.info
+        assert log.outcome == episode.outcome
+        assert len(log) == 23
+        for found, given in zip(log, episode.records, strict=True):
+            assert_same(found, given)
+        np.testing.assert_array_equal(np.stack(list(log.images("frontal"))), episode.images)
+        np.testing.assert_array_equal(np.stack(list(log.masks("frontal"))), episode.masks)
+        assert log.camera("frontal").P.tobytes() == episode.cameras["frontal"].P.tobytes()
+        assert log.phantom_mesh().vertices.tobytes() == episode.mesh.vertices.tobytes()
+
+
+def test_random_access_equals_streaming(log_path, episode, assert_same):
+    with EpisodeReader(log_path) as log:
+        for step in np.random.default_rng(3).permutation(23):
+            assert_same(log.step(int(step)), episode.records[step])
+            np.testing.assert_array_equal(log.image("frontal", int(step)), episode.images[step])
+            np.testing.assert_array_equal(log.mask("frontal", int(step)), episode.masks[step])
+
+
+def test_same_episode_same_bytes(episode, tmp_path):
+    assert episode.write(tmp_path / "a.mcap").read_bytes() == episode.write(tmp_path / "folder" / "b.mcap").read_bytes()
+
+
+def test_stock_decoder_reads_all_topics(log_path, episode):
+    found: dict[str, list] = {}
+    with log_path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert schema is not None
+            found.setdefault(channel.topic, []).append((message.log_time, decoded))
+        assert reader.get_summary().statistics.message_count == sum(map(len, found.values()))
+    steps = found["/step"]
+    assert [time for time, _ in steps] == [1_731_000_000_123_456_789 + 100_000_000 * i for i in range(23)]
+    for (_, message), record in zip(steps, episode.records, strict=True):
+        np.testing.assert_array_equal(np.reshape(message.wire_points, (-1, 3)), record.wire_points)
+        assert message.resultant_force_norm == record.resultant_force_norm
+        assert dict(message.extra) == dict(record.extra)
+    counts = {topic: len(messages) for topic, messages in found.items()}
+    assert counts == {
+        "/step": 23,
+        "/wire": 23,
+        "/wire/points": 23,
+        "/phantom": 1,
+        "/tf": 1,
+        "/camera/frontal/calibration": 1,
+        "/camera/frontal/image": 23,
+        "/camera/frontal/mask": 23,
+    }
+    image = found["/camera/frontal/image"][4][1]
+    assert (image.format, image.frame_id) == ("png", "camera/frontal")
+
+
+def test_stock_stream_reader_accepts_all_checksums(log_path):
+    with log_path.open("rb") as stream:
+        assert sum(1 for _ in StreamReader(stream, validate_crcs=True).records) > 5 * 23
+    with log_path.open("rb") as stream:
+        topics = {channel.topic for _, channel, _ in NonSeekingReader(stream, validate_crcs=True).iter_messages()}
+    assert "/step" in topics
+
+
+def test_arrays_are_stacked_and_padded(log_path, episode):
+    with EpisodeReader(log_path) as log:
+        arrays = log.load_arrays()
+        without = log.load_arrays(pictures=False)
+    np.testing.assert_array_equal(arrays["action"], [record.action for record in episode.records])
+    np.testing.assert_array_equal(arrays["contact_count"], [i % 4 for i in range(23)])
+    assert arrays["contact_forces"].shape == (23, 3, 3)
+    np.testing.assert_array_equal(arrays["contact_forces"][2, :2], episode.records[2].contact_forces)
+    assert np.isnan(arrays["contact_forces"][2, 2:]).all()
+    np.testing.assert_allclose(arrays["time_s"], 0.1 * np.arange(23))
+    np.testing.assert_array_equal(arrays["image/frontal"], episode.images)
+    np.testing.assert_array_equal(arrays["mask/frontal"], episode.masks)
+    np.testing.assert_array_equal(arrays["extra/distance_m"], [r.extra["distance_m"] for r in episode.records])
+    assert not any(key.startswith(("image", "mask")) for key in without)
+
+
+def test_large_pictures_close_chunks_early(episode, tmp_path):
+    camera = replace(episode.cameras["frontal"], width=500, height=400)
+    image = np.random.default_rng(4).integers(0, 256, (400, 500), dtype=np.uint8)
+    path = tmp_path / "large.mcap"
+    with EpisodeWriter(path, episode.info, cameras={"big": camera}, flush_every=10) as log:
+        for record in episode.records:
+            log.step(record, images={"big": image})
+    with EpisodeReader(path) as log:
+        sizes = [index.uncompressed_size for index in log.summary.chunk_indexes]
+        np.testing.assert_array_equal(log.image("big", 22), image)
+        assert not log.has("big", "mask")
+        with pytest.raises(EpisodeReadError, match="holds nothing on /camera/big/mask"):
+            log.mask("big", 0)
+    assert max(sizes) <= 256 * 1024
+    assert Image.fromarray(image).size == (500, 400)
+    assert not check(path).problems
+
+
+def test_log_without_cameras_and_mesh(episode, tmp_path):
+    path = tmp_path / "bare.mcap"
+    with EpisodeWriter(path, episode.info) as log:
+        log.step(episode.records[0])
+    with EpisodeReader(path) as log:
+        assert log.phantom_mesh() is None
+        assert log.cameras == ()
+        assert log.outcome == EpisodeOutcome(success=None, steps=0)
+    assert check(path).notes == ["no phantom mesh"]
+
+
+def test_finish_is_idempotent_and_final(episode, tmp_path):
+    log = episode.writer(tmp_path / "episode.mcap")
+    episode.record_steps(log)
+    first = log.finish(episode.outcome).read_bytes()
+    assert log.finish(episode.outcome).read_bytes() == first
+    assert not log.partial.exists()
+    with pytest.raises(EpisodeWriteError, match="is finished: start a new writer"):
+        log.step(replace(episode.records[0], step=23))
+
+
+def test_exception_leaves_the_partial_file(episode, tmp_path):
+    path = tmp_path / "episode.mcap"
+    log = episode.writer(path)
+
+    def run() -> None:
+        with log:
+            episode.record_steps(log, 0, 7)
+            raise RuntimeError("the policy failed")
+
+    with pytest.raises(RuntimeError, match="the policy failed"):
+        run()
+    assert not path.exists()
+    assert log.partial.exists()
+    assert log.steps_safe == 7
+    with pytest.raises(EpisodeWriteError, match=r"abandoned: run 'python -m pipeline\.episodes recover"):
+        log.finish()
+
+
+def test_nothing_is_overwritten_unasked(log_path, episode):
+    before = log_path.read_bytes()
+    with pytest.raises(EpisodeWriteError, match=r"episode\.mcap exists already"):
+        episode.writer(log_path)
+    partial = log_path.with_name("other.mcap.partial")
+    partial.write_bytes(b"steps of another writer")
+    with pytest.raises(EpisodeWriteError, match="at work or was killed: run"):
+        episode.writer(log_path.with_name("other.mcap"))
+    assert log_path.read_bytes() == before
+    assert partial.read_bytes() == b"steps of another writer"
+    assert episode.write(log_path, overwrite=True).read_bytes() == before
+
+
+def test_wrong_steps_are_refused_and_not_recorded(episode, tmp_path):
+    with episode.writer(tmp_path / "episode.mcap") as log:
+        episode.record_steps(log, 0, 1)
+        one = episode.records[1]
+        pictures = {"images": {"frontal": episode.images[1]}, "masks": {"frontal": episode.masks[1]}}
+        with pytest.raises(ValueError, match="expected step 1, got 2"):
+            log.step(episode.records[2], **pictures)
+        with pytest.raises(ValueError, match="'side' was not declared; the cameras of this log are: frontal"):
+            log.step(one, images={"side": episode.images[1]})
+        with pytest.raises(ValueError, match=r"must be uint8 of shape \(20, 33\), got uint8 of shape \(3, 3\)"):
+            log.step(one, images={"frontal": np.zeros((3, 3), np.uint8)}, masks=pictures["masks"])
+        with pytest.raises(ValueError, match="every step needs the images and masks of step 0"):
+            log.step(one)
+        with pytest.raises(ValueError, match="of the shapes of step 0"):
+            log.step(replace(one, action=np.zeros(21)), **pictures)
+        with pytest.raises(ValueError, match=r"must be uint8 of shape .*, got float64"):
+            log.step(one, images={"frontal": episode.images[1] / 255.0}, masks=pictures["masks"])
+        assert log.steps_recorded == 1
+        episode.record_steps(log, 1)
+        with pytest.raises(ValueError, match="must count 22 steps"):
+            log.finish(EpisodeOutcome(success=True, steps=23))
+        log.finish(episode.outcome)
+    assert not check(log.path).problems
+
+
+def test_wrong_arguments_are_refused(episode, tmp_path):
+    with pytest.raises(ValueError, match="flush_every must be 1 to 10"):
+        episode.writer(tmp_path / "a.mcap", flush_every=11)
+    with pytest.raises(ValueError, match="control_dt must be a positive time"):
+        replace(episode.info, control_dt=0.0)
+    with pytest.raises(ValueError, match="finished, interrupted, got 'lost'"):
+        replace(episode.outcome, status="lost")
+    with pytest.raises(EpisodeReadError, match="No such file"):
+        EpisodeReader(tmp_path / "none.mcap")
+
+
+def test_non_finite_metrics_become_none(episode):
+    outcome = replace(episode.outcome, metrics={"a": np.float64("nan"), "b": [np.inf, np.int64(3)]})
+    assert outcome.metrics == {"a": None, "b": [None, 3]}
+
+
+def test_asking_for_what_is_not_there(log_path):
+    with EpisodeReader(log_path) as log:
+        with pytest.raises(EpisodeReadError, match="no step 23 on /step; it holds steps 0 to 22"):
+            log.step(23)
+        with pytest.raises(EpisodeReadError, match="no step -1"):
+            log.step(-1)
+        with pytest.raises(EpisodeReadError, match="no camera 'side'; its cameras are: frontal"):
+            log.image("side", 0)

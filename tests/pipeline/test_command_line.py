@@ -1,0 +1,87 @@
+"""The command line: wrong settings give one line with the valid ones, --help lists stages and budgets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from pipeline.artifacts import require_input
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS
+from pipeline.errors import StageError
+from pipeline.stages import available_stages
+
+WRONG = {
+    "no stage": ((), ["no stage given", "phantoms", "report"]),
+    "stage": (("stage=phantom",), ["'phantom'", "phantoms", "report"]),
+    "budget": (("stage=phantoms", "budget=huge"), ["'huge'", *BUDGETS]),
+    "experiment": (("stage=phantoms", "experiment=nothing"), ["'nothing'", "demo"]),
+    "launcher": (("stage=phantoms", "hydra/launcher=cloud"), ["'cloud'", "joblib", "submitit_local"]),
+    "phantom": (("stage=phantoms", "stage.phantoms=[type_9]"), ["'type_9'", "type_1", "bovine"]),
+    "key": (("stage=phantoms", "sed=3"), ["'sed'", "did you mean seed?", "budget"]),
+    "added key": (("stage=phantoms", "+sed=3"), ["'sed'", "budget"]),
+    "stage key": (("stage=phantoms", "stage.size=3"), ["'stage.size'", "stage.resolution_mm"]),
+    "type": (("stage=phantoms", "seed=many"), ["seed", "'many'", "Integer"]),
+    "seed": (("stage=phantoms", "seed=-1"), ["seed must be zero or more"]),
+    "size": (("stage=phantoms", "stage.resolution_mm=0"), ["stage.resolution_mm must be above zero"]),
+    "name": (("stage=phantoms", "name=a/b"), ["'a/b'", "cannot be a folder"]),
+    "quoting": (("stage=phantoms", "stage.phantoms=[type_1"), ["stage.phantoms=[type_1", "key=value"]),
+    "sweep": (("-m", "stage=phantom,report"), ["'phantom'", "phantoms", "report"]),
+    "sweep key": (("-m", "stage=phantoms", "sed=1,2"), ["'sed'", "did you mean seed?"]),
+}
+
+
+@pytest.mark.parametrize("case", list(WRONG))
+def test_wrong_setting_is_explained_in_one_line(case: str, pipeline_process) -> None:
+    overrides, expected = WRONG[case]
+    done = pipeline_process.run(*overrides)
+    assert done.returncode == 2
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    for words in expected:
+        assert words in lines[0]
+    assert not list(pipeline_process.runs.rglob("manifest.json"))
+
+
+def test_failing_sweep_job_is_named_and_the_others_finish(pipeline_process) -> None:
+    done = pipeline_process.run("-m", "stage=report", "stage.embed_limit_mb=-1,1", "name=sweep")
+    assert done.returncode == 2
+    assert "stage.embed_limit_mb=-1 failed: stage.embed_limit_mb must not be negative" in done.stdout
+    assert "Traceback" not in done.stderr
+    assert (pipeline_process.runs / "sweep" / "report@stage.embed_limit_mb=1" / "manifest.json").is_file()
+
+
+def test_help_lists_stages_and_budgets(pipeline_process) -> None:
+    done = pipeline_process.run("--help")
+    assert done.returncode == 0
+    for word in (*available_stages(), *BUDGETS, "demo", "--multirun"):
+        assert word in done.stdout
+
+
+def test_a_stage_without_its_input_names_the_command_to_run(tmp_path: Path) -> None:
+    with pytest.raises(StageError, match=r"python -m pipeline stage=phantoms name=demo"):
+        require_input(tmp_path / "demo", "phantoms", "expert")
+
+
+@pytest.mark.parametrize("file", sorted(CONFIG_DIRECTORY.rglob("*.yaml")), ids=lambda p: p.stem)
+def test_configuration_holds_no_code_references(file: Path) -> None:
+    assert "_target_" not in file.read_text(encoding="utf-8")
+
+
+def test_every_stage_has_settings_and_every_budget_serves_every_stage() -> None:
+    assert {p.stem for p in (CONFIG_DIRECTORY / "stage").glob("*.yaml")} == set(STAGE_SETTINGS)
+    assert {p.stem for p in (CONFIG_DIRECTORY / "budget").glob("*.yaml")} == set(BUDGETS)
+    keys = [set(OmegaConf.load(CONFIG_DIRECTORY / "budget" / f"{name}.yaml")) for name in BUDGETS]
+    assert keys[0] == keys[1] == keys[2]
+
+
+def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    import pipeline.stages as stages
+
+    def import_module(name: str) -> None:
+        raise ModuleNotFoundError("No module named 'mujoco'", name="mujoco")
+
+    monkeypatch.setattr(stages.importlib, "import_module", import_module)
+    with pytest.raises(StageError, match="stage phantoms needs the module 'mujoco', which is not installed: run `make"):
+        stages.load_stage("phantoms")

@@ -1,0 +1,62 @@
+"""Installation checks and the Makefile's help."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+
+import pytest
+
+from pipeline import installation
+from pipeline.provenance import PROJECT_ROOT
+
+
+def test_cuda_and_torchvision_are_found() -> None:
+    names = ["torch", "numpy", "nvidia-cublas-cu12", "triton", "TorchVision"]
+    assert installation.unwanted_distributions(names, gpu=False) == ["nvidia-cublas-cu12", "torchvision", "triton"]
+    assert installation.unwanted_distributions(names, gpu=True) == ["torchvision"]
+    assert installation.unwanted_distributions(["torch", "numpy"], gpu=False) == []
+
+
+def test_this_environment_is_clean() -> None:
+    assert installation.main(["after"]) == 0
+
+
+def test_a_missing_compiler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(installation.shutil, "which", lambda name: None)
+    (sentence,) = installation.missing_for_build()
+    assert "no C compiler found" in sentence
+    assert "apt-get install build-essential" in sentence
+
+
+def test_an_old_python_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(installation, "OLDEST_PYTHON", (99, 0))
+    assert any("Python 99.0 or newer is needed" in sentence for sentence in installation.missing_for_build())
+
+
+def test_a_missing_gl_library_is_told_but_does_not_stop_the_installation(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(installation.ctypes.util, "find_library", lambda name: None)
+    monkeypatch.setattr(installation, "install_gl", lambda: None)
+    assert installation.gl_backend() is None
+    assert installation.main(["before"]) == 0
+    assert "apt-get install libegl1" in capsys.readouterr().err
+
+
+def test_every_verb_of_the_makefile_is_explained() -> None:
+    text = (PROJECT_ROOT / "Makefile").read_text()
+    verbs = set(re.findall(r"^([a-z][a-z-]*):(?!=)", text, flags=re.MULTILINE))
+    shown = subprocess.run(["make", "help"], cwd=PROJECT_ROOT, capture_output=True, text=True, check=True).stdout
+    explained = set(re.findall(r"^  ([a-z-]+) ", shown, flags=re.MULTILINE))
+    assert verbs == explained
+
+
+def test_constraints_pin_every_requirement_exactly() -> None:
+    lines = [line for line in (PROJECT_ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
+    assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9.]+", line) for line in lines)
+    pins = dict(line.lower().split("==") for line in lines)
+    assert "torchvision" not in pins
+    assert not [name for name in pins if name.startswith("nvidia")]
+    assert {"torch", "mujoco", "numpy", "hydra-core", "pytest", "ruff", "setuptools"} <= set(pins)

@@ -1,0 +1,35 @@
+"""Sweeps: the basic, joblib and submitit-local launchers run every job in a folder of its own."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from pipeline.execution import variant_of
+from pipeline.provenance import PROJECT_ROOT
+
+
+@pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
+def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
+    overrides = ["-m", "stage=report", "budget=smoke", "name=sweep", "seed=3,4", f"hydra/launcher={launcher}"]
+    if launcher == "joblib":
+        overrides.append("hydra.launcher.n_jobs=2")
+    done = pipeline_process.run(*overrides)
+    assert done.returncode == 0, done.stderr
+    for seed in (3, 4):
+        folder = pipeline_process.runs / "sweep" / f"report@budget=smoke,seed={seed}"
+        assert json.loads((folder / "manifest.json").read_text())["seed"] == seed
+        assert (folder / "index.html").is_file()
+    assert not [name for name in ("outputs", "multirun", ".submitit") if (PROJECT_ROOT / name).exists()]
+
+
+def test_variants_of_different_jobs_differ() -> None:
+    assert variant_of(["stage=phantoms", "name=x", "seed=1"]) == "seed=1"
+    assert variant_of(["stage=phantoms"]) == ""
+    lists = [variant_of([f"stage.phantoms=[{names}]"]) for names in ("a,b", "a_b", "b,a")]
+    assert len(set(lists)) == 3
+    long = [variant_of([f"stage.phantoms={'x' * 200}{end}"]) for end in "ab"]
+    assert long[0] != long[1]
+    assert all(len(name) < 150 and "/" not in name for name in [*lists, *long])
+    assert variant_of(["seed=1", "budget=smoke"]) == variant_of(["budget=smoke", "seed=1"])
