@@ -54,9 +54,9 @@ smoke:  ## the whole chain in minutes; its numbers mean nothing
 	@$(MAKE) --no-print-directory all BUDGET=smoke
 
 demo: setup  ## an expert episode into the BCA: its log, its films, the report
-	@$(RUN) stage=phantoms budget=smoke name=demo 'stage.phantoms=[type_1]' stage.resolution_mm=1.0
-	@$(RUN) stage=expert budget=smoke experiment=demo $(ARGS)
-	@$(RUN) stage=report budget=smoke name=demo
+	@$(RUN) stage=phantoms name=demo 'stage.phantoms=[type_1]'
+	@$(RUN) stage=expert experiment=demo $(ARGS)
+	@$(RUN) stage=report name=demo
 
 phantoms: setup  ## stage: the aortas with meshes, grids, pictures
 	@$(RUN) stage=phantoms budget=$(BUDGET) name=$(NAME) $(ARGS)

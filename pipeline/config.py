@@ -89,12 +89,11 @@ class ExpertSettings:
     phantoms: list[str] = field(default_factory=list)
     targets: list[str] = field(default_factory=list)
     episodes: int = 1  # a phantom and target
-    workers: int = field(default=1, metadata=NO_EFFECT_ON_RESULTS)  # processes beside each other
+    threads: int = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # of the search; 0: one a core
     max_steps: int = 300
     success_radius_mm: float = 8.0
     wire: str = "default"
     image_size_px: int = 80
-    detector_noise: float = 0.02  # standard deviation, as a share of the full grey scale
     film: bool = True
     film_episodes: int = 1  # films a phantom and target
 
@@ -102,10 +101,10 @@ class ExpertSettings:
         """Checks counts and sizes."""
         require_unique("stage.phantoms", self.phantoms)
         require_unique("stage.targets", self.targets)
-        for key in ("episodes", "workers", "max_steps", "success_radius_mm", "image_size_px"):
+        for key in ("episodes", "max_steps", "success_radius_mm", "image_size_px"):
             require_positive(f"stage.{key}", getattr(self, key))
-        if self.detector_noise < 0:
-            raise ConfigurationError(f"stage.detector_noise must not be negative, got {self.detector_noise}")
+        if self.threads < 0:
+            raise ConfigurationError(f"stage.threads must be zero (one a core) or more, got {self.threads}")
 
 
 @dataclass

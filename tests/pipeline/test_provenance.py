@@ -46,8 +46,8 @@ def test_versions_commit_and_machine_are_recorded() -> None:
 
 
 def test_settings_that_cannot_change_results_stay_out_of_the_hash() -> None:
-    settings = ExpertSettings(phantoms=["type_1"], targets=["bca"], workers=2)
-    assert "workers" not in settings_that_matter(settings)
+    settings = ExpertSettings(phantoms=["type_1"], targets=["bca"], threads=2)
+    assert "threads" not in settings_that_matter(settings)
     assert settings_that_matter(settings)["targets"] == ["bca"]
 
 

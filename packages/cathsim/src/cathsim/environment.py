@@ -11,7 +11,7 @@ import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.guidewire import Guidewire, load_guidewire
-from cathsim.navigation import POTENTIAL_PER_METRE, STEP_COST, SUCCESS_REWARD, NavigationTask
+from cathsim.navigation import NavigationTask
 from cathsim.observables import Fluoroscope, make_observable
 from cathsim.presets import Accuracy, accuracy
 from cathsim.simulation import CONTROL_STEP, Simulation
@@ -132,7 +132,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         self.fluoroscope = Fluoroscope(self.simulation, image_size)
         self._view: Any = None
         self.steps = 0
-        self._ended = True
+        self.ended = True
         self._remaining = 0.0
 
         self._motors = self.simulation.motors
@@ -157,7 +157,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         self.task.start(self.simulation, self.np_random)
         self.fluoroscope.update(restart=True)
         self.steps = 0
-        self._ended = False
+        self.ended = False
         if self.task.reward == "geodesic":
             self._remaining = self.task.remaining(self.phantom, self.simulation.tip)
         tip = self.simulation.tip
@@ -170,7 +170,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             ValueError: the action has another shape or is not finite.
             RuntimeError: the episode has ended, or none was started.
         """
-        if self._ended:
+        if self.ended:
             raise RuntimeError("the episode has ended: call reset() before step()")
         action = np.asarray(action, np.float64)
         if action.shape != self._action_shape:
@@ -194,20 +194,15 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         success = distance <= task.success_radius and not invalid
         reward = self._reward(tip, distance, success=success)
         truncated = not success and (invalid or self.steps >= task.max_steps)
-        self._ended = success or truncated
+        self.ended = success or truncated
         return self.observe(), reward, success, truncated, self._info(tip, distance, success=success, invalid=invalid)
 
     def _reward(self, tip: np.ndarray, distance: float, *, success: bool) -> float:
-        task = self.task
+        task, before = self.task, self._remaining
         if task.reward == "geodesic":
-            remaining = task.remaining(self.phantom, tip)
-            reward = POTENTIAL_PER_METRE * (self._remaining - remaining) - STEP_COST
-            self._remaining = remaining
-            if success:
-                reward += SUCCESS_REWARD
-        else:
-            reward = SUCCESS_REWARD if success else -distance
-        return reward - task.force_penalty * float(self.simulation.summary.force_max)
+            self._remaining = task.remaining(self.phantom, tip)
+        force = float(self.simulation.summary.force_max)
+        return task.step_reward(distance, before - self._remaining, force, success=success)
 
     def observe(self) -> Any:
         """The observation of the moment."""

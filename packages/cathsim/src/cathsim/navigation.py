@@ -61,6 +61,21 @@ class NavigationTask:
         """Position of the target, m. Shape (3,)."""
         return phantom.target(self.target).position
 
+    def step_reward(self, distance: float, progress: float, force: float, *, success: bool) -> float:
+        """Reward of one step.
+
+        Args:
+            distance: from the tip to the target in a straight line, m.
+            progress: decrease of the distance along the lumen in this step, m; only the geodesic reward uses it.
+            force: largest resultant contact force of the step, N.
+            success: whether the target was reached.
+        """
+        if self.reward == "geodesic":
+            reward = POTENTIAL_PER_METRE * progress - STEP_COST + (SUCCESS_REWARD if success else 0.0)
+        else:
+            reward = SUCCESS_REWARD if success else -distance
+        return reward - self.force_penalty * force
+
     def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
         """Distance along the lumen from the tip to the target, m."""
         return float(phantom.geodesic_distance(tip, self.target))

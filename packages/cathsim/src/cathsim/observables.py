@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from cathsim.anatomy import Phantom
+from cathsim.contact.sdf import Vessel
 from cathsim.feed import pass_on
 from cathsim.fluoroscopy import FluoroscopyRenderer, Projector, background_image
 from cathsim.simulation import Simulation
@@ -75,8 +76,19 @@ class Fluoroscope:
 
 def shown_points(simulation: Simulation) -> np.ndarray:
     """Nodes of the wire that a fluoroscope sees: from the tip to just inside the sheath, m. Shape (n, 3)."""
-    points = simulation.inserted_points()
-    vessel = simulation.vessel
+    return outside_sheath(simulation.inserted_points(), simulation.vessel)
+
+
+def outside_sheath(points: np.ndarray, vessel: Vessel) -> np.ndarray:
+    """Drops the nodes that lie deep inside the sheath and closes the wire there.
+
+    Args:
+        points: nodes from the tip to the proximal end, m, world frame. Shape (k, 3).
+        vessel: with the sheath.
+
+    Returns:
+        Shape (n, 3).
+    """
     along = (points - vessel.entry) @ vessel.direction
     end = vessel.entry - SHOWN_SHEATH * vessel.direction
     return np.concatenate((points[along > -SHOWN_SHEATH], end[None]))

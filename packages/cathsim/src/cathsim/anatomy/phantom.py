@@ -82,6 +82,9 @@ class Phantom:
     _fields: dict[str, NDArray[np.float32]] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
+    def __repr__(self) -> str:
+        return f"Phantom({self.name!r}, {self.hash}, grid {self.grid.shape} at {self.grid.spacing:g} m)"
+
     def __getstate__(self) -> dict[str, object]:
         return {name: value for name, value in self.__dict__.items() if name != "_lock"}
 

@@ -1,0 +1,165 @@
+"""Recording an episode: a policy steers the simulator, every step goes to a log, and some to a film."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.episodes import Camera, EpisodeInfo, EpisodeOutcome, EpisodeWriter, PhantomMesh, StepRecord
+from pipeline.provenance import software_versions
+
+if TYPE_CHECKING:
+    from cathsim import NavigateEnv, Phantom
+    from cathsim.metrics import EpisodeMetrics
+    from pipeline.film import Film
+
+CAMERA = "frontal"
+_MESH_STRIDE = 3  # grid nodes a node of the logged mesh: a viewer needs no finer wall
+
+Policy = Callable[[Any, Mapping[str, Any]], np.ndarray]  # observation, info -> action
+
+
+def step_record(
+    environment: NavigateEnv,
+    step: int,
+    action: np.ndarray,
+    reward: float,
+    info: Mapping[str, Any],
+    *,
+    terminated: bool = False,
+    truncated: bool = False,
+) -> StepRecord:
+    """The record of a step that the environment has just made.
+
+    Args:
+        environment: after the step.
+        step: its index; 0 is the state after reset.
+        action: shape (actions,).
+        reward: of the step.
+        info: as the environment gave it.
+        terminated: likewise.
+        truncated: likewise.
+
+    Returns:
+        The record.
+    """
+    simulation = environment.simulation
+    return StepRecord(
+        step=step,
+        action=np.asarray(action, np.float64),
+        reward=reward,
+        terminated=terminated,
+        truncated=truncated,
+        joint_positions=simulation.joint_positions(),
+        joint_velocities=simulation.joint_velocities(),
+        wire_points=simulation.wire_points(),
+        tip=info["tip"],
+        contact_positions=info["contact_points"],
+        contact_forces=info["contact_forces"],
+        resultant_force=info["force_vector"],
+        insertion=info["insertion"],
+        rotation=info["rotation"],
+        extra={"distance_m": info["distance"]},
+    )
+
+
+def camera_of(environment: NavigateEnv) -> Camera:
+    """The environment's fluoroscope as the log describes it."""
+    projector = environment.fluoroscope.renderer.projector
+    return Camera(
+        P=projector.P, K=projector.K, R=projector.R, t=projector.t, width=projector.width, height=projector.height
+    )
+
+
+@functools.lru_cache(maxsize=32)
+def phantom_mesh(phantom: Phantom, target: str, entry: str) -> PhantomMesh:
+    """A coarse surface of a phantom's lumen for viewers, with target and entry."""
+    from cathsim.anatomy import SignedDistanceGrid
+    from cathsim.anatomy.surface import lumen_surface
+
+    grid, stride = phantom.grid, _MESH_STRIDE
+    coarse = SignedDistanceGrid(grid.values[::stride, ::stride, ::stride], grid.origin, grid.spacing * stride)
+    mesh = lumen_surface(coarse)
+    return PhantomMesh(
+        vertices=np.asarray(mesh.vertices),
+        faces=np.asarray(mesh.faces),
+        target=phantom.target(target).position,
+        entry=phantom.entry(entry).position,
+    )
+
+
+def record_episode(
+    environment: NavigateEnv,
+    policy: Policy,
+    path: Path,
+    *,
+    seed: int,
+    operator: str,
+    configuration: Mapping[str, Any] | None = None,
+    film: Film | None = None,
+) -> EpisodeMetrics:
+    """Runs one episode and logs it; the log appears under its name only when it is whole.
+
+    Args:
+        environment: to be reset and steered; image and mask are logged whatever its observation is.
+        policy: gives the action to an observation and info.
+        path: of the log; one that is there is replaced.
+        seed: of the reset.
+        operator: who steers, e.g. "sampling_expert".
+        configuration: kept in the log.
+        film: takes a frame a step.
+
+    Returns:
+        The episode's metrics, also kept in the log's outcome.
+    """
+    from cathsim.metrics import EpisodeMetrics
+    from cathsim.simulation import CONTROL_STEP
+
+    task, phantom = environment.task, environment.phantom
+    observation, info = environment.reset(seed=seed)
+    tips, forces, rewards = [info["tip"]], [], []
+    description = EpisodeInfo(
+        phantom=phantom.name,
+        phantom_hash=phantom.hash,
+        target=task.target,
+        entry=environment.simulation.entry,
+        seed=seed,
+        operator=operator,
+        control_dt=CONTROL_STEP,
+        configuration={**asdict(task), "wire": asdict(environment.simulation.wire), **(configuration or {})},
+        versions=software_versions(),
+    )
+    action: np.ndarray = np.zeros(environment.action_space.shape or (), np.float32)
+    reward, terminated, truncated, step = 0.0, False, False, 0
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with EpisodeWriter(
+        path,
+        description,
+        cameras={CAMERA: camera_of(environment)},
+        phantom_mesh=phantom_mesh(phantom, task.target, environment.simulation.entry),
+        overwrite=True,
+    ) as log:
+        while True:
+            record = step_record(environment, step, action, reward, info, terminated=terminated, truncated=truncated)
+            fluoroscope = environment.fluoroscope
+            log.step(record, images={CAMERA: fluoroscope.image()}, masks={CAMERA: fluoroscope.mask()})
+            if film is not None:
+                film.add(environment)
+            if terminated or truncated:
+                break
+            action = policy(observation, info)
+            observation, reward, terminated, truncated, info = environment.step(action)
+            step += 1
+            tips.append(info["tip"])
+            forces.append(info["force"])
+            rewards.append(reward)
+        metrics = EpisodeMetrics.from_arrays(
+            np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=task.target
+        )
+        log.finish(EpisodeOutcome(success=metrics.success, steps=step, metrics=asdict(metrics)))
+    return metrics

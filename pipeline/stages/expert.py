@@ -1,0 +1,228 @@
+"""The expert stage: logged episodes of the sampling expert, with films, paths and metrics."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.atomic import write_json
+from pipeline.config import ExpertSettings
+from pipeline.errors import ConfigurationError
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stages import Stage, StageContext
+from pipeline.stages.phantoms import require_known_phantoms
+
+TARGETS = ("bca", "lcca", "lsa")
+OPERATOR = "sampling_expert"
+ABLATION_PHANTOM = "type_1"  # that of the thesis's ablation table
+_MM = 1e3
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One episode to record."""
+
+    phantom: str
+    target: str
+    episode: int
+
+    @property
+    def task(self) -> str:
+        """Its phantom and target, the name of the folder."""
+        return f"{self.phantom}/{self.target}"
+
+    @property
+    def label(self) -> str:
+        """Names the episode."""
+        return f"{self.phantom}-{self.target}-{self.episode:03d}"
+
+    @property
+    def log(self) -> str:
+        """Its log, relative to the stage's folder."""
+        return f"{self.task}/{self.episode:03d}.mcap"
+
+    @property
+    def film(self) -> str:
+        """Its film, relative to the stage's folder."""
+        return f"{self.task}/{self.episode:03d}.gif"
+
+
+def check_expert(settings: ExpertSettings) -> None:
+    """Refuses unknown phantoms, targets and wires.
+
+    Args:
+        settings: the stage's settings.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    from cathsim import GUIDEWIRES
+
+    require_known_phantoms(settings.phantoms)
+    unknown = [name for name in settings.targets if name not in TARGETS]
+    if unknown:
+        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
+    if settings.wire not in GUIDEWIRES:
+        raise ConfigurationError(f"unknown wire {settings.wire!r}: choose from {', '.join(GUIDEWIRES)}")
+
+
+def run_expert(settings: ExpertSettings, context: StageContext) -> None:
+    """Records every episode and sums them up.
+
+    Args:
+        settings: which tasks, how many episodes.
+        context: where to write.
+    """
+    trials = [
+        Trial(phantom, target, episode)
+        for phantom in settings.phantoms
+        for target in settings.targets
+        for episode in range(settings.episodes)
+    ]
+    for trial in context.folder.resumable(trials, key=lambda trial: trial.label, label="expert episodes"):
+        metrics = record_trial(trial, settings, context.path, seed=context.seed + trial.episode)
+        context.folder.mark_done(trial.label, metrics)
+    results = {trial: context.folder.result_of(trial.label) or {} for trial in trials}
+    write_results(context.path, tables(results))
+    write_figures(context.path, figures(trials, settings, context.path))
+
+
+def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: int) -> dict[str, Any]:
+    """Records one episode with its log and, if wanted, its film.
+
+    Args:
+        trial: which.
+        settings: of the stage.
+        folder: of the stage.
+        seed: of start and search.
+
+    Returns:
+        Its metrics.
+    """
+    from cathsim import NavigateEnv
+    from cathsim.planning.sampling import SamplingExpert
+    from pipeline.film import Film
+    from pipeline.recording import record_episode
+
+    environment = NavigateEnv(
+        trial.phantom,
+        trial.target,
+        wire=settings.wire,
+        observation="tip",
+        image_size=settings.image_size_px,
+        max_steps=settings.max_steps,
+        success_radius=settings.success_radius_mm / _MM,
+    )
+    expert = SamplingExpert(environment, seed=seed, threads=settings.threads or None)
+    film = Film() if settings.film and trial.episode < settings.film_episodes else None
+    try:
+        metrics = record_episode(
+            environment,
+            lambda observation, info: expert.action(),
+            folder / trial.log,
+            seed=seed,
+            operator=OPERATOR,
+            configuration={"expert": asdict(expert.settings)},
+            film=film,
+        )
+        if film is not None:
+            film.write(folder / trial.film)
+    finally:
+        expert.close()
+        environment.close()
+        if film is not None:
+            film.close()
+    return asdict(metrics)
+
+
+def tables(results: dict[Trial, dict[str, Any]]) -> dict[str, Any]:
+    """Metrics of every task, and those of Type I beside the thesis's ablation.
+
+    Args:
+        results: trial to its metrics.
+
+    Returns:
+        Table to row to column to cell.
+    """
+    from cathsim.metrics import EpisodeMetrics, summarise
+
+    grouped: dict[str, list[EpisodeMetrics]] = {}
+    for trial, metrics in results.items():
+        grouped.setdefault(trial.task, []).append(EpisodeMetrics(**metrics))
+    own: dict[str, Any] = {}
+    ablation: dict[str, Any] = {}
+    for task, episodes in grouped.items():
+        row = summarise(episodes).as_dict()
+        row["n"] = row.pop("episodes")
+        own[task] = row
+        phantom, target = task.split("/")
+        if phantom == ABLATION_PHANTOM and target != "lsa":
+            thesis = ("force_n", "path_length_cm", "episode_length_steps", "safety_pct", "success_pct", "spl_pct", "n")
+            ablation[f"{target}/{OPERATOR}"] = {column: row[column] for column in thesis}
+    return {"expert": own, "ablation": ablation} if ablation else {"expert": own}
+
+
+def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list[Figure]:
+    """Draws paths and forces of every task and lists them with the films.
+
+    Args:
+        trials: all of them, recorded.
+        settings: of the stage.
+        folder: of the stage.
+
+    Returns:
+        What the report shows.
+    """
+    from cathsim import load_phantom
+    from pipeline.episodes import EpisodeReader
+    from pipeline.report.episode_plots import draw_planned_path, draw_task
+
+    shown = []
+    for task in dict.fromkeys(trial.task for trial in trials):
+        phantom_name, target = task.split("/")
+        phantom = load_phantom(phantom_name)
+        group = f"Sampling expert, {phantom_name}, {target.upper()}"
+        arrays = [
+            EpisodeReader(folder / trial.log).load_arrays(pictures=False) for trial in trials if trial.task == task
+        ]
+        draw_task(phantom, target, arrays, folder / task / "episodes.png")
+        shown.append(
+            Figure(
+                f"{task}: way of the tip and contact force",
+                f"{len(arrays)} episodes; the target's sphere of success is dashed.",
+                f"{task}/episodes.png",
+                group,
+            )
+        )
+        length = draw_planned_path(phantom, target, folder / task / "path.png")
+        write_json(folder / task / "path.json", {"length_m": length})
+        shown.append(
+            Figure(f"{task}: shortest path", "A* in the lumen from the entry to the target.", f"{task}/path.png", group)
+        )
+        if settings.film:
+            shown += [
+                Figure(
+                    f"{task}: episode {trial.episode}",
+                    "Fluoroscopy and 3-D view, 2.5 times the episode's speed.",
+                    trial.film,
+                    group,
+                )
+                for trial in trials
+                if trial.task == task and trial.episode < settings.film_episodes
+            ]
+    return shown
+
+
+STAGE = Stage(
+    name="expert",
+    run=run_expert,
+    reads=("phantoms",),
+    writes=(
+        "<phantom>/<target>/{NNN.mcap, NNN.gif, episodes.png, path.png, path.json}",
+        "results.json",
+        "figures.json",
+    ),
+    code=("cathsim",),
+    check=check_expert,
+)
