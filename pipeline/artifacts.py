@@ -26,6 +26,7 @@ from typing import Any, TypeVar
 
 from pipeline.atomic import atomic_path, remove_unfinished, write_json
 from pipeline.errors import FolderBusyError, StageError
+from pipeline.interruption import stop_if_asked
 from pipeline.progress import progress
 from pipeline.provenance import git_state, hash_file, hash_value, software_versions
 
@@ -236,6 +237,7 @@ class RunFolder:
             yield item
             if self.result_of(key(item)) is None:
                 self.mark_done(key(item))
+            stop_if_asked()
 
     def finish(
         self, *, stage: str, run: str, budget: str, seed: int, config: dict[str, Any], started: float

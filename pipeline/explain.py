@@ -42,7 +42,7 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
         r"Key '([\w.]+)' (?:is )?not in", text
     )
     if key or "is not in struct" in f"{text} {cause}" or "not in '" in f"{text} {cause}":
-        return _unknown_key(_full_key(cause) or (key[1] if key else "?"), overrides)
+        return _unknown_key(_full_key(cause) or _full_key(error) or (key[1] if key else "?"), overrides)
     if isinstance(cause, OmegaConfBaseException):
         return f"{_full_key(cause) or 'a setting'}: {_first_line(str(cause))}"
     return _first_line(text)

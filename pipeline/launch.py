@@ -24,6 +24,7 @@ from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_con
 from pipeline.errors import PipelineError
 from pipeline.execution import execute, variant_of
 from pipeline.explain import one_line
+from pipeline.interruption import let_ctrl_c_interrupt
 from pipeline.stages import available_stages
 
 EXIT_FAILED = 1
@@ -75,6 +76,8 @@ def task(composed: DictConfig) -> None:
     hydra = HydraConfig.get()
     in_sweep = hydra.mode == RunMode.MULTIRUN
     variant = variant_of(list(hydra.overrides.task)) if in_sweep else ""
+    if not in_sweep:
+        let_ctrl_c_interrupt()
     try:
         execute(run_config(composed), variant=variant)
     except (PipelineError, OSError) as error:
@@ -105,6 +108,8 @@ def main(arguments: list[str]) -> int:
     signal.signal(signal.SIGTERM, _terminate)
     sys.argv = [sys.argv[0], *arguments]
     register_schemas()
+    if "-m" in arguments or "--multirun" in arguments:
+        let_ctrl_c_interrupt()  # the jobs run elsewhere, so the launcher must get the chance to stop them
     try:
         hydra_main(version_base="1.3", config_path=str(CONFIG_DIRECTORY), config_name="config")(task)()
     except KeyboardInterrupt:

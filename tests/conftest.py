@@ -43,7 +43,9 @@ class PipelineProcess:
             check=False,
         )
 
-    def start(self, *overrides: str, largest_file: int | None = None) -> subprocess.Popen[str]:
+    def start(
+        self, *overrides: str, largest_file: int | None = None, interpreter_options: tuple[str, ...] = ()
+    ) -> subprocess.Popen[str]:
         """Starts a command line; the caller stops it. No file it writes may exceed ``largest_file`` bytes."""
 
         def before_it_runs() -> None:
@@ -53,7 +55,7 @@ class PipelineProcess:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
 
         return subprocess.Popen(
-            self._command(overrides),
+            self._command(overrides, interpreter_options),
             cwd=PROJECT_ROOT,
             env=self.environment,
             stdout=subprocess.PIPE,
@@ -62,9 +64,9 @@ class PipelineProcess:
             preexec_fn=before_it_runs,
         )
 
-    def _command(self, overrides: tuple[str, ...]) -> list[str]:
+    def _command(self, overrides: tuple[str, ...], interpreter_options: tuple[str, ...] = ()) -> list[str]:
         arguments = [*overrides] if "--help" in overrides else [*overrides, f"runs_dir={self.runs}"]
-        return [sys.executable, "-m", "pipeline", *arguments]
+        return [sys.executable, *interpreter_options, "-m", "pipeline", *arguments]
 
 
 @pytest.fixture(scope="session")

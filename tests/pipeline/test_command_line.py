@@ -28,6 +28,7 @@ WRONG = {
     "name": (("stage=phantoms", "name=a/b"), ["'a/b'", "cannot be a folder"]),
     "quoting": (("stage=phantoms", "stage.phantoms=[type_1"), ["stage.phantoms=[type_1", "key=value"]),
     "sweep": (("-m", "stage=phantom,report"), ["'phantom'", "phantoms", "report"]),
+    "experiment of another stage": (("stage=report", "experiment=demo"), ["'stage.phantoms'", "stage.embed_limit_mb"]),
     "sweep key": (("-m", "stage=phantoms", "sed=1,2"), ["'sed'", "did you mean seed?"]),
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.guidewire import Guidewire, load_guidewire
-from cathsim.navigation import NavigationTask
+from cathsim.navigation import NavigationTask, navigation_task
 from cathsim.observables import Fluoroscope, make_observable
 from cathsim.presets import Accuracy, accuracy
 from cathsim.simulation import CONTROL_STEP, Simulation
@@ -117,7 +116,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             raise ValueError(
                 f"unknown render_mode '{render_mode}'; there are {', '.join(self.metadata['render_modes'])}"
             )
-        self.task = _task(task, target, task_fields)
+        self.task = navigation_task(target, task_fields, task)
         self.phantom = load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom
         self._goal = self.task.goal(self.phantom)
         self.simulation = Simulation(
@@ -253,13 +252,3 @@ def _distance(a: np.ndarray, b: np.ndarray) -> float:
 
 def _numerics(preset: str | Accuracy) -> Accuracy:
     return accuracy(preset) if isinstance(preset, str) else preset
-
-
-def _task(task: NavigationTask | None, target: str, fields: dict[str, Any]) -> NavigationTask:
-    known = [field.name for field in dataclasses.fields(NavigationTask)]
-    unknown = sorted(set(fields) - set(known))
-    if unknown:
-        raise ValueError(f"the environment has no argument {', '.join(unknown)}; the task's are {', '.join(known)}")
-    if task is not None:
-        return dataclasses.replace(task, **fields)
-    return NavigationTask(target=target, **fields)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -51,11 +54,15 @@ class NavigationTask:
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
-    def start(self, simulation: Simulation, generator: np.random.Generator) -> None:
-        """Puts the wire at the start of an episode."""
+    def draw_start(self, generator: np.random.Generator) -> tuple[float, float]:
+        """Insertion (m) and rotation (rad) at the start of an episode."""
         insertion = generator.uniform(0.0, self.start_jitter) if self.start_jitter else 0.0
         rotation = generator.uniform(-self.start_rotation, self.start_rotation) if self.start_rotation else 0.0
-        simulation.reset(insertion, rotation)
+        return insertion, rotation
+
+    def start(self, simulation: Simulation, generator: np.random.Generator) -> None:
+        """Puts the wire at the start of an episode."""
+        simulation.reset(*self.draw_start(generator))
 
     def goal(self, phantom: Phantom) -> np.ndarray:
         """Position of the target, m. Shape (3,)."""
@@ -79,3 +86,23 @@ class NavigationTask:
     def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
         """Distance along the lumen from the tip to the target, m."""
         return float(phantom.geodesic_distance(tip, self.target))
+
+
+def navigation_task(target: str, fields: Mapping[str, Any], task: NavigationTask | None = None) -> NavigationTask:
+    """A task from an environment's keywords.
+
+    Args:
+        target: its target, where no task is given.
+        fields: other fields of `NavigationTask`.
+        task: whose fields they replace.
+
+    Raises:
+        ValueError: a field that there is not.
+    """
+    known = [field.name for field in dataclasses.fields(NavigationTask)]
+    unknown = sorted(set(fields) - set(known))
+    if unknown:
+        raise ValueError(f"the environment has no argument {', '.join(unknown)}; the task's are {', '.join(known)}")
+    if task is not None:
+        return dataclasses.replace(task, **fields)
+    return NavigationTask(target=target, **fields)

@@ -39,12 +39,12 @@ class Fluoroscope:
         self.renderer = camera(simulation.phantom, size, simulation.wire.radius)
         self.shape = (size, size)
         self._image, self._mask = np.empty(self.shape, np.uint8), np.empty(self.shape, np.uint8)
-        self._drawn = False
+        self._drawn = self._kept = False
         self.frames: list[np.ndarray] = []
 
     def update(self, *, restart: bool = False) -> None:
         """Says that the simulation has moved on (or restarted): the next look draws anew."""
-        self._drawn = False
+        self._drawn = self._kept = False
         if restart:
             self.frames = []
 
@@ -65,12 +65,10 @@ class Fluoroscope:
 
     def sequence(self) -> np.ndarray:
         """The last three images, oldest first; the first image of an episode stands for the missing ones."""
-        self._draw()
-        latest = self._image.copy()
-        if not self.frames:
-            self.frames = [latest] * FRAMES
-        else:
-            self.frames = [*self.frames[1:], latest]
+        if not self._kept:  # a second look in the same step is no new frame
+            latest = self.image()
+            self.frames = [*self.frames[1:], latest] if self.frames else [latest] * FRAMES
+            self._kept = True
         return np.stack(self.frames)
 
 
@@ -89,9 +87,10 @@ def outside_sheath(points: np.ndarray, vessel: Vessel) -> np.ndarray:
     Returns:
         Shape (n, 3).
     """
-    along = (points - vessel.entry) @ vessel.direction
     end = vessel.entry - SHOWN_SHEATH * vessel.direction
-    return np.concatenate((points[along > -SHOWN_SHEATH], end[None]))
+    # the nodes in the sheath are the last ones
+    shown = int(np.count_nonzero(points @ vessel.direction > end @ vessel.direction))
+    return np.concatenate((points[:shown], end[None]))
 
 
 @dataclass(frozen=True)

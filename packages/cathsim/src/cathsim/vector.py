@@ -92,9 +92,13 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
             seed: of all, or one each.
             options: `reset_mask`, bool of shape (num_envs,), restricts the reset to some environments.
         """
-        seeds = (
-            [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed or [None] * self.num_envs)
-        )
+        seeds: list[int | None]
+        if seed is None:
+            seeds = [None] * self.num_envs
+        elif isinstance(seed, int | np.integer):
+            seeds = [int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"expected {self.num_envs} seeds, one an environment, got {len(seeds)}")
         mask = np.ones(self.num_envs, bool)

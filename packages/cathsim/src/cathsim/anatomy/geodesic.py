@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,8 +28,6 @@ def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> NDArray[np.fl
     Raises:
         ValueError: where the target lies outside the lumen.
     """
-    import skfmm
-
     target = np.asarray(target, dtype=np.float64)
     depth = float(grid.sample(target))
     if depth <= 0:
@@ -38,12 +38,24 @@ def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> NDArray[np.fl
     inside = inside[box]
     axes = [grid.origin[k] + np.arange(grid.shape[k])[box[k]] * grid.spacing - target[k] for k in range(3)]
     straight = np.sqrt(axes[0][:, None, None] ** 2 + axes[1][None, :, None] ** 2 + axes[2][None, None, :] ** 2)
-    marched = skfmm.distance(np.ma.MaskedArray(straight - seed, ~inside), dx=grid.spacing)
-    reached = inside & ~np.ma.getmaskarray(marched)
-    distance = np.where(straight < seed, straight, np.ma.getdata(marched) + seed)
+    distance = _march(np.where(straight < seed, straight, np.inf), inside, grid.spacing)
+    reached = inside & np.isfinite(distance)
     field = np.full(grid.shape, np.inf, dtype=np.float32)
     field[box][reached] = distance[reached]
     return _continue_outwards(field, float(distance[reached].max()), grid)
+
+
+def _march(seeded: NDArray[np.float64], inside: NDArray[np.bool_], spacing: float) -> NDArray[np.float64]:
+    """Distances inside the lumen, m, from those that are finite already; infinite where there is no way."""
+    from cathsim.contact.native import address, library
+
+    distance = np.ascontiguousarray(seeded, dtype=np.float64)
+    free, accepted = np.ascontiguousarray(inside, dtype=np.uint8), np.zeros(inside.shape, dtype=np.uint8)
+    size = np.array(inside.shape, dtype=np.int32)
+    march = library().cathsim_march
+    if march(address(size), ctypes.c_double(spacing), address(free), address(accepted), address(distance)):
+        raise MemoryError(f"no memory left for the distances of {inside.size} grid nodes: use a coarser resolution")
+    return distance
 
 
 def _bounding_box(inside: NDArray[np.bool_]) -> tuple[slice, slice, slice]:

@@ -18,7 +18,7 @@ from .lumen import build_lumen
 from .phantom import Phantom, locate_entries, locate_targets
 from .phantom_cache import PhantomCache, default_cache_directory
 
-GENERATOR_VERSION = 5  # raise it whenever the same parameters give another geometry
+GENERATOR_VERSION = 6  # raise it whenever the same parameters give another geometry
 
 NAMED: dict[str, ArchParameters] = {
     "type_1": ArchParameters(),

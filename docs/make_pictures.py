@@ -1,0 +1,65 @@
+"""Makes the pictures of the documentation: python docs/make_pictures.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from cathsim import PHANTOMS, NavigateEnv, load_phantom
+from cathsim.observables import Fluoroscope
+from cathsim.planning.sampling import SamplingExpert
+from cathsim.view import View
+
+FOLDER = Path(__file__).parent / "pictures"
+SIZE = 360
+
+
+def overview() -> None:
+    """An expert's episode into the BCA: fluoroscopy above, 3-D below, at four moments."""
+    environment = NavigateEnv("type_1", "bca", observation="tip")
+    expert = SamplingExpert(environment, seed=0)
+    fluoroscope = Fluoroscope(environment.simulation, SIZE)
+    view = View(environment.phantom, width=SIZE, height=SIZE)
+    goal = environment.task.goal(environment.phantom)
+    columns = []
+    environment.reset(seed=0)
+    done = False
+    while not done:
+        done = any(environment.step(expert.action())[2:4])
+        if environment.steps in (30, 60, 76) or done:
+            fluoroscope.update()
+            grey = np.repeat(fluoroscope.image()[:, :, None], 3, axis=2)
+            columns.append(np.concatenate((grey, view.render(environment.simulation, goal))))
+    expert.close()
+    view.close()
+    save(np.concatenate(columns, axis=1), "episode.png")
+
+
+def phantoms() -> None:
+    """All named phantoms from the front, with the wire's way in."""
+    columns = []
+    for name in PHANTOMS:
+        environment = NavigateEnv(name, observation="tip")
+        environment.reset(seed=0)
+        for _ in range(20):
+            environment.step(np.array([1.0, 0.0]))
+        view = View(load_phantom(name), width=260, height=SIZE)
+        picture = Image.fromarray(view.render(environment.simulation))
+        ImageDraw.Draw(picture).text((8, SIZE - 26), name, fill=(40, 40, 40), font_size=18)
+        view.close()
+        columns.append(np.asarray(picture))
+    rows = [np.concatenate(columns[i : i + 3], axis=1) for i in (0, 3)]
+    save(np.concatenate(rows), "phantoms.png")
+
+
+def save(picture: np.ndarray, name: str) -> None:
+    """Writes a PNG of few colours, as it lies in the repository."""
+    FOLDER.mkdir(exist_ok=True)
+    Image.fromarray(picture).quantize(160, dither=Image.Dither.NONE).save(FOLDER / name, optimize=True)
+
+
+if __name__ == "__main__":
+    overview()
+    phantoms()

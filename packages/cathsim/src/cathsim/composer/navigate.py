@@ -1,0 +1,237 @@
+"""The navigation task on composer entities, and the function that makes its environment."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any
+
+import mujoco
+import numpy as np
+from dm_control import composer, mjcf
+from dm_control.composer.observation.observable import Generic
+from dm_env import specs
+
+from cathsim.anatomy import Phantom, load_phantom
+from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena
+from cathsim.composer.parts import model_parts
+from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
+from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.navigation import NavigationTask, navigation_task
+from cathsim.observables import camera, outside_sheath
+from cathsim.presets import Accuracy
+from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS, vessel_of
+
+STEPPING = Accuracy(timestep=0.0025, refinement=1, mass_scale=10.0)
+
+
+class NavigateTask(composer.Task):
+    """Bring the wire's tip to a target; start, reward and endings are `NavigateEnv`'s.
+
+    A control step of 0.1 s is 40 plain MuJoCo steps of 2.5 ms with the whole wire in the model: `NavigateEnv` instead
+    repeats substeps in which the wire goes deep into the wall, and leaves out the links that wait outside the sheath.
+    The two agree within millimetres, not bit for bit.
+
+    Args:
+        phantom: the vessel.
+        wire: the guidewire.
+        task: what an episode asks for.
+        entry: name of the phantom's entry.
+        tip_motors: 21 actions instead of two.
+        image_size: side of the fluoroscopic image, px.
+        numerics: time stepping; its refinement is not used.
+    """
+
+    def __init__(
+        self,
+        phantom: Phantom,
+        wire: Guidewire,
+        task: NavigationTask,
+        *,
+        entry: str = "descending",
+        tip_motors: bool = False,
+        image_size: int = 80,
+        numerics: Accuracy = STEPPING,
+    ) -> None:
+        self.phantom, self.task = phantom, task
+        self.goal = task.goal(phantom)
+        vessel = vessel_of(phantom, entry)
+        parts = model_parts(vessel, wire, numerics, tip_motors=tip_motors)
+        self.arena = VesselArena(parts.arena, vessel, wire.length)
+        self.feeder = Feeder(parts.feeder, wire)
+        self.guidewire = GuidewireEntity(parts.guidewire, wire)
+        self.arena.attach(self.feeder, self.arena.feeder_site)
+        self.feeder.attach(self.guidewire, self.feeder.wire_site)
+        self.set_timesteps(control_timestep=CONTROL_STEP, physics_timestep=numerics.timestep)
+
+        self._renderer = camera(phantom, image_size, wire.radius)
+        self._actions = len(self.guidewire.motors) + 1 if tip_motors else 2
+        self.steps = self._substep = 0
+        self.force = np.zeros(3)
+        self._remaining = 0.0
+        self._reward = 0.0
+        self.success = False
+        self._observables = OrderedDict(
+            image=Generic(lambda physics: self._draw(physics)[0]),
+            mask=Generic(lambda physics: self._draw(physics)[1]),
+            force=Generic(lambda physics: self.force.copy()),
+        )
+        for name, entry_ in self._observables.items():
+            entry_.enabled = name != "mask"
+        for entity in (self.feeder, self.guidewire):
+            entity.observables.enable_all()
+
+    @property
+    def root_entity(self) -> VesselArena:
+        """The arena."""
+        return self.arena
+
+    @property
+    def task_observables(self) -> OrderedDict[str, Generic]:
+        """`image` and `mask` (1, size, size) uint8, as `NavigateEnv` gives them, and `force` (3,) N.
+
+        The mask is off until its `enabled` is set.
+        """
+        return OrderedDict(self._observables)
+
+    def _draw(self, physics: mjcf.Physics) -> tuple[np.ndarray, np.ndarray]:
+        points = outside_sheath(self.guidewire.nodes(physics), self.arena.vessel)
+        image = np.empty(self._renderer.shape, np.uint8)
+        mask = np.empty(self._renderer.shape, np.uint8)
+        self._renderer.render_into(points, image, mask)
+        return image[None], mask[None] * np.uint8(255)
+
+    def action_spec(self, physics: mjcf.Physics) -> specs.BoundedArray:
+        """-1 to 1: translation (2 mm) and rotation (15 degrees); or the tip's motors, then translation."""
+        return specs.BoundedArray((self._actions,), np.float64, -1.0, 1.0, name="action")
+
+    def initialize_episode(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Puts the wire straight into the sheath and lets its tip unbend for 0.3 s."""
+        generator = np.random.default_rng(int(random_state.randint(2**31)))
+        insertion, rotation = self.task.draw_start(generator)
+        self.feeder.place(physics, insertion, rotation)
+        for _ in range(SETTLE_STEPS * self.physics_steps_per_control_step):
+            self.feeder.drive(physics, 1.0)
+            mujoco.mj_step(physics.model.ptr, physics.data.ptr)
+        physics.data.time = 0.0
+        physics.forward()
+        self.steps, self.success = 0, False
+        self.force[:] = 0.0
+        if self.task.reward == "geodesic":
+            self._remaining = self.task.remaining(self.phantom, self._tip(physics))
+
+    def before_step(self, physics: mjcf.Physics, action: np.ndarray, random_state: np.random.RandomState) -> None:
+        """Hands the action to the feeder and the motors.
+
+        Raises:
+            ValueError: the action has another shape or is not finite.
+        """
+        action = np.asarray(action, float)
+        if action.shape != (self._actions,):
+            raise ValueError(f"expected an action of shape {(self._actions,)}, got {action.shape}")
+        if not np.isfinite(action).all():
+            raise ValueError(f"expected a finite action, got {action.tolist()}")
+        action = action.clip(-1.0, 1.0)
+        if self.guidewire.motors:
+            self.feeder.command(physics, TRANSLATION_STEP * action[-1], 0.0)
+            self.guidewire.bend(physics, action[:-1])
+        else:
+            self.feeder.command(physics, TRANSLATION_STEP * action[0], ROTATION_STEP * action[1])
+        self._substep = 0
+        self.force[:] = 0.0
+
+    def before_substep(self, physics: mjcf.Physics, action: np.ndarray, random_state: np.random.RandomState) -> None:
+        """Moves the servos' targets at constant speed."""
+        self._substep += 1
+        self.feeder.drive(physics, self._substep / self.physics_steps_per_control_step)
+
+    def after_substep(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Keeps the largest resultant contact force of the step."""
+        force = self.arena.contacts(physics).forces.sum(axis=0)
+        if force @ force > self.force @ self.force:
+            self.force[:] = force
+
+    def after_step(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Judges the step."""
+        model, data = physics.model.ptr, physics.data.ptr
+        if not np.isfinite(data.qpos).all():
+            mujoco.mj_resetData(model, data)  # the episode ends here; so that its last observation is at least finite
+        mujoco.mj_kinematics(model, data)  # poses of the state that the step has reached
+        self.steps += 1
+        tip, before = self._tip(physics), self._remaining
+        distance = float(np.linalg.norm(tip - self.goal))
+        self.success = distance <= self.task.success_radius
+        if self.task.reward == "geodesic":
+            self._remaining = self.task.remaining(self.phantom, tip)
+        force = float(np.linalg.norm(self.force))
+        self._reward = self.task.step_reward(distance, before - self._remaining, force, success=self.success)
+
+    def _tip(self, physics: mjcf.Physics) -> np.ndarray:
+        return np.array(physics.bind(self.guidewire.tip_site).xpos)
+
+    def get_reward(self, physics: mjcf.Physics) -> float:
+        """Reward of the step, as `NavigationTask.step_reward` gives it."""
+        return self._reward
+
+    def should_terminate_episode(self, physics: mjcf.Physics) -> bool:
+        """Whether the target is reached or the steps are used up."""
+        return self.success or self.steps >= self.task.max_steps
+
+    def get_discount(self, physics: mjcf.Physics) -> float:
+        """0 at the target; 1 otherwise, so that an episode that ran out of steps counts as truncated."""
+        return 0.0 if self.success else 1.0
+
+
+def load(
+    phantom: str | Phantom = "type_1",
+    target: str = "bca",
+    *,
+    seed: int | None = None,
+    entry: str = "descending",
+    wire: str | Guidewire = "default",
+    actions: str = "feeder",
+    image_size: int = 80,
+    numerics: Accuracy = STEPPING,
+    phantom_seed: int | None = None,
+    **task_fields: Any,
+) -> composer.Environment:
+    """Makes the environment.
+
+    Args:
+        phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), or a `Phantom`.
+        target: one of the phantom's targets.
+        seed: of the starts; the same seed gives the same episodes to the same actions.
+        entry: "descending" (femoral access) or "ascending".
+        wire: a preset's name or a `Guidewire`.
+        actions: "feeder" (translation, rotation) or "tip_motors" (20 motors, translation).
+        image_size: side of the fluoroscopic image, px.
+        numerics: time stepping.
+        phantom_seed: of the random phantom.
+        task_fields: fields of `NavigationTask`: success_radius, max_steps, start_jitter, start_rotation, reward,
+            force_penalty.
+
+    Returns:
+        The environment. It does not compile its model again at a reset; should the state become invalid, the episode
+        ends with reward 0 and discount 0.
+
+    Raises:
+        ValueError: an unknown name or field.
+    """
+    if actions not in ACTIONS:
+        raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
+    task = NavigateTask(
+        load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom,
+        load_guidewire(wire) if isinstance(wire, str) else wire,
+        navigation_task(target, task_fields),
+        entry=entry,
+        tip_motors=actions == "tip_motors",
+        image_size=image_size,
+        numerics=numerics,
+    )
+    return composer.Environment(
+        task,
+        random_state=seed,
+        raise_exception_on_physics_error=False,
+        strip_singleton_obs_buffer_dim=True,
+        recompile_mjcf_every_episode=False,
+        legacy_step=False,  # MuJoCo's discrete integrator is not made for split steps
+    )

@@ -1,0 +1,427 @@
+"""Contact by signed distance: the grid's distances and normals, forces, neighbours left alone, layout, NaN, threads."""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+import pytest
+
+from cathsim.anatomy import ArchParameters, Entry, Phantom, SignedDistanceGrid
+from cathsim.arena import model_spec
+from cathsim.contact import native
+from cathsim.contact.sdf import MAGIC, Vessel
+from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.presets import ACCURACY
+from cathsim.simulation import Simulation
+
+UP = np.array([0.0, 0.0, 1.0])
+TUBE_RADIUS = 0.006
+
+
+def sampled(
+    distance: Callable[[np.ndarray], np.ndarray], low: float, high: float, spacing: float, **sheath: Any
+) -> Vessel:
+    """A vessel over a cube, from a signed distance of points (n, 3); without a sheath unless told."""
+    axis = np.arange(low, high + spacing / 2, spacing)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    values = distance(points.reshape(-1, 3)).reshape(points.shape[:3])
+    return Vessel(
+        values, np.full(3, axis[0]), spacing, **{"entry": np.zeros(3), "direction": UP, "sheath_radius": 0.0, **sheath}
+    )
+
+
+def sphere(radius: float, spacing: float = 0.001) -> Vessel:
+    """The inside of a sphere about the origin."""
+    return sampled(lambda p: radius - np.linalg.norm(p, axis=1), -radius - 0.003, radius + 0.003, spacing)
+
+
+def tube_distance(points: np.ndarray) -> np.ndarray:
+    """Inside of a tube along z, closed at both ends."""
+    x, y, z = points.T
+    return np.minimum(TUBE_RADIUS - np.hypot(x, y), np.minimum(0.045 - z, z + 0.005))
+
+
+def tube(**sheath: Any) -> Vessel:
+    return sampled(tube_distance, -0.010, 0.050, 0.001, **sheath)
+
+
+@pytest.fixture(scope="module")
+def fed_tube() -> Vessel:
+    """A tube with a sheath."""
+    return tube(sheath_radius=0.75e-3)
+
+
+def wire_in(vessel: Vessel) -> mujoco.MjModel:
+    return model_spec(vessel, load_guidewire("default"), ACCURACY["accurate"]).compile()
+
+
+def pushed(model: mujoco.MjModel, steps: int, advance: float = 0.04) -> mujoco.MjData:
+    """A wire that is fed at constant speed."""
+    data = mujoco.MjData(model)
+    for i in range(steps):
+        data.ctrl[0] = advance * (i + 1) / steps
+        mujoco.mj_step(model, data)
+    return data
+
+
+@pytest.fixture(scope="module")
+def tube_phantom() -> Phantom:
+    """A straight tube with an entry at its lower end; the simulation needs no more of a phantom than that."""
+    vessel = tube()
+    entry = Entry("descending", np.zeros(3), UP)
+    grid = SignedDistanceGrid(vessel.values, vessel.origin, vessel.spacing)
+    return Phantom("tube", "0" * 16, ArchParameters(), cast(Any, None), grid, {}, {"descending": entry})
+
+
+# Distances and normals
+
+
+def test_distance_of_a_plane_is_exact() -> None:
+    """The spline reproduces linear functions, so a plane's distance is that of the formula to rounding of float32."""
+    normal = np.array([0.6, 0.0, 0.8])
+    vessel = sampled(lambda p: p @ normal - 0.002, -0.010, 0.010, 0.001)
+    points = np.random.default_rng(0).uniform(-0.008, 0.008, (500, 3))
+    distance, gradient = vessel.distance(points)
+    np.testing.assert_allclose(distance, points @ normal - 0.002, atol=2e-9)
+    np.testing.assert_allclose(gradient, np.broadcast_to(normal, gradient.shape), atol=2e-6)
+
+
+def test_distance_at_nodes_is_the_grids_up_to_its_curvature() -> None:
+    """At a node the quadratic spline averages 6/8 of it with 1/8 of its neighbours, along each axis."""
+    rng = np.random.default_rng(1)
+    values = rng.normal(0, 1e-3, (7, 8, 9)).astype(np.float32)
+    vessel = Vessel(values, np.array([0.01, 0.02, 0.03]), 0.002, np.zeros(3), UP, sheath_radius=0.0)
+    weights = np.array([0.125, 0.75, 0.125])
+    for i, j, k in rng.integers(1, 6, (50, 3)):
+        block = values[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2].astype(float)
+        expected = np.einsum("ijk,i,j,k", block, weights, weights, weights)
+        point = np.array([0.01, 0.02, 0.03]) + 0.002 * np.array([i, j, k])
+        assert vessel.distance(point)[0][0] == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("radius", [0.006, 0.012])
+def test_distance_and_normal_of_a_sphere(radius: float) -> None:
+    """Near the wall the spline is off by spacing^2 / 8 x curvature, 2 / radius, and no more."""
+    rng = np.random.default_rng(2)
+    direction = rng.normal(size=(500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    rho = radius + rng.uniform(-0.001, 0.001, (500, 1))
+    distance, gradient = sphere(radius).distance(rho * direction)
+    np.testing.assert_allclose(distance, radius - rho[:, 0], atol=1.4 * 0.001**2 / 8 * 2 / radius)
+    normal = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+    assert np.degrees(np.arccos(np.clip(-(normal * direction).sum(1), -1, 1))).max() < 1.0
+
+
+def test_distance_and_normal_of_a_tube() -> None:
+    rng = np.random.default_rng(3)
+    angle, rho = rng.uniform(0, 2 * np.pi, 500), rng.uniform(0.005, 0.007, 500)
+    points = np.column_stack((rho * np.cos(angle), rho * np.sin(angle), rng.uniform(0.0, 0.03, 500)))
+    distance, gradient = tube().distance(points)
+    np.testing.assert_allclose(distance, TUBE_RADIUS - rho, atol=1.4 * 0.001**2 / 8 / 0.005)
+    assert np.abs(gradient[:, 2]).max() < 1e-6
+    assert (-(gradient[:, 0] * np.cos(angle) + gradient[:, 1] * np.sin(angle))).min() > 0.98
+
+
+def test_gradient_is_the_distances_derivative() -> None:
+    vessel = sphere(0.008)
+    points = np.random.default_rng(4).uniform(-0.008, 0.008, (100, 3))
+    gradient = vessel.distance(points)[1]
+    step = 1e-7
+    for axis in range(3):
+        shift = step * np.eye(3)[axis]
+        slope = (vessel.distance(points + shift)[0] - vessel.distance(points - shift)[0]) / (2 * step)
+        np.testing.assert_allclose(gradient[:, axis], slope, atol=1e-5)
+
+
+def test_sheath_is_a_straight_bore_behind_the_entry() -> None:
+    vessel = tube(sheath_radius=0.75e-3, sheath_overlap=0.006)
+    behind = np.array([[0.0003, 0.0, -0.5], [0.0, -0.0009, -0.1]])
+    distance, gradient = vessel.distance(behind)
+    np.testing.assert_allclose(distance, [0.00045, -0.00015], atol=1e-12)
+    np.testing.assert_allclose(gradient, [[-1, 0, 0], [0, 1, 0]], atol=1e-12)
+    inside = np.array([[0.004, 0.0, 0.020]])
+    assert vessel.distance(inside)[0] == pytest.approx(tube().distance(inside)[0])
+
+
+@pytest.mark.parametrize(
+    ("values", "direction", "message"),
+    [
+        (np.ones((2, 5, 5)), UP, "at least 3 each, got \\(2, 5, 5\\)"),
+        (np.ones((5, 5)), UP, "shape \\(nx, ny, nz\\)"),
+        (np.ones((5, 5, 5)), 2 * UP, "direction must be a unit vector"),
+        (np.ones((5, 5, 5)), np.array([0.0, 1.0]), "direction must be a unit vector"),
+    ],
+)
+def test_impossible_vessel_is_refused(values: np.ndarray, direction: np.ndarray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Vessel(values, np.zeros(3), 0.001, np.zeros(3), direction)
+
+
+def test_points_of_a_wrong_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"shape \(n, 3\), got \(4, 2\)"):
+        tube().distance(np.zeros((4, 2)))
+
+
+# Forces
+
+
+@pytest.mark.parametrize("push", [0.02, 0.1, 0.5])
+def test_wall_balances_the_force_that_presses_a_wire_on_it(push: float) -> None:
+    """A stiff wire that slides towards a plane wall along x rests there on contact forces that add up to the push."""
+    vessel = sampled(lambda p: p[:, 0] + 0.002, -0.010, 0.030, 0.001)
+    spec = mujoco.MjSpec()
+    spec.option.integrator, spec.option.timestep = mujoco.mjtIntegrator.mjINT_DISCRETE, 0.002
+    spec.option.cone, spec.option.gravity = mujoco.mjtCone.mjCONE_ELLIPTIC, [0, 0, 0]
+    vessel.add_to(spec)
+    slide = spec.worldbody.add_body(name="slide")
+    slide.add_joint(name="slide", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[0.05, 0, 0])
+    wire = load_guidewire("default", links=(0.008,) * 2, tip_angle=0.0, tip_length=0.0)
+    wire.add_to(slide, mass_scale=10.0)
+    motor = spec.add_actuator(name="push", target="slide", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.set_to_motor()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.ctrl[0] = -push
+    mujoco.mj_step(model, data, nstep=1500)
+    assert np.abs(data.qvel).max() < 1e-6
+    mujoco.mj_forward(model, data)
+    total, wrench = np.zeros(3), np.zeros(6)
+    for i in range(data.ncon):
+        mujoco.mj_contactForce(model, data, i, wrench)
+        total -= data.contact.frame[i].reshape(3, 3).T @ wrench[:3]
+        np.testing.assert_allclose(data.contact.frame[i, :3], [-1, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(total, [push, 0, 0], atol=0.01 * push)
+    # it lies on the wall: axis a radius from it, less a small penetration
+    assert data.qpos[0] == pytest.approx(-0.002 + wire.radius, abs=1e-4)
+
+
+def test_a_link_has_at_most_two_contacts(fed_tube: Vessel) -> None:
+    data = pushed(wire_in(fed_tube), 200)
+    assert data.ncon > 0
+    assert np.bincount(data.contact.geom[:, 0]).max() <= 2
+    assert (data.contact.dist < 0.001).all()
+
+
+# Neighbours in the same process
+
+BOXES = """
+<mujoco><size nuser_geom="2"/><option timestep="0.004"/><worldbody><geom type="plane" size="1 1 .1"/>
+<geom type="box" size=".1 .1 .05" pos="0 0 .05" user="7 0"/>
+<geom type="ellipsoid" size=".1 .08 .05" pos=".3 0 .05"/>
+<body pos=".02 .01 .3" euler="30 20 10"><freejoint/><geom type="capsule" size=".02 .06"/></body>
+<body pos=".3 .01 .3" euler="70 20 10"><freejoint/><geom type="capsule" size=".02 .06"/></body>
+<body pos="-.05 0 .2" euler="10 0 5"><freejoint/><geom type="box" size=".04 .03 .02"/></body>
+<body pos=".33 0 .22"><freejoint/><geom type="ellipsoid" size=".03 .04 .02"/></body></worldbody></mujoco>
+"""
+WATCH = """
+def watch(mujoco, xml):
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    seen = []
+    for _ in range(400):
+        mujoco.mj_step(model, data)
+        contact = data.contact
+        seen.append([contact.geom.tolist(), contact.dist.tolist(), contact.frame.tolist(), contact.pos.tolist()])
+    return [seen, data.qpos.tolist()]
+"""
+
+
+def test_ordinary_boxes_and_ellipsoids_collide_as_in_plain_mujoco(
+    run_python: Callable[[str], str], fed_tube: Vessel
+) -> None:
+    assert pushed(wire_in(fed_tube), 100).ncon > 0
+    scope: dict[str, Any] = {}
+    exec(WATCH, scope)
+    here = scope["watch"](mujoco, BOXES)
+    lines = [
+        "import json, sys, mujoco",
+        WATCH,
+        f"print(json.dumps([watch(mujoco, {BOXES!r}), 'cathsim' in sys.modules]))",
+    ]
+    plain, contaminated = json.loads(run_python("\n".join(lines)))
+    assert not contaminated
+    assert here == plain
+    pairs = {tuple(pair) for step in plain[0] for pair in step[0]}
+    assert {(1, 3), (2, 4)} <= pairs | {(b, a) for a, b in pairs}, "capsules met neither the box nor the ellipsoid"
+
+
+def test_vessels_of_one_process_do_not_mix() -> None:
+    narrow, wide = sphere(0.006), sphere(0.012)
+    assert narrow.number != wide.number
+    outermost = []
+    for vessel in (narrow, wide, narrow):
+        spec = mujoco.MjSpec()
+        # towards the capsule's distal end: the proximal one is left to the link before
+        spec.option.gravity = [0.0, 0.0, 1.0]
+        vessel.add_to(spec)
+        body = spec.worldbody.add_body()
+        body.add_freejoint()
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.0005, 0.001, 0], contype=0, conaffinity=1)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, nstep=1000)
+        outermost.append(np.linalg.norm(data.qpos[:3]))
+    assert 0.004 < outermost[0] < 0.006
+    assert 0.010 < outermost[1] < 0.012
+    assert outermost[0] == outermost[2]
+
+
+def test_released_numbers_are_used_again() -> None:
+    """There can be 4096 vessels at once, and any number one after the other."""
+    numbers = set()
+    for i in range(5000):
+        vessel = Vessel(np.full((3, 3, 3), i, np.float32), np.zeros(3), 0.001, np.zeros(3), UP, sheath_radius=0.0)
+        assert vessel.distance(np.zeros((1, 3)))[0] == i
+        numbers.add(vessel.number)
+        del vessel
+    gc.collect()
+    assert len(numbers) < 100
+
+
+def test_a_box_that_is_no_vessel_collides() -> None:
+    """A box without the magic number, or with that of no vessel, is an ordinary box."""
+    for user in ([0.0, 0.0], [MAGIC + 1, 0.0], [MAGIC, 4095.0], [MAGIC, -1.0], [MAGIC, 1e6]):
+        spec = mujoco.MjSpec()
+        spec.nuser_geom = 2
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, userdata=user)
+        body = spec.worldbody.add_body(pos=[0, 0, 0.105])
+        body.add_freejoint()
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.01, 0.02, 0])
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        assert data.ncon > 0
+
+
+# Layout of MuJoCo's structs
+
+
+@pytest.fixture(scope="module")
+def touching(fed_tube: Vessel) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """A wire in a tube, moving, with contacts and controls."""
+    model = wire_in(fed_tube)
+    data = pushed(model, 100)
+    assert data.ncon > 3
+    return model, data
+
+
+def test_native_code_sees_the_layout_of_the_running_mujoco(touching: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+    model, data = touching
+    seen, expected = native.layout_seen(native.library(), model, data), native.layout_expected(model, data)
+    assert seen == expected
+    assert seen["nv"] == 56
+    assert seen["ncon"] > 3
+    assert seen["contact_x"] != 0
+
+
+@pytest.mark.parametrize("field", native.LAYOUT_FIELDS)
+def test_a_shifted_field_is_detected(field: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    right = native.layout_expected
+
+    def shifted(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int]:
+        return {name: value + 8 * (name == field) for name, value in right(model, data).items()}
+
+    monkeypatch.setattr(native, "layout_expected", shifted)
+    with pytest.raises(ImportError, match=f"disagree on {field}: reinstall"):
+        native.library.__wrapped__()
+
+
+def test_another_version_of_mujoco_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mujoco, "mj_version", lambda: 3_017_000)
+    with pytest.raises(ImportError, match="was built for MuJoCo .* and 3017000 is running"):
+        native.library.__wrapped__()
+
+
+# NaN
+
+
+def test_far_outside_and_on_the_medial_axis_nothing_is_nan() -> None:
+    points = np.array([[0, 0, 0], [0, 0, 0.02], [9, -9, 9], [1e12, 0, 0], [-np.inf, np.inf, 0], [0, 0, -0.5]], float)
+    for vessel in (tube(), tube(sheath_radius=0.75e-3), sphere(0.006)):
+        distance, gradient = vessel.distance(points)
+        assert np.isfinite(distance).all()
+        assert np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (-0.3, 0.2, 0.7)])
+def test_capsule_in_a_flat_field_stays_finite(place: tuple[float, float, float]) -> None:
+    """Inside the wall where the distance has no gradient (medial axis, clamped far outside) no contact is made up."""
+    vessel = sampled(lambda p: np.full(len(p), -0.001), -0.010, 0.010, 0.001)
+    spec = mujoco.MjSpec()
+    vessel.add_to(spec)
+    body = spec.worldbody.add_body(pos=list(place))
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.0005, 0.002, 0], contype=0, conaffinity=1)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=20)
+    assert data.ncon == 0
+    assert np.isfinite(data.qpos).all()
+
+
+def test_nan_positions_do_not_end_the_process(run_python: Callable[[str], str]) -> None:
+    """An unstable state is reported by MuJoCo's warnings; it must not make an index out of NaN."""
+    printed = run_python(
+        "import mujoco, numpy as np\n"
+        "from cathsim.arena import model_spec\n"
+        "from cathsim.contact.sdf import Vessel\n"
+        "from cathsim import ACCURACY, load_guidewire\n"
+        "vessel = Vessel(np.ones((9, 9, 9)), np.zeros(3), 1e-3, np.zeros(3), np.array([0.0, 0.0, 1.0]))\n"
+        "assert np.isfinite(vessel.distance(np.full((1, 3), np.nan))[1]).all()\n"
+        "model = model_spec(vessel, load_guidewire('default'), ACCURACY['accurate']).compile()\n"
+        "data = mujoco.MjData(model)\n"
+        "mujoco.mj_step(model, data)\n"
+        "data.qpos[5] = np.nan\n"
+        "mujoco.mj_step(model, data, nstep=3)\n"
+        "print('alive', data.warning[mujoco.mjtWarning.mjWARN_BADQPOS].number > 0)\n"
+    )
+    assert "alive True" in printed
+
+
+# Determinism
+
+
+def drive(simulation: Simulation, seed: int) -> bytes:
+    """Bytes of everything a random episode of 60 control steps goes through."""
+    rng = np.random.default_rng(seed)
+    simulation.reset()
+    trace = []
+    for _ in range(60):
+        simulation.advance(rng.uniform(0.0, 0.002), rng.uniform(-0.26, 0.26))
+        trace += [simulation.state(), simulation.force(), simulation.contacts().forces.ravel()]
+    assert simulation.valid
+    return np.concatenate(trace).tobytes()
+
+
+def test_threads_do_not_change_a_bit(tube_phantom: Phantom) -> None:
+    """Two simulations in one vessel, one after the other and at once."""
+    wires = [Guidewire(), load_guidewire("radifocus_angled")]
+    apart = [drive(Simulation(tube_phantom, wire, ACCURACY["accurate"]), i) for i, wire in enumerate(wires)]
+    assert apart[0] != apart[1]
+    together: list[bytes] = [b"", b""]
+    start = threading.Barrier(2)
+
+    def run(index: int) -> None:
+        simulation = Simulation(tube_phantom, wires[index], ACCURACY["accurate"])
+        start.wait()
+        together[index] = drive(simulation, index)
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        for _ in range(3):
+            threads = [threading.Thread(target=run, args=(i,)) for i in range(2)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            assert together == apart
+    finally:
+        sys.setswitchinterval(interval)
