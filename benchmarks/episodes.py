@@ -93,16 +93,12 @@ def environment_cost(folder: Path, steps: int, episodes: int) -> dict[str, float
         includes reading the simulator and making the record; None where the simulator is not installed.
     """
     try:
-        import gymnasium
-
-        import cathsim  # noqa: F401
+        from cathsim import NavigateEnv
+        from pipeline.recording import CAMERA, camera_of, step_record
     except ImportError:
         return None
-    env = gymnasium.make("cathsim/Navigate-v0", observation=("image", "mask"), max_steps=steps)
-    inner = env.unwrapped
-    simulation, projector = inner.simulation, inner.fluoroscope.renderer.projector  # type: ignore[attr-defined]
-    K, R, t = projector.K, projector.R, projector.t
-    camera = Camera(P=K @ np.column_stack((R, t)), K=K, R=R, t=t, width=projector.width, height=projector.height)
+    env = NavigateEnv(observation=("image", "mask"), max_steps=steps)
+    camera = camera_of(env)
     rng = np.random.default_rng(0)
     env_s, log_s, opened_s, steps_taken, size = 0.0, 0.0, 0.0, 0, 0
     clock = time.process_time  # time that the system gives to other processes falls on neither side
@@ -110,34 +106,18 @@ def environment_cost(folder: Path, steps: int, episodes: int) -> dict[str, float
         observation, info = env.reset(seed=episode)
         action, reward, terminated, truncated, step = np.zeros(2, np.float32), 0.0, False, False, 0
         start = clock()
-        log = EpisodeWriter(folder / f"environment_{episode}.mcap", example_info(episode), cameras={"frontal": camera})
+        log = EpisodeWriter(folder / f"environment_{episode}.mcap", example_info(episode), cameras={CAMERA: camera})
         opened_s += clock() - start
         while True:
             start = clock()
-            record = StepRecord(
-                step=step,
-                action=np.asarray(action, np.float64),
-                reward=reward,
-                terminated=terminated,
-                truncated=truncated,
-                joint_positions=simulation.joint_positions(),
-                joint_velocities=simulation.joint_velocities(),
-                wire_points=simulation.wire_points(),
-                tip=info["tip"],
-                contact_positions=info["contact_points"],
-                contact_forces=info["contact_forces"],
-                resultant_force=info["force_vector"],
-                insertion=info["insertion"],
-                rotation=info["rotation"],
-                extra={"distance_m": info["distance"]},
-            )
-            log.step(record, images={"frontal": observation["image"][0]}, masks={"frontal": observation["mask"][0]})
+            record = step_record(env, step, action, reward, info, terminated=terminated, truncated=truncated)
+            log.step(record, images={CAMERA: observation["image"][0]}, masks={CAMERA: observation["mask"][0]})
             log_s += clock() - start
             if terminated or truncated:
                 break
             action = np.array([rng.uniform(0, 1), rng.uniform(-1, 1)], np.float32)
             start = clock()
-            observation, reward, terminated, truncated, info = env.step(action)  # type: ignore[assignment]
+            observation, reward, terminated, truncated, info = env.step(action)
             env_s += clock() - start
             step += 1
         start = clock()

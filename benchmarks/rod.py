@@ -10,9 +10,9 @@ import argparse
 import json
 import time
 
-from rod_contact import capstan_cases, helix_cases
-from rod_rig import Case
-from rod_statics import buckling_cases, elastica_cases
+from benchmarks.rod_contact import capstan_cases, helix_cases
+from benchmarks.rod_rig import Case
+from benchmarks.rod_statics import buckling_cases, elastica_cases
 
 TARGET_PCT = {"elastica": 1.0, "buckling": 3.0, "capstan": 5.0, "helix": 10.0}
 
@@ -21,11 +21,10 @@ def table(cases: list[Case]) -> str:
     """One line a case: law, parameters, measured, theory, error, remark."""
     width = max(len(case.name) for case in cases)
     lines = [f"{'law':<9} {'case':<{width}} {'measured':>10} {'theory':>10} {'error %':>8}"]
-    lines += [
-        f"{case.group:<9} {case.name:<{width}} {case.measured:10.5f} {case.theory:10.5f} {case.error_pct:+8.3f}  {case.remark}"
-        for case in cases
-    ]
-    return "\n".join(line.rstrip() for line in lines)
+    for case in cases:
+        figures = f"{case.measured:10.5f} {case.theory:10.5f} {case.error_pct:+8.3f}"
+        lines.append(f"{case.group:<9} {case.name:<{width}} {figures}  {case.remark}".rstrip())
+    return "\n".join(lines)
 
 
 def main() -> None:

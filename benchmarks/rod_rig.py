@@ -1,8 +1,7 @@
-"""Test rig for wires: models with the simulator's own options, dead loads, rest, and a case's measured and exact figure."""
+"""Test rig for wires: models with the simulator's own options, dead loads, a feeder, coming to rest."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -61,7 +60,7 @@ def new_spec(numerics: Accuracy) -> mujoco.MjSpec:
     return spec
 
 
-def uniform_wire(links: tuple[float, ...], stiffness_nmm2: float, **changes: float) -> Guidewire:
+def uniform_wire(links: tuple[float, ...], stiffness_nmm2: float, **changes: object) -> Guidewire:
     """A straight wire of one bending stiffness.
 
     Args:
@@ -72,10 +71,9 @@ def uniform_wire(links: tuple[float, ...], stiffness_nmm2: float, **changes: flo
     Returns:
         The wire.
     """
-    straight = load_guidewire("default", tip_angle=0.0, tip_length=0.0, links=links)
-    return dataclasses.replace(
-        straight, shaft_stiffness_nmm2=stiffness_nmm2, tip_stiffness_nmm2=stiffness_nmm2, **changes
-    )
+    straight = {"tip_angle": 0.0, "tip_length": 0.0}
+    uniform = {"shaft_stiffness_nmm2": stiffness_nmm2, "tip_stiffness_nmm2": stiffness_nmm2}
+    return load_guidewire("default", links=links, **straight, **uniform, **changes)
 
 
 def dead_load(spec: mujoco.MjSpec, name: str, direction: np.ndarray, site: str = TIP_SITE) -> mujoco.MjsActuator:

@@ -1,4 +1,4 @@
-"""Statics of the free wire: the cantilever under a dead load (elastica) and the column under its critical load (Euler)."""
+"""Statics of the free wire: the cantilever under a dead load (elastica), the column at its critical load (Euler)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 import mujoco
 import numpy as np
-from rod_rig import Case, dead_load, new_spec, settle, uniform_wire
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
+from benchmarks.rod_rig import Case, dead_load, new_spec, settle, uniform_wire
 from cathsim.guidewire import LINK_NAME, Guidewire, load_guidewire
 from cathsim.presets import ACCURACY, Accuracy
 
@@ -115,7 +115,7 @@ def elastica_cases() -> list[Case]:
 
 @dataclasses.dataclass
 class Column:
-    """A straight wire under a dead axial load (actuator "load"), with a probe that pushes it sideways (actuator "probe").
+    """A straight wire under a dead axial load (actuator "load") and a force that probes it sideways (actuator "probe").
 
     Attributes:
         model: of the wire.

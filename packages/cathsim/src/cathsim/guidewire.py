@@ -100,7 +100,7 @@ class Guidewire:
         """Adds the chain to a body, from its origin along its +z.
 
         Args:
-            parent: body that holds the first link rigidly.
+            parent: body that holds the first link rigidly, of a specification in radians (`compiler.degree = False`).
             mass_scale: factor on the density: larger is faster to simulate and, the motion being quasi-static,
                 changes forces little.
             clamped: the wire is a rod clamped at the parent's origin: a joint there stands for the bending of the first

@@ -1,4 +1,4 @@
-"""Entry in Gymnasium's registry; Gymnasium calls it when it is imported, so it pulls in nothing else."""
+"""Entry in Gymnasium's registry, made by `import cathsim` or `gymnasium.make("cathsim:cathsim/Navigate-v0")`."""
 
 from __future__ import annotations
 

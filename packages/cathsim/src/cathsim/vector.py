@@ -45,7 +45,12 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
             raise ValueError(f"unknown autoreset '{autoreset}'; there are next_step, same_step")
         if variations is not None and len(variations) != num_envs:
             raise ValueError(f"expected {num_envs} variations, one an environment, got {len(variations)}")
-        arguments.setdefault("contact_info", False)
+        if any(one.get("contact_info") for one in (arguments, *(variations or ()))):
+            raise ValueError(
+                "a vector environment's info has no room for lists of contacts: leave contact_info out and read "
+                "envs[i].simulation.contacts()"
+            )
+        arguments["contact_info"] = False
         self.envs = [NavigateEnv(**{**arguments, **(variations[i] if variations else {})}) for i in range(num_envs)]
         self.num_envs = num_envs
         self._same_step = autoreset == "same_step"

@@ -83,7 +83,8 @@ static double sheath_distance(const Vessel* v, const double p[3], double gradien
   return distance;
 }
 
-static inline double clamp(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
+/* NaN gives `low`: a state that has become invalid must not turn into an index. */
+static inline double clamp(double x, double low, double high) { return x > low ? (x < high ? x : high) : low; }
 
 double vessel_distance(const Vessel* v, const double p[3]) {
   int index[3];

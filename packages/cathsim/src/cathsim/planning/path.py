@@ -346,7 +346,7 @@ def picture(
     axes[0].legend(loc="lower left", frameon=False)
     figure.suptitle(f"{title}: {points_summary(path, grid)}")
     figure.savefig(file, dpi=120)
-    logger.info("saved the picture of a path to %s", file)
+    logger.debug("saved the picture of a path to %s", file)
     return FilePath(file)
 
 

@@ -1,0 +1,141 @@
+"""The task: start, success, reward, truncation."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from cathsim import NavigateEnv, NavigationTask, Phantom
+from cathsim.navigation import POTENTIAL_PER_METRE, STEP_COST, navigation_task
+
+MakeEnv = Callable[..., NavigateEnv]
+FORWARD = np.array([1.0, 0.0])
+
+
+def aim_at(env: NavigateEnv, goal: np.ndarray, **task_fields: object) -> None:
+    """Gives the environment another goal."""
+    env._goal = goal
+    env.task = dataclasses.replace(env.task, **task_fields)
+
+
+def test_thesis_reward_is_minus_the_distance_in_metres(make_env: MakeEnv, type_1: Phantom) -> None:
+    env = make_env(target="bca")
+    env.reset(seed=0)
+    for _ in range(20):
+        _, reward, terminated, _, info = env.step(FORWARD)
+        distance = np.linalg.norm(env.simulation.tip - type_1.targets["bca"].position)
+        assert reward == pytest.approx(-distance, abs=1e-12)
+        assert info["distance"] == pytest.approx(distance, abs=1e-12)
+        assert not terminated
+
+
+def test_reward_values_at_known_distances() -> None:
+    thesis, geodesic = NavigationTask(), NavigationTask(reward="geodesic")
+    assert thesis.step_reward(0.1234, 0.5, 1.0, success=False) == -0.1234
+    assert thesis.step_reward(0.005, 0.5, 1.0, success=True) == 10.0
+    assert geodesic.step_reward(0.1, 0.002, 1.0, success=False) == pytest.approx(0.18)
+    assert geodesic.step_reward(0.1, 0.002, 1.0, success=True) == pytest.approx(10.18)
+    strict = NavigationTask(force_penalty=0.5)
+    assert strict.step_reward(0.1, 0.0, 0.4, success=False) == pytest.approx(-0.3)
+    assert strict.step_reward(0.1, 0.0, 0.4, success=True) == pytest.approx(9.8)
+
+
+@pytest.mark.parametrize(("beyond", "reached"), [(-1e-6, True), (1e-6, False)])
+def test_success_lies_within_eight_millimetres(make_env: MakeEnv, beyond: float, reached: bool) -> None:
+    probe, env = make_env(), make_env()
+    probe.reset(seed=0)
+    probe.step(FORWARD)
+    env.reset(seed=0)
+    # a goal 8 mm, and a micrometre more or less, from where the first step brings the tip
+    aim_at(env, probe.simulation.tip + np.array([0.008 + beyond, 0.0, 0.0]))
+    _, reward, terminated, truncated, info = env.step(FORWARD)
+    assert (terminated, info["success"], truncated) == (reached, reached, False)
+    assert reward == pytest.approx(10.0 if reached else -0.008, abs=1e-5)
+    if reached:
+        with pytest.raises(RuntimeError, match="the episode has ended"):
+            env.step(FORWARD)
+
+
+def test_success_on_the_last_step_is_no_truncation(make_env: MakeEnv) -> None:
+    env = make_env(max_steps=1)
+    env.reset(seed=0)
+    aim_at(env, env.simulation.tip)
+    assert env.step(FORWARD)[2:4] == (True, False)
+
+
+@pytest.mark.parametrize("limit", [1, 7])
+def test_truncation_comes_at_the_step_limit(make_env: MakeEnv, limit: int) -> None:
+    env = make_env(max_steps=limit)
+    for _ in range(2):
+        env.reset(seed=0)
+        endings = [env.step(FORWARD)[2:4] for _ in range(limit)]
+        assert endings == [(False, False)] * (limit - 1) + [(False, True)]
+
+
+def test_geodesic_rewards_add_up_to_the_potential(make_env: MakeEnv, type_1: Phantom) -> None:
+    env = make_env(target="lcca", reward="geodesic")
+    env.reset(seed=0)
+    start = type_1.geodesic_distance(env.simulation.tip, "lcca")
+    generator = np.random.default_rng(0)
+    count = 60
+    total = sum(env.step(generator.uniform((-0.2, -1), 1))[1] for _ in range(count))
+    end = type_1.geodesic_distance(env.simulation.tip, "lcca")
+    assert start - end > 0.02
+    assert total == pytest.approx(POTENTIAL_PER_METRE * (start - end) - STEP_COST * count, abs=1e-9)
+    env.reset(seed=0)
+    again = env.step(FORWARD)[1]
+    env.reset(seed=0)
+    assert env.step(FORWARD)[1] == again, "the potential starts anew with the episode"
+
+
+def test_force_penalty_costs_what_it_says(make_env: MakeEnv) -> None:
+    free, strict = make_env(), make_env(force_penalty=2.0)
+    free.reset(seed=0)
+    strict.reset(seed=0)
+    felt = 0.0
+    for _ in range(70):
+        _, reward, *_, info = free.step(FORWARD)
+        _, penalised, *_ = strict.step(FORWARD)
+        assert penalised == pytest.approx(reward - 2.0 * info["force"], abs=1e-12)
+        felt = max(felt, info["force"])
+    assert felt > 0.02, "the wire is to touch the wall"
+
+
+def test_starts_are_jittered_by_up_to_a_millimetre(make_env: MakeEnv) -> None:
+    env = make_env()
+    env.reset(seed=0)
+    insertions = []
+    for _ in range(40):
+        env.reset()
+        insertions.append(env.simulation.insertion)
+    assert -1e-6 < min(insertions) < 1e-4
+    assert 9e-4 < max(insertions) < 1e-3 + 1e-6
+    assert np.std(insertions) == pytest.approx(1e-3 / np.sqrt(12), rel=0.3)
+    drawn = [NavigationTask().draw_start(np.random.default_rng(7)) for _ in range(2)]
+    assert drawn[0] == drawn[1]
+    assert 0 <= drawn[0][0] <= 1e-3
+    assert drawn[0][1] == 0.0
+
+
+def test_a_start_without_jitter_is_always_the_same(make_env: MakeEnv) -> None:
+    env = make_env(start_jitter=0.0, observation="joints")
+    assert np.array_equal(env.reset(seed=0)[0], env.reset(seed=1)[0])
+
+
+def test_starts_are_turned_by_up_to_the_given_angle(make_env: MakeEnv) -> None:
+    env = make_env(start_rotation=np.pi)
+    angles = [env.reset(seed=seed)[1]["rotation"] for seed in range(30)]
+    assert min(angles) < -1.5
+    assert max(angles) > 1.5
+    assert max(np.abs(angles)) <= np.pi + 1e-3
+
+
+def test_task_takes_fields_over_a_given_task() -> None:
+    base = NavigationTask(target="lsa", max_steps=2000)
+    assert navigation_task("bca", {"success_radius": 0.004}, base) == dataclasses.replace(base, success_radius=0.004)
+    assert navigation_task("lcca", {}) == NavigationTask(target="lcca")
+    with pytest.raises(ValueError, match="no argument speed; the task's are target, success_radius, max_steps"):
+        navigation_task("bca", {"speed": 1})

@@ -1,0 +1,66 @@
+"""What `import cathsim` pulls in, and how Gymnasium finds the environment."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Callable
+
+import pytest
+
+import cathsim
+
+
+def test_import_stays_light(run_python: Callable[[str], str]) -> None:
+    loaded = set(json.loads(run_python("import cathsim, json, sys; print(json.dumps(sorted(sys.modules)))")))
+    assert "cathsim.registration" in loaded
+    heavy = {
+        "torch",
+        "dm_control",
+        "stable_baselines3",
+        "matplotlib",
+        "OpenGL",
+        "trimesh",
+        "skimage",
+        "mujoco",
+        "scipy",
+    }
+    assert not heavy & {name.split(".")[0] for name in loaded}
+    assert not {name for name in loaded if name.startswith("cathsim.")} - {"cathsim.registration"}
+
+
+def test_an_environment_needs_no_learning_library(run_python: Callable[[str], str]) -> None:
+    snippet = (
+        "import cathsim, json, sys\n"
+        "env = cathsim.NavigateEnv(accuracy='fast', observation=('internal', 'image'))\n"
+        "env.reset(seed=0); env.step(env.action_space.sample())\n"
+        "print(json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
+    )
+    loaded = set(json.loads(run_python(snippet)))
+    assert "mujoco" in loaded
+    assert not {"torch", "dm_control", "stable_baselines3", "matplotlib", "OpenGL", "trimesh", "skimage"} & loaded
+
+
+def test_gymnasium_imports_the_module_that_an_id_names(run_python: Callable[[str], str]) -> None:
+    snippet = (
+        "import gymnasium, sys\n"
+        "print('cathsim' in sys.modules)\n"
+        "env = gymnasium.make('cathsim:cathsim/Navigate-v0', accuracy='fast')\n"
+        "print(type(env.unwrapped).__name__)\n"
+        "print('cathsim/Navigate-v0' in gymnasium.registry)"
+    )
+    assert run_python(snippet).split() == ["False", "NavigateEnv", "True"]
+
+
+def test_every_public_name_exists() -> None:
+    for name in cathsim.__all__:
+        value = getattr(cathsim, name)
+        if name in cathsim._HOME:
+            assert value is getattr(importlib.import_module(f"cathsim.{cathsim._HOME[name]}"), name)
+    with pytest.raises(AttributeError, match="module 'cathsim' has no attribute 'Catheter'"):
+        _ = cathsim.Catheter
+
+
+def test_registering_again_is_harmless() -> None:
+    cathsim.registration.register()
+    cathsim.registration.register()

@@ -1,0 +1,171 @@
+"""Environments stepped together: same results as alone, resets, infos, bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from cathsim import ENVIRONMENT, NavigateEnv, ThreadedVectorEnv
+
+MakeEnv = Callable[..., NavigateEnv]
+MakeVector = Callable[..., ThreadedVectorEnv]
+
+
+@pytest.fixture
+def make_vector() -> Iterator[MakeVector]:
+    made: list[ThreadedVectorEnv] = []
+
+    def make(num_envs: int = 3, **arguments: Any) -> ThreadedVectorEnv:
+        made.append(ThreadedVectorEnv(num_envs, **{"accuracy": "fast", "observation": "joints", **arguments}))
+        return made[-1]
+
+    yield make
+    for vector in made:
+        vector.close()
+
+
+def actions(count: int, num_envs: int = 3, seed: int = 0) -> np.ndarray:
+    drawn = np.random.default_rng(seed).uniform(-1, 1, (count, num_envs, 2))
+    drawn[..., 0] = np.abs(drawn[..., 0])
+    return drawn
+
+
+@pytest.mark.parametrize("threads", [1, 2, 8])
+def test_environments_step_together_as_they_do_alone(make_vector: MakeVector, make_env: MakeEnv, threads: int) -> None:
+    variations = [{"target": "bca"}, {"target": "lcca"}, {"phantom": "type_2", "reward": "geodesic"}]
+    vector = make_vector(variations=variations, threads=threads)
+    alone = [make_env(observation="joints", **variation) for variation in variations]
+    together, infos = vector.reset(seed=5)
+    for index, env in enumerate(alone):
+        observation, info = env.reset(seed=5 + index)
+        assert np.array_equal(together[index], observation)
+        assert infos["distance"][index] == info["distance"]
+    for step in actions(40):
+        together, rewards, terminated, truncated, infos = vector.step(step)
+        for index, env in enumerate(alone):
+            observation, reward, *endings, info = env.step(step[index])
+            assert np.array_equal(together[index], observation)
+            assert rewards[index] == reward
+            assert [terminated[index], truncated[index]] == endings
+            assert np.array_equal(infos["force_vector"][index], info["force_vector"])
+            assert infos["success"][index] == info["success"]
+
+
+def test_make_vec_gives_the_threaded_environment() -> None:
+    vector = gymnasium.make_vec(ENVIRONMENT, num_envs=2, accuracy="fast", observation=("joints", "image"), max_steps=4)
+    assert isinstance(vector.unwrapped, ThreadedVectorEnv)
+    observations, infos = vector.reset(seed=0)
+    assert vector.observation_space.contains(observations)
+    assert observations["image"].shape == (2, 1, 80, 80)
+    assert infos["tip"].shape == infos["force_vector"].shape == (2, 3)
+    assert infos["_tip"].tolist() == [True, True]
+    observations, rewards, terminated, truncated, infos = vector.step(vector.action_space.sample())
+    assert vector.observation_space.contains(observations)
+    assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float64, bool, bool)
+    assert infos["force"].shape == (2,)
+    assert "contact_points" not in infos
+    vector.close()
+
+
+def test_the_next_step_resets_what_has_ended(make_vector: MakeVector, make_env: MakeEnv) -> None:
+    vector = make_vector(variations=[{"max_steps": 2}, {"max_steps": 3}, {"max_steps": 9}])
+    assert vector.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    vector.reset(seed=0)
+    forward = np.tile([1.0, 0.0], (3, 1))
+    assert vector.step(forward)[3].tolist() == [False, False, False]
+    assert vector.step(forward)[3].tolist() == [True, False, False]
+    observations, rewards, _, truncated, infos = vector.step(forward)
+    assert truncated.tolist() == [False, True, False]
+    assert rewards[0] == 0.0
+    assert rewards[1] < 0
+    assert infos["insertion"][0] < 1.1e-3 < infos["insertion"][1]
+    single = make_env(observation="joints")
+    single.reset(seed=0)
+    assert np.array_equal(observations[0], single.reset()[0]), "the generator goes on as it does alone"
+
+
+def test_the_same_step_resets_what_has_ended(make_vector: MakeVector) -> None:
+    vector = make_vector(2, variations=[{"max_steps": 2}, {"max_steps": 9}], autoreset="same_step")
+    assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    vector.reset(seed=0)
+    forward = np.tile([1.0, 0.0], (2, 1))
+    assert "final_obs" not in vector.step(forward)[4]
+    observations, rewards, _, truncated, infos = vector.step(forward)
+    assert truncated.tolist() == [True, False]
+    assert (rewards < 0).all()
+    assert infos["_final_obs"].tolist() == [True, False]
+    final = infos["final_obs"][0]
+    assert final.shape == observations[0].shape
+    assert final[0] > 2e-3 > 1.1e-3 > observations[0, 0], "advanced, then back at the start"
+    assert infos["final_info"]["insertion"][0] == pytest.approx(final[0], abs=1e-6)
+    assert vector.step(forward)[3].tolist() == [False, False]
+
+
+def test_a_mask_resets_only_some(make_vector: MakeVector) -> None:
+    vector = make_vector(observation=("joints", "sequential"), max_steps=4)
+    vector.reset(seed=0)
+    for step in actions(4):
+        before, _, _, truncated, _ = vector.step(step)
+    assert truncated.all()
+    mask = np.array([True, False, False])
+    after, infos = vector.reset(options={"reset_mask": mask})
+    for name in ("joints", "sequential"):
+        assert np.array_equal(after[name][1:], before[name][1:])
+    assert after["joints"][0, 0] < 1.1e-3
+    assert infos["_tip"].tolist() == mask.tolist()
+    _, rewards, *_ = vector.step(actions(1)[0])
+    assert rewards[0] < 0, "the one that was reset goes on"
+    assert rewards[1:].tolist() == [0.0, 0.0], "the others are reset now"
+
+
+def test_seeds(make_vector: MakeVector) -> None:
+    vector = make_vector()
+    first, _ = vector.reset(seed=11)
+    assert len({row.tobytes() for row in first}) == 3
+    assert np.array_equal(vector.reset(seed=[11, 12, 13])[0], first)
+    assert np.array_equal(vector.reset(seed=np.int64(11))[0], first)
+    assert not np.array_equal(vector.reset()[0], first)
+    with pytest.raises(ValueError, match="expected 3 seeds, one an environment, got 2"):
+        vector.reset(seed=[1, 2])
+
+
+def test_results_are_not_overwritten(make_vector: MakeVector) -> None:
+    vector = make_vector(observation=("joints", "image"))
+    observations, _ = vector.reset(seed=0)
+    kept = {name: array.copy() for name, array in observations.items()}
+    for step in actions(5):
+        vector.step(step)
+    assert all(np.array_equal(observations[name], kept[name]) for name in kept)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"num_envs": 0}, "num_envs must be at least 1, got 0"),
+        ({"autoreset": "never"}, "unknown autoreset 'never'; there are next_step, same_step"),
+        ({"variations": [{}]}, "expected 3 variations, one an environment, got 1"),
+        ({"variations": [{}, {}, {"wire": "thesis"}]}, "all environments of a vector need the same action and obs"),
+        ({"contact_info": True}, "no room for lists of contacts: leave contact_info out"),
+        ({"phantom": "aorta"}, "unknown phantom 'aorta'"),
+    ],
+    ids=str,
+)
+def test_bad_arguments(make_vector: MakeVector, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_vector(**arguments)
+
+
+def test_bad_input_to_a_running_vector(make_vector: MakeVector) -> None:
+    vector = make_vector()
+    vector.reset(seed=0)
+    with pytest.raises(ValueError, match=r"expected actions of shape \(3, 2\), got \(2, 2\)"):
+        vector.step(np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="expected a finite action"):
+        vector.step(np.full((3, 2), np.nan))
+    with pytest.raises(ValueError, match=r"expected a reset_mask of shape \(3,\), got \(2,\)"):
+        vector.reset(options={"reset_mask": np.array([True, False])})
