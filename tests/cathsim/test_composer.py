@@ -119,6 +119,13 @@ def test_straight_insertion_agrees_with_the_gymnasium_environment(
     assert joints[0] == pytest.approx(other.simulation.insertion, abs=2e-4)
 
 
+def test_observations_are_of_the_state_that_the_step_has_reached(make_composer: MakeComposer) -> None:
+    env = make_composer()
+    timestep = episode(env, 10)[-1]
+    env.physics.forward()
+    assert np.array_equal(env.physics.bind(env.task.guidewire.tip_site).xpos, timestep.observation[TIP])
+
+
 def test_same_seed_same_trajectory(make_composer: MakeComposer) -> None:
     runs = [episode(make_composer(seed=seed, start_rotation=1.0), 20) for seed in (3, 3, 4)]
     for one, other in zip(runs[0], runs[1], strict=True):
@@ -175,7 +182,9 @@ def test_reaching_the_target_ends_with_reward_ten(make_composer: MakeComposer) -
 
 def test_running_out_of_steps_truncates(make_composer: MakeComposer, type_1: Phantom) -> None:
     env = make_composer(max_steps=3, reward="geodesic")
-    start = env.reset().observation[TIP]
+    env.reset()
+    env.step(FORWARD)
+    start = env.reset().observation[TIP]  # counts anew
     timesteps = [env.step(FORWARD) for _ in range(3)]
     assert [timestep.last() for timestep in timesteps] == [False, False, True]
     assert timesteps[-1].discount == 1.0

@@ -78,6 +78,16 @@ def test_reset_puts_the_tip_just_inside_the_vessel(make_simulation: MakeSimulati
         simulation.reset(insertion=1)
 
 
+def test_reset_forgets_how_deep_the_wire_was(make_simulation: MakeSimulation) -> None:
+    fresh, used = make_simulation(), make_simulation()
+    run(used, random_actions(60, seed=9))
+    used.reset(insertion=0.2)
+    used._rung.struct.depth = 1.0  # as if the wire had been deep in the wall: no substep would be repeated
+    for simulation in (fresh, used):
+        simulation.reset(insertion=0.2)
+    assert np.array_equal(used.state(), fresh.state())
+
+
 def test_unknown_entry_names_the_known_ones(make_simulation: MakeSimulation) -> None:
     with pytest.raises(ValueError, match="no entry 'radial'; there are descending, ascending"):
         make_simulation(entry="radial")
@@ -97,7 +107,8 @@ def test_a_restored_state_goes_on_with_the_same_bits(make_simulation: MakeSimula
     rungs = set()
     run(other, random_actions(70, seed=2))  # somewhere else, on another rung
     other.restore(state)
-    for translation, rotation in random_actions(40, seed=3).tolist():
+    assert np.array_equal(other.state(), state)
+    for translation, rotation in random_actions(40, seed=3).tolist():  # across rungs
         one.advance(translation, rotation)
         other.advance(translation, rotation)
         rungs.add(one.active_links)
@@ -138,8 +149,9 @@ def test_a_change_of_rung_moves_nothing_visibly(
     change = simulation._change_rung
 
     def watched(index: int) -> None:
-        before = simulation.inserted_points()
+        before, depth = simulation.inserted_points(), simulation.state()[-2]
         change(index)
+        assert simulation.state()[-2] == depth, "the penetration decides on the next substep"
         mujoco.mj_kinematics(simulation.model, simulation.data)
         after = simulation.inserted_points()
         shared = min(len(before), len(after))

@@ -27,7 +27,7 @@ class Accuracy:
 # The motion is quasi-static, so ten times the wire's mass changes forces little and keeps contacts stiff at long steps.
 ACCURACY: dict[str, Accuracy] = {
     "reference": Accuracy(timestep=0.001, refinement=4),
-    "accurate": Accuracy(timestep=0.010, refinement=4, mass_scale=10.0),
+    "accurate": Accuracy(timestep=0.010, refinement=8, tolerance=2e-4, rise=5e-5, mass_scale=10.0),
     "fast": Accuracy(timestep=0.020, refinement=4, tolerance=5e-4, rise=3e-4, mass_scale=30.0),
 }
 

@@ -9,21 +9,48 @@
 
 static mjfCollision original; /* MuJoCo's own function, for every box that is not a vessel */
 
-/* A candidate contact on the capsule's axis. */
-typedef struct {
-  double point[3], gradient[3], distance;
-} Candidate;
+/* Where along the link (centre, half length, axis) a sample lies. */
+static void sample_point(const double centre[3], const double axis[3], double half, int sample, double p[3]) {
+  const double along = half * (2.0 * sample / (NSAMPLES - 1) - 1);
+  for (int k = 0; k < 3; k++) p[k] = centre[k] + along * axis[k];
+}
 
-static int emit(mjPreContact* contact, const Candidate* c, double radius) {
-  double norm = sqrt(c->gradient[0] * c->gradient[0] + c->gradient[1] * c->gradient[1] + c->gradient[2] * c->gradient[2]);
+/* The contact of the dip in `distance` around sample `lowest`. A link that has cut into a thin ridge of the wall, such
+ * as the carina between two branches, finds opposite gradients on the ridge's two sides: their mean over the samples in
+ * the wall points out of the ridge, where the gradient of the deepest one alone would push along the link and let the
+ * ridge be cut deeper. Samples count with their depth and by how much their gradient turns away from the deepest one's,
+ * so that on a smooth wall that one alone decides. */
+static int emit(mjPreContact* contact, const Vessel* v, const double centre[3], const double axis[3], double half,
+                double radius, double limit, const double distance[NSAMPLES], int lowest) {
+  double point[3], gradient[3];
+  sample_point(centre, axis, half, lowest, point);
+  const double deepest = vessel_distance_gradient(v, point, gradient);
+  if (!(deepest < limit)) return 0;
+  if (deepest < radius) {
+    const double lowest_gradient[3] = {gradient[0], gradient[1], gradient[2]};
+    for (int k = 0; k < 3; k++) gradient[k] *= radius - deepest;
+    for (int side = -1; side <= 1; side += 2) {
+      for (int i = lowest + side; i >= 0 && i < NSAMPLES && distance[i] < radius; i += side) {
+        double p[3], g[3];
+        sample_point(centre, axis, half, i, p);
+        vessel_distance_gradient(v, p, g);
+        const double along =
+            lowest_gradient[0] * g[0] + lowest_gradient[1] * g[1] + lowest_gradient[2] * g[2];
+        const double weight = (radius - distance[i]) * 0.5 * (along < 1 ? 1 - along : 0);
+        for (int k = 0; k < 3; k++) gradient[k] += weight * g[k];
+      }
+    }
+  }
+  const double norm =
+      sqrt(gradient[0] * gradient[0] + gradient[1] * gradient[1] + gradient[2] * gradient[2]);
   /* on a medial axis, or far outside where the grid is clamped, there is no direction to push */
-  if (!(norm > 1e-6)) return 0;
-  contact->dist = c->distance - radius;
-  double reach = radius + 0.5 * contact->dist;
-  for (int i = 0; i < 3; i++) {
-    contact->normal[i] = -c->gradient[i] / norm; /* from the wire to the wall */
-    contact->pos[i] = c->point[i] + contact->normal[i] * reach;
-    contact->tangent[i] = 0;
+  if (!(norm > 1e-9)) return 0;
+  contact->dist = deepest - radius;
+  const double reach = radius + 0.5 * contact->dist;
+  for (int k = 0; k < 3; k++) {
+    contact->normal[k] = -gradient[k] / norm; /* from the wire to the wall */
+    contact->pos[k] = point[k] + contact->normal[k] * reach;
+    contact->tangent[k] = 0;
   }
   return 1;
 }
@@ -50,8 +77,8 @@ static int capsule_vessel(const mjModel* m, mjData* d, mjPreContact* con, int g1
 
   double distance[NSAMPLES];
   for (int i = 0; i < NSAMPLES; i++) {
-    const double along = half * (2.0 * i / (NSAMPLES - 1) - 1);
-    const double p[3] = {centre[0] + along * axis[0], centre[1] + along * axis[1], centre[2] + along * axis[2]};
+    double p[3];
+    sample_point(centre, axis, half, i, p);
     distance[i] = vessel_distance(v, p);
   }
 
@@ -74,13 +101,8 @@ static int capsule_vessel(const mjModel* m, mjData* d, mjPreContact* con, int g1
 
   int count = 0;
   const int chosen[MAX_CONTACTS] = {first, second};
-  for (int j = 0; j < MAX_CONTACTS && chosen[j] >= 0; j++) {
-    const double along = half * (2.0 * chosen[j] / (NSAMPLES - 1) - 1);
-    Candidate c;
-    for (int k = 0; k < 3; k++) c.point[k] = centre[k] + along * axis[k];
-    c.distance = vessel_distance_gradient(v, c.point, c.gradient);
-    if (c.distance < limit) count += emit(con + count, &c, radius);
-  }
+  for (int j = 0; j < MAX_CONTACTS && chosen[j] >= 0; j++)
+    count += emit(con + count, v, centre, axis, half, radius, limit, distance, chosen[j]);
   return count;
 }
 
