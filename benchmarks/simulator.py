@@ -120,7 +120,7 @@ def speeds(rounds: int, steps: int) -> dict[str, float]:
     return {**median, **ratios, "image_cost_pct": cost, "realtime_factor": median["internal"] * CONTROL_STEP}
 
 
-def vector_speedup(rounds: int, steps: int, count: int = 8) -> float:
+def vector_speedup(rounds: int, steps: int, count: int = 16) -> float:
     """How much faster a vector environment is with two threads than with one, median over rounds."""
     vectors = {threads: ThreadedVectorEnv(count, threads=threads, observation=("image", "mask")) for threads in (1, 2)}
     ratios = []
@@ -192,7 +192,7 @@ def main() -> None:
     arguments = parser.parse_args()
     quick = arguments.quick
     result = speeds(rounds=3 if quick else 9, steps=600 if quick else 1500)
-    result["vector_speedup"] = vector_speedup(rounds=3 if quick else 7, steps=60 if quick else 150)
+    result["vector_speedup"] = vector_speedup(rounds=3 if quick else 7, steps=40 if quick else 100)
     result |= penetration(arguments.steps or (3000 if quick else 40000))
     print(json.dumps({name: round(value, 4) for name, value in result.items()}))
 

@@ -65,7 +65,7 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._threads = min(num_envs, threads or os.cpu_count() or 1)
-        self._pool = ThreadPoolExecutor(self._threads, "cathsim") if self._threads > 1 else None
+        self._pool = ThreadPoolExecutor(self._threads - 1, "cathsim") if self._threads > 1 else None
         self._ended = np.zeros(num_envs, bool)
 
     def _each(self, work: Callable[[int], Any]) -> list[Any]:
@@ -80,13 +80,28 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
         if self._pool is None:
             run()
         else:
-            for future in [self._pool.submit(run) for _ in range(self._threads)]:
-                future.result()
+            helpers = [self._pool.submit(run) for _ in range(self._threads - 1)]
+            try:
+                run()
+            finally:
+                for helper in helpers:
+                    helper.result()
         return results
 
     def _batch(self, observations: list[Any]) -> Any:
         out: Any = create_empty_array(self.single_observation_space, self.num_envs)
         return concatenate(self.single_observation_space, observations, out)
+
+    def _gather(self, infos: list[dict[str, Any]]) -> dict[str, Any]:
+        """The infos of all environments as arrays, each with a mask of who has it, as Gymnasium's vectors give them."""
+        if any(info.keys() != infos[0].keys() for info in infos):
+            gathered: dict[str, Any] = {}
+            for index, info in enumerate(infos):
+                gathered = self._add_info(gathered, info, index)
+            return gathered
+        everyone = np.ones(self.num_envs, bool)
+        gathered = {key: np.array([info[key] for info in infos]) for key in infos[0]}
+        return gathered | {f"_{key}": everyone.copy() for key in infos[0]}
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -118,9 +133,7 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
 
         results = self._each(start)
         self._ended[mask] = False
-        infos: dict[str, Any] = {}
-        for index, (_, info) in enumerate(results):
-            infos = self._add_info(infos, info, index)
+        infos = self._gather([info for _, info in results])
         return self._batch([observation for observation, _ in results]), infos
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -146,9 +159,7 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
             return result
 
         results = self._each(advance)
-        infos: dict[str, Any] = {}
-        for index, result in enumerate(results):
-            infos = self._add_info(infos, result[4], index)
+        infos = self._gather([result[4] for result in results])
         terminated = np.array([result[2] for result in results], bool)
         truncated = np.array([result[3] for result in results], bool)
         if not self._same_step:
