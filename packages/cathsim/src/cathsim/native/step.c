@@ -46,31 +46,72 @@ double cathsim_penetration(const Simulation* s, int samples) {
   return deepest;
 }
 
+/* Where the contacts of the largest resultant force are kept, and room for those of the moment. */
+typedef struct {
+  int capacity;
+  double *points, *forces;         /* capacity x 3 each */
+  double *now_points, *now_forces; /* likewise */
+  StepSummary* summary;
+} Account;
+
+/* Enters the contact forces of the step just made, which lasted `share` of the control step. */
+static void enter_forces(const Simulation* s, const Engine* engine, const Account* a, double share) {
+  StepSummary* summary = a->summary;
+  const int count = cathsim_contact_forces(s, engine, a->capacity, a->now_points, a->now_forces);
+  double f[3] = {0, 0, 0};
+  for (int c = 0; c < count; c++)
+    for (int k = 0; k < 3; k++) f[k] += a->now_forces[3 * c + k];
+  const double norm = sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
+  summary->force_mean += norm * share;
+  if (norm > summary->force_max) {
+    summary->force_max = norm;
+    memcpy(summary->force, f, sizeof f);
+    summary->contacts = count;
+    memcpy(a->points, a->now_points, sizeof(double) * 3 * count);
+    memcpy(a->forces, a->now_forces, sizeof(double) * 3 * count);
+  }
+}
+
+static int warnings(const mjData* d) {
+  return d->warning[mjWARN_BADQPOS].number + d->warning[mjWARN_BADQVEL].number + d->warning[mjWARN_BADQACC].number;
+}
+
 /* One substep. A wire that snaps free crosses a millimetre in one long substep and is found inside the wall: such a
- * substep is taken back and repeated in `refinement` shorter ones. Returns whether it was. */
-static int substep(Simulation* s, const Engine* engine) {
+ * substep is taken back and repeated in `refinement` shorter ones; so is one that left a state that is not finite.
+ * Returns whether it was. */
+static int substep(Simulation* s, const Engine* engine, const Account* account, double share) {
   mjData* d = s->data;
   const int nq = s->model->nq, nv = s->model->nv;
   if (s->refinement <= 1) {
     engine->step(s->model, d);
+    enter_forces(s, engine, account, share);
     return 0;
   }
   double *qpos = s->saved, *qvel = qpos + nq, *warm = qvel + nv, time = d->time;
   memcpy(qpos, d->qpos, sizeof(double) * nq);
   memcpy(qvel, d->qvel, sizeof(double) * nv);
   memcpy(warm, d->qacc_warmstart, sizeof(double) * nv);
+  const int invalid_before = warnings(d);
+  mjWarningStat before[mjNWARNING];
+  memcpy(before, d->warning, sizeof before);
   engine->step(s->model, d);
   engine->kinematics(s->model, d);
   double depth = cathsim_penetration(s, 3);
-  const int repeat = depth > s->tolerance && depth > s->depth + s->rise;
+  const int repeat = (depth > s->tolerance && depth > s->depth + s->rise) || warnings(d) > invalid_before;
   if (repeat) {
     memcpy(d->qpos, qpos, sizeof(double) * nq);
     memcpy(d->qvel, qvel, sizeof(double) * nv);
     memcpy(d->qacc_warmstart, warm, sizeof(double) * nv);
+    memcpy(d->warning, before, sizeof before);
     d->time = time;
-    for (int i = 0; i < s->refinement; i++) engine->step(s->fine, d);
+    for (int i = 0; i < s->refinement; i++) {
+      engine->step(s->fine, d);
+      enter_forces(s, engine, account, share / s->refinement);
+    }
     engine->kinematics(s->model, d);
     depth = cathsim_penetration(s, 3);
+  } else {
+    enter_forces(s, engine, account, share);
   }
   s->depth = depth;
   return repeat;
@@ -85,25 +126,11 @@ void cathsim_step(Simulation* s, const Engine* engine, int substeps, const doubl
   mjData* d = s->data;
   memset(summary, 0, sizeof *summary);
   summary->force_max = -1;
-  double *now_points = scratch, *now_forces = scratch + 3 * capacity;
+  const Account account = {capacity, points, forces, scratch, scratch + 3 * capacity, summary};
   for (int i = 0; i < substeps; i++) {
     const double t = (i + 1.0) / substeps;
     for (int k = 0; k < s->model->nu; k++) d->ctrl[k] = control_from[k] + t * (control_to[k] - control_from[k]);
-    summary->refined += substep(s, engine);
-
-    const int count = cathsim_contact_forces(s, engine, capacity, now_points, now_forces);
-    double f[3] = {0, 0, 0};
-    for (int c = 0; c < count; c++)
-      for (int k = 0; k < 3; k++) f[k] += now_forces[3 * c + k];
-    const double norm = sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
-    summary->force_mean += norm / substeps;
-    if (norm > summary->force_max) {
-      summary->force_max = norm;
-      memcpy(summary->force, f, sizeof f);
-      summary->contacts = count;
-      memcpy(points, now_points, sizeof(double) * 3 * count);
-      memcpy(forces, now_forces, sizeof(double) * 3 * count);
-    }
+    summary->refined += substep(s, engine, &account, 1.0 / substeps);
     if (s->depth_samples > 0) {
       if (s->refinement <= 1) engine->kinematics(s->model, d);
       const double depth = cathsim_penetration(s, s->depth_samples);
@@ -112,7 +139,6 @@ void cathsim_step(Simulation* s, const Engine* engine, int substeps, const doubl
     }
   }
   if (s->refinement <= 1) engine->kinematics(s->model, d);
-  summary->warnings =
-      d->warning[mjWARN_BADQPOS].number + d->warning[mjWARN_BADQVEL].number + d->warning[mjWARN_BADQACC].number;
+  summary->warnings = warnings(d);
   if (!(summary->force_max >= 0)) summary->force_max = 0; /* NaN forces: the warnings tell */
 }
