@@ -81,6 +81,8 @@ def execute(config: RunConfig, *, variant: str = "") -> Outcome:
             stage.run(config.stage, context)
         except ModuleNotFoundError as error:  # packages import their heavier dependencies where they need them
             raise missing_module(stage.name, error) from error
+        except ImportError as error:  # e.g. native code that was built from other sources; it says what to do
+            raise StageError(str(error)) from error
         manifest = folder.finish(
             stage=stage.name, run=config.name, budget=config.budget_name, seed=config.seed,
             config=asdict(config.stage), started=started,

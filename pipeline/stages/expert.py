@@ -84,7 +84,7 @@ def run_expert(settings: ExpertSettings, context: StageContext) -> None:
         metrics = record_trial(trial, settings, context.path, seed=context.seed + trial.episode)
         context.folder.mark_done(trial.label, metrics)
     results = {trial: context.folder.result_of(trial.label) or {} for trial in trials}
-    write_results(context.path, tables(results))
+    write_results(context.path, {**tables(results), "task": task_settings(settings, context.seed)})
     write_figures(context.path, figures(trials, settings, context.path))
 
 
@@ -161,6 +161,31 @@ def tables(results: dict[Trial, dict[str, Any]]) -> dict[str, Any]:
             thesis = ("force_n", "path_length_cm", "episode_length_steps", "safety_pct", "success_pct", "spl_pct", "n")
             ablation[f"{target}/{OPERATOR}"] = {column: row[column] for column in thesis}
     return {"expert": own, "ablation": ablation} if ablation else {"expert": own}
+
+
+def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
+    """What was asked of the expert, beside the thesis's settings.
+
+    Args:
+        settings: of the stage.
+        seed: of the run.
+
+    Returns:
+        Row to column to cell.
+    """
+    from cathsim import NavigationTask, load_guidewire
+
+    values = {
+        "episode_limit_enn": settings.max_steps,
+        "evaluation_episodes": settings.episodes,
+        "seed": seed,
+        "start_jitter_mm": NavigationTask().start_jitter * _MM,
+        "success_radius_mm": settings.success_radius_mm,
+        "image_size_px": settings.image_size_px,
+        "joint_observations": 4 * (load_guidewire(settings.wire).joints + 1),
+        "actions": "2",
+    }
+    return {name: {"value": value} for name, value in values.items()}
 
 
 def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list[Figure]:
