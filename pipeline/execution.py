@@ -13,6 +13,7 @@ from typing import Any
 
 from pipeline.artifacts import Identity, RunFolder, require_input
 from pipeline.config import RunConfig, settings_that_matter
+from pipeline.errors import StageError
 from pipeline.provenance import hash_sources, hash_value
 from pipeline.stages import Stage, StageContext, load_stage, missing_module
 

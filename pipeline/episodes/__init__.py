@@ -2,7 +2,7 @@
 
 from pipeline.episodes.camera import Camera
 from pipeline.episodes.check import CheckReport, check
-from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError
+from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
 from pipeline.episodes.recover import RecoveryReport, recover
@@ -23,6 +23,7 @@ __all__ = [
     "PhantomMesh",
     "RecoveryReport",
     "StepRecord",
+    "ViewerError",
     "check",
     "recover",
 ]

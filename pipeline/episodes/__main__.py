@@ -1,6 +1,6 @@
-"""The command line of episode logs: `python -m pipeline.episodes info|check|recover FILE`.
+"""The command line of episode logs: `python -m pipeline.episodes info|check|recover|view FILE`.
 
-Exit codes: 0 all is well, 1 a log is damaged, 2 wrong usage or a file that is not there or cannot be written.
+Exit codes: 0 all is well, 1 a log is damaged, 2 wrong usage, a file that is not there or cannot be written, no viewer.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from pipeline.episodes.check import check
-from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError
+from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import recover
 
@@ -86,13 +86,23 @@ def _run_recover(source: Path, destination: Path | None, overwrite: bool) -> int
     return FINE
 
 
+def _run_view(source: Path, destination: Path | None) -> int:
+    from pipeline.episodes.rerun import save_recording, show_episode
+
+    if destination is None:
+        show_episode(source)
+    else:
+        print(save_recording(source, destination))
+    return FINE
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m pipeline.episodes",
-        description="Look at episode logs, check them and recover damaged ones.",
-        epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file or unwritable destination.",
+        description="Look at episode logs, check them, recover damaged ones and view them in Rerun.",
+        epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination or no viewer.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view")
     for name, text in (("info", "show what a log holds"), ("check", "verify every checksum, step and picture")):
         command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
         command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a log")
@@ -110,6 +120,13 @@ def _parser() -> argparse.ArgumentParser:
         help="the valid log (default: FILE without .partial, or with .recovered before its ending)",
     )
     command.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
+    command = commands.add_parser(
+        "view",
+        help="open a log in the Rerun viewer, or save it for that",
+        description="Open a log in the Rerun viewer (extra rerun), or save it as a Rerun recording.",
+    )
+    command.add_argument("file", type=Path, metavar="FILE", help="a log")
+    command.add_argument("--save", type=Path, metavar="OUT", help="write a .rrd file instead of opening a window")
     return parser
 
 
@@ -125,11 +142,13 @@ def _run(arguments: argparse.Namespace, path: Path) -> int:
             return _show_info(path)
         if arguments.command == "check":
             return _show_check(path)
+        if arguments.command == "view":
+            return _run_view(path, arguments.save)
         return _run_recover(path, arguments.out, arguments.overwrite)
     except EpisodeReadError as error:
         _complain(error)
         return DAMAGED
-    except EpisodeWriteError as error:
+    except (EpisodeWriteError, ViewerError) as error:
         _complain(error)
         return USAGE
     except BrokenPipeError:

@@ -245,6 +245,41 @@ def test_bad_actions(make_composer: MakeComposer) -> None:
         env.step(np.zeros(3))
 
 
+def test_what_is_there_to_be_seen_changes_nothing(make_composer: MakeComposer) -> None:
+    plain, visual = make_composer(), make_composer(visual=True)
+    for one, other in zip(episode(plain, 25), episode(visual, 25), strict=True):
+        for name, value in one.observation.items():
+            assert np.array_equal(value, other.observation[name]), name
+    assert visual.physics.model.nmesh == 1
+
+
+def test_visual_model_is_rendered(run_python: Callable[[str], str]) -> None:
+    snippet = (
+        "import os\n"
+        "os.environ['MUJOCO_GL'] = 'BACKEND'\n"
+        "try:\n"
+        "    import mujoco\n"
+        "    mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).close()\n"
+        "except Exception as error:\n"
+        "    raise SystemExit(print('missing'))\n"
+        "from cathsim import composer\n"
+        "env = composer.load(seed=0, visual=True)\n"
+        "env.reset()\n"
+        "for _ in range(30): env.step([1.0, 0.3])\n"
+        "red, green, blue = env.physics.render(480, 360, camera_id='frontal').reshape(-1, 3).T.astype(int)\n"
+        "vessel = (red > green + 20) & (red > blue + 20)\n"
+        "print('drawn', vessel.mean(), ((green < 90) & (red < 140)).sum())\n"
+    )
+    for backend in ("egl", "osmesa"):
+        outcome, *drawn = run_python(snippet.replace("BACKEND", backend)).split()
+        if outcome == "drawn":
+            break
+    else:
+        pytest.skip("neither EGL nor OSMesa works here")
+    assert 0.05 < float(drawn[0]) < 0.6, "the vessel"
+    assert int(drawn[1]) > 30, "the wire"
+
+
 def test_without_dm_control_one_sentence_says_what_to_install(run_python: Callable[[str], str]) -> None:
     snippet = (
         "import sys\n"

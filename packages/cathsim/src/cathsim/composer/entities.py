@@ -10,11 +10,15 @@ from dm_control import composer, mjcf
 from dm_control.composer.define import observable
 from dm_control.composer.observation.observable import MJCFFeature
 
+from cathsim.anatomy import Phantom
 from cathsim.arena import ADVANCE, FEEDER, PROTRUSION, ROTATE, max_insertion
 from cathsim.contact.native import SimulationStruct, address, engine, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
 from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, MAX_CONTACTS, Contacts
+from cathsim.view import WALL
+
+SKY = [0.97, 0.97, 0.98]
 
 
 class VesselArena(composer.Entity):
@@ -39,6 +43,24 @@ class VesselArena(composer.Entity):
     def mjcf_model(self) -> mjcf.RootElement:
         """Its MJCF."""
         return self._model
+
+    def show(self, phantom: Phantom) -> None:
+        """Adds what a renderer needs: the lumen's surface, translucent, and a camera "frontal" that sees all of it.
+
+        Args:
+            phantom: whose lumen it is.
+        """
+        root, bounds = self._model, phantom.bounds
+        root.visual.headlight.set_attributes(ambient=[0.45] * 3, diffuse=[0.55] * 3)
+        root.visual.map.set_attributes(znear=0.01, zfar=10.0)
+        root.statistic.set_attributes(extent=0.3, center=bounds.mean(axis=0))
+        contents = phantom.lumen_mesh.export(file_type="stl")
+        mesh = root.asset.add("mesh", name="lumen", file=mjcf.Asset(contents, ".stl"), inertia="shell")
+        root.asset.add("texture", type="skybox", builtin="flat", rgb1=SKY, rgb2=SKY, width=16, height=96)
+        root.worldbody.add("geom", type="mesh", mesh=mesh, rgba=WALL, contype=0, conaffinity=0, mass=0)
+        distance = 1.45 * (bounds[1, 2] - bounds[0, 2])
+        place = bounds.mean(axis=0) - [0, distance, 0]
+        root.worldbody.add("camera", name="frontal", pos=place, xyaxes=[1, 0, 0, 0, 0, 1], fovy=45)
 
     def contacts(self, physics: mjcf.Physics) -> Contacts:
         """Contacts between wire and lumen in the last substep; those in the sheath are left out."""

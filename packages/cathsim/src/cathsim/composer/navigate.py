@@ -39,6 +39,7 @@ class NavigateTask(composer.Task):
         tip_motors: 21 actions instead of two.
         image_size: side of the fluoroscopic image, px.
         numerics: time stepping; its refinement is not used.
+        visual: with the lumen's surface and a camera "frontal" in the model, for rendering.
     """
 
     def __init__(
@@ -51,12 +52,15 @@ class NavigateTask(composer.Task):
         tip_motors: bool = False,
         image_size: int = 80,
         numerics: Accuracy = STEPPING,
+        visual: bool = False,
     ) -> None:
         self.phantom, self.task = phantom, task
         self.goal = task.goal(phantom)
         vessel = vessel_of(phantom, entry)
         parts = model_parts(vessel, wire, numerics, tip_motors=tip_motors)
         self.arena = VesselArena(parts.arena, vessel, wire.length)
+        if visual:
+            self.arena.show(phantom)
         self.feeder = Feeder(parts.feeder, wire)
         self.guidewire = GuidewireEntity(parts.guidewire, wire)
         self.arena.attach(self.feeder, self.arena.feeder_site)
@@ -192,6 +196,7 @@ def load(
     image_size: int = 80,
     numerics: Accuracy = STEPPING,
     phantom_seed: int | None = None,
+    visual: bool = False,
     **task_fields: Any,
 ) -> composer.Environment:
     """Makes the environment.
@@ -206,6 +211,7 @@ def load(
         image_size: side of the fluoroscopic image, px.
         numerics: time stepping.
         phantom_seed: of the random phantom.
+        visual: with the lumen's surface and a camera for `environment.physics.render(camera_id="frontal")`.
         task_fields: fields of `NavigationTask`: success_radius, max_steps, start_jitter, start_rotation, reward,
             force_penalty.
 
@@ -226,6 +232,7 @@ def load(
         tip_motors=actions == "tip_motors",
         image_size=image_size,
         numerics=numerics,
+        visual=visual,
     )
     return composer.Environment(
         task,

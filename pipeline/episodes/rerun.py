@@ -1,0 +1,260 @@
+"""Episodes in Rerun: a log's scene, pictures and curves as a Rerun recording, saved to a file or shown in its viewer."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+
+from google.protobuf.message import DecodeError
+
+from pipeline.episodes.errors import ViewerError, damaged
+from pipeline.episodes.png import decode_mask
+from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.schema import camera_topic
+
+if TYPE_CHECKING:
+    from rerun import RecordingStream
+
+APPLICATION = "endonav"
+STEP_TIMELINE, TIME_TIMELINE = "step", "time"
+CURVES = {
+    "force_n": "contact force, N",
+    "insertion_m": "insertion, m",
+    "rotation_rad": "rotation, rad",
+    "reward": "reward",
+}
+WIRE_RADIUS = 0.0008  # twice the wire's own, so that it is seen, m
+ARROW_LENGTH = 0.05  # of a force of one newton, m
+_WALL = (217, 115, 115, 90)
+_WIRE = (30, 30, 40)
+_TARGET, _ENTRY, _FORCE = (26, 179, 51), (51, 102, 230), (240, 140, 20)
+_MASK = (230, 60, 40)
+
+
+def rerun_module() -> ModuleType:
+    """The Rerun package.
+
+    Returns:
+        It.
+
+    Raises:
+        ViewerError: it is not installed.
+    """
+    try:
+        import rerun
+    except ModuleNotFoundError as error:
+        raise ViewerError(
+            "viewing in Rerun needs the extra rerun, which is not installed: run `pip install -c constraints.txt "
+            "'.[rerun]'` in the project's folder"
+        ) from error
+    return rerun
+
+
+def log_episode(log: EpisodeReader, recording: RecordingStream) -> None:
+    """Sends a whole episode to a Rerun recording.
+
+    | entity                      | what                                                                    |
+    |-----------------------------|-------------------------------------------------------------------------|
+    | world/phantom, target, entry| the lumen's wall, the target and the entry; always there                |
+    | world/wire, tip, contacts   | the wire as a line, its tip, the wall's forces as arrows; every step    |
+    | world/camera/<name>         | the C-arm as a pinhole, and its picture with the wire's mask over it    |
+    | curves/<name>               | force, insertion, rotation, reward and further scalars, unit in the name|
+    | episode                     | what the log says of itself                                             |
+
+    Timelines are `step` and `time`, the seconds since the reset. Lengths are metres in the world frame of the log.
+
+    Args:
+        log: an open log.
+        recording: where it goes.
+
+    Raises:
+        EpisodeReadError: the log is damaged.
+        ViewerError: Rerun is not installed.
+    """
+    rr = rerun_module()
+    _log_static(rr, log, recording)
+    curves: dict[str, list[float]] = {name: [] for name in CURVES}
+    steps: list[int] = []
+    for index, record in enumerate(log):
+        _set_step(log, recording, record.step)
+        recording.log("world/wire", rr.LineStrips3D([record.wire_points], radii=WIRE_RADIUS, colors=_WIRE))
+        recording.log("world/tip", rr.Points3D([record.tip], radii=1.5 * WIRE_RADIUS, colors=_FORCE))
+        arrows = ARROW_LENGTH * record.contact_forces
+        recording.log("world/contacts", rr.Arrows3D(vectors=arrows, origins=record.contact_positions, colors=_FORCE))
+        steps.append(record.step)
+        values = {
+            "force_n": record.resultant_force_norm,
+            "insertion_m": record.insertion,
+            "rotation_rad": record.rotation,
+            "reward": record.reward,
+            **record.extra,
+        }
+        for name, value in values.items():
+            curves.setdefault(name, [np.nan] * index).append(value)
+        for values_so_far in curves.values():
+            values_so_far.extend([np.nan] * (index + 1 - len(values_so_far)))
+    _log_pictures(rr, log, recording)
+    times = [
+        rr.TimeColumn(STEP_TIMELINE, sequence=steps),
+        rr.TimeColumn(TIME_TIMELINE, duration=[step * log.info.control_dt for step in steps]),
+    ]
+    for name, values_of_all in curves.items():
+        if steps:
+            recording.send_columns(f"curves/{name}", indexes=times, columns=rr.Scalars.columns(scalars=values_of_all))
+
+
+def _log_static(rr: ModuleType, log: EpisodeReader, recording: RecordingStream) -> None:
+    """What holds for the whole episode: frame, phantom, cameras, names, and the log's own information."""
+    # the world's axes: to the patient's left, to the back, to the head
+    recording.log("world", rr.ViewCoordinates.LBU, static=True)
+    mesh = log.phantom_mesh()
+    if mesh is not None:
+        wall = rr.Mesh3D(vertex_positions=mesh.vertices, triangle_indices=mesh.faces, albedo_factor=_WALL)
+        recording.log("world/phantom", wall, static=True)
+        for name, centre, colour in (("target", mesh.target, _TARGET), ("entry", mesh.entry, _ENTRY)):
+            recording.log(f"world/{name}", rr.Points3D([centre], radii=0.002, colors=colour, labels=name), static=True)
+    for name in log.cameras:
+        camera = log.camera(name)
+        pose = rr.Transform3D(translation=-camera.R.T @ camera.t, mat3x3=camera.R.T)
+        lens = rr.Pinhole(
+            image_from_camera=camera.K, resolution=(camera.width, camera.height), image_plane_distance=0.1
+        )
+        recording.log(f"world/camera/{name}", pose, lens, static=True)
+        recording.log(f"world/camera/{name}", rr.AnnotationContext([(1, "wire", _MASK)]), static=True)
+    for curve, label in CURVES.items():
+        recording.log(f"curves/{curve}", rr.SeriesLines(names=label), static=True)
+    info, outcome = log.info, log.outcome
+    success = {True: "reached", False: "not reached", None: "not known to be reached"}[outcome.success]
+    rows = [
+        f"# {info.phantom}, {info.entry} to {info.target}",
+        f"{outcome.steps} steps of {info.control_dt:g} s, steered by {info.operator}, seed {info.seed}",
+        f"target {success}, log {outcome.status}",
+        *(f"- {name}: {value}" for name, value in sorted(outcome.metrics.items())),
+    ]
+    document = rr.TextDocument("\n\n".join(rows[:3]) + "\n\n" + "\n".join(rows[3:]), media_type="text/markdown")
+    recording.log("episode", document, static=True)
+
+
+def _log_pictures(rr: ModuleType, log: EpisodeReader, recording: RecordingStream) -> None:
+    for name in log.cameras:
+        for stream in ("image", "mask"):
+            if not log.has(name, stream):
+                continue
+            for time_ns, payload in log.payloads(camera_topic(name, stream)):
+                _set_step(log, recording, (time_ns - log.info.start_time_ns) // log.info.interval_ns)
+                picture = _as_image(rr, payload) if stream == "image" else _as_mask(rr, log, payload)
+                recording.log(f"world/camera/{name}/{stream}", picture)
+
+
+def _as_image(rr: ModuleType, payload: bytes) -> Any:
+    return rr.EncodedImage(contents=CompressedImage.FromString(payload).data, media_type="image/png")
+
+
+def _as_mask(rr: ModuleType, log: EpisodeReader, payload: bytes) -> Any:
+    try:
+        mask = decode_mask(CompressedImage.FromString(payload).data)
+    except (ValueError, DecodeError) as error:
+        raise damaged(log.path, error) from error
+    return rr.SegmentationImage(mask.astype(np.uint8), opacity=0.5)
+
+
+def _set_step(log: EpisodeReader, recording: RecordingStream, step: int) -> None:
+    recording.set_time(STEP_TIMELINE, sequence=step)
+    recording.set_time(TIME_TIMELINE, duration=step * log.info.control_dt)
+
+
+def layout(cameras: tuple[str, ...]) -> Any:
+    """The arrangement of views: the scene, the cameras' pictures, and the curves.
+
+    Args:
+        cameras: names of the log's cameras.
+
+    Returns:
+        A Rerun blueprint.
+
+    Raises:
+        ViewerError: Rerun is not installed.
+    """
+    rerun_module()
+    import rerun.blueprint as rrb
+
+    pictures = [rrb.Spatial2DView(origin=f"world/camera/{name}", name=name) for name in cameras]
+    curves = [rrb.TimeSeriesView(origin=f"curves/{name}", name=label) for name, label in CURVES.items()]
+    scene = rrb.Spatial3DView(origin="world", name="aorta and wire")
+    right = rrb.Vertical(*pictures, rrb.TextDocumentView(origin="episode", name="episode"))
+    above = rrb.Horizontal(scene, right, column_shares=[2, 1])
+    return rrb.Blueprint(rrb.Vertical(above, rrb.Grid(*curves, grid_columns=4), row_shares=[3, 1]))
+
+
+def save_recording(path: Path, destination: Path) -> Path:
+    """Writes an episode as a Rerun recording; it appears under its name only when it is whole.
+
+    Args:
+        path: the log.
+        destination: the .rrd file; one that is there is replaced.
+
+    Returns:
+        The destination.
+
+    Raises:
+        EpisodeReadError: the log is damaged.
+        ViewerError: Rerun is not installed, or the destination cannot be written.
+    """
+    rr = rerun_module()
+    partial = destination.with_name(destination.name + ".partial")
+    try:
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        partial.touch()
+    except OSError as error:
+        raise ViewerError(f"cannot write {destination}: {error.strerror}; choose another file") from error
+    try:
+        with EpisodeReader(path) as log:
+            # the same episode is the same recording, however often it is opened
+            identity = f"{log.info.phantom}-{log.info.target}-{log.info.seed}-{log.info.start_time_ns}"
+            recording = rr.RecordingStream(APPLICATION, recording_id=identity)
+            recording.set_log_time_enabled(False)
+            recording.set_log_tick_enabled(False)
+            recording.save(partial, default_blueprint=layout(log.cameras))
+            recording.send_recording_name(path.stem)
+            try:
+                log_episode(log, recording)
+            finally:
+                recording.flush()
+                recording.disconnect()
+        os.replace(partial, destination)
+    finally:
+        partial.unlink(missing_ok=True)
+    return destination
+
+
+def show_episode(path: Path) -> None:
+    """Opens an episode in the Rerun viewer and waits until it is closed.
+
+    Args:
+        path: the log.
+
+    Raises:
+        EpisodeReadError: the log is damaged.
+        ViewerError: Rerun is not installed, or its viewer cannot open a window.
+    """
+    rerun_module()
+    with tempfile.TemporaryDirectory(prefix="endonav-") as folder:
+        recording = save_recording(path, Path(folder) / f"{path.stem}.rrd")
+        # of itself the viewer would listen on all interfaces
+        command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", "auto", str(recording)]
+        done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
+        if done.returncode:
+            lines = done.stderr.strip().splitlines()
+            reason = f" ({lines[-1]})" if lines else ""
+            raise ViewerError(
+                f"the Rerun viewer ended with code {done.returncode}{reason}: where there is no screen, use --save "
+                "OUT.rrd and open that elsewhere"
+            )
