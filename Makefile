@@ -17,7 +17,7 @@ GPU ?=
 export OMP_NUM_THREADS ?= 1
 
 # Stages in the order they depend on each other; one whose module is not there yet is left out.
-ALL_STAGES := phantoms expert
+ALL_STAGES := phantoms expert user_study validate
 STAGES := $(patsubst pipeline/stages/%.py,%,$(wildcard $(ALL_STAGES:%=pipeline/stages/%.py)))
 STAGES := $(filter $(STAGES),$(ALL_STAGES))
 
@@ -27,12 +27,12 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 
 RUN = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)} $(PY) -m pipeline
 
-.PHONY: help setup all smoke demo test lint format bench-quick clean clean-all report $(ALL_STAGES)
+.PHONY: help setup all smoke demo test lint format bench-quick clean clean-all console report $(ALL_STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
-	@sed -nE 's/^([a-z][a-z -]*):.*##[ ]*(.*)/  \1@\2/p' $(firstword $(MAKEFILE_LIST)) | column -t -s@ 2>/dev/null \
-		|| sed -nE 's/^([a-z][a-z -]*):.*##[ ]*(.*)/  \1: \2/p' $(firstword $(MAKEFILE_LIST))
+	@sed -nE 's/^([a-z][a-z_ -]*):.*##[ ]*(.*)/  \1@\2/p' $(firstword $(MAKEFILE_LIST)) | column -t -s@ 2>/dev/null \
+		|| sed -nE 's/^([a-z][a-z_ -]*):.*##[ ]*(.*)/  \1: \2/p' $(firstword $(MAKEFILE_LIST))
 
 setup: $(INSTALLED)  ## virtual environment, pinned packages, native build, system libraries
 
@@ -63,6 +63,15 @@ phantoms: setup  ## stage: the aortas with meshes, grids, pictures
 
 expert: phantoms  ## stage: episodes of the sampling expert
 	@$(RUN) stage=expert budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+user_study: setup  ## stage: what people did and answered at the console (make console)
+	@$(RUN) stage=user_study budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+console: setup  ## steer the wire yourself, in the browser; episodes go to runs/<name>/human
+	@$(PY) -m pipeline.console --name $(NAME) $(ARGS)
+
+validate: expert  ## stage: forces against real ones, speed, the wire against theory
+	@$(RUN) stage=validate budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 report: setup  ## stage: the page, from whatever has run
 	@$(RUN) stage=report budget=$(BUDGET) name=$(NAME)

@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from cathsim import PHANTOMS, NavigateEnv, load_phantom
+from cathsim.blood import picture as blood_picture
 from cathsim.observables import Fluoroscope
 from cathsim.planning.sampling import SamplingExpert
 from cathsim.view import View
@@ -54,6 +55,42 @@ def phantoms() -> None:
     save(np.concatenate(rows), "phantoms.png")
 
 
+def blood() -> None:
+    """The pulsatile flow in the Type I arch."""
+    figure = blood_picture(load_phantom("type_1"))
+    figure.canvas.draw()  # type: ignore[attr-defined]
+    save(np.asarray(figure.canvas.buffer_rgba())[:, :, :3], "blood.png")  # type: ignore[attr-defined]
+
+
+def robot() -> None:
+    """The follower robot driving, returning with its rear clamp open, and in its second stroke; one view from aside."""
+    environment = NavigateEnv("type_1", "bca", observation="tip", drive="robot")
+    front, aside = (
+        View(
+            environment.phantom,
+            width=300,
+            height=620,
+            azimuth_deg=azimuth,
+            elevation_deg=elevation,
+            robot=environment.robot,
+        )
+        for azimuth, elevation in ((90.0, 0.0), (55.0, -18.0))
+    )
+    columns = []
+    environment.reset(seed=0)
+    for steps, said in ((12, "advance"), (13, "return"), (27, "advance, 2nd stroke")):
+        for _ in range(steps):
+            *_, info = environment.step(np.array([1.0, 0.1]))
+        picture = Image.fromarray(front.render(environment.simulation))
+        text = f"{said}\n{1e3 * info['insertion']:.0f} mm inserted"
+        ImageDraw.Draw(picture).text((8, 560), text, fill=(40, 40, 40), font_size=16)
+        columns.append(np.asarray(picture))
+    columns.append(aside.render(environment.simulation))
+    for view in (front, aside):
+        view.close()
+    save(np.concatenate(columns, axis=1), "robot.png")
+
+
 def save(picture: np.ndarray, name: str) -> None:
     """Writes a PNG of few colours, as it lies in the repository."""
     FOLDER.mkdir(exist_ok=True)
@@ -63,3 +100,5 @@ def save(picture: np.ndarray, name: str) -> None:
 if __name__ == "__main__":
     overview()
     phantoms()
+    blood()
+    robot()

@@ -108,6 +108,38 @@ class ExpertSettings:
 
 
 @dataclass
+class UserStudySettings:
+    """Settings of the sum of what people recorded at the console."""
+
+    name: str = "user_study"
+    max_steps: int = 300  # procedures with another limit are not counted
+    success_radius_mm: float = 8.0  # likewise
+
+    def __post_init__(self) -> None:
+        """Checks the limits."""
+        require_positive("stage.max_steps", self.max_steps)
+        require_positive("stage.success_radius_mm", self.success_radius_mm)
+
+
+@dataclass
+class ValidateSettings:
+    """Settings of the validation against real forces and theory."""
+
+    name: str = "validate"
+    phantom: str = "type_1"  # that of the real experiments; its episodes are compared, and its speed is measured
+    real_mean_n: float = 0.40  # normal distribution of the real forces
+    real_sd_n: float = 0.19
+    speed_steps: int = 600  # an observation and round
+    speed_rounds: int = 3
+    physics: bool = True  # the wire against the theory of rods, most of a minute
+
+    def __post_init__(self) -> None:
+        """Checks the distribution and the sizes."""
+        for key in ("real_mean_n", "real_sd_n", "speed_steps", "speed_rounds"):
+            require_positive(f"stage.{key}", getattr(self, key))
+
+
+@dataclass
 class ReportSettings:
     """Settings of the report."""
 
@@ -124,6 +156,8 @@ class ReportSettings:
 STAGE_SETTINGS: dict[str, type] = {
     "phantoms": PhantomsSettings,
     "expert": ExpertSettings,
+    "user_study": UserStudySettings,
+    "validate": ValidateSettings,
     "report": ReportSettings,
 }
 

@@ -15,6 +15,7 @@ from pipeline.provenance import software_versions
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv, Phantom
+    from cathsim.fluoroscopy import Projector
     from cathsim.metrics import EpisodeMetrics
     from pipeline.film import Film
 
@@ -70,7 +71,19 @@ def step_record(
 
 def camera_of(environment: NavigateEnv) -> Camera:
     """The environment's fluoroscope as the log describes it."""
-    projector = environment.fluoroscope.renderer.projector
+    return _camera(environment.fluoroscope.renderer.projector)
+
+
+def cameras_of(environment: NavigateEnv) -> dict[str, Camera]:
+    """Every camera of an environment by its topic's name: the frontal view, then those of `cameras`."""
+    cameras = {CAMERA: camera_of(environment)}
+    if environment.biplane is not None:
+        views = environment.biplane.fluoroscope.cameras
+        cameras |= {name: _camera(view.projector) for name, view in views.items()}
+    return cameras
+
+
+def _camera(projector: Projector) -> Camera:
     return Camera(
         P=projector.P, K=projector.K, R=projector.R, t=projector.t, width=projector.width, height=projector.height
     )
@@ -91,6 +104,73 @@ def phantom_mesh(phantom: Phantom, target: str, entry: str) -> PhantomMesh:
         target=phantom.target(target).position,
         entry=phantom.entry(entry).position,
     )
+
+
+def describe_episode(
+    environment: NavigateEnv, *, seed: int, operator: str, configuration: Mapping[str, Any] | None = None
+) -> EpisodeInfo:
+    """What is known of an episode before its first step.
+
+    Args:
+        environment: that the episode runs in.
+        seed: of its reset.
+        operator: who steers, e.g. "sampling_expert".
+        configuration: kept beside that of task and wire.
+    """
+    from cathsim.simulation import CONTROL_STEP
+
+    return EpisodeInfo(
+        phantom=environment.phantom.name,
+        phantom_hash=environment.phantom.hash,
+        target=environment.task.target,
+        entry=environment.simulation.entry,
+        seed=seed,
+        operator=operator,
+        control_dt=CONTROL_STEP,
+        configuration={
+            **asdict(environment.task),
+            "wire": asdict(environment.simulation.wire),
+            **({} if environment.biplane is None else {"cameras": environment.biplane.fluoroscope.to_json()}),
+            **(configuration or {}),
+        },
+        versions=software_versions(),
+    )
+
+
+def open_log(environment: NavigateEnv, path: Path, info: EpisodeInfo, *, overwrite: bool) -> EpisodeWriter:
+    """Starts the log of an episode with the environment's fluoroscope and phantom.
+
+    Args:
+        environment: that the episode runs in.
+        path: of the log; its folder is made.
+        info: as `describe_episode` gives it.
+        overwrite: replace a log that is there.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return EpisodeWriter(
+        path,
+        info,
+        cameras=cameras_of(environment),
+        phantom_mesh=phantom_mesh(environment.phantom, info.target, info.entry),
+        overwrite=overwrite,
+    )
+
+
+def log_step(log: EpisodeWriter, record: StepRecord, environment: NavigateEnv) -> None:
+    """Gives a step with the fluoroscope's image and mask to a log.
+
+    Args:
+        log: from `open_log`.
+        record: of the step.
+        environment: after the step.
+    """
+    fluoroscope, biplane = environment.fluoroscope, environment.biplane
+    images, masks = {CAMERA: fluoroscope.image()}, {CAMERA: fluoroscope.mask()}
+    if biplane is not None:
+        frames = {name: biplane.frame(name) for name in biplane.fluoroscope.names}
+        images |= {name: frame.image for name, frame in frames.items()}
+        masks |= {name: frame.mask for name, frame in frames.items()}
+    log.step(record, images=images, masks=masks)
 
 
 def record_episode(
@@ -118,36 +198,16 @@ def record_episode(
         The episode's metrics, also kept in the log's outcome.
     """
     from cathsim.metrics import EpisodeMetrics
-    from cathsim.simulation import CONTROL_STEP
 
-    task, phantom = environment.task, environment.phantom
     observation, info = environment.reset(seed=seed)
     tips, forces, rewards = [info["tip"]], [], []
-    description = EpisodeInfo(
-        phantom=phantom.name,
-        phantom_hash=phantom.hash,
-        target=task.target,
-        entry=environment.simulation.entry,
-        seed=seed,
-        operator=operator,
-        control_dt=CONTROL_STEP,
-        configuration={**asdict(task), "wire": asdict(environment.simulation.wire), **(configuration or {})},
-        versions=software_versions(),
-    )
+    description = describe_episode(environment, seed=seed, operator=operator, configuration=configuration)
     action: np.ndarray = np.zeros(environment.action_space.shape or (), np.float32)
     reward, terminated, truncated, step = 0.0, False, False, 0
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with EpisodeWriter(
-        path,
-        description,
-        cameras={CAMERA: camera_of(environment)},
-        phantom_mesh=phantom_mesh(phantom, task.target, environment.simulation.entry),
-        overwrite=True,
-    ) as log:
+    with open_log(environment, path, description, overwrite=True) as log:
         while True:
             record = step_record(environment, step, action, reward, info, terminated=terminated, truncated=truncated)
-            fluoroscope = environment.fluoroscope
-            log.step(record, images={CAMERA: fluoroscope.image()}, masks={CAMERA: fluoroscope.mask()})
+            log_step(log, record, environment)
             if film is not None:
                 film.add(environment)
             if terminated or truncated:
@@ -159,7 +219,7 @@ def record_episode(
             forces.append(info["force"])
             rewards.append(reward)
         metrics = EpisodeMetrics.from_arrays(
-            np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=task.target
+            np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=description.target
         )
         log.finish(EpisodeOutcome(success=metrics.success, steps=step, metrics=asdict(metrics)))
     return metrics

@@ -100,7 +100,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m pipeline.episodes",
         description="Look at episode logs, check them, recover damaged ones and view them in Rerun.",
-        epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination or no viewer.",
+        epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination, no "
+        "viewer.",
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view")
     for name, text in (("info", "show what a log holds"), ("check", "verify every checksum, step and picture")):

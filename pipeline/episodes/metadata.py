@@ -107,3 +107,31 @@ def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
         return EpisodeOutcome(**values)
     except (TypeError, ValueError) as error:
         raise ContainerError(f"the episode's outcome is incomplete ({error})") from error
+
+
+def seal_annotation(values: Mapping[str, Any]) -> dict[str, str]:
+    """Make the content of a record that was added to a finished log.
+
+    Args:
+        values: plain values.
+
+    Returns:
+        Key-value pairs.
+    """
+    return _seal(values)
+
+
+def open_annotation(record: Mapping[str, str]) -> dict[str, Any]:
+    """Read the content of a record that was added to a finished log.
+
+    Args:
+        record: key-value pairs.
+
+    Returns:
+        The values.
+
+    Raises:
+        ContainerError: it is damaged.
+        VersionError: its schema version is missing or too new.
+    """
+    return _open(record)

@@ -1,4 +1,4 @@
-"""Episodes in Rerun: a log's scene, pictures and curves as a Rerun recording, saved to a file or shown in its viewer."""
+"""Episodes in Rerun: a log's scene, pictures and curves as a recording, saved to a file or shown in the viewer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-
 from google.protobuf.message import DecodeError
 
 from pipeline.episodes.errors import ViewerError, damaged
@@ -33,10 +32,12 @@ CURVES = {
 }
 WIRE_RADIUS = 0.0008  # twice the wire's own, so that it is seen, m
 ARROW_LENGTH = 0.05  # of a force of one newton, m
+DETECTOR_DISTANCE = 0.12  # from the world's origin to where a camera's picture hangs, m
+EYE_DISTANCE = 0.36  # of the first look at the scene, from the patient's front, m
 _WALL = (217, 115, 115, 90)
 _WIRE = (30, 30, 40)
 _TARGET, _ENTRY, _FORCE = (26, 179, 51), (51, 102, 230), (240, 140, 20)
-_MASK = (230, 60, 40)
+_MASK, _FRUSTUM = (230, 60, 40), (150, 150, 160)
 
 
 def rerun_module() -> ModuleType:
@@ -124,11 +125,18 @@ def _log_static(rr: ModuleType, log: EpisodeReader, recording: RecordingStream) 
     for name in log.cameras:
         camera = log.camera(name)
         pose = rr.Transform3D(translation=-camera.R.T @ camera.t, mat3x3=camera.R.T)
+        # the picture hangs behind the patient, where the detector is
+        detector = float(np.linalg.norm(camera.t)) + DETECTOR_DISTANCE
         lens = rr.Pinhole(
-            image_from_camera=camera.K, resolution=(camera.width, camera.height), image_plane_distance=0.1
+            image_from_camera=camera.K,
+            resolution=(camera.width, camera.height),
+            image_plane_distance=detector,
+            line_width=0.0003,
+            color=_FRUSTUM,
         )
         recording.log(f"world/camera/{name}", pose, lens, static=True)
-        recording.log(f"world/camera/{name}", rr.AnnotationContext([(1, "wire", _MASK)]), static=True)
+        classes = rr.AnnotationContext([(0, "", (0, 0, 0, 0)), (1, "wire", _MASK)])
+        recording.log(f"world/camera/{name}", classes, static=True)
     for curve, label in CURVES.items():
         recording.log(f"curves/{curve}", rr.SeriesLines(names=label), static=True)
     info, outcome = log.info, log.outcome
@@ -137,7 +145,10 @@ def _log_static(rr: ModuleType, log: EpisodeReader, recording: RecordingStream) 
         f"# {info.phantom}, {info.entry} to {info.target}",
         f"{outcome.steps} steps of {info.control_dt:g} s, steered by {info.operator}, seed {info.seed}",
         f"target {success}, log {outcome.status}",
-        *(f"- {name}: {value}" for name, value in sorted(outcome.metrics.items())),
+        *(
+            f"- {name}: {value:.4g}" if isinstance(value, float) else f"- {name}: {value}"
+            for name, value in sorted(outcome.metrics.items())
+        ),
     ]
     document = rr.TextDocument("\n\n".join(rows[:3]) + "\n\n" + "\n".join(rows[3:]), media_type="text/markdown")
     recording.log("episode", document, static=True)
@@ -188,10 +199,12 @@ def layout(cameras: tuple[str, ...]) -> Any:
 
     pictures = [rrb.Spatial2DView(origin=f"world/camera/{name}", name=name) for name in cameras]
     curves = [rrb.TimeSeriesView(origin=f"curves/{name}", name=label) for name, label in CURVES.items()]
-    scene = rrb.Spatial3DView(origin="world", name="aorta and wire")
+    eye = rrb.EyeControls3D(position=(0.0, -EYE_DISTANCE, 0.05), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0))
+    scene = rrb.Spatial3DView(origin="world", name="aorta and wire", eye_controls=eye)
     right = rrb.Vertical(*pictures, rrb.TextDocumentView(origin="episode", name="episode"))
     above = rrb.Horizontal(scene, right, column_shares=[2, 1])
-    return rrb.Blueprint(rrb.Vertical(above, rrb.Grid(*curves, grid_columns=4), row_shares=[3, 1]))
+    views = rrb.Vertical(above, rrb.Grid(*curves, grid_columns=len(curves)), row_shares=[3, 1])
+    return rrb.Blueprint(views, rrb.TimePanel(timeline=TIME_TIMELINE, state="collapsed"), collapse_panels=True)
 
 
 def save_recording(path: Path, destination: Path) -> Path:
@@ -250,11 +263,9 @@ def show_episode(path: Path) -> None:
         recording = save_recording(path, Path(folder) / f"{path.stem}.rrd")
         # of itself the viewer would listen on all interfaces
         command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", "auto", str(recording)]
-        done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
-        if done.returncode:
-            lines = done.stderr.strip().splitlines()
-            reason = f" ({lines[-1]})" if lines else ""
-            raise ViewerError(
-                f"the Rerun viewer ended with code {done.returncode}{reason}: where there is no screen, use --save "
-                "OUT.rrd and open that elsewhere"
-            )
+        code = subprocess.run(command, check=False).returncode
+    if code:
+        raise ViewerError(
+            f"the Rerun viewer ended with code {code}: where there is no screen, use --save OUT.rrd and open that "
+            "elsewhere"
+        )

@@ -16,7 +16,7 @@ from typing import Any
 from pipeline.artifacts import RunFolder
 from pipeline.errors import ConfigurationError, StageError
 
-STAGE_NAMES = ("phantoms", "expert", "report")
+STAGE_NAMES = ("phantoms", "expert", "user_study", "validate", "report")
 
 
 @dataclass(frozen=True)

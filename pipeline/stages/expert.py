@@ -9,13 +9,13 @@ from typing import Any
 from pipeline.atomic import write_json
 from pipeline.config import ExpertSettings
 from pipeline.errors import ConfigurationError
+from pipeline.report.episode_tables import episode_tables
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 
 TARGETS = ("bca", "lcca", "lsa")
 OPERATOR = "sampling_expert"
-ABLATION_PHANTOM = "type_1"  # that of the thesis's ablation table
 _MM = 1e3
 
 
@@ -145,22 +145,12 @@ def tables(results: dict[Trial, dict[str, Any]]) -> dict[str, Any]:
     Returns:
         Table to row to column to cell.
     """
-    from cathsim.metrics import EpisodeMetrics, summarise
+    from cathsim.metrics import EpisodeMetrics
 
     grouped: dict[str, list[EpisodeMetrics]] = {}
     for trial, metrics in results.items():
         grouped.setdefault(trial.task, []).append(EpisodeMetrics(**metrics))
-    own: dict[str, Any] = {}
-    ablation: dict[str, Any] = {}
-    for task, episodes in grouped.items():
-        row = summarise(episodes).as_dict()
-        row["n"] = row.pop("episodes")
-        own[task] = row
-        phantom, target = task.split("/")
-        if phantom == ABLATION_PHANTOM and target != "lsa":
-            thesis = ("force_n", "path_length_cm", "episode_length_steps", "safety_pct", "success_pct", "spl_pct", "n")
-            ablation[f"{target}/{OPERATOR}"] = {column: row[column] for column in thesis}
-    return {"expert": own, "ablation": ablation} if ablation else {"expert": own}
+    return episode_tables(grouped, own="expert", operator=OPERATOR)
 
 
 def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
@@ -248,6 +238,6 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=("cathsim",),
+    code=("cathsim", "pipeline.report.episode_tables"),
     check=check_expert,
 )

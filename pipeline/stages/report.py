@@ -19,8 +19,8 @@ from pipeline.stages import STAGE_NAMES, Stage, StageContext
 METRICS = "metrics.json"
 TABLES_FOLDER = "tables"
 # Stages of the plan, in order; the page says of each whether it has run.
-PLANNED_STAGES = ("phantoms", "expert", "validate", "baselines", "enn", "imitation", "force", "guide3d", "shape",
-                  "segmentation", "splineformer", "navigation")  # fmt: skip
+PLANNED_STAGES = ("phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "guide3d",
+                  "shape", "segmentation", "splineformer", "navigation")  # fmt: skip
 
 _LOGGER = logging.getLogger(__name__)
 

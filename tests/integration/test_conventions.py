@@ -12,6 +12,7 @@ import pytest
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 CONVENTIONS = PROJECT_ROOT / "docs" / "conventions.md"
 SIMULATOR = PROJECT_ROOT / "docs" / "cathsim.md"
+ROBOT = PROJECT_ROOT / "docs" / "robot.md"
 README = PROJECT_ROOT / "packages" / "cathsim" / "README.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
@@ -55,6 +56,10 @@ def test_a_false_claim_would_be_found(tmp_path: Path) -> None:
     page.write_text("# Page\n\n```python\nx = 1\n```\n\ntext\n\n```python\nassert x == 2\n```\n", encoding="utf-8")
     with pytest.raises(AssertionError):
         run(page)
+
+
+def test_page_of_the_robot_runs() -> None:
+    assert run(ROBOT) > 4
 
 
 def test_readme_of_the_simulator_runs() -> None:

@@ -9,10 +9,14 @@ import gymnasium
 import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
+from cathsim.blood import BloodFlow, blood_flow
+from cathsim.contact.hulls import Decomposition
+from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire, load_guidewire
-from cathsim.navigation import NavigationTask, navigation_task
-from cathsim.observables import Fluoroscope, make_observable
+from cathsim.navigation import NavigationTask, navigation_task, require_reach
+from cathsim.observables import BiplaneView, Fluoroscope, make_observable
 from cathsim.presets import Accuracy, accuracy
+from cathsim.robot import DRIVES, FollowerRobot
 from cathsim.simulation import CONTROL_STEP, Simulation
 
 TRANSLATION_STEP = 0.002  # m at full action
@@ -55,6 +59,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
     | feeder | insertion, cosine and sine of the rotation | (3,) | m, 1 |
     | force | resultant contact force | (3,) | N, world |
 
+    With `cameras`, for each of them (a and b): `image_a`, a noisy X-ray image, and `mask_a`, (1, size, size) uint8.
+
     ## Reward
     "distance" (the thesis's): -|tip - target| in metres; "geodesic": 100 per metre of decrease of the distance along
     the lumen, less 0.02 a step. Both: 10 on reaching the target, less `force_penalty` per newton of contact force.
@@ -74,15 +80,21 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
     ## Arguments
     Args:
         phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), or a `Phantom`.
-        target: "bca", "lcca", "lsa", or another of the phantom's targets.
+        target: "bca", "lcca", "lsa", or another of the phantom's targets: "rcca", "rsa", and 10 mm before the open ends
+            "rcca_end", "rsa_end", "lcca_end", "lsa_end".
         entry: "descending" (femoral access) or "ascending".
-        wire: a preset's name or a `Guidewire`.
+        wire: a preset's name or a `Guidewire`; for far targets a longer one, load_guidewire("default").scaled(0.36).
         accuracy: "accurate", "fast" (1.4 times as fast, deeper contacts), "reference", or an `Accuracy`.
         actions: "feeder" or "tip_motors".
         observation: see above.
-        image_size: side of the images, px (the thesis uses 80 and 128).
+        image_size: side of the images, px (the thesis uses 80 and 128; the public biplane data set has 1,024).
+        cameras: None, "guide3d", "clinical", or a `BiplaneFluoroscope`: two C-arms beside the frontal view.
         render_mode: "rgb_array" (a 3-D view, needs EGL or OSMesa) or "fluoroscopy".
         phantom_seed: of the random phantom.
+        blood: None, "steady", "pulsatile", or a `BloodFlow`: its drag on the wire.
+        contact: "sdf", "hulls" (convex hulls of the wall, made in minutes and cached), or a `Decomposition`.
+        drive: "direct", or "robot": the follower robot feeds the wire stroke by stroke, so that a step may move it less
+            than its action says, or not at all while the clamp goes back; `info["driven"]` tells.
         contact_info: with `contact_points` and `contact_forces` in `info`; vector environments leave them out.
         task: the task; or its fields as further keywords: success_radius, max_steps, start_jitter, start_rotation,
             reward, force_penalty.
@@ -106,6 +118,10 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         image_size: int = 80,
         render_mode: str | None = None,
         phantom_seed: int | None = None,
+        blood: str | BloodFlow | None = None,
+        contact: str | Decomposition = "sdf",
+        drive: str = "direct",
+        cameras: str | BiplaneFluoroscope | None = None,
         contact_info: bool = True,
         task: NavigationTask | None = None,
         **task_fields: Any,
@@ -116,6 +132,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             raise ValueError(
                 f"unknown render_mode '{render_mode}'; there are {', '.join(self.metadata['render_modes'])}"
             )
+        if drive not in DRIVES:
+            raise ValueError(f"unknown drive '{drive}'; there are {', '.join(DRIVES)}")
         self.task = navigation_task(target, task_fields, task)
         self.phantom = load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom
         self._goal = self.task.goal(self.phantom)
@@ -124,11 +142,19 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             load_guidewire(wire) if isinstance(wire, str) else wire,
             _numerics(accuracy),
             entry=entry,
+            contact=contact,
             tip_motors=actions == "tip_motors",
+            blood=blood_flow(blood),
         )
+        require_reach(self.task, self.simulation)
         self.render_mode = render_mode
         self._contact_info = contact_info
+        self.robot = FollowerRobot() if drive == "robot" else None
         self.fluoroscope = Fluoroscope(self.simulation, image_size)
+        if isinstance(cameras, str):
+            material = wire_material(wire if isinstance(wire, str) else "default", self.simulation.wire.radius)
+            cameras = BiplaneFluoroscope.of(self.phantom, cameras, size=image_size, material=material)
+        self.biplane = None if cameras is None else BiplaneView(self.simulation, cameras)
         self._view: Any = None
         self.steps = 0
         self.ended = True
@@ -140,7 +166,9 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         names = [observation] if isinstance(observation, str) else list(observation)
         if not names:
             raise ValueError("observation must name at least one observable")
-        self._observables = {name: make_observable(name, self.simulation, self.fluoroscope) for name in names}
+        self._observables = {
+            name: make_observable(name, self.simulation, self.fluoroscope, self.biplane) for name in names
+        }
         self._single = names[0] if isinstance(observation, str) else None
         spaces: dict[str, gymnasium.Space[Any]] = {name: entry_.space for name, entry_ in self._observables.items()}
         self.observation_space = spaces[self._single] if self._single else gymnasium.spaces.Dict(spaces)
@@ -154,7 +182,11 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         """
         super().reset(seed=seed)
         self.task.start(self.simulation, self.np_random)
+        if self.robot is not None:
+            self.robot.reset()
         self.fluoroscope.update(restart=True)
+        if self.biplane is not None:
+            self.biplane.update(seed=int(self.np_random.integers(2**32)))
         self.steps = 0
         self.ended = False
         if self.task.reward == "geodesic":
@@ -178,11 +210,15 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             raise ValueError(f"expected a finite action, got {action.tolist()}")
         action = action.clip(-1.0, 1.0)
         simulation, task = self.simulation, self.task
-        if self._motors:
-            simulation.advance(TRANSLATION_STEP * float(action[-1]), 0.0, action[:-1])
-        else:
-            simulation.advance(TRANSLATION_STEP * float(action[0]), ROTATION_STEP * float(action[1]))
+        motors = action[:-1] if self._motors else None
+        translation = TRANSLATION_STEP * float(action[-1] if self._motors else action[0])
+        rotation = 0.0 if self._motors else ROTATION_STEP * float(action[1])
+        if self.robot is not None:
+            translation, rotation = self.robot.advance(translation, rotation, CONTROL_STEP)
+        simulation.advance(translation, rotation, motors)
         self.fluoroscope.update()
+        if self.biplane is not None:
+            self.biplane.update()
         self.steps += 1
 
         invalid = not simulation.valid
@@ -221,6 +257,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             "success": success,
             "invalid": invalid,
         }
+        if self.robot is not None:
+            info["driven"] = self.robot.driven
         if self._contact_info:
             contacts = simulation.contacts()
             info["contact_points"], info["contact_forces"] = contacts.points, contacts.forces
@@ -234,7 +272,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             if self._view is None:
                 from cathsim.view import View
 
-                self._view = View(self.phantom)
+                self._view = View(self.phantom, robot=self.robot)
             return self._view.render(self.simulation, self._goal)
         return None
 

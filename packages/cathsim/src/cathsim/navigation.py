@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,12 +11,14 @@ from typing import Any
 import numpy as np
 
 from cathsim.anatomy import Phantom
+from cathsim.arena import PROTRUSION
 from cathsim.simulation import Simulation
 
 REWARDS = ("distance", "geodesic")
 SUCCESS_REWARD = 10.0
 POTENTIAL_PER_METRE = 100.0  # of the geodesic reward
 STEP_COST = 0.02  # of the geodesic reward
+WAY_MARGIN = 0.02  # a wire needs this much more than the shortest way, m: it cuts no corners
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,30 @@ class NavigationTask:
     def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
         """Distance along the lumen from the tip to the target, m."""
         return float(phantom.geodesic_distance(tip, self.target))
+
+
+def require_reach(task: NavigationTask, simulation: Simulation) -> None:
+    """Refuses a wire that is too short for the task's target, fed in all the way and on the shortest way.
+
+    Args:
+        task: with the target.
+        simulation: with the phantom, its entry and the wire.
+
+    Raises:
+        ValueError: says how long a wire is needed.
+    """
+    phantom, reach = simulation.phantom, simulation.max_insertion + PROTRUSION + task.success_radius
+    if phantom.way_length(task.target, simulation.entry) <= reach:
+        return  # along the centrelines, which is quick to know and longer than the shortest way
+    start = phantom.entry(simulation.entry).position
+    shortest = float(phantom.geodesic_distance(start, task.target))
+    if shortest > reach:
+        lacking = shortest - reach + WAY_MARGIN
+        length = math.ceil((simulation.wire.length + lacking) * 100 - 1e-9) / 100
+        raise ValueError(
+            f"the wire of {simulation.wire.length * 1e3:.0f} mm is too short for {task.target} of {phantom.name}, "
+            f"{shortest * 1e3:.0f} mm from {simulation.entry}: pass wire=load_guidewire(...).scaled({length:.2f})"
+        )
 
 
 def navigation_task(target: str, fields: Mapping[str, Any], task: NavigationTask | None = None) -> NavigationTask:

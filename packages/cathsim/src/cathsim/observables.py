@@ -13,11 +13,13 @@ import numpy as np
 from cathsim.anatomy import Phantom
 from cathsim.contact.sdf import Vessel
 from cathsim.feed import pass_on
-from cathsim.fluoroscopy import FluoroscopyRenderer, Projector, background_image
+from cathsim.fluoroscopy import BiplaneFluoroscope, FluoroscopyRenderer, Frame, Projector, background_image
 from cathsim.simulation import Simulation
 
 FRAMES = 3  # of the sequential observation
 SHOWN_SHEATH = 0.010  # this much of the wire inside the sheath is drawn, m
+BEHIND = 0.12  # so much of the wire behind the entry is drawn in bi-planar images: to their border, m
+BEHIND_STEP = 0.005
 
 
 @functools.lru_cache(maxsize=64)
@@ -70,6 +72,39 @@ class Fluoroscope:
             self.frames = [*self.frames[1:], latest] if self.frames else [latest] * FRAMES
             self._kept = True
         return np.stack(self.frames)
+
+
+class BiplaneView:
+    """Bi-planar images and masks of a simulation, each drawn once a step at most."""
+
+    def __init__(self, simulation: Simulation, fluoroscope: BiplaneFluoroscope) -> None:
+        self.simulation, self.fluoroscope = simulation, fluoroscope
+        self._seed, self._moment = 0, 0
+        self._frames: dict[str, Frame] = {}
+
+    def update(self, *, seed: int | None = None) -> None:
+        """Says that the simulation has moved on, or restarted with a seed of the episode's noise."""
+        self._frames = {}
+        self._moment += 1
+        if seed is not None:
+            self._seed, self._moment = seed, 0
+
+    def frame(self, name: str) -> Frame:
+        """Image and mask of a camera; not to be written into."""
+        if name not in self._frames:
+            # the noise of a moment depends on seed and step alone, not on which camera was looked at before
+            generator = np.random.default_rng((self._seed, self._moment))
+            points = points_to_border(self.simulation)
+            self._frames[name] = self.fluoroscope.render(points, generator, only=(name,))[name]
+        return self._frames[name]
+
+
+def points_to_border(simulation: Simulation) -> np.ndarray:
+    """Nodes of the wire from the tip through the sheath, on to where it has left every image, m. Shape (n, 3)."""
+    points, vessel = simulation.inserted_points(), simulation.vessel
+    behind = float((vessel.entry - points[-1]) @ vessel.direction)
+    steps = np.arange(BEHIND_STEP, max(BEHIND - behind, 0.0) + BEHIND_STEP, BEHIND_STEP)
+    return np.concatenate((points, points[-1] - steps[:, None] * vessel.direction))
 
 
 def shown_points(simulation: Simulation) -> np.ndarray:
@@ -135,12 +170,17 @@ def internal(simulation: Simulation) -> np.ndarray:
 OBSERVABLES = ("internal", "joints", "image", "mask", "sequential", "shape", "tip", "feeder", "force")
 
 
-def make_observable(name: str, simulation: Simulation, fluoroscope: Fluoroscope) -> Observable:
-    """The observable of a name.
+def make_observable(
+    name: str, simulation: Simulation, fluoroscope: Fluoroscope, biplane: BiplaneView | None = None
+) -> Observable:
+    """The observable of a name; "image_a", "mask_a" and so on are those of a bi-planar fluoroscope's cameras.
 
     Raises:
         ValueError: there is none.
     """
+    kind, _, view = name.partition("_")
+    if kind in ("image", "mask") and view:
+        return _camera_observable(name, kind, view, biplane)
     box, nodes = gymnasium.spaces.Box, len(simulation.wire.links) + 1
     if name == "internal":
         size = 3 * simulation.nq + 22 * len(simulation.wire.links)
@@ -170,3 +210,17 @@ def make_observable(name: str, simulation: Simulation, fluoroscope: Fluoroscope)
     if name == "force":
         return Observable(_box(3), lambda: simulation.force().astype(np.float32))
     raise ValueError(f"unknown observation '{name}'; there are {', '.join(OBSERVABLES)}")
+
+
+def _camera_observable(name: str, kind: str, view: str, biplane: BiplaneView | None) -> Observable:
+    if biplane is None:
+        raise ValueError(f"observation '{name}' needs a bi-planar fluoroscope: pass cameras='guide3d' or 'clinical'")
+    cameras = biplane.fluoroscope.cameras
+    if view not in cameras:
+        known = ", ".join(f"image_{camera}, mask_{camera}" for camera in cameras)
+        raise ValueError(f"unknown observation '{name}'; the cameras give {known}")
+    projector = cameras[view].projector
+    space = gymnasium.spaces.Box(0, 255, (1, projector.height, projector.width), np.uint8)
+    if kind == "image":
+        return Observable(space, lambda: biplane.frame(view).image[None].copy())
+    return Observable(space, lambda: biplane.frame(view).mask[None] * np.uint8(255))

@@ -11,8 +11,13 @@ import numpy as np
 
 from cathsim.anatomy import Phantom
 from cathsim.arena import FEEDER, max_insertion
+from cathsim.blood import BloodFlow
+from cathsim.blood_field import blood_field
+from cathsim.contact.hull_vessel import hull_vessel
+from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.contact.native import SimulationStruct, StepSummary, address, engine, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
+from cathsim.drag import Drag
 from cathsim.feed import Ladder, pass_on, rung_models
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
 from cathsim.presets import Accuracy
@@ -54,24 +59,34 @@ class _Rung:
     """One model of the ladder with its data, and the native struct of both."""
 
     def __init__(
-        self, vessel: Vessel, wire: Guidewire, numerics: Accuracy, tip_motors: bool, depth_samples: int
+        self,
+        vessel: Vessel,
+        wire: Guidewire,
+        numerics: Accuracy,
+        tip_motors: bool,
+        depth_samples: int,
+        drag: Drag | None,
     ) -> None:
         self.model, self.fine = rung_models(vessel, wire, numerics, tip_motors)
         self.data = mujoco.MjData(self.model)
         self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
         first = self.model.geom(LINK_NAME.format(0)).id
+        self.loads = np.zeros((len(wire.links) if drag else 0, 6))
         self.struct = SimulationStruct(
             model=self.model._address,
             fine=self.fine._address,
             data=self.data._address,
             saved=self._saved.ctypes.data,
             vessel_geom=self.model.geom(GEOM_NAME).id,
+            hulls=vessel.wall_parts(self.model),
             first_geom=first,
             last_geom=first + len(wire.links) - 1,
             refinement=numerics.refinement,
             tolerance=numerics.tolerance,
             rise=numerics.rise,
             depth_samples=depth_samples,
+            drag=drag.address if drag else None,
+            loads=self.loads.ctypes.data,
         )
         self.reference = ctypes.byref(self.struct)
         self.tip = self.data.site_xpos[self.model.site(TIP_SITE).id]
@@ -91,7 +106,9 @@ class Simulation:
         wire: the guidewire.
         numerics: time stepping.
         entry: name of the phantom's entry.
+        contact: "sdf", the signed-distance grid; "hulls", convex hulls of the wall, or how finely it is cut into them.
         tip_motors: with motors in the tip's joints.
+        blood: that flows past the wire; None: there is none.
         measure_penetration: keeps the deepest penetration after every substep in `depths`, at about 3 % of the speed.
 
     Raises:
@@ -105,11 +122,16 @@ class Simulation:
         numerics: Accuracy,
         *,
         entry: str = "descending",
+        contact: str | Decomposition = "sdf",
         tip_motors: bool = False,
+        blood: BloodFlow | None = None,
         measure_penetration: bool = False,
     ) -> None:
         self.phantom, self.wire, self.numerics, self.entry = phantom, wire, numerics, entry
-        self.vessel = vessel_of(phantom, entry)
+        self.contact = contact
+        self.vessel = (
+            vessel_of(phantom, entry) if contact == "sdf" else hull_vessel(phantom, entry, decomposition(contact))
+        )
         self.tip_motors = tip_motors
         self.substeps = round(CONTROL_STEP / numerics.timestep)
         self.max_insertion = max_insertion(wire)
@@ -119,6 +141,8 @@ class Simulation:
         self.nq = 2 + 2 * wire.joints
         self.motors = 2 * min(wire.motor_joints, wire.joints) if tip_motors else 0
         self._measure = 6 if measure_penetration else 0
+        self.blood = blood
+        self.drag = Drag(blood_field(phantom, blood), wire) if blood else None
         self._rungs: dict[int, _Rung] = {}
 
         self._points, self._forces = np.zeros((MAX_CONTACTS, 3)), np.zeros((MAX_CONTACTS, 3))
@@ -142,7 +166,7 @@ class Simulation:
     def _rung_at(self, index: int) -> _Rung:
         if index not in self._rungs:
             wire = self.wire.distal(self.ladder.counts[index])
-            self._rungs[index] = _Rung(self.vessel, wire, self.numerics, self.tip_motors, self._measure)
+            self._rungs[index] = _Rung(self.vessel, wire, self.numerics, self.tip_motors, self._measure, self.drag)
         return self._rungs[index]
 
     @property
@@ -265,6 +289,10 @@ class Simulation:
     def force(self) -> np.ndarray:
         """Resultant of the wall's contact forces on the wire, largest of the last control step, N. Shape (3,)."""
         return np.array(self.summary.force)
+
+    def blood_forces(self) -> np.ndarray:
+        """Drag of the blood on each simulated link, from the tip back, of the last substep, N. Shape (links, 3)."""
+        return self._rung.loads[::-1, :3].copy() if self.drag else np.zeros((self.active_links, 3))
 
     def state(self) -> np.ndarray:
         """Everything that a continuation depends on, for `restore`. Shape (3 nq + controls + 3,)."""

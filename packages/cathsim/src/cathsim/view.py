@@ -11,6 +11,8 @@ import mujoco
 import numpy as np
 
 from cathsim.anatomy import Phantom
+from cathsim.robot import FollowerRobot
+from cathsim.robot_view import add_robot
 from cathsim.simulation import Simulation
 
 WALL = (0.82, 0.36, 0.34, 0.28)
@@ -61,9 +63,20 @@ class View:
         width: px.
         height: px.
         azimuth_deg: from where it is seen; 90 is the front, 180 the patient's left.
+        elevation_deg: how far from above (negative) or below.
+        robot: the follower robot that feeds the wire, drawn behind the sheath.
     """
 
-    def __init__(self, phantom: Phantom, *, width: int = 480, height: int = 640, azimuth_deg: float = 90.0) -> None:
+    def __init__(
+        self,
+        phantom: Phantom,
+        *,
+        width: int = 480,
+        height: int = 640,
+        azimuth_deg: float = 90.0,
+        elevation_deg: float = 0.0,
+        robot: FollowerRobot | None = None,
+    ) -> None:
         self._context = open_context(width, height)
         self._model = _wall_model(phantom, width, height)
         self._data = mujoco.MjData(self._model)
@@ -73,9 +86,12 @@ class View:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render_context)
         self._camera = mujoco.MjvCamera()
         low, high = phantom.bounds
+        self._robot = robot
+        if robot is not None:
+            low = low - [0.0, 0.0, robot.settings.length + 0.02]
         self._camera.lookat[:] = (low + high) / 2
-        self._camera.azimuth, self._camera.elevation = azimuth_deg, 0.0
-        self._camera.distance = 1.25 * float(high[2] - low[2])
+        self._camera.azimuth, self._camera.elevation = azimuth_deg, elevation_deg
+        self._camera.distance = (1.25 if robot is None else 1.35) * float(high[2] - low[2])
         self._viewport = mujoco.MjrRect(0, 0, width, height)
 
     def render(self, simulation: Simulation, goal: np.ndarray | None = None) -> np.ndarray:
@@ -101,6 +117,8 @@ class View:
             mujoco.mjv_connector(
                 scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CAPSULE.value, SHOWN_RADIUS, start, end
             )
+        if self._robot is not None:
+            add_robot(scene, self._robot, simulation.vessel.entry, simulation.vessel.direction, WIRE)
         if goal is not None:
             self._add(mujoco.mjtGeom.mjGEOM_SPHERE, TARGET, size=0.003, position=goal)
         mujoco.mjr_render(self._viewport, scene, self._render_context)

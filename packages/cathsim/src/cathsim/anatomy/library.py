@@ -166,7 +166,5 @@ def _load(name: str, parameters: ArchParameters, resolution: float, directory: P
     phantom = cache.read(name, digest, parameters)
     if phantom is None:
         phantom = build_phantom(name, parameters, resolution=resolution)
-        for target in phantom.targets:
-            phantom.geodesic_field(target)
         cache.write(phantom)
     return phantom

@@ -13,16 +13,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arch_parameters import ArchParameters
 from .distance_grid import SignedDistanceGrid, sample_trilinear
-from .geodesic import arc_distance, geodesic_field
+from .geodesic import arc_distance, geodesic_field, graph_distance
 from .vessel_tree import VesselTree
 
 if TYPE_CHECKING:
     import trimesh
 
+    from .mesh_report import ImportReport
+
 # Distance beyond the ostium (for rsa and rcca: beyond the bifurcation of the trunk), m.
 TARGET_DISTANCE = {"bca": 0.030, "lcca": 0.040, "lsa": 0.040, "rcca": 0.020, "rsa": 0.020}
 ENTRY_DEPTH = 2e-3  # m: entries lie this far inside the aorta's open ends
-_END_CLEARANCE = 5e-3  # m between a target and the open end of its branch
+END_DISTANCE = 0.010  # m from a branch's open end to the target there
+END_SUFFIX = "_end"  # the target at the open end of a branch is called after it: "lcca_end"
+END_CLEARANCE = 5e-3  # m between a target and the open end of its branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +34,7 @@ class Target:
     """A place to reach, on the centreline of a branch.
 
     Attributes:
-        name: the target's name, that of its branch.
+        name: the target's name: that of its branch, or for the target at its open end that and "_end".
         branch: the branch it lies in.
         position: (3,) m, world frame.
         arc: m along the branch, from where that begins on its parent's centreline.
@@ -40,6 +44,11 @@ class Target:
     branch: str
     position: NDArray[np.float64]
     arc: float
+
+    @property
+    def at_end(self) -> bool:
+        """Whether it is the target at its branch's open end."""
+        return self.name == self.branch + END_SUFFIX
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,23 +73,33 @@ class Phantom:
     Attributes:
         name: its name in the library.
         hash: hexadecimal digest of everything that determines its geometry.
-        parameters: the arch's measures.
+        parameters: the arch's measures, None for a mesh's.
         tree: branches with centreline and radius.
         grid: signed distance to the wall, positive inside.
-        targets: places to reach, by name.
+        targets: places to reach, by name; those at the open ends of branches are added where they are missing.
         entries: places to come in, by name.
+        imported: the account of the import, for a phantom from a mesh.
     """
 
     name: str
     hash: str
-    parameters: ArchParameters
+    parameters: ArchParameters | None
     tree: VesselTree
     grid: SignedDistanceGrid
     targets: dict[str, Target]
     entries: dict[str, Entry]
+    imported: ImportReport | None = None
     _load_field: Callable[[str], NDArray[np.float32] | None] | None = field(default=None, repr=False)
     _fields: dict[str, NDArray[np.float32]] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def __post_init__(self) -> None:
+        ends = {
+            name: target
+            for name, target in locate_end_targets(self.tree).items()
+            if name not in self.targets and self.grid.sample(target.position) > 0
+        }
+        object.__setattr__(self, "targets", {**self.targets, **ends})
 
     def __repr__(self) -> str:
         return f"Phantom({self.name!r}, {self.hash}, grid {self.grid.shape} at {self.grid.spacing:g} m)"
@@ -188,6 +207,23 @@ class Phantom:
         place = self.target(target)
         return arc_distance(self.tree, points, place.branch, place.arc)
 
+    def way_length(self, target: str, entry: str = "descending") -> float:
+        """Arc length from an entry to a target along the centrelines.
+
+        Args:
+            target: one of `targets`.
+            entry: one of `entries`.
+
+        Returns:
+            m.
+        """
+        place, start = self.target(target), self.entry(entry).position
+        nearest = [int(np.argmin(((branch.points - start) ** 2).sum(axis=1))) for branch in self.tree]
+        gaps = [float(np.linalg.norm(b.points[i] - start)) for b, i in zip(self.tree, nearest, strict=True)]
+        first = int(np.argmin(gaps))
+        branch = self.tree.branches[first]
+        return float(graph_distance(self.tree, branch.name, branch.arc[nearest[first]], place.branch, place.arc))
+
     @cached_property
     def lumen_mesh(self) -> trimesh.Trimesh:
         """Watertight surface of the lumen, m, world frame, normals pointing out of the lumen."""
@@ -222,9 +258,29 @@ def locate_targets(tree: VesselTree) -> dict[str, Target]:
     for name, distance in TARGET_DISTANCE.items():
         if name in tree:
             arc = tree.ostium_arc(name) + distance
-            clearance = _END_CLEARANCE if tree[name].open_end else 0.0
+            clearance = END_CLEARANCE if tree[name].open_end else 0.0
             if arc + clearance <= tree[name].length:
                 targets[name] = Target(name, name, tree[name].point_at(arc), arc)
+    return targets
+
+
+def locate_end_targets(tree: VesselTree) -> dict[str, Target]:
+    """Targets at the open ends of the branches, END_DISTANCE before them, on the centrelines.
+
+    Args:
+        tree: the vessels; the root's own ends are where wires come in, and no targets.
+
+    Returns:
+        Targets by name, e.g. "lcca_end"; a branch that is too short for one has none.
+    """
+    targets = {}
+    for branch in tree.branches[1:]:
+        arc = branch.length - END_DISTANCE
+        # the exact ostium would cost every load a search; its parent's radius bounds it well enough
+        leaves = tree[branch.parent].radius_at(branch.parent_arc) if branch.parent else 0.0
+        if branch.open_end and arc > leaves:
+            name = branch.name + END_SUFFIX
+            targets[name] = Target(name, branch.name, branch.point_at(arc), arc)
     return targets
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from .arch_parameters import ArchParameters
 from .distance_grid import SignedDistanceGrid
 from .geodesic import MARGIN
+from .mesh_report import ImportReport
 from .phantom import Entry, Phantom, Target
 from .vessel_tree import Branch, VesselTree
 
@@ -63,13 +64,13 @@ class PhantomCache:
         """
         return self.directory / "phantoms" / f"{digest}.npz"
 
-    def read(self, name: str, digest: str, parameters: ArchParameters) -> Phantom | None:
+    def read(self, name: str, digest: str, parameters: ArchParameters | None) -> Phantom | None:
         """Reads a phantom; its geodesic fields are read at first use.
 
         Args:
             name: name to give it.
             digest: its hash.
-            parameters: its measures.
+            parameters: its measures, None for a mesh's.
 
         Returns:
             The phantom, or None where there is no sound file (a damaged one is reported with a warning).
@@ -109,11 +110,14 @@ class PhantomCache:
             entries={
                 e["name"]: Entry(e["name"], np.array(e["position"]), np.array(e["direction"])) for e in meta["entries"]
             },
+            imported=ImportReport.from_json(meta["imported"]) if meta.get("imported") else None,
             _load_field=_FieldReader(path, grid),
         )
 
     def write(self, phantom: Phantom) -> None:
         """Writes a phantom with its geodesic fields; a directory that cannot be written to only costs a warning.
+
+        Fields of targets at open ends are left out: they are computed at first use.
 
         Args:
             phantom: what to store.
@@ -146,6 +150,8 @@ class PhantomCache:
                 for e in phantom.entries.values()
             ],
         }
+        if phantom.imported is not None:
+            meta["imported"] = phantom.imported.to_json()
         arrays: dict[str, NDArray] = {
             "meta": np.array(json.dumps(meta)),
             "near": np.packbits(near),
@@ -154,7 +160,9 @@ class PhantomCache:
             "radius": np.concatenate([b.radius for b in phantom.tree]),
         }
         marched = _marched(grid)
-        for target in phantom.targets:
+        for target, place in phantom.targets.items():
+            if place.at_end:
+                continue
             values = phantom.geodesic_field(target)
             arrays[f"geodesic_{target}"] = values[marched]
             arrays[f"farthest_{target}"] = values.max()
@@ -185,6 +193,8 @@ class _FieldReader:
     def __call__(self, target: str) -> NDArray[np.float32] | None:
         try:
             with np.load(self.path, allow_pickle=False) as file:
+                if f"geodesic_{target}" not in file:
+                    return None
                 values = np.full(self.grid.shape, file[f"farthest_{target}"], dtype=np.float32)
                 values[_marched(self.grid)] = file[f"geodesic_{target}"]
         except _DAMAGE as error:

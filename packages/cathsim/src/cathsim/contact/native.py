@@ -14,6 +14,7 @@ LAYOUT_FIELDS = (
     *("nq", "nv", "nu", "ngeom", "nuser_geom", "timestep", "geom_size", "geom_user", "ncon", "time"),
     *("qpos", "qvel", "ctrl", "qacc_warmstart", "geom_xpos", "geom_xmat"),
     *("contact_x", "contact_geom", "contact_efc_address"),
+    *("geom_bodyid", "body_mass", "xanchor", "xaxis", "qfrc_applied"),
 )
 
 
@@ -32,6 +33,7 @@ class SimulationStruct(ctypes.Structure):
         ("data", ctypes.c_void_p),
         ("saved", ctypes.c_void_p),
         ("vessel_geom", ctypes.c_int),
+        ("hulls", ctypes.c_int),
         ("first_geom", ctypes.c_int),
         ("last_geom", ctypes.c_int),
         ("refinement", ctypes.c_int),
@@ -39,6 +41,40 @@ class SimulationStruct(ctypes.Structure):
         ("rise", ctypes.c_double),
         ("depth_samples", ctypes.c_int),
         ("depth", ctypes.c_double),
+        ("drag", ctypes.c_void_p),
+        ("loads", ctypes.c_void_p),
+    )
+
+
+class BloodStruct(ctypes.Structure):
+    """A velocity field of blood (struct Blood of blood.h)."""
+
+    _fields_ = (
+        ("size", ctypes.c_int * 3),
+        ("origin", ctypes.c_double * 3),
+        ("inverse", ctypes.c_double),
+        ("nodes", ctypes.c_void_p),
+        ("samples", ctypes.c_void_p),
+        ("table", ctypes.c_void_p),
+        ("phases", ctypes.c_int),
+        ("rows", ctypes.c_int),
+        ("columns", ctypes.c_int),
+        ("frequency", ctypes.c_double),
+        ("start", ctypes.c_double),
+    )
+
+
+class DragStruct(ctypes.Structure):
+    """Drag of blood on a wire (struct Drag of blood.h)."""
+
+    _fields_ = (
+        ("blood", ctypes.c_void_p),
+        ("across_viscous", ctypes.c_double),
+        ("along_viscous", ctypes.c_double),
+        ("across_layer", ctypes.c_double),
+        ("along_layer", ctypes.c_double),
+        ("across_inertial", ctypes.c_double),
+        ("spacing", ctypes.c_double),
     )
 
 
@@ -163,6 +199,8 @@ def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int
         int(contact.pos[0, 0] * 1e9) if some else 0,
         int(contact.geom[0, 1]) if some else 0,
         int(contact.efc_address[0]) if some else 0,
+        *(array.ctypes.data for array in (model.geom_bodyid, model.body_mass)),
+        *(array.ctypes.data for array in (data.xanchor, data.xaxis, data.qfrc_applied)),
     )
     return dict(zip(LAYOUT_FIELDS, (int(value) for value in values), strict=True))
 

@@ -96,6 +96,10 @@ class Vessel:
             userdata=[MAGIC, float(self.number), float(part)],
         )
 
+    def wall_parts(self, model: mujoco.MjModel) -> int:
+        """How many geoms after the grid's stand for the wall: none, the grid itself makes the contacts."""
+        return 0
+
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance as the contact function sees it, sheath included.
 

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .body import THORAX, Ellipsoid, body_depth
+from .body import THORAX, Solid, body_depth
 from .projector import Projector
 
 CONTRAST = 28.0  # 1/m, diluted iodine over blood
@@ -115,7 +115,7 @@ def background_image(
     projector: Projector,
     *,
     contrast: float = CONTRAST,
-    body: tuple[Ellipsoid, ...] = THORAX,
+    body: tuple[Solid, ...] = THORAX,
     key: str | None = None,
 ) -> NDArray[np.float32]:
     """Fluoroscopic image of the anatomy without a wire.
@@ -155,7 +155,7 @@ def _cached_background(wanted: _Keyed) -> NDArray[np.float32]:
 
 
 def _background(
-    grid: DistanceGrid, projector: Projector, contrast: float, body: tuple[Ellipsoid, ...]
+    grid: DistanceGrid, projector: Projector, contrast: float, body: tuple[Solid, ...]
 ) -> NDArray[np.float32]:
     centre = np.asarray(grid.origin) + (np.array(grid.values.shape) - 1) * grid.spacing / 2
     depth = contrast * lumen_path_length(grid, projector) + body_depth(projector, body, centre)

@@ -1,11 +1,92 @@
-"""What the detector adds to an image: the noise of a finite number of photons."""
+"""The detector: light over its field, blur, the noise of counted photons and of the display chain."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .attenuation import GAMMA
+
+REFERENCE_SIZE = 1024  # px: lengths of a Detector are given for an image of this size
+
+
+@dataclass(frozen=True)
+class Detector:
+    """An image intensifier or a panel; lengths in px of a 1024 px image, positions in half image sides from its middle.
+
+    Its display shows the square root of the light, so that noise looks alike in dark and bright parts.
+
+    Attributes:
+        photons: mean count of a white pixel of a 1024 px image; larger pixels catch more.
+        video_noise: standard deviation of what the display chain adds, grey levels.
+        focal_blur: standard deviation of the blur before the photons are counted, px: the focal spot's.
+        screen_blur: that of the blur behind, which also smooths the noise, px.
+        glare: grey level of the dark around the field.
+        field_radius: radius of the round collimator, half image sides; None for a panel without one.
+        field_centre: its middle, right and down.
+        penumbra: width of its soft border, px.
+        vignette: distance from the field's middle, in its radii, at which the light has fallen to exp(-1/2).
+        heel: relative fall of the light from the left to the right side of the image, by the anode's heel.
+        equalisation: how far slow differences of brightness are taken out, as beam-shaping filters do: 0 not at all.
+    """
+
+    photons: float = 870.0
+    video_noise: float = 1.7
+    focal_blur: float = 0.5
+    screen_blur: float = 1.1
+    glare: float = 5.0
+    field_radius: float | None = 1.2
+    field_centre: tuple[float, float] = (0.0, 0.0)
+    penumbra: float = 30.0
+    vignette: float = 0.65
+    heel: float = 0.0
+    equalisation: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.photons > 0:
+            raise ValueError(f"a detector must count a positive number of photons a pixel, got {self.photons!r}.")
+        lengths = (self.video_noise, self.focal_blur, self.screen_blur, self.glare, self.penumbra)
+        if not (np.isfinite(lengths).all() and min(lengths) >= 0):
+            raise ValueError(f"a detector's noise, blurs, glare and penumbra must not be negative, got {lengths}.")
+        if self.field_radius is not None and not self.field_radius > 0:
+            raise ValueError(f"the collimator's radius must be positive, got {self.field_radius!r} half image sides.")
+        if not self.vignette > 0 or not abs(self.heel) < 1 or not 0 <= self.equalisation <= 1:
+            raise ValueError(
+                "expected a positive vignette, a heel between -1 and 1 and an equalisation of 0 to 1, got "
+                f"{self.vignette!r}, {self.heel!r} and {self.equalisation!r}."
+            )
+
+    def scale(self, width: int, height: int) -> float:
+        """Pixels of an image for one of the reference size."""
+        return min(width, height) / REFERENCE_SIZE
+
+    def white(self, width: int, height: int) -> float:
+        """Mean photon count of a white pixel of an image of some size."""
+        return self.photons / self.scale(width, height) ** 2
+
+    def illumination(self, width: int, height: int) -> NDArray[np.float32]:
+        """Light on the detector without an object.
+
+        Args:
+            width: px.
+            height: px.
+
+        Returns:
+            (height, width), 1 in the middle of the field, 0 outside the collimator.
+        """
+        half = min(width, height) / 2
+        x = (np.arange(width) - (width - 1) / 2) / half
+        y = (np.arange(height) - (height - 1) / 2) / half
+        light = np.broadcast_to(1 - self.heel * x / 2, (height, width))
+        if self.field_radius is None:
+            return light.astype(np.float32)
+        r = np.hypot(*np.meshgrid(x - self.field_centre[0], y - self.field_centre[1])) / self.field_radius
+        light = light * np.exp(-0.5 * np.square(r / self.vignette))
+        width_share = max(self.penumbra * self.scale(width, height), 1.0) / (half * self.field_radius)
+        shade = np.clip((1 - r) / width_share, 0.0, 1.0)  # how much of the source the collimator's edge lets through
+        return (light * (1 - np.square(1 - shade))).astype(np.float32)
 
 
 def quantum_noise(

@@ -74,6 +74,7 @@ class Projector:
         size: int | tuple[int, int],
         primary_deg: float = 0.0,
         secondary_deg: float = 0.0,
+        roll_deg: float = 0.0,
         source_detector_distance: float = SOURCE_DETECTOR_DISTANCE,
         source_object_distance: float = SOURCE_OBJECT_DISTANCE,
         name: str = "frontal",
@@ -86,6 +87,7 @@ class Projector:
             size: px, the side of a square image or (width, height).
             primary_deg: degrees towards the patient's left (LAO positive, RAO negative).
             secondary_deg: degrees towards the head (cranial positive, caudal negative).
+            roll_deg: degrees by which the image is turned clockwise; 90 puts the head on its right.
             source_detector_distance: m.
             source_object_distance: m, from the source to the isocentre.
             name: of the view.
@@ -110,7 +112,7 @@ class Projector:
             raise ValueError(f"the field of view must be a positive length, got {field_of_view!r} m.")
         if not abs(secondary_deg) < 89:
             raise ValueError(f"the secondary angle must lie between -89 and 89 degrees, got {secondary_deg!r}.")
-        R = view_rotation(primary_deg, secondary_deg)
+        R = view_rotation(primary_deg, secondary_deg, roll_deg)
         source = middle - source_object_distance * R[2]
         focal = min(width, height) * source_object_distance / field_of_view
         K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
@@ -240,12 +242,13 @@ class Projector:
         return replace(self, K=shift @ self.K, width=width, height=height)
 
 
-def view_rotation(primary_deg: float, secondary_deg: float) -> Array:
+def view_rotation(primary_deg: float, secondary_deg: float, roll_deg: float = 0.0) -> Array:
     """Rotation from the world to the camera of a C-arm.
 
     Args:
         primary_deg: degrees towards the patient's left.
         secondary_deg: degrees towards the head.
+        roll_deg: degrees by which the image is turned clockwise.
 
     Returns:
         (3, 3); its rows are the image's right, its down, and the direction from source to detector.
@@ -255,4 +258,8 @@ def view_rotation(primary_deg: float, secondary_deg: float) -> Array:
     towards_source = np.array(
         [np.sin(primary) * np.cos(secondary), -np.cos(primary) * np.cos(secondary), np.sin(secondary)]
     )
-    return np.stack([right, np.cross(-towards_source, right), -towards_source])
+    upright = np.stack([right, np.cross(-towards_source, right), -towards_source])
+    if not roll_deg:
+        return upright
+    cos, sin = np.cos(np.radians(roll_deg)), np.sin(np.radians(roll_deg))
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ upright

@@ -8,7 +8,7 @@ const char* cathsim_sources(void) { return CATHSIM_SOURCES; }
 
 int cathsim_header_version(void) { return mjVERSION_HEADER; }
 
-/* Fills `seen` (19 numbers) in the order that contact/native.py lists. */
+/* Fills `seen` (24 numbers) in the order that contact/native.py lists. */
 void cathsim_layout(const mjModel* m, const mjData* d, int64_t* seen) {
   int i = 0;
   seen[i++] = m->nq;
@@ -30,4 +30,9 @@ void cathsim_layout(const mjModel* m, const mjData* d, int64_t* seen) {
   seen[i++] = d->ncon > 0 ? (int64_t)(d->contact[0].pos[0] * 1e9) : 0;
   seen[i++] = d->ncon > 0 ? d->contact[0].geom[1] : 0;
   seen[i++] = d->ncon > 0 ? d->contact[0].efc_address : 0;
+  seen[i++] = (int64_t)(intptr_t)m->geom_bodyid;
+  seen[i++] = (int64_t)(intptr_t)m->body_mass;
+  seen[i++] = (int64_t)(intptr_t)d->xanchor;
+  seen[i++] = (int64_t)(intptr_t)d->xaxis;
+  seen[i++] = (int64_t)(intptr_t)d->qfrc_applied;
 }

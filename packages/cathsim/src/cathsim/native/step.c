@@ -9,7 +9,7 @@ int cathsim_contact_forces(const Simulation* s, const Engine* engine, int capaci
   int count = 0;
   for (int i = 0; i < d->ncon && count < capacity; i++) {
     const mjContact* c = d->contact + i;
-    if (c->geom[1] != s->vessel_geom || c->efc_address < 0) continue;
+    if (c->geom[1] < s->vessel_geom || c->geom[1] > s->vessel_geom + s->hulls || c->efc_address < 0) continue;
     mjtNum local[6];
     engine->contact_force(s->model, d, i, local);
     for (int k = 0; k < 3; k++) {
@@ -76,6 +76,14 @@ static int warnings(const mjData* d) {
   return d->warning[mjWARN_BADQPOS].number + d->warning[mjWARN_BADQVEL].number + d->warning[mjWARN_BADQACC].number;
 }
 
+/* Sets the blood's drag for the next substep; where that is repeated in shorter ones, it keeps the same. Positions are
+ * those of the last substep's end, unless the state was set from outside or nothing has computed them since. */
+static void apply_drag(Simulation* s, const Engine* engine, int first) {
+  if (first || s->refinement <= 1) engine->kinematics(s->model, s->data);
+  const Vessel* v = vessel_of_geom(s->model, s->vessel_geom, NULL);
+  blood_drag(s->drag, s->model, s->data, s->first_geom, s->last_geom, v, s->loads);
+}
+
 /* One substep. A wire that snaps free crosses a millimetre in one long substep and is found inside the wall: such a
  * substep is taken back and repeated in `refinement` shorter ones; so is one that left a state that is not finite.
  * Returns whether it was. */
@@ -130,6 +138,7 @@ void cathsim_step(Simulation* s, const Engine* engine, int substeps, const doubl
   for (int i = 0; i < substeps; i++) {
     const double t = (i + 1.0) / substeps;
     for (int k = 0; k < s->model->nu; k++) d->ctrl[k] = control_from[k] + t * (control_to[k] - control_from[k]);
+    if (s->drag) apply_drag(s, engine, i == 0);
     summary->refined += substep(s, engine, &account, 1.0 / substeps);
     if (s->depth_samples > 0) {
       if (s->refinement <= 1) engine->kinematics(s->model, d);

@@ -2,6 +2,7 @@
 #ifndef CATHSIM_STEP_H_
 #define CATHSIM_STEP_H_
 
+#include "blood.h"
 #include "vessel.h"
 
 /* MuJoCo's functions; their addresses come from the running library, so nothing is linked against it. */
@@ -18,6 +19,7 @@ typedef struct {
   mjData* data;
   double* saved;          /* room for nq + 2 nv numbers */
   int vessel_geom;
+  int hulls;              /* convex hulls that stand for its wall: the geoms after it; 0: the grid makes the contacts */
   int first_geom;         /* the wire's capsules are geoms first_geom..last_geom */
   int last_geom;
   int refinement;         /* 1: never refine */
@@ -25,6 +27,8 @@ typedef struct {
   double rise;            /* ... if it also went in by more than this, m */
   int depth_samples;      /* points a capsule of the reported penetration; 0: not reported */
   double depth;           /* penetration at the end of the last substep, m */
+  const Drag* drag;       /* of the blood on the wire; NULL: there is none */
+  double* loads;          /* room for that on each link: 6 numbers */
 } Simulation;
 
 typedef struct {

@@ -80,7 +80,10 @@ class SamplingExpert:
         self._generator = np.random.default_rng(seed)
         real = environment.simulation
         count = threads or os.cpu_count() or 1
-        self._copies = [Simulation(real.phantom, real.wire, numerics, entry=real.entry) for _ in range(count)]
+        self._copies = [
+            Simulation(real.phantom, real.wire, numerics, entry=real.entry, contact=real.contact, blood=real.blood)
+            for _ in range(count)
+        ]
         self._pool = ThreadPoolExecutor(count, "expert") if count > 1 else None
         self._plan = np.zeros((0, 2))
         self._left = 0

@@ -1,0 +1,167 @@
+"""Centrelines of a lumen given as voxels: its ends, and the ways between them along the lumen's middle.
+
+Ways are shortest paths under a cost that falls with the square of the distance to the wall, so that they keep to the
+middle of a vessel whatever its width. Ends are found one after the other, each as the place furthest from all ways so
+far (in the manner of TEASAR).
+
+Source: Sato, Bitter, Bender, Kaufman, Nakajima, "TEASAR: tree-structure extraction algorithm for accurate and robust
+skeletons", Pacific Graphics 2000.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+_COVER = 1.5  # a way accounts for the lumen within so many radii of it ...
+_COVER_MORE = 1e-3  # ... and this, m
+_LEAST_LENGTH = 7e-3  # m that an end must stand out of what is accounted for
+_MOST_ENDS = 24
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Voxels = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class LumenPaths:
+    """Shortest ways within a lumen.
+
+    Attributes:
+        inside: (nx, ny, nz) voxels of the lumen.
+        origin: (3,) m, middle of voxel (0, 0, 0).
+        spacing: m between voxels.
+    """
+
+    inside: Mask
+    origin: Array
+    spacing: float
+
+    @cached_property
+    def depth(self) -> Array:
+        """Distance (nx, ny, nz) m of every voxel to the wall, zero outside."""
+        from scipy.ndimage import distance_transform_edt
+
+        depth: Array = distance_transform_edt(np.pad(self.inside, 1))[1:-1, 1:-1, 1:-1] * self.spacing
+        return depth
+
+    def points(self, voxels: Voxels) -> Array:
+        """Middles (..., 3) m of voxels (..., 3)."""
+        return self.origin + voxels * self.spacing
+
+    def ends(self) -> Voxels:
+        """Where the lumen ends.
+
+        Returns:
+            Voxels (k, 3); each lies at the far end of a vessel, the first one furthest from the widest place.
+        """
+        from skimage.graph import MCP_Geometric
+
+        level = np.where(self.inside, 1.0, -1.0)
+        widest = np.unravel_index(int(np.argmax(self.depth)), self.inside.shape)
+        far = self._farthest(MCP_Geometric(level).find_costs([widest])[0])
+        away = MCP_Geometric(level).find_costs([far])[0] * self.spacing
+        ways = self._ways(tuple(far))
+        open_ = self.inside & np.isfinite(away)
+        found = [np.array(far)]
+        covered = np.zeros_like(self.inside)
+        self._cover(covered, np.array([far]))
+        while len(found) < _MOST_ENDS:
+            left = open_ & ~covered
+            if not left.any():
+                break
+            candidate = np.array(np.unravel_index(int(np.argmax(np.where(left, away, -1.0))), self.inside.shape))
+            way = np.array(ways.traceback(tuple(candidate)))
+            known = np.flatnonzero(covered[tuple(way.T)])
+            leaves = int(known[-1]) if len(known) else 0
+            stands_out = away[tuple(candidate)] - away[tuple(way[leaves])]
+            self._cover(covered, way[leaves:])
+            covered[tuple(candidate)] = True
+            if stands_out >= _LEAST_LENGTH:
+                found.append(candidate)
+        return np.array(found)
+
+    def ways(self, root: Voxels, ends: Voxels) -> list[Voxels]:
+        """Ways from one end to others along the lumen's middle; they share their voxels until they part.
+
+        Args:
+            root: (3,) voxel.
+            ends: (k, 3) voxels.
+
+        Returns:
+            For each end the voxels (n, 3) from the root to it.
+        """
+        ways = self._ways(tuple(root))
+        return [np.array(ways.traceback(tuple(end))) for end in ends]
+
+    def _farthest(self, away: Array) -> Voxels:
+        reached = np.where(self.inside & np.isfinite(away), away, -1.0)
+        return np.array(np.unravel_index(int(np.argmax(reached)), self.inside.shape))
+
+    def _ways(self, root: tuple[int, ...]) -> MCP_Geometric:  # type: ignore[name-defined]  # noqa: F821
+        from skimage.graph import MCP_Geometric
+
+        cost = np.where(self.inside, (self.spacing / np.maximum(self.depth, self.spacing)) ** 2, -1.0)
+        ways = MCP_Geometric(cost)
+        ways.find_costs([root])
+        return ways
+
+    def _cover(self, covered: Mask, way: Voxels) -> None:
+        """Marks the lumen that a way accounts for."""
+        for voxel in way[:: max(1, len(way) // 400)]:
+            reach = (_COVER * self.depth[tuple(voxel)] + _COVER_MORE) / self.spacing
+            low = np.maximum(np.floor(voxel - reach).astype(int), 0)
+            high = np.minimum(np.ceil(voxel + reach).astype(int) + 1, covered.shape)
+            i, j, k = np.ogrid[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+            ball = (i - voxel[0]) ** 2 + (j - voxel[1]) ** 2 + (k - voxel[2]) ** 2 <= reach**2
+            covered[low[0] : high[0], low[1] : high[1], low[2] : high[2]] |= ball
+
+
+def resampled(points: Array, step: float) -> Array:
+    """A polyline at even steps, its ends kept.
+
+    Args:
+        points: (n, 3) m.
+        step: m.
+
+    Returns:
+        (m, 3) m, at least four points.
+    """
+    keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9])
+    points = points[keep]
+    arc = arc_length(points)
+    at = np.linspace(0.0, arc[-1], max(round(float(arc[-1]) / step), 3) + 1)
+    return np.stack([np.interp(at, arc, points[:, k]) for k in range(3)], axis=1)
+
+
+def smoothed(points: Array, width: float) -> Array:
+    """A polyline of even steps, smoothed by a Gaussian along it, its ends kept.
+
+    Args:
+        points: (n, 3) m, at even steps.
+        width: m, standard deviation.
+
+    Returns:
+        (n, 3) m.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    if len(points) < 3:
+        return points
+    step = float(np.linalg.norm(np.diff(points, axis=0), axis=1).mean())
+    reach = min(len(points) - 1, int(np.ceil(4 * width / step)))
+    # Continued by point reflection about its ends: that keeps them in place and their direction.
+    before = 2 * points[0] - points[reach:0:-1]
+    after = 2 * points[-1] - points[-2 : -reach - 2 : -1]
+    longer = np.concatenate([before, points, after])
+    smooth: Array = gaussian_filter1d(longer, width / step, axis=0)[reach : reach + len(points)]
+    smooth[0], smooth[-1] = points[0], points[-1]
+    return smooth
+
+
+def arc_length(points: Array) -> Array:
+    """Arc length (n,) m along a polyline (n, 3) m, zero at its first point."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])

@@ -1,0 +1,227 @@
+"""Which ways through a lumen make which vessel: a main vessel, its branches, and theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .centreline import arc_length
+
+_SAME_FORK = 6e-3  # m: forks nearer to each other than this are one
+_ONE_LUMEN = 0.8  # of the wider's radius: ways nearer to each other than this run in one lumen
+
+Array = NDArray[np.float64]
+Voxels = NDArray[np.int64]
+
+
+@dataclass(eq=False)
+class Vessel:
+    """One vessel of a lumen, before it has a name or a smooth centreline.
+
+    Attributes:
+        points: (n, 3) m, from the place where its way leaves the parent's.
+        depth: (n,) m, distance to the wall along it.
+        end: number of the end it leads to, None where it ends in a fork.
+        children: vessels that leave it, in the order in which they do.
+        start: m along the parent's points at which it leaves them.
+        from_fork: whether it goes on from the parent's last point.
+    """
+
+    points: Array
+    depth: Array
+    end: int | None
+    children: list[Vessel] = field(default_factory=list)
+    start: float = 0.0
+    from_fork: bool = False
+
+    @property
+    def ends(self) -> list[int]:
+        """Numbers of all ends that it and what leaves it lead to."""
+        own = [] if self.end is None else [self.end]
+        return own + [end for child in self.children for end in child.ends]
+
+    @property
+    def length(self) -> float:
+        """m, from where it leaves the parent's way."""
+        return float(arc_length(self.points)[-1])
+
+    @property
+    def tip(self) -> Array:
+        """(3,) m, the furthest of its own and its children's last points, seen from its start."""
+        tips = [self.points[-1], *[child.tip for child in self.children]]
+        middle: Array = np.mean(tips if self.end is None else tips[:1], axis=0)
+        return middle
+
+    @property
+    def radius(self) -> float:
+        """m, median distance to the wall over the first 15 mm outside the parent."""
+        outside = self.outside
+        arc = arc_length(self.points)
+        near = (arc >= arc[outside]) & (arc <= arc[outside] + 15e-3)
+        return float(np.median(self.depth[near]))
+
+    @property
+    def outside(self) -> int:
+        """First point that lies outside the parent's lumen; depths shrink from there to the vessel's own."""
+        if self.from_fork:
+            return 0
+        shrinking = np.flatnonzero(arc_length(self.points) >= self.depth[0])
+        return int(shrinking[0]) if len(shrinking) else len(self.points) - 1
+
+
+def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Sequence[Array], main: int) -> Vessel:
+    """Turns ways from one root into vessels.
+
+    Args:
+        ways: for each end the voxels (n, 3) of its way; ways share voxels until they part.
+        points: for each end the same places (n, 3) m.
+        depths: for each end the distances (n,) m to the wall.
+        main: number of the end that the main vessel leads to.
+
+    Returns:
+        The main vessel.
+    """
+
+    def shared(a: int, b: int) -> int:
+        """How many voxels two ways have in common."""
+        n = min(len(ways[a]), len(ways[b]))
+        apart = np.flatnonzero((ways[a][:n] != ways[b][:n]).any(axis=1))
+        return int(apart[0]) if len(apart) else n
+
+    def groups(numbers: list[int], beyond: int) -> list[list[int]]:
+        """Numbers whose ways go on together beyond a voxel."""
+        found: list[list[int]] = []
+        for number in numbers:
+            arc = arc_length(points[number])
+            limit = float(arc[min(beyond, len(arc) - 1)]) + _SAME_FORK
+            least = int(np.searchsorted(arc, limit))
+            for group in found:
+                if shared(number, group[0]) > least:
+                    group.append(number)
+                    break
+            else:
+                found.append([number])
+        return found
+
+    def build(numbers: list[int], start: int) -> Vessel:
+        sides: list[tuple[list[int], int]] = []
+        current, stop = numbers, None
+        while len(current) > 1:
+            fork = min(shared(current[0], other) for other in current[1:])
+            parts = groups(current, fork)
+            if len(parts) == 1:  # they part within what counts as one fork
+                parts = [[number] for number in current]
+            if max(map(len, parts)) == 1:
+                stop = fork
+                break
+            parts.sort(key=len)
+            sides += [(part, fork) for part in parts[:-1]]
+            current = parts[-1]
+        return assemble(current, start, stop, sides)
+
+    def assemble(current: list[int], start: int, stop: int | None, sides: list[tuple[list[int], int]]) -> Vessel:
+        first = current[0]
+        last = len(points[first]) if stop is None else max(stop, start + 2)
+        arc = arc_length(points[first])
+        vessel = Vessel(points[first][start:last], depths[first][start:last], first if stop is None else None)
+        for part, fork in sides:
+            child = build(part, max(fork - 1, 0))
+            child.start = float(arc[max(fork - 1, 0)] - arc[start])
+            vessel.children.append(child)
+        if stop is not None:
+            for number in current:
+                child = build([number], last - 1)
+                child.start, child.from_fork = vessel.length, True
+                vessel.children.append(child)
+        vessel.children.sort(key=lambda child: child.start)
+        return vessel
+
+    others = [number for number in range(len(ways)) if number != main]
+    leaves = {number: shared(number, main) for number in others}
+    # Ways that leave the main vessel together and part again within its lumen are branches of their own.
+    families: list[list[int]] = []
+    for number in sorted(others, key=lambda n: leaves[n]):
+        for family in families:
+            fork = shared(number, family[0])
+            if fork > leaves[number] and _apart(points[number][: fork + 1], points[main], depths[main]):
+                family.append(number)
+                break
+        else:
+            families.append([number])
+    aorta = assemble([main], 0, None, [(family, min(leaves[n] for n in family)) for family in families])
+    _join_common_origins(aorta)
+    return aorta
+
+
+def _join_common_origins(aorta: Vessel) -> None:
+    """Makes a branch that is still one lumen with a wider one where both leave the aorta a branch of that one.
+
+    Ways part early in a wide trunk, since each keeps to its own side of it.
+    """
+    by_width = sorted(aorta.children, key=lambda child: -child.radius)
+    for number, narrow in enumerate(by_width):
+        for wide in by_width[:number]:
+            if wide not in aorta.children:
+                continue
+            here, there = _leaving(narrow, aorta), _leaving(wide, aorta)
+            gap = float(np.linalg.norm(narrow.points[here] - wide.points[there]))
+            if gap < _ONE_LUMEN * max(narrow.depth[here], wide.depth[there]):
+                narrow.start = float(arc_length(wide.points)[there])
+                aorta.children.remove(narrow)
+                wide.children.append(narrow)
+                wide.children.sort(key=lambda child: child.start)
+                break
+
+
+def _leaving(vessel: Vessel, parent: Vessel) -> int:
+    """First point of a vessel outside its parent's lumen."""
+    for index, point in enumerate(vessel.points):
+        distance = np.linalg.norm(parent.points - point, axis=1)
+        nearest = int(np.argmin(distance))
+        if distance[nearest] > parent.depth[nearest]:
+            return index
+    return len(vessel.points) - 1
+
+
+def _apart(way: Array, main: Array, depth: Array) -> bool:
+    """Whether a way's last point lies outside the main vessel."""
+    distance = np.linalg.norm(main - way[-1], axis=1)
+    nearest = int(np.argmin(distance))
+    return bool(distance[nearest] > depth[nearest])
+
+
+def continued(trunk: Vessel, onward: Vessel) -> None:
+    """Makes a trunk go on as one of the vessels it forks into; the others then leave it at its side.
+
+    Args:
+        trunk: changed.
+        onward: one of its children at its fork.
+    """
+    length = trunk.length
+    trunk.children.remove(onward)
+    for child in trunk.children:
+        child.from_fork = False
+    for child in onward.children:
+        child.start += length
+    trunk.points = np.concatenate([trunk.points, onward.points[1:]])
+    trunk.depth = np.concatenate([trunk.depth, onward.depth[1:]])
+    trunk.end = onward.end
+    trunk.children += onward.children
+
+
+def turned(vessel: Vessel, rotation: Array, offset: Array) -> Vessel:
+    """A vessel and what leaves it, in another frame.
+
+    Args:
+        vessel: the vessel.
+        rotation: (3, 3).
+        offset: (3,) m, added after the rotation.
+
+    Returns:
+        A new vessel.
+    """
+    children = [turned(child, rotation, offset) for child in vessel.children]
+    return replace(vessel, points=vessel.points @ rotation.T + offset, children=children)

@@ -1,0 +1,117 @@
+"""Where a vessel ends: the last plane across it that its wall still surrounds; the lumen is cut flat there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .centreline import arc_length, resampled, smoothed
+from .cross_section import across_frames
+from .mesh_cavity import Cavity
+
+_RAYS = 48
+_SURROUNDED = 0.94  # share of rays across the vessel that must meet its wall
+_REACH = 2.2  # radii within which they must
+_PLATEAU = 0.75  # of the largest depth a little further in, at which a vessel counts as having its full width
+_LOOK_BACK = 6e-3  # m, and two radii: how far further in that is
+_LONGEST = 6  # radii that an end is followed
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class VesselEnd:
+    """A flat end of a vessel.
+
+    Attributes:
+        centre: (3,) m.
+        normal: (3,) unit vector out of the vessel.
+        radius: m, furthest from the centre to the wall across the vessel.
+        way: (n, 3) m, the way from the vessel's inside to the centre, at even steps.
+    """
+
+    centre: Array
+    normal: Array
+    radius: float
+    way: Array
+
+
+def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
+    """Follows a vessel to its end.
+
+    Args:
+        cavity: the lumen.
+        wall: the wall's voxels, thickened so that no ray slips through.
+        way: (n, 3) m along the vessel's middle, to somewhere at its end.
+        depth: (n,) m, distance to the wall along it.
+
+    Returns:
+        The end, or None where the vessel's wall surrounds it nowhere.
+    """
+    step = 0.5 * cavity.spacing
+    start = _well_inside(arc_length(way[::-1])[::-1], depth, 2.5 * cavity.spacing)
+    radius = float(depth[start])
+    inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
+    centres, normal, reach = _sweep(cavity, wall, inner[-1], _direction(inner, 1.5 * radius), radius, step)
+    if len(centres) < 3:
+        return None
+    track = resampled(np.concatenate([inner[:-1], np.array(centres)]), 2 * step)
+    return VesselEnd(centres[-1], normal, max(reach, 2 * cavity.spacing), track)
+
+
+def _well_inside(from_end: Array, depth: Array, least: float) -> int:
+    """Last point of a way where the vessel has its full width: beyond, the way runs off to a corner of the end."""
+    wide = np.flatnonzero(depth >= least)
+    for index in reversed(wide.tolist()):
+        before = (from_end >= from_end[index]) & (from_end <= from_end[index] + 2 * depth[index] + _LOOK_BACK)
+        if depth[index] >= _PLATEAU * depth[before].max():
+            return index
+    return int(np.argmax(depth))
+
+
+def _direction(points: Array, length: float) -> Array:
+    """Unit direction of a polyline's last stretch."""
+    from_end = arc_length(points[::-1])[::-1]
+    some = points[from_end <= length]
+    if len(some) < 3:
+        some = points[-3:]
+    _, _, axes = np.linalg.svd(some - some.mean(axis=0))
+    direction: Array = axes[0] * np.sign(axes[0] @ (some[-1] - some[0]))
+    return direction
+
+
+def _sweep(
+    cavity: Cavity, wall: NDArray[np.bool_], middle: Array, normal: Array, radius: float, step: float
+) -> tuple[list[Array], Array, float]:
+    """Goes along a vessel as long as its wall surrounds it: middles (3,) m, last direction, radius m about the last."""
+    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
+    travel = np.arange(step, _REACH * radius, step)
+    centres: list[Array] = []
+    reaches: list[float] = []
+    whole = 0
+    back = max(4, round(radius / step))
+    for _ in range(int(_LONGEST * radius / step)):
+        first, second = (v[0] for v in across_frames(normal[None]))
+        rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
+        struck = cavity.holds(wall, middle + travel[None, :, None] * rays[:, None, :])
+        met = struck.any(axis=1)
+        if cavity.holds(wall, middle) or met.mean() < _SURROUNDED:
+            break
+        reach = np.where(met, travel[np.argmax(struck, axis=1)], np.nan)
+        shift = np.nanmean(np.minimum(reach, 1.3 * np.nanmedian(reach))[:, None] * rays, axis=0)
+        middle = middle + min(1.0, 0.5 * step / max(float(np.linalg.norm(shift)), 1e-12)) * shift
+        centres.append(middle)
+        reaches.append(float(np.nanpercentile(reach, 90)))
+        if met.all():
+            whole = len(centres)
+        if len(centres) > back:
+            lately = middle - centres[-1 - back]
+            normal = 0.9 * normal + 0.1 * lately / np.linalg.norm(lately)
+            normal = normal / np.linalg.norm(normal)
+        middle = middle + step * normal
+    # A gap in the wall is passed; an opening cut aslant ends where it begins.
+    if 0 < len(centres) - whole <= 2 * radius / step:
+        centres, reaches = centres[:whole], reaches[:whole]
+    return centres, normal, reaches[-1] if reaches else 0.0

@@ -1,0 +1,287 @@
+"""A phantom from a user's mesh: any surface of an aortic arch's lumen or wall, in any unit and pose."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .centreline import LumenPaths
+from .mesh_branches import Vessel, build_vessels, turned
+from .mesh_cavity import Cavity, find_cavity
+from .mesh_distance import distance_grid, lumen_samples, trim_cavity
+from .mesh_ends import VesselEnd, find_end
+from .mesh_naming import ascending_score, name_vessels, ordered_names, renamed, world_rotation
+from .mesh_reading import SUFFIXES, clean_triangles, close_openings, read_triangles
+from .mesh_refusal import MeshRefusedError, draw_refusal
+from .mesh_report import ImportReport
+from .mesh_samples import SurfaceSamples, sample_surface
+from .mesh_targets import propose_targets
+from .mesh_tree import TreeSettings, grow_tree
+from .mesh_unit import UNITS, check_unit, detect_unit
+from .phantom import Phantom, locate_entries
+from .phantom_cache import PhantomCache, default_cache_directory
+
+logger = logging.getLogger(__name__)
+
+IMPORT_VERSION = 1  # raise it whenever the same file gives another phantom
+FINEST, COARSEST = 5e-4, 2.5e-3  # m, resolutions
+LEAST_WIDTH = 1e-3  # m: a lumen of a smaller radius is too narrow for a wire to be steered in
+_SAMPLES = 0.7  # voxels between points on the surface
+_MOST_VOXELS = 40_000_000
+
+_importing = threading.Lock()
+Names = Mapping[str, str] | Sequence[str] | None
+Array = NDArray[np.float64]
+
+
+def is_mesh_path(name: str) -> bool:
+    """Whether a phantom's name is a path to a mesh.
+
+    Args:
+        name: what was given.
+
+    Returns:
+        True where it ends like one.
+    """
+    return name.lower().endswith(SUFFIXES)
+
+
+def import_mesh(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    names: Names = None,
+    resolution: float = 1e-3,
+    cache_dir: Path | None = None,
+) -> Phantom:
+    """Makes a phantom of the surface of a lumen, or of a thick-walled model of one; cached by content.
+
+    Args:
+        path: an STL, OBJ or PLY file.
+        unit: "m", "cm", "mm" or "inch"; detected from the vessels' width where it is left out.
+        names: names of your own: a mapping from automatic names, or a list for the aorta's branches from the heart on.
+        resolution: m between lattice points of the distance grid.
+        cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
+
+    Returns:
+        The phantom; `phantom.imported` is the account of what was found. Its frame is the patient's as far as the
+        vessels tell it.
+
+    Raises:
+        MeshRefusedError: a ValueError with the reason, and where there is something to see a picture.
+        ValueError: for an impossible resolution.
+    """
+    check_unit(unit)
+    if not (isinstance(resolution, int | float) and math.isfinite(resolution) and FINEST <= resolution <= COARSEST):
+        raise ValueError(f"resolution must lie in [{FINEST:g}, {COARSEST:g}] m for a mesh, got {resolution!r}.")
+    path = Path(path).expanduser()
+    directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
+    chosen: tuple[tuple[str, str], ...] | tuple[str, ...] | None
+    chosen = None if not names else tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
+    with _importing:
+        return _load(path, _digest(path, unit, chosen, float(resolution)), unit, chosen, float(resolution), directory)
+
+
+def _digest(path: Path, unit: str | None, names: tuple | None, resolution: float) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    settings = {"importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution}
+    digest.update(json.dumps(settings).encode())
+    if not path.is_file():
+        raise MeshRefusedError(f"there is no file {path}; give the path of an STL, OBJ or PLY file.")
+    with path.open("rb") as file:
+        while block := file.read(1 << 22):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=16)
+def _load(
+    path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, directory: Path
+) -> Phantom:
+    cache = PhantomCache(directory)
+    phantom = cache.read(path.stem, digest, None)
+    if phantom is None:
+        own: Names = dict(names) if names and isinstance(names[0], tuple) else names
+        build = _Import(path, unit, own, resolution)
+        try:
+            phantom = build.phantom(digest)
+        except MeshRefusedError as error:
+            picture = build.picture(error.reason, directory / "refused" / f"{path.stem}-{digest[:12]}.png")
+            raise MeshRefusedError(error.reason, picture) from error
+        cache.write(phantom)
+    return phantom
+
+
+@dataclass(eq=False)
+class _Import:
+    """One import; keeps what it found so far, for a picture of a refusal."""
+
+    path: Path
+    unit: str | None
+    names: Names
+    resolution: float
+    samples: SurfaceSamples | None = None
+    cavity: Cavity | None = None
+    surface: Array | None = None
+
+    def phantom(self, digest: str) -> Phantom:
+        """Builds the phantom."""
+        mesh = read_triangles(self.path)
+        faces = len(mesh.faces)
+        mesh, notes = clean_triangles(mesh)
+        self.surface = mesh.corners.mean(axis=1)
+        if len(mesh.faces) < 4:
+            raise MeshRefusedError(f"{self.path.name} holds no surface; its faces have no area.")
+        mesh, borders = close_openings(mesh)
+        reason = "given"
+        if self.unit is None:
+            self.unit, reason = detect_unit(mesh)
+        scale = UNITS[self.unit]
+        mesh = mesh.scaled(scale)
+        self.surface = self.surface * scale
+        spacing = self.resolution / 2
+        if np.prod(np.ptp(mesh.bounds, axis=0) / spacing) > _MOST_VOXELS:
+            size = " x ".join(f"{1e3 * s:.0f}" for s in np.ptp(mesh.bounds, axis=0))
+            raise MeshRefusedError(
+                f"at {self.resolution * 1e3:g} mm this surface is too large ({size} mm in {self.unit}); "
+                "check its unit, cut it to the arch and its branches, or take a coarser resolution."
+            )
+        self.samples = sample_surface(mesh.corners, _SAMPLES * spacing)
+        self.cavity = cavity = find_cavity(self.samples, spacing)
+        ends = _find_ends(cavity)
+        inside = trim_cavity(cavity, ends)
+        surface = lumen_samples(self.samples, cavity, inside, ends)
+        aorta, ends = _find_vessels(cavity, inside, ends)
+
+        rotation, kept = world_rotation(aorta)
+        lumen = (cavity.origin + np.argwhere(inside) * spacing) @ rotation.T
+        offset = -(lumen.min(axis=0) + lumen.max(axis=0)) / 2
+        if not kept:
+            notes += ("the file's axes are not the patient's: the pose is estimated from the vessels",)
+        grid = distance_grid(
+            surface, cavity, inside, ends, rotation=rotation, offset=offset, resolution=self.resolution
+        )
+        aorta = turned(aorta, rotation, offset)
+        automatic, more = name_vessels(aorta)
+        own = self.names if self.names is None or isinstance(self.names, Mapping) else None
+        if self.names is not None and own is None:
+            own = ordered_names(aorta, automatic, list(self.names))
+        final = renamed(automatic, own)
+        least = max(LEAST_WIDTH, 1.25 * self.resolution)
+        tree, left_out = grow_tree(aorta, final, grid, TreeSettings(least))
+        narrowest = float(tree.root.radius.min())
+        if narrowest < least:
+            raise MeshRefusedError(
+                f"the aorta narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire ({least * 1e3:.2f} mm "
+                f"at this resolution); check the unit, here {self.unit}."
+            )
+        targets, shortened = propose_targets(tree)
+        if not targets:
+            raise MeshRefusedError("no branch of this vessel is wide and long enough for a wire and a target.")
+        entries = locate_entries(tree)
+        phantom = Phantom(self.path.stem, digest, None, tree, grid, targets, entries)
+        names_found = {automatic[key]: name for key, name in final.items() if name in tree}
+        report = ImportReport(
+            file=self.path.name,
+            unit=self.unit,
+            unit_reason=reason,
+            faces=faces,
+            kind=cavity.kind,
+            borders=borders,
+            rotation=tuple(tuple(float(x) for x in row) for row in rotation),  # type: ignore[misc]
+            offset=tuple(float(x) for x in offset),  # type: ignore[arg-type]
+            scale=scale,
+            axes_kept=kept,
+            automatic_names=names_found,
+            way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
+            notes=notes + more + left_out + shortened,
+        )
+        for note in report.notes:
+            logger.info("%s: %s.", self.path.name, note)
+        object.__setattr__(phantom, "imported", report)
+        return phantom
+
+    def picture(self, reason: str, path: Path) -> Path | None:
+        """Draws what came."""
+        if self.surface is None or len(self.surface) == 0:
+            return None
+        found = np.zeros((0, 3))
+        surface = self.surface if self.samples is None else self.samples.points
+        if self.cavity is not None:
+            found = self.cavity.origin + np.argwhere(self.cavity.inside) * self.cavity.spacing
+        return draw_refusal(surface, found, f"{self.path.name}: {reason}", path)
+
+
+def _find_ends(cavity: Cavity) -> list[VesselEnd]:
+    """The ends of all vessels; a lumen of fewer than three has no branch to steer into."""
+    from scipy.ndimage import binary_dilation
+
+    paths = _coarse(cavity, cavity.inside)
+    voxels = paths.ends()
+    if len(voxels) < 2:
+        raise MeshRefusedError("the lumen is no vessel: it has no two ends; expected an aorta with its branches.")
+    ways = paths.ways(voxels[0], voxels[1:])
+    longest = max(ways, key=len)
+    wall = binary_dilation(cavity.wall)
+    ends: list[VesselEnd] = []
+    for way in [longest[::-1], *ways]:
+        end = find_end(cavity, wall, paths.points(way), paths.depth[tuple(way.T)])
+        if end is not None and not any(_same(end, other) for other in ends):
+            ends.append(end)
+    if len(ends) < 3:
+        raise MeshRefusedError(
+            f"the lumen has {len(ends)} ends, an aorta with a branch has at least three; "
+            "a vessel without a side branch offers no target."
+        )
+    return ends
+
+
+def _same(end: VesselEnd, other: VesselEnd) -> bool:
+    gap = float(np.linalg.norm(end.centre - other.centre))
+    return gap < 0.9 * max(end.radius, other.radius) and float(end.normal @ other.normal) > 0.3
+
+
+def _find_vessels(cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd]) -> tuple[Vessel, list[VesselEnd]]:
+    """Vessels between the ends, from the descending end of the aorta on."""
+    paths = _coarse(cavity, inside)
+    lumen = np.argwhere(paths.inside)
+    at = paths.points(lumen)
+    places = []
+    for end in ends:
+        behind = end.centre - min(0.5 * end.radius, 3e-3) * end.normal
+        nearest = int(np.argmin(((at - behind) ** 2).sum(axis=1)))
+        places.append(lumen[nearest])
+    by_radius = sorted(range(len(ends)), key=lambda n: -ends[n].radius)
+
+    def vessels(first: int, last: int) -> Vessel:
+        others = [n for n in range(len(ends)) if n != first]
+        ways = paths.ways(places[first], np.array([places[n] for n in others]))
+        points = [
+            np.concatenate([ends[first].centre[None], paths.points(way)[1:-1], ends[n].centre[None]])
+            for n, way in zip(others, ways, strict=True)
+        ]
+        depths = [paths.depth[tuple(way.T)] for way in ways]
+        return build_vessels(ways, points, depths, others.index(last))
+
+    first, last = by_radius[1], by_radius[0]
+    aorta = vessels(first, last)
+    if ascending_score(aorta, ends[first].radius, ends[last].radius) < 0:
+        aorta = vessels(last, first)
+    if not aorta.children:
+        raise MeshRefusedError("the aorta has no branch to steer into; expected an aortic arch with its branches.")
+    return aorta, ends
+
+
+def _coarse(cavity: Cavity, inside: NDArray[np.bool_]) -> LumenPaths:
+    """Every second voxel: fine enough for ways, and eight times as fast."""
+    return LumenPaths(np.ascontiguousarray(inside[::2, ::2, ::2]), cavity.origin, 2 * cavity.spacing)

@@ -1,0 +1,173 @@
+"""A surface file as clean triangles: read, welded, thinned out where it is too fine, its openings closed by cones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .mesh_refusal import MeshRefusedError
+
+SUFFIXES = (".stl", ".obj", ".ply")
+MOST_BYTES = 2_000_000_000  # about forty million faces of a binary STL
+MOST_FACES = 400_000  # above this a mesh is thinned out
+_WELD = 1e-5  # of the largest extent: vertices nearer than this are one
+_CLUSTERS = 500  # cells along the largest extent when a mesh is thinned out
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """Triangles without any order or orientation that could be relied on.
+
+    Attributes:
+        vertices: (n, 3), in the file's unit until scaled.
+        faces: (m, 3) indices of vertices.
+    """
+
+    vertices: Array
+    faces: Indices
+
+    @property
+    def corners(self) -> Array:
+        """Corners (m, 3, 3) of every face."""
+        return self.vertices[self.faces]
+
+    @property
+    def bounds(self) -> Array:
+        """Lowest and highest corner (2, 3) of the vertices that faces use."""
+        used = self.vertices[np.unique(self.faces)]
+        return np.stack([used.min(axis=0), used.max(axis=0)])
+
+    @property
+    def extent(self) -> float:
+        """Longest side of the bounding box."""
+        return float(np.ptp(self.bounds, axis=0).max())
+
+    def scaled(self, factor: float) -> Triangles:
+        """The same triangles in another unit.
+
+        Args:
+            factor: what one old unit is in new ones.
+
+        Returns:
+            New triangles.
+        """
+        return Triangles(self.vertices * factor, self.faces)
+
+
+def read_triangles(path: Path) -> Triangles:
+    """Reads the triangles of an STL, OBJ or PLY file.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Its triangles as they are, in the file's unit.
+
+    Raises:
+        MeshRefusedError: for a file that is missing, empty, too large or no such mesh.
+    """
+    import trimesh
+
+    if not path.is_file():
+        raise MeshRefusedError(f"there is no file {path}; give the path of an STL, OBJ or PLY file.")
+    if path.suffix.lower() not in SUFFIXES:
+        raise MeshRefusedError(f"{path.name} is none of {', '.join(SUFFIXES)}; convert it to one of them.")
+    size = path.stat().st_size
+    if size == 0:
+        raise MeshRefusedError(f"{path.name} is empty; export the mesh again.")
+    if size > MOST_BYTES:
+        raise MeshRefusedError(
+            f"{path.name} has {size / 1e9:.1f} GB, at most {MOST_BYTES / 1e9:.0f} GB are read; simplify it first."
+        )
+    expected = f"expected a triangle mesh in {path.suffix[1:].upper()} format; export it again"
+    try:
+        loaded = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:
+        # The readers of three formats raise what they like on damaged files.
+        raise MeshRefusedError(f"{path.name} cannot be read as a mesh: {expected}.") from error
+    vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
+    faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
+    if faces.ndim != 2 or faces.shape[-1] != 3 or len(faces) < 4 or vertices.ndim != 2:
+        raise MeshRefusedError(f"{path.name} holds no surface ({len(faces)} triangles): {expected}.")
+    sound = np.isfinite(vertices).all(axis=1)[faces].all(axis=1)
+    if not sound.all():
+        faces = faces[sound]
+    if len(faces) < 4 or np.ptp(vertices[faces].reshape(-1, 3), axis=0).max() <= 0:
+        raise MeshRefusedError(f"{path.name} holds no surface with finite coordinates: {expected}.")
+    return Triangles(vertices, faces)
+
+
+def clean_triangles(mesh: Triangles, *, most_faces: int = MOST_FACES) -> tuple[Triangles, tuple[str, ...]]:
+    """Welds vertices, drops degenerate and repeated faces, and thins out what is too fine.
+
+    Args:
+        mesh: as read.
+        most_faces: above so many faces vertices are gathered in cells of a five-hundredth of the extent.
+
+    Returns:
+        Clean triangles, and a note on each thing that was done.
+    """
+    notes = []
+    count = len(mesh.faces)
+    cleaned = _cluster(mesh, _WELD * mesh.extent)
+    if count - len(cleaned.faces):
+        notes.append(f"{count - len(cleaned.faces)} degenerate or repeated faces dropped")
+    if len(cleaned.faces) > most_faces:
+        before = len(cleaned.faces)
+        cleaned = _cluster(cleaned, cleaned.extent / _CLUSTERS)
+        notes.append(f"{before} faces thinned out to {len(cleaned.faces)}")
+    return cleaned, tuple(notes)
+
+
+def _cluster(mesh: Triangles, cell: float) -> Triangles:
+    """One vertex, their mean, for all vertices in a cell; faces that thereby collapse or coincide go."""
+    low = mesh.bounds[0]
+    cells = np.rint((mesh.vertices - low) / cell).astype(np.int64)
+    cells = np.clip(cells, -1, 2**20 - 2) + 1
+    key = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    inverse = inverse.reshape(-1)
+    vertices = np.stack([np.bincount(inverse, mesh.vertices[:, k]) / count for k in range(3)], axis=1)
+    faces = inverse[mesh.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    ordered = np.sort(faces, axis=1)
+    order = np.lexsort(ordered.T)
+    ordered = ordered[order]
+    first = np.ones(len(ordered), dtype=bool)
+    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    return Triangles(vertices, faces[np.sort(order[first])])
+
+
+def close_openings(mesh: Triangles) -> tuple[Triangles, int]:
+    """Closes every border of a surface by a cone from the border's edges to their middle.
+
+    Args:
+        mesh: welded triangles.
+
+    Returns:
+        The triangles with the cones' added, and how many borders there were.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    size = len(mesh.vertices)
+    key, count = np.unique(edges[:, 0] * size + edges[:, 1], return_counts=True)
+    border = np.stack(np.divmod(key[count == 1], size), axis=1)
+    if len(border) == 0:
+        return mesh, 0
+    links = coo_array((np.ones(len(border)), (border[:, 0], border[:, 1])), shape=(size, size))
+    _, label = connected_components(links, directed=False)
+    loops, loop = np.unique(label[border[:, 0]], return_inverse=True)
+    middle = mesh.vertices[border].mean(axis=1)
+    weight = np.bincount(loop)
+    apex = np.stack([np.bincount(loop, middle[:, k]) / weight for k in range(3)], axis=1)
+    cones = np.column_stack([border, size + loop])
+    return Triangles(np.concatenate([mesh.vertices, apex]), np.concatenate([mesh.faces, cones])), len(loops)

@@ -1,0 +1,11 @@
+"""A human at the controls: live fluoroscopy and 3-D view in the browser, keys that steer the wire, recorded episodes.
+
+`python -m cathsim.console` starts it; it needs the extra `cathsim[console]`.
+"""
+
+from __future__ import annotations
+
+from .questionnaire import CRITERIA, check_answers
+from .recorder import NpzRecorder, Recorder
+
+__all__ = ["CRITERIA", "NpzRecorder", "Recorder", "check_answers"]

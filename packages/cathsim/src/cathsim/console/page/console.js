@@ -1,0 +1,317 @@
+// The page: a websocket that brings pictures and takes controls, the two monitors, the gauges, the questionnaire.
+
+import { Controls } from "/page/controls.js";
+import { Space } from "/page/space.js";
+
+const $ = (id) => document.getElementById(id);
+const FORCE_LIMIT = 2; // N, at which a step counts as unsafe
+const RECONNECT = 1500; // ms
+const STATES = { ready: "READY", running: "LIVE", ended: "ENDED", replay: "REPLAY" };
+const PROMPTS = { ready: "Press ↑ to begin: the clock starts with the first touch", ended: "R: another one · P: replay" };
+const decoder = new TextDecoder();
+const token = new URLSearchParams(location.search).get("token") ?? "";
+
+// What tests and the curious may read: pictures received and drawn, and the time from a key to its picture.
+const statistics = (window.consoleStatistics = { received: 0, drawn: 0, latencies: [], frame: null, task: null, controls: [0, 0], notices: [] });
+const sentAt = new Map(); // sequence -> when its key went down or up
+let socket = null, sequence = 0, task = null, newest = null, drawing = false, refused = false;
+
+let space = null;
+try { space = new Space($("space")); } catch (error) { $("label-space").textContent = error.message; }
+const fluoroscopy = $("fluoroscopy").getContext("2d");
+
+const controls = new Controls({ send: sendControls, tell, device: (name) => { $("device").textContent = name; } });
+
+function send(message) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+function sendControls(advance, rotate) {
+  const changed = advance !== statistics.controls[0] || rotate !== statistics.controls[1];
+  if (changed) sentAt.set(++sequence, performance.now());
+  statistics.controls = [advance, rotate];
+  send({ type: "controls", advance, rotate, sequence });
+}
+
+// -- the connection ---------------------------------------------------------------------------------------------------
+
+function connect() {
+  const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+  socket = new WebSocket(`${scheme}//${location.host}/ws${token ? `?token=${encodeURIComponent(token)}` : ""}`);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => { refused = false; hideNotice(); };
+  socket.onmessage = ({ data }) => (typeof data === "string" ? hear(JSON.parse(data)) : look(data));
+  socket.onclose = ({ code, reason }) => {
+    setState("", "NO SIGNAL");
+    tell(reason || "No connection to the console: is it still running? Trying again …", "error", true);
+    if (code === 4401) { refused = true; return; }
+    setTimeout(connect, RECONNECT);
+  };
+}
+
+function hear(message) {
+  if (message.type === "task") setTask(message);
+  else if (message.type === "notice") tell(message.text, message.kind);
+  else if (message.type === "loading") { setState("", "LOADING"); $("label-prompt").textContent = `building ${message.phantom} …`; }
+  else if (message.type === "ended") showEnd(message);
+  else if (message.type === "saved") tell(`Answers saved in ${message.path}`);
+  else if (message.type === "restarted") closeEnd();
+}
+
+function look(data) {
+  const magic = decoder.decode(new Uint8Array(data, 0, 4));
+  const bytes = new DataView(data);
+  if (magic === "MESH") {
+    const vertices = bytes.getUint32(4, true), faces = bytes.getUint32(8, true);
+    space?.setSurface(
+      new Float32Array(data, 12, 3 * vertices), new Float32Array(data, 12 + 12 * vertices, 3 * vertices),
+      new Uint32Array(data, 12 + 24 * vertices, 3 * faces));
+    return;
+  }
+  const length = bytes.getUint32(4, true);
+  const frame = JSON.parse(decoder.decode(new Uint8Array(data, 8, length)));
+  const flat = new Float32Array(data, 8 + length, 3 * frame.points);
+  frame.wire = Array.from({ length: frame.points }, (_, k) => [flat[3 * k], flat[3 * k + 1], flat[3 * k + 2]]);
+  frame.picture = new Blob([new Uint8Array(data, 8 + length + 12 * frame.points)], { type: "image/jpeg" });
+  statistics.received++;
+  newest = frame;
+  if (!drawing) draw();
+}
+
+// -- pictures and gauges ----------------------------------------------------------------------------------------------
+
+async function draw() {
+  drawing = true;
+  while (newest) {
+    const frame = newest;
+    newest = null;
+    try {
+      const image = await createImageBitmap(frame.picture);
+      fluoroscopy.drawImage(image, 0, 0, fluoroscopy.canvas.width, fluoroscopy.canvas.height);
+      image.close();
+    } catch { continue; }
+    drawSpace(frame);
+    gauges(frame);
+    statistics.drawn++;
+    statistics.frame = frame;
+    for (const [number, at] of sentAt) {
+      if (number > frame.sequence) break;
+      if (number === frame.sequence && frame.state === "running") {
+        statistics.latencies.push(performance.now() - at);
+        if (statistics.latencies.length > 200) statistics.latencies.shift();
+      }
+      sentAt.delete(number);
+    }
+  }
+  drawing = false;
+}
+
+// The fluoroscopy goes first: without a graphics card the 3-D view follows at half of the pictures, on a machine that
+// does not keep up at a third; a wire that lies still is not drawn again.
+let spaceShown = "", spaceAt = 0;
+function drawSpace(frame) {
+  const now = performance.now(), key = `${frame.state} ${frame.time_s}`;
+  if (!space || (key === spaceShown && !space.changed)) return;
+  if (now - spaceAt < (statistics.fps < 25 ? 95 : space.slow ? 60 : 0)) return;
+  space.draw(frame.wire);
+  spaceShown = key;
+  spaceAt = now;
+}
+
+function put(id, text) {
+  const element = $(id);
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function gauges(frame) {
+  setState(frame.state, STATES[frame.state]);
+  put("force", frame.force_n.toFixed(2));
+  $("force-bar").style.width = `${Math.min(100, (50 * frame.force_n) / FORCE_LIMIT)}%`;
+  $("force-peak").style.left = `${Math.min(99.5, (50 * frame.force_max_n) / FORCE_LIMIT)}%`;
+  $("force-gauge").dataset.level = frame.force_n >= FORCE_LIMIT ? "danger" : frame.force_n >= FORCE_LIMIT / 2 ? "warn" : "safe";
+  put("time", frame.time_s.toFixed(1));
+  put("distance", frame.distance_mm.toFixed(0));
+  put("insertion", frame.insertion_mm.toFixed(0));
+  put("rotation", (Math.round((frame.rotation_rad * 180) / Math.PI) + 0).toFixed(0));
+  put("label-prompt", PROMPTS[frame.state] ?? "");
+  $("recording").hidden = !(task?.recording && frame.state === "running");
+}
+
+function setState(state, label) {
+  const element = $("label-state");
+  if (element.dataset.state !== state) element.dataset.state = state;
+  put("label-state", label);
+}
+
+function setTask(message) {
+  task = statistics.task = message;
+  choices($("phantom"), message.phantoms, message.phantom);
+  choices($("target"), message.targets, message.target);
+  put("label-task", `${message.phantom.replaceAll("_", " ").toUpperCase()} → ${message.target.toUpperCase()}`);
+  put("limit", (message.max_steps * message.control_step).toFixed(0));
+  fluoroscopy.canvas.width = fluoroscopy.canvas.height = message.size;
+  space?.setTask(message);
+  $("replay").disabled = true;
+  fillQuestions(message.criteria);
+  closeEnd();
+  markTarget();
+}
+
+const words = (name) => (name.length < 5 ? name.toUpperCase() : name.replaceAll("_", " "));
+
+function choices(select, names, chosen) {
+  select.replaceChildren(...names.map((name) => new Option(words(name), name, false, name === chosen)));
+}
+
+// The ring of the target lies on a canvas of its own, sharp at any size of the monitor; the bright corners are shaded, as
+// a collimator would.
+function markTarget() {
+  const canvas = $("overlay"), ratio = devicePixelRatio || 1;
+  canvas.width = canvas.clientWidth * ratio;
+  canvas.height = canvas.clientHeight * ratio;
+  const pen = canvas.getContext("2d");
+  pen.clearRect(0, 0, canvas.width, canvas.height);
+  if (!task) return;
+  const scale = Math.min(canvas.width, canvas.height) / task.size;
+  const left = (canvas.width - scale * task.size) / 2, top = (canvas.height - scale * task.size) / 2;
+  const middle = [canvas.width / 2, canvas.height / 2], side = scale * task.size;
+  const shade = pen.createRadialGradient(...middle, 0.34 * side, ...middle, 0.74 * side);
+  shade.addColorStop(0, "#0000");
+  shade.addColorStop(0.35, "#0007");
+  shade.addColorStop(1, "#000f");
+  pen.fillStyle = shade;
+  pen.fillRect(left - 2, top - 2, side + 4, side + 4);
+  const [u, v] = task.mark.pixel.map((x, k) => [left, top][k] + (x + 0.5) * scale);
+  const radius = task.mark.radius * scale;
+  pen.strokeStyle = "#2fe08a";
+  pen.lineWidth = 1.6 * ratio;
+  pen.setLineDash([5 * ratio, 4 * ratio]);
+  pen.beginPath();
+  pen.arc(u, v, radius, 0, 2 * Math.PI);
+  pen.stroke();
+  pen.font = `600 ${12 * ratio}px system-ui, "DejaVu Sans", sans-serif`;
+  pen.textBaseline = "middle";
+  pen.lineWidth = 3 * ratio;
+  pen.setLineDash([]);
+  pen.strokeStyle = "#000c";
+  pen.strokeText(task.target.toUpperCase(), u + radius + 6 * ratio, v);
+  pen.fillStyle = "#5cf0ab";
+  pen.fillText(task.target.toUpperCase(), u + radius + 6 * ratio, v);
+}
+new ResizeObserver(markTarget).observe($("overlay"));
+
+let before = { drawn: 0, at: performance.now() };
+setInterval(() => {
+  const now = performance.now();
+  statistics.fps = ((statistics.drawn - before.drawn) * 1000) / (now - before.at);
+  before = { drawn: statistics.drawn, at: now };
+  const recent = statistics.latencies.slice(-20).sort((a, b) => a - b);
+  const latency = recent.length ? ` · key to picture ${recent[recent.length >> 1].toFixed(0)} ms` : "";
+  put("rate", `${statistics.fps.toFixed(0)} fps${latency}`);
+}, 1000);
+
+// -- choices, restart, replay -----------------------------------------------------------------------------------------
+
+for (const id of ["phantom", "target"]) {
+  $(id).addEventListener("change", () => {
+    send({ type: "choose", phantom: $("phantom").value, target: $("target").value });
+    $(id).blur(); // the arrow keys steer the wire again
+  });
+}
+$("restart").addEventListener("click", restart);
+$("replay").addEventListener("click", replay);
+addEventListener("keydown", (event) => {
+  if (!controls.enabled || event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.target.closest?.("select, input")) return;
+  if (event.code === "KeyR") restart();
+  if (event.code === "KeyP" && !$("replay").disabled) replay();
+});
+
+function restart() { send({ type: "restart" }); document.activeElement?.blur(); }
+function replay() { send({ type: "replay" }); document.activeElement?.blur(); }
+
+// -- the end of a procedure and the questionnaire ---------------------------------------------------------------------
+
+function fillQuestions(criteria) {
+  $("criteria").replaceChildren(...criteria.map(({ key, title, question }) => {
+    const row = document.createElement("div");
+    row.className = "criterion";
+    row.innerHTML = "<p><b></b><span></span></p><div class=likert role=radiogroup></div>";
+    row.querySelector("b").textContent = title;
+    row.querySelector("span").textContent = question;
+    const scale = row.querySelector(".likert");
+    scale.setAttribute("aria-label", title);
+    for (let value = 1; value <= 5; value++) {
+      const label = document.createElement("label");
+      label.innerHTML = `<input type=radio><i>${value}</i>`;
+      Object.assign(label.firstChild, { name: key, value, ariaLabel: `${title}: ${value}` });
+      scale.append(label);
+    }
+    return row;
+  }));
+}
+
+function answers() {
+  const form = new FormData($("questionnaire")), result = {};
+  for (const { key } of task.criteria) if (form.has(key)) result[key] = Number(form.get(key));
+  return result;
+}
+
+$("questionnaire").addEventListener("input", () => {
+  $("save-answers").disabled = Object.keys(answers()).length < task.criteria.length;
+});
+
+function showEnd({ success, invalid, time_s: time, metrics, recorded, trouble }) {
+  controls.enable(false);
+  $("replay").disabled = false;
+  const dialog = $("end");
+  dialog.dataset.success = success;
+  $("end-title").textContent = success ? `${task.target.toUpperCase()} reached` : invalid ? "The simulation failed" : "Time is up";
+  const numbers = { time: `${time.toFixed(1)} s` };
+  if (metrics) Object.assign(numbers, {
+    "mean force": `${metrics.force_mean.toFixed(2)} N`, "peak force": `${metrics.force_max.toFixed(2)} N`,
+    "safe steps": `${(100 * metrics.safety).toFixed(0)} %`, "way of the tip": `${(100 * metrics.path_length).toFixed(1)} cm`,
+  });
+  $("end-numbers").replaceChildren(...Object.entries(numbers).map(([name, value]) => {
+    const item = document.createElement("div");
+    item.append(Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: value }));
+    return item;
+  }));
+  $("end-recorded").textContent = trouble || (recorded ? `Recorded in ${recorded}` : "Not recorded");
+  $("questions").hidden = !recorded;
+  $("save-answers").hidden = !recorded;
+  for (const input of document.querySelectorAll("#criteria input")) input.checked = false;
+  $("save-answers").disabled = true;
+  if (!dialog.open) dialog.showModal();
+  $("again").focus();
+}
+
+function closeEnd() {
+  controls.enable(true);
+  if ($("end").open) $("end").close("closed");
+}
+
+$("end").addEventListener("close", () => {
+  const wish = $("end").returnValue || "again"; // Escape leaves it empty
+  $("end").returnValue = "";
+  controls.enable(true);
+  if (wish === "save") send({ type: "answers", answers: { ...answers(), participant: $("participant").value.trim() } });
+  if (wish === "replay") replay();
+  if (wish === "again") restart();
+});
+
+// -- notices ----------------------------------------------------------------------------------------------------------
+
+let noticeTimer = 0;
+function tell(text, kind = "info", stay = false) {
+  statistics.notices.push(text);
+  const notice = $("notice");
+  notice.textContent = text;
+  notice.dataset.kind = kind;
+  notice.hidden = false;
+  clearTimeout(noticeTimer);
+  if (!stay) noticeTimer = setTimeout(hideNotice, 6000);
+}
+function hideNotice() { $("notice").hidden = true; }
+
+connect();

@@ -1,0 +1,74 @@
+"""The operator's pictures: the fluoroscopic image as JPEG, and what the page needs to draw the vessel in 3-D."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from cathsim.anatomy import Phantom, SignedDistanceGrid
+from cathsim.anatomy.surface import lumen_surface
+from cathsim.console.messages import surface_message
+from cathsim.navigation import NavigationTask
+from cathsim.observables import camera, outside_sheath
+from cathsim.simulation import Simulation
+
+IMAGE_SIZE = 480  # px
+QUALITY = 88  # of the JPEG: 12 kB an image, no artefact to be seen beside the wire
+_STRIDE = 2  # grid nodes a node of the 3-D view's surface
+
+
+class FluoroscopyMonitor:
+    """Draws the wire in the frontal fluoroscopic image.
+
+    Args:
+        simulation: whose phantom, sheath and wire are shown.
+        size: side of the image, px.
+    """
+
+    def __init__(self, simulation: Simulation, *, size: int = IMAGE_SIZE) -> None:
+        self.size, self._vessel, self._phantom = size, simulation.vessel, simulation.phantom
+        self._renderer = camera(simulation.phantom, size, simulation.wire.radius)
+        self._image = np.empty((size, size), np.uint8)
+
+    def jpeg(self, points: np.ndarray) -> bytes:
+        """The image of a wire.
+
+        Args:
+            points: ends of its links from the tip to the proximal end, m, world frame. Shape (n, 3).
+
+        Returns:
+            A grey JPEG.
+        """
+        self._renderer.render_into(outside_sheath(points, self._vessel), self._image, None)
+        stream = io.BytesIO()
+        Image.fromarray(self._image).save(stream, "JPEG", quality=QUALITY)
+        return stream.getvalue()
+
+    def mark(self, task: NavigationTask) -> dict[str, Any]:
+        """Where the target lies in the image.
+
+        Args:
+            task: with the target.
+
+        Returns:
+            `pixel` [u, v] and `radius` of the sphere of success, px.
+        """
+        projector = self._renderer.projector
+        goal = task.goal(self._phantom)
+        u, v = projector.project(goal[None])[0].tolist()
+        return {"pixel": [u, v], "radius": task.success_radius * projector.pixels_per_metre(goal)}
+
+
+def surface_of(phantom: Phantom) -> bytes:
+    """The lumen's surface for the 3-D view, as a message.
+
+    Args:
+        phantom: the vessel.
+    """
+    grid = phantom.grid
+    coarse = SignedDistanceGrid(grid.values[::_STRIDE, ::_STRIDE, ::_STRIDE], grid.origin, grid.spacing * _STRIDE)
+    mesh = lumen_surface(coarse)
+    return surface_message(np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), np.asarray(mesh.faces))

@@ -1,0 +1,186 @@
+"""One procedure: an episode of the environment that starts when the operator first touches the controls."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cathsim.console.recorder import Recorder
+from cathsim.environment import NavigateEnv
+from cathsim.metrics import EpisodeMetrics
+from cathsim.simulation import CONTROL_STEP
+
+READY, RUNNING, ENDED = "ready", "running", "ended"
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The state after a control step, as it is shown.
+
+    Attributes:
+        points: ends of the links from the tip to the proximal end, m, world frame. Shape (links + 1, 3).
+        force: largest resultant contact force of the step, N.
+        force_max: largest so far, N.
+        insertion: m.
+        rotation: rad.
+        distance: from the tip to the target, m.
+    """
+
+    points: np.ndarray
+    force: float
+    force_max: float
+    insertion: float
+    rotation: float
+    distance: float
+
+
+class Procedure:
+    """Steps the environment, keeps what is needed to show the episode again, and hands every step to a recorder.
+
+    Args:
+        environment: with contact info; the procedure resets it.
+        recorder: keeps the episode, or None.
+        seed: of the reset.
+
+    Attributes:
+        samples: one a control step, from the reset on.
+        trouble: why recording stopped, one sentence; "" while all is well.
+    """
+
+    def __init__(self, environment: NavigateEnv, recorder: Recorder | None, *, seed: int) -> None:
+        self.environment, self._recorder = environment, recorder
+        self.state = READY
+        self.success = self.invalid = False
+        self.trouble = ""
+        self.path: Path | None = None
+        self._tips: list[np.ndarray] = []
+        self._forces: list[float] = []
+        self._rewards: list[float] = []
+        _, info = environment.reset(seed=seed)
+        self.samples: list[Sample] = []
+        self._tips.append(info["tip"])
+        self._sample(info)
+        self._tell(lambda keeper: keeper.start(environment, info, seed=seed))
+
+    def _sample(self, info: Mapping[str, Any]) -> None:
+        self.samples.append(
+            Sample(
+                points=self.environment.simulation.wire_points(),
+                force=info["force"],
+                force_max=max([info["force"], *(sample.force_max for sample in self.samples[-1:])]),
+                insertion=info["insertion"],
+                rotation=info["rotation"],
+                distance=info["distance"],
+            )
+        )
+
+    def _tell(self, act: Any) -> Any:
+        """Lets the recorder act; one that fails is given up, and the procedure goes on without it."""
+        if self._recorder is None:
+            return None
+        try:
+            return act(self._recorder)
+        except Exception as error:  # a recorder of another distribution may raise anything
+            self.trouble = f"this episode is not recorded: {error}"
+            _LOGGER.warning("%s", self.trouble)
+            self._recorder = None
+            return None
+
+    @property
+    def steps(self) -> int:
+        """Control steps made."""
+        return len(self.samples) - 1
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the start, s."""
+        return self.steps * CONTROL_STEP
+
+    def step(self, advance: float, rotate: float) -> None:
+        """One control step of 0.1 s; the first one starts the procedure.
+
+        Args:
+            advance: -1 to 1, share of the full translation.
+            rotate: -1 to 1, share of the full rotation.
+
+        Raises:
+            RuntimeError: the procedure has ended.
+        """
+        if self.state == ENDED:
+            raise RuntimeError("the procedure has ended: start another one")
+        self.state = RUNNING
+        action = np.array([advance, rotate], np.float32)
+        _, reward, terminated, truncated, info = self.environment.step(action)
+        self._tips.append(info["tip"])
+        self._forces.append(info["force"])
+        self._rewards.append(reward)
+        self._sample(info)
+        self._tell(
+            lambda keeper: keeper.step(
+                self.environment, action, reward, info, terminated=terminated, truncated=truncated
+            )
+        )
+        if terminated or truncated:
+            self.success, self.invalid = bool(info["success"]), bool(info["invalid"])
+            self._end(None if self.invalid else self.metrics())
+
+    def metrics(self) -> EpisodeMetrics:
+        """Metrics of the steps so far.
+
+        Raises:
+            ValueError: there was no step.
+        """
+        return EpisodeMetrics.from_arrays(
+            np.array(self._tips),
+            np.array(self._forces),
+            np.array(self._rewards),
+            self.success,
+            target=self.environment.task.target,
+        )
+
+    def break_off(self) -> None:
+        """Ends the procedure where it stands, as an interrupted one; does nothing when it has ended."""
+        if self.state != ENDED:
+            self._end(None)
+
+    def _end(self, metrics: EpisodeMetrics | None) -> None:
+        self.state = ENDED
+        self.path = self._tell(lambda keeper: keeper.finish(metrics))
+
+    def answer(self, answers: Mapping[str, Any]) -> Path | None:
+        """Keeps a questionnaire with the recorded episode.
+
+        Args:
+            answers: as `check_answers` gave them.
+
+        Returns:
+            The file, or None when nothing was recorded.
+        """
+        if self.path is None:
+            return None
+        episode = self.path
+        kept: Path | None = self._tell(lambda keeper: keeper.answer(episode, answers))
+        return kept
+
+
+def between(earlier: Sample, later: Sample, share: float) -> np.ndarray:
+    """The wire between two samples, for display only: a control step is shown in several pictures.
+
+    Args:
+        earlier: the sample before.
+        later: the sample after.
+        share: 0 gives the earlier, 1 the later one.
+
+    Returns:
+        Shape (links + 1, 3), m.
+    """
+    if share >= 1.0:
+        return later.points
+    return earlier.points + share * (later.points - earlier.points)

@@ -1,0 +1,183 @@
+"""Recorders of the operator's episodes: what one must do, the plain one of this package, and how others are found."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from cathsim.environment import NavigateEnv
+    from cathsim.metrics import EpisodeMetrics
+
+OPERATOR = "human"
+ENTRY_POINTS = "cathsim.recorders"  # group under which other distributions offer recorders
+QUESTIONNAIRE_SUFFIX = ".questionnaire.json"
+
+_LOGGER = logging.getLogger(__name__)
+
+
+class Recorder(Protocol):
+    """Keeps episodes: `start`, a `step` for each step, `finish`, then perhaps `answer`; one episode at a time.
+
+    Nothing need be kept of an episode that gets no step. Its class has a `default_folder` and is made with a folder.
+    """
+
+    def start(self, environment: NavigateEnv, info: Mapping[str, Any], *, seed: int) -> None:
+        """An episode begins: the environment has been reset with this seed and gave this info."""
+        ...
+
+    def step(
+        self,
+        environment: NavigateEnv,
+        action: np.ndarray,
+        reward: float,
+        info: Mapping[str, Any],
+        *,
+        terminated: bool,
+        truncated: bool,
+    ) -> None:
+        """The environment has made a step."""
+        ...
+
+    def finish(self, metrics: EpisodeMetrics | None) -> Path | None:
+        """The episode is over; without metrics it was broken off. Returns its file, None if there was no step."""
+        ...
+
+    def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
+        """Keeps a questionnaire with a finished episode and returns the file it is in."""
+        ...
+
+
+RecorderFactory = Callable[[Path], Recorder]
+
+
+def episode_path(folder: Path, phantom: str, target: str, suffix: str) -> Path:
+    """The next free file of a task: `<folder>/<phantom>/<target>/<NNN><suffix>`.
+
+    Args:
+        folder: of all recordings.
+        phantom: the task's.
+        target: the task's.
+        suffix: with its dot, e.g. ".npz".
+
+    Returns:
+        A path whose number is above all that are there, unfinished ones included.
+    """
+    place = folder / phantom / target
+    there = place.iterdir() if place.is_dir() else ()
+    numbers = [int(match.group()) for path in there if (match := re.match(r"\d+", path.name))]
+    return place / f"{max(numbers, default=-1) + 1:03d}{suffix}"
+
+
+def write_answers(episode: Path, answers: Mapping[str, Any]) -> Path:
+    """Writes a questionnaire beside its episode.
+
+    Args:
+        episode: the episode's file.
+        answers: as `check_answers` gave them.
+
+    Returns:
+        The JSON file.
+    """
+    path = episode.with_name(episode.stem + QUESTIONNAIRE_SUFFIX)
+    temporary = path.with_name(f".writing-{path.name}")
+    content = {"episode": episode.name, "operator": OPERATOR, "answers": dict(answers)}
+    temporary.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    os.replace(temporary, path)
+    return path
+
+
+class NpzRecorder:
+    """Keeps each episode as a compressed NumPy archive, written when it ends.
+
+    Arrays: action (T, 2), reward (T,), tip (T + 1, 3) m, wire_points (T + 1, n, 3) m, force (T + 1, 3) N, insertion
+    (T + 1,) m, rotation (T + 1,) rad; `description` is JSON: operator, phantom and its hash, task, seed, metrics.
+
+    Args:
+        folder: where the episodes go.
+    """
+
+    default_folder = Path("console_episodes")
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._rows: list[dict[str, Any]] = []
+        self._description: dict[str, Any] = {}
+
+    def start(self, environment: NavigateEnv, info: Mapping[str, Any], *, seed: int) -> None:
+        """Begins an episode."""
+        self._description = {
+            "operator": OPERATOR,
+            "phantom": environment.phantom.name,
+            "phantom_hash": environment.phantom.hash,
+            "entry": environment.simulation.entry,
+            "task": asdict(environment.task),
+            "seed": seed,
+        }
+        self._rows = [self._state(environment, info)]
+
+    @staticmethod
+    def _state(environment: NavigateEnv, info: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            "tip": info["tip"],
+            "wire_points": environment.simulation.wire_points(),
+            "force": info["force_vector"],
+            "insertion": info["insertion"],
+            "rotation": info["rotation"],
+        }
+
+    def step(
+        self,
+        environment: NavigateEnv,
+        action: np.ndarray,
+        reward: float,
+        info: Mapping[str, Any],
+        *,
+        terminated: bool,
+        truncated: bool,
+    ) -> None:
+        """Keeps a step."""
+        self._rows.append({"action": action, "reward": reward, **self._state(environment, info)})
+
+    def finish(self, metrics: EpisodeMetrics | None) -> Path | None:
+        """Writes the episode."""
+        rows, self._rows = self._rows, []
+        if len(rows) < 2:
+            return None
+        task = self._description["task"]
+        path = episode_path(self.folder, self._description["phantom"], task["target"], ".npz")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        arrays |= {name: np.array([row[name] for row in rows[1:]]) for name in ("action", "reward")}
+        description = {**self._description, "metrics": asdict(metrics) if metrics else None}
+        temporary = path.with_name(f".writing-{path.name}")
+        np.savez_compressed(temporary, allow_pickle=False, description=np.array(json.dumps(description)), **arrays)
+        os.replace(temporary, path)
+        return path
+
+    def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
+        """Keeps a questionnaire in a JSON file beside the episode."""
+        return write_answers(episode, answers)
+
+
+def find_recorder() -> Any:
+    """The recorder class that an installed distribution offers under `cathsim.recorders`, else `NpzRecorder`.
+
+    Returns:
+        A class that is made with a folder and has a `default_folder`.
+    """
+    for entry in entry_points(group=ENTRY_POINTS):
+        try:
+            return entry.load()
+        except ImportError as error:
+            _LOGGER.warning("recorder %s cannot be loaded (%s): episodes are kept as .npz files", entry.name, error)
+    return NpzRecorder

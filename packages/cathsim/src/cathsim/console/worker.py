@@ -1,0 +1,331 @@
+"""The real-time loop: a thread that steps the simulation ten times a second and shows it thirty times a second.
+
+A control step is computed when it begins and shown in three pictures until the next one begins, so the first picture
+already shows what the controls do. The log has one record a control step, as every other episode.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
+from cathsim.console.controls import ControlPanel, Controls
+from cathsim.console.messages import frame_message
+from cathsim.console.picture import FluoroscopyMonitor, surface_of
+from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, between
+from cathsim.console.questionnaire import CRITERIA, check_answers
+from cathsim.console.recorder import Recorder
+from cathsim.environment import NavigateEnv
+from cathsim.simulation import CONTROL_STEP
+
+PICTURES = 3  # a control step
+FRAME = CONTROL_STEP / PICTURES  # s
+REPLAY = "replay"
+_BEHIND = 0.15  # s: a loop that is further behind than this does not hurry to catch up
+_MM = 1e3
+
+_LOGGER = logging.getLogger(__name__)
+
+
+class Page(Protocol):
+    """Takes what the operator is to see; called from the loop's thread, and must not wait."""
+
+    def show(self, frame: bytes) -> None:
+        """A new picture; it replaces one that has not been sent yet."""
+        ...
+
+    def say(self, message: dict[str, Any] | bytes) -> None:
+        """A message that must arrive."""
+        ...
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the operator starts with.
+
+    Attributes:
+        phantom: name of the phantom.
+        target: name of the target.
+        wire: preset of the guidewire.
+        accuracy: preset of the time stepping.
+        max_steps: a procedure ends after so many control steps.
+        seed: of the first procedure; each further one has the next.
+    """
+
+    phantom: str = "type_1"
+    target: str = "bca"
+    wire: str = "default"
+    accuracy: str = "accurate"
+    max_steps: int = 300
+    seed: int = 0
+
+    def environment(self, phantom: Phantom, target: str) -> NavigateEnv:
+        """The environment of a procedure; its image is that of other recorded episodes."""
+        return NavigateEnv(
+            phantom, target, wire=self.wire, accuracy=self.accuracy, observation="tip", max_steps=self.max_steps
+        )
+
+
+class RealTimeLoop(threading.Thread):
+    """Runs procedures for one operator.
+
+    Args:
+        setup: what to begin with.
+        page: what the operator looks at.
+        recorder: keeps the episodes, or None.
+        note: what the page says about recording.
+        phantoms: that the operator may choose.
+
+    Raises:
+        ValueError: the phantom, target, wire or accuracy is unknown.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        page: Page,
+        recorder: Recorder | None = None,
+        *,
+        note: str = "",
+        phantoms: Sequence[str] = PHANTOMS,
+    ) -> None:
+        super().__init__(name="console", daemon=True)
+        self._setup, self._page, self._recorder, self._note = setup, page, recorder, note
+        self._phantoms = list(dict.fromkeys([*phantoms, setup.phantom]))
+        self.panel = ControlPanel()
+        self._requests: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._stopped = threading.Event()
+        self._seed = setup.seed
+        self._frame = 0
+        self._drawn: tuple[Sample, Sample, float, bytes] | None = None  # the last picture and what it shows
+        self._shown: tuple[Procedure, float] | None = None  # the replayed one and its time, s
+        self._finished: Procedure | None = None
+        self._sequence = 0
+        self._open(load_phantom(setup.phantom), setup.target)
+
+    # -- requests, from other threads ---------------------------------------------------------------------------------
+
+    def request(self, request: dict[str, Any]) -> None:
+        """Takes a request that `read_request` has read.
+
+        Raises:
+            ValueError: its values are impossible.
+        """
+        kind = request["type"]
+        if kind == "controls":
+            self.panel.set(Controls(request["advance"], request["rotate"], request["sequence"]))
+            self._requests.put(None)  # the first touch starts the clock at once
+        elif kind == "release":
+            self.panel.release()
+        elif kind == "choose":
+            if request["phantom"] not in self._phantoms:
+                raise ValueError(f"unknown phantom {request['phantom']!r}; there are {', '.join(self._phantoms)}")
+            self._requests.put(lambda: self._choose(request["phantom"], request["target"]))
+        elif kind == "answers":
+            answers = check_answers(request["answers"]) if isinstance(request["answers"], dict) else None
+            if answers is None:
+                raise ValueError("answers must be an object with a number for each criterion")
+            self._requests.put(lambda: self._answer(answers))
+        elif kind == "restart":
+            self._requests.put(self._restart)
+        else:
+            self._requests.put(self._replay)
+
+    def operator_came(self) -> None:
+        """A page has opened: it is told everything."""
+        self._requests.put(self._introduce)
+
+    def operator_left(self) -> None:
+        """The page is gone: the controls are released, and what was going on is broken off."""
+        self.panel.release()
+        self._requests.put(self._restart_if_running)
+
+    def stop(self) -> None:
+        """Ends the loop; an episode that is going on is kept as an interrupted one."""
+        self._stopped.set()
+        self._requests.put(None)
+        if self.is_alive():
+            self.join(timeout=10.0)
+
+    # -- the loop's own thread ----------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Shows a picture every 33 ms until it is stopped."""
+        due = time.monotonic()
+        while not self._stopped.is_set():
+            started = self._serve(due)
+            now = time.monotonic()
+            due = now if started or now - due > _BEHIND else due
+            try:
+                self._next_picture()
+            except Exception:  # one that ended the thread would leave a page that never moves again
+                _LOGGER.exception("a picture failed")
+                self._say(type="notice", kind="error", text="the simulation failed: it starts anew")
+                self._restart()
+            due += FRAME
+        self._procedure.break_off()
+
+    def _serve(self, due: float) -> bool:
+        """Waits until a time, serving requests; returns early, and true, when the operator starts a procedure."""
+        while not self._stopped.is_set():
+            try:
+                request = self._requests.get(timeout=max(due - time.monotonic(), 0.0))
+            except queue.Empty:
+                return False
+            if request is None:
+                if self._procedure.state == READY and self._shown is None and self.panel.touched:
+                    return True
+                continue
+            try:
+                request()
+            except ValueError as error:
+                self._say(type="notice", kind="error", text=str(error))
+        return False
+
+    def _open(self, phantom: Phantom, target: str) -> None:
+        environment = self._setup.environment(phantom, target)
+        self._environment, self._monitor = environment, FluoroscopyMonitor(environment.simulation)
+        self._surface = surface_of(phantom)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._procedure = Procedure(self._environment, self._recorder, seed=self._seed)
+        self._seed += 1
+        self._frame, self._shown = 0, None
+
+    def _say(self, **message: Any) -> None:
+        self._page.say(message)
+
+    def _introduce(self) -> None:
+        self._page.say(self._surface)
+        self._tell_task()
+
+    def _tell_task(self) -> None:
+        environment, task = self._environment, self._environment.task
+        low, high = environment.phantom.bounds
+        self._say(
+            type="task",
+            phantom=environment.phantom.name,
+            target=task.target,
+            phantoms=self._phantoms,
+            targets=list(environment.phantom.targets),
+            goal=task.goal(environment.phantom).tolist(),
+            success_radius=task.success_radius,
+            max_steps=task.max_steps,
+            control_step=CONTROL_STEP,
+            mark=self._monitor.mark(task),
+            size=self._monitor.size,
+            bounds=[low.tolist(), high.tolist()],
+            recording=self._note if self._recorder else "",
+            criteria=[asdict(criterion) for criterion in CRITERIA],
+        )
+
+    def _choose(self, phantom: str, target: str) -> None:
+        self._say(type="loading", phantom=phantom)
+        loaded = load_phantom(phantom)
+        if target not in loaded.targets:
+            target = next(iter(loaded.targets))
+        self.panel.release()
+        self._procedure.break_off()
+        self._finished = None
+        if loaded is self._environment.phantom:
+            self._environment = self._setup.environment(loaded, target)
+            self._begin()
+        else:
+            self._open(loaded, target)
+            self._page.say(self._surface)
+        self._tell_task()
+
+    def _restart(self) -> None:
+        self.panel.release()
+        self._procedure.break_off()
+        self._begin()
+        self._say(type="restarted")
+
+    def _restart_if_running(self) -> None:
+        if self._procedure.state == RUNNING:
+            self._restart()
+
+    def _replay(self) -> None:
+        if self._finished is None or self._procedure.state == RUNNING:
+            raise ValueError("finish a procedure first, then it can be replayed")
+        self._shown = (self._finished, 0.0)
+
+    def _answer(self, answers: dict[str, Any]) -> None:
+        finished = self._finished
+        if finished is None:
+            raise ValueError("the questionnaire belongs to a finished procedure")
+        path = finished.answer(answers)
+        if path is None:
+            raise ValueError(finished.trouble or "answers are not kept: this console records nothing")
+        self._say(type="saved", path=str(path))
+
+    # -- pictures -----------------------------------------------------------------------------------------------------
+
+    def _next_picture(self) -> None:
+        if self._shown is not None:
+            self._show_replay(*self._shown)
+            return
+        procedure = self._procedure
+        starts = self._frame % PICTURES == 0
+        if starts and procedure.state != ENDED and (procedure.state == RUNNING or self.panel.touched):
+            controls = self.panel.take()
+            self._sequence = controls.sequence
+            procedure.step(controls.advance, controls.rotate)
+        samples = procedure.samples
+        if procedure.state == READY:
+            self._show(READY, samples[0], samples[0], 1.0, 0)
+            return
+        self._show(procedure.state, samples[-2], samples[-1], (self._frame % PICTURES + 1) / PICTURES, procedure.steps)
+        if procedure.state == ENDED and self._frame % PICTURES == 0:
+            self._tell_end()
+            self._frame = PICTURES - 1  # from here on the last state stands still
+        elif procedure.state == RUNNING:
+            self._frame += 1
+
+    def _show_replay(self, procedure: Procedure, at: float) -> None:
+        index = min(int(at / CONTROL_STEP + 1e-9), procedure.steps - 1)
+        share = at / CONTROL_STEP - index
+        samples = procedure.samples
+        self._show(REPLAY, samples[index], samples[index + 1], share, index + 1)
+        done = at >= procedure.time
+        self._shown = None if done else (procedure, min(at + FRAME, procedure.time))
+        if done:
+            self._say(type="replayed")
+
+    def _show(self, state: str, earlier: Sample, later: Sample, share: float, step: int) -> None:
+        points = between(earlier, later, share)
+        drawn = self._drawn
+        if drawn is None or drawn[0] is not earlier or drawn[1] is not later or drawn[2] != share:
+            drawn = self._drawn = (earlier, later, share, self._monitor.jpeg(points))
+        header = {
+            "state": state,
+            "step": step,
+            "time_s": max(step - 1 + share, 0.0) * CONTROL_STEP,
+            "force_n": later.force,
+            "force_max_n": later.force_max,
+            "insertion_mm": later.insertion * _MM,
+            "rotation_rad": later.rotation,
+            "distance_mm": later.distance * _MM,
+            "sequence": self._sequence,
+        }
+        self._page.show(frame_message(header, points, drawn[3]))
+
+    def _tell_end(self) -> None:
+        procedure = self._finished = self._procedure
+        metrics = None if procedure.invalid else asdict(procedure.metrics())
+        self._say(
+            type="ended",
+            success=procedure.success,
+            invalid=procedure.invalid,
+            time_s=procedure.time,
+            metrics=metrics,
+            recorded=str(procedure.path) if procedure.path else "",
+            trouble=procedure.trouble,
+        )

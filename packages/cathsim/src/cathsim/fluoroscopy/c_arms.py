@@ -1,0 +1,159 @@
+"""Pairs of C-arm cameras: that of the public biplane data set, and a clinical frontal and lateral pair."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .detector import Detector
+from .distortion import Distortion
+from .projector import Projector
+
+# The public biplane data set: distance between the sources, angle between the axes, focal lengths for 1024 px.
+SOURCE_TO_SOURCE = 1.32  # m
+BETWEEN_AXES_DEG = 91.0
+FOCAL_PX = {"a": 5150.0, "b": 4450.0}
+INTENSIFIER_DIAMETER = 16 * 0.0254  # m, taken to fill the collimator's circle
+_SIZE = 1024
+CLINICAL_FIELD = 0.25  # m in the plane of the isocentre
+
+
+@dataclass(frozen=True, eq=False)
+class XRayCamera:
+    """A source and a detector.
+
+    Attributes:
+        projector: where the pinhole at the source sees a point.
+        distortion: where the detector shows it.
+        detector: light, blur and noise.
+    """
+
+    projector: Projector
+    distortion: Distortion
+    detector: Detector
+
+    def __post_init__(self) -> None:
+        ours, theirs = (self.projector.width, self.projector.height), (self.distortion.width, self.distortion.height)
+        if ours != theirs:
+            raise ValueError(
+                f"the distortion is made for {theirs} px and the camera has {ours} px: resize one of them."
+            )
+
+    @property
+    def name(self) -> str:
+        """Of the view."""
+        return self.projector.name
+
+    def resized(self, size: int) -> XRayCamera:
+        """The same camera with another number of pixels over the same field.
+
+        Args:
+            size: px, new shorter side.
+
+        Returns:
+            The camera.
+        """
+        projector = self.projector.resized(size)
+        return replace(self, projector=projector, distortion=self.distortion.resized(projector.width, projector.height))
+
+    def pixels(self, points: ArrayLike) -> np.ndarray:
+        """Where world points are shown.
+
+        Args:
+            points: (n, 3) m, world frame.
+
+        Returns:
+            (n, 2) px, distorted.
+        """
+        return self.distortion.distort(self.projector.project(points))
+
+    def to_json(self) -> dict[str, Any]:
+        """Matrices, distances and distortion as plain JSON values."""
+        projector = self.projector
+        matrices = {key: getattr(projector, key).tolist() for key in ("P", "K", "R", "t")}
+        return {
+            "name": self.name,
+            "width": projector.width,
+            "height": projector.height,
+            **matrices,
+            "source_m": projector.source.tolist(),
+            "source_detector_distance_m": projector.source_detector_distance,
+            "distortion": self.distortion.to_json(),
+        }
+
+
+def guide3d_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRayCamera]:
+    """The geometry of the public biplane data set: both axes in the plane of the patient's front and long axis.
+
+    Sources 1.32 m apart, axes 91 degrees apart through one point, focal lengths of 5,150 (a) and 4,450 px (b), the same
+    scale of 0.192 mm/px in both there; the patient's head is to the right of both images, half turned to the cameras.
+
+    Args:
+        centre: (3,) m, where the axes meet.
+        size: px, side of the square images.
+
+    Returns:
+        Cameras "a" and "b".
+    """
+    # one scale p at the crossing makes both distances p f; the law of cosines over the baseline gives p
+    a, b = FOCAL_PX["a"], FOCAL_PX["b"]
+    scale = SOURCE_TO_SOURCE / np.sqrt(a * a + b * b - 2 * a * b * np.cos(np.radians(BETWEEN_AXES_DEG)))
+    detectors = {
+        "a": Detector(field_radius=1.228, field_centre=(-0.012, -0.035), penumbra=18.0, vignette=0.74, glare=2.0),
+        "b": Detector(
+            field_radius=1.160, field_centre=(-0.008, 0.028), penumbra=50.0, vignette=0.66, glare=5.0, heel=0.15
+        ),
+    }
+    distortions = {
+        "a": Distortion(_SIZE, _SIZE, 0.055, -0.0215, -0.016, tilt=(0.0038, -0.0018), centre=(-0.05, 0.07)),
+        "b": Distortion(_SIZE, _SIZE, 0.056, -0.0225, 0.017, tilt=(-0.0036, 0.0025), centre=(0.05, 0.05)),
+    }
+    cameras = []
+    for name, side in (("a", 1.0), ("b", -1.0)):
+        field = detectors[name].field_radius
+        assert field is not None
+        projector = Projector.c_arm(
+            centre=centre,
+            field_of_view=float(scale * _SIZE),
+            size=_SIZE,
+            secondary_deg=side * BETWEEN_AXES_DEG / 2,
+            roll_deg=90.0,
+            source_detector_distance=FOCAL_PX[name] * INTENSIFIER_DIAMETER / (field * _SIZE),
+            source_object_distance=float(scale * FOCAL_PX[name]),
+            name=name,
+        )
+        camera = XRayCamera(projector, distortions[name], detectors[name])
+        cameras.append(camera if size == _SIZE else camera.resized(size))
+    return cameras[0], cameras[1]
+
+
+def clinical_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRayCamera]:
+    """A frontal (a) and a lateral (b) C-arm with flat panels: upright, without distortion or a round collimator.
+
+    Args:
+        centre: (3,) m, isocentre.
+        size: px, side of the square images.
+
+    Returns:
+        Cameras "a" and "b".
+    """
+    panel = Detector(field_radius=None, glare=0.0, screen_blur=0.8, photons=1200.0, equalisation=0.7)
+    a, b = (
+        XRayCamera(
+            Projector.c_arm(centre=centre, field_of_view=CLINICAL_FIELD, size=size, primary_deg=primary, name=name),
+            Distortion.none(size, size),
+            panel,
+        )
+        for name, primary in (("a", 0.0), ("b", 90.0))
+    )
+    return a, b
+
+
+PAIRS: dict[str, Callable[..., tuple[XRayCamera, XRayCamera]]] = {
+    "guide3d": guide3d_pair,
+    "clinical": clinical_pair,
+}

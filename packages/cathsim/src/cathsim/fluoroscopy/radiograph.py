@@ -1,0 +1,177 @@
+"""The still part of a radiograph: photons that every pixel expects from a scene without a wire."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .attenuation import DistanceGrid, lumen_path_length
+from .body import body_depth
+from .c_arms import XRayCamera
+from .projector import Projector
+from .scene import Scene
+
+DepthFunction = Callable[[Projector], NDArray[np.float32]]
+
+_MARGIN = 3  # px around the ideal image, for interpolation
+_SCATTER_SPREAD = 0.12  # of the image's side: scattered light varies slowly
+_SCREEN_GLARE = 0.05  # share of light that strays inside the detector
+_EXPOSED = 0.2  # of the image on each side, left out where the exposure is measured
+_BODY_STRIDE = 2  # px between the rays on which the body is integrated; it has no finer detail
+
+
+@dataclass(frozen=True, eq=False)
+class Radiograph:
+    """Expected photon counts, behind the detector's distortion and before its screen's blur.
+
+    Attributes:
+        primary: (height, width) float32, photons that passed straight; a wire in the way multiplies them.
+        veil: (height, width) float32, scatter and glare, which a thin wire leaves as it is.
+    """
+
+    primary: NDArray[np.float32]
+    veil: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        for array in (self.primary, self.veil):
+            array.flags.writeable = False
+
+
+def optical_depth(grid: DistanceGrid, projector: Projector, scene: Scene) -> NDArray[np.float32]:
+    """Optical depth of a scene for every pixel of a pinhole camera.
+
+    Args:
+        grid: signed distance to the vessel's wall.
+        projector: the camera.
+        scene: the rest.
+
+    Returns:
+        (height, width), dimensionless.
+    """
+    from scipy import ndimage  # here, as only bi-planar views need it
+
+    depth = np.zeros((projector.height, projector.width), np.float32)
+    if scene.body:
+        centre = np.asarray(grid.origin) + (np.array(grid.values.shape) - 1) * grid.spacing / 2
+        coarse = _every(projector, _BODY_STRIDE)
+        sampled = body_depth(coarse, scene.body, centre)
+        rows, columns = (np.arange(n, dtype=np.float32) / _BODY_STRIDE for n in depth.shape)
+        depth += ndimage.map_coordinates(sampled, np.meshgrid(rows, columns, indexing="ij"), order=1, mode="nearest")
+    if scene.filling or scene.wall:
+        lumen = lumen_path_length(grid, projector)
+        depth += np.float32(scene.filling) * lumen
+        if scene.wall and scene.wall_thickness:
+            outer = lumen_path_length(grid, projector, level=-scene.wall_thickness)
+            depth += np.float32(scene.wall) * (outer - lumen)
+    return depth
+
+
+def radiograph(grid: DistanceGrid, camera: XRayCamera, scene: Scene, *, key: str | None = None) -> Radiograph:
+    """What a camera's detector expects of a scene.
+
+    Args:
+        grid: signed distance to the vessel's wall.
+        camera: source, distortion and detector.
+        scene: body, wall and filling.
+        key: content hash of the phantom; radiographs of the same key, camera and scene are computed once a process.
+
+    Returns:
+        Expected photons.
+    """
+    if key is None:
+        return expose_depth(camera, scene, lambda projector: optical_depth(grid, projector, scene))
+    return _cached(_Keyed((key, camera.projector.key, camera.distortion, camera.detector, scene), grid, camera, scene))
+
+
+class _Keyed:
+    """A radiograph to be made, told from others by its key alone."""
+
+    def __init__(self, key: tuple[object, ...], grid: DistanceGrid, camera: XRayCamera, scene: Scene) -> None:
+        self.key, self.grid, self.camera, self.scene = key, grid, camera, scene
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Keyed) and self.key == other.key
+
+
+@lru_cache(maxsize=16)
+def _cached(wanted: _Keyed) -> Radiograph:
+    return radiograph(wanted.grid, wanted.camera, wanted.scene)
+
+
+def expose_depth(camera: XRayCamera, scene: Scene, depth_of: DepthFunction) -> Radiograph:
+    """Turns optical depths into expected photons: distortion, focal blur, exposure, scatter, collimator.
+
+    Args:
+        camera: source, distortion and detector.
+        scene: for its scatter and brightness.
+        depth_of: optical depth of every pixel of the pinhole camera it is given, (height, width).
+
+    Returns:
+        Expected photons.
+    """
+    from scipy import ndimage  # here, as only bi-planar views need it
+
+    projector, detector = camera.projector, camera.detector
+    width, height = projector.width, projector.height
+    passed = _distorted(camera, depth_of)
+    if detector.focal_blur:
+        passed = ndimage.gaussian_filter(passed, detector.focal_blur * detector.scale(width, height), mode="nearest")
+    light = detector.illumination(width, height)
+    spread, lit = _SCATTER_SPREAD * min(width, height), (light > 0).astype(np.float32)
+    if detector.equalisation:
+        passed = passed * np.power(_wide_blur(passed, spread), -np.float32(detector.equalisation))
+    # scatter comes from the lit part of the body alone
+    strayed = _wide_blur(passed * lit, spread) / np.maximum(_wide_blur(lit, spread), 1e-3)
+    rows, columns = (slice(int(_EXPOSED * n), n - int(_EXPOSED * n)) for n in passed.shape)
+    share = np.float32(1 - (1 - scene.scatter) * (1 - _SCREEN_GLARE))
+    seen = (1 - share) * passed + share * strayed
+    white = detector.white(width, height)
+    gain = np.float32(white * (scene.middle / 255) ** 2 / np.median((seen * light)[rows, columns]))
+    dark = np.float32(white * (detector.glare / 255) ** 2)
+    return Radiograph(
+        np.ascontiguousarray(gain * (1 - share) * passed * light, dtype=np.float32),
+        np.ascontiguousarray(gain * share * strayed * light + dark, dtype=np.float32),
+    )
+
+
+def _distorted(camera: XRayCamera, depth_of: DepthFunction) -> NDArray[np.float32]:
+    """Share of photons that pass, in the distorted image."""
+    from scipy import ndimage  # here, as only bi-planar views need it
+
+    projector, distortion = camera.projector, camera.distortion
+    if distortion.identity:
+        return np.exp(-depth_of(projector))
+    u, v = np.meshgrid(np.arange(projector.width), np.arange(projector.height))
+    ideal = distortion.undistort(np.column_stack((u.ravel(), v.ravel())))
+    low = np.floor(ideal.min(axis=0)).astype(int) - _MARGIN
+    high = np.ceil(ideal.max(axis=0)).astype(int) + _MARGIN
+    shift = np.array([[1.0, 0.0, -low[0]], [0.0, 1.0, -low[1]], [0.0, 0.0, 1.0]])
+    width, height = (high - low + 1).tolist()
+    passed = np.exp(-depth_of(replace(projector, K=shift @ projector.K, width=width, height=height)))
+    at = (ideal - low).astype(np.float32)[:, ::-1].T
+    shown = ndimage.map_coordinates(passed, at, order=1, mode="nearest")
+    return shown.reshape(projector.height, projector.width)
+
+
+def _every(projector: Projector, stride: int) -> Projector:
+    """The camera that sees every `stride`-th pixel's centre, and one row and column more."""
+    scale = np.diag([1 / stride, 1 / stride, 1.0])
+    width, height = projector.width // stride + 2, projector.height // stride + 2
+    return replace(projector, K=scale @ projector.K, width=width, height=height)
+
+
+def _wide_blur(image: NDArray[np.float32], spread: float) -> NDArray[np.float32]:
+    """A Gaussian blur wide enough to be computed on every eighth pixel."""
+    from scipy import ndimage  # here, as only bi-planar views need it
+
+    stride = max(1, int(spread // 8))
+    small = ndimage.gaussian_filter(image[::stride, ::stride], spread / stride, mode="nearest")
+    rows, columns = (np.arange(n, dtype=np.float32) / stride for n in image.shape)
+    return ndimage.map_coordinates(small, np.meshgrid(rows, columns, indexing="ij"), order=1, mode="nearest")

@@ -1,0 +1,97 @@
+"""What lies between source and detector: the body, the vessel's wall and what fills the lumen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from .body import THORAX, WATER_BATH, Solid
+from .materials import ATTENUATION
+
+# what fills the lumen, mg/ml of iodine; None is air
+FILLINGS: dict[str, float | None] = {"fluid": 0.0, "contrast": 40.0, "air": None}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A vessel in its surroundings; attenuations are over those of what surrounds it.
+
+    Attributes:
+        name: of the scene.
+        body: solids about the vessel's centre.
+        surroundings: attenuation of what the vessel lies in, 1/m.
+        wall: attenuation of the vessel's wall over it, 1/m.
+        wall_thickness: m.
+        filling: attenuation of the lumen's content over it, 1/m.
+        scatter: share of scattered photons among those detected behind the body.
+        middle: grey level that the automatic brightness gives to the middle of the image.
+    """
+
+    name: str
+    body: tuple[Solid, ...]
+    surroundings: float
+    wall: float
+    wall_thickness: float
+    filling: float
+    scatter: float
+    middle: float = 140.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.scatter < 1:
+            raise ValueError(f"the share of scatter must lie in 0 to 1, got {self.scatter!r}.")
+        if not 0 < self.middle < 255:
+            raise ValueError(f"the middle grey level must lie between 0 and 255, got {self.middle!r}.")
+        if not self.wall_thickness >= 0:
+            raise ValueError(f"the wall's thickness must not be negative, got {self.wall_thickness!r} m.")
+
+    def filled(self, content: str) -> Scene:
+        """The same scene with another content of the lumen.
+
+        Args:
+            content: "fluid" (what surrounds it), "contrast" (40 mg/ml of iodine) or "air".
+
+        Returns:
+            The scene.
+
+        Raises:
+            ValueError: for an unknown content.
+        """
+        if content not in FILLINGS:
+            raise ValueError(f"unknown filling {content!r}: expected one of {', '.join(FILLINGS)}.")
+        iodine = FILLINGS[content]
+        filling = -self.surroundings if iodine is None else iodine * ATTENUATION["iodine_mg_per_ml"]
+        return replace(self, filling=filling)
+
+
+SCENES: dict[str, Scene] = {
+    "bath": Scene(
+        "bath",
+        WATER_BATH,
+        surroundings=ATTENUATION["water"],
+        wall=ATTENUATION["silicone"] - ATTENUATION["water"],
+        wall_thickness=0.0018,
+        filling=0.0,
+        scatter=0.12,
+    ),
+    "patient": Scene(
+        "patient", THORAX, surroundings=20.5, wall=0.5, wall_thickness=0.002, filling=0.0, scatter=0.25, middle=120.0
+    ),
+    "empty": Scene("empty", (), surroundings=0.0, wall=0.0, wall_thickness=0.0, filling=0.0, scatter=0.0),
+}
+
+
+def scene(name: str, filling: str = "fluid") -> Scene:
+    """A scene by name.
+
+    Args:
+        name: "bath" (a silicone phantom in a water bath), "patient" (thorax with lungs and spine) or "empty".
+        filling: of the lumen, "fluid", "contrast" or "air".
+
+    Returns:
+        The scene.
+
+    Raises:
+        ValueError: for an unknown name or filling.
+    """
+    if name not in SCENES:
+        raise ValueError(f"unknown scene {name!r}: expected one of {', '.join(SCENES)}.")
+    return SCENES[name].filled(filling)

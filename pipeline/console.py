@@ -1,0 +1,36 @@
+"""Command line `python -m pipeline.console`: the simulator's console, its episodes kept as logs of a run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cathsim.console.launch import parser, start
+from pipeline.config import RunConfig
+from pipeline.errors import ConfigurationError
+from pipeline.human import McapRecorder, recordings
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the console until Ctrl-C.
+
+    Args:
+        arguments: of the command line; the process's own when None.
+
+    Returns:
+        The exit code.
+    """
+    wanted = parser("python -m pipeline.console", folder=None)
+    wanted.add_argument("--name", default="desk", metavar="RUN", help="run that the episodes belong to (default desk)")
+    wanted.add_argument("--runs-dir", type=Path, default=Path("runs"), help="folder of the runs (default runs)")
+    options = wanted.parse_args(arguments)
+    try:
+        RunConfig(name=options.name)
+    except ConfigurationError as error:
+        wanted.error(str(error))
+    return start(options, McapRecorder, recordings(options.runs_dir, options.name))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""Annotations: what becomes known only after an episode, such as a questionnaire, added to its finished log."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mcap.records import ChunkIndex, MetadataIndex
+
+from pipeline.episodes.container import McapFile
+from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError, damaged
+from pipeline.episodes.metadata import open_annotation, seal_annotation
+from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.scan import messages, read_chunk, read_metadata, read_summary
+from pipeline.episodes.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE
+
+
+def annotation_name(key: str) -> str:
+    """The metadata record of an annotation.
+
+    Args:
+        key: a word, e.g. "questionnaire".
+
+    Returns:
+        For example `endonav.questionnaire`.
+
+    Raises:
+        ValueError: the key is no word, or the name is that of a record which every log has.
+    """
+    name = f"endonav.{key}"
+    if not key.isidentifier() or name in (EPISODE_METADATA, OUTCOME_METADATA):
+        raise ValueError(f"an annotation's key must be a word other than episode and outcome, got {key!r}")
+    return name
+
+
+def annotate(path: str | os.PathLike[str], key: str, values: Mapping[str, Any]) -> None:
+    """Add an annotation to a finished log, or replace the one of that key; the log is exchanged in one instant.
+
+    Args:
+        path: the log.
+        key: a word, e.g. "questionnaire".
+        values: plain values.
+
+    Raises:
+        ValueError: the key is no word.
+        EpisodeReadError: there is no such log, or it is damaged; it stays as it is.
+        EpisodeWriteError: the new log cannot be written; the old one stays as it is.
+    """
+    path, name = Path(path), annotation_name(key)
+    with EpisodeReader(path):
+        pass  # an episode log, whole and not newer than this software
+    temporary = path.with_name(f"{path.name}.annotating")
+    try:
+        temporary.unlink(missing_ok=True)
+        out = McapFile(temporary, PROFILE)
+        try:
+            _copy(path, out, leave_out=name)
+            out.add_metadata(name, seal_annotation(values))
+            out.close_with_index()
+            os.replace(temporary, path)
+        finally:
+            out.close()
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise EpisodeWriteError(f"cannot add to {path}: {error.strerror}; the log is as it was") from error
+    except ContainerError as error:
+        raise damaged(path, error) from error
+
+
+def _copy(path: Path, out: McapFile, *, leave_out: str) -> None:
+    """Copy chunks and metadata in their order."""
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        summary = read_summary(fd)
+        counts = dict.fromkeys(summary.channels, 0)
+        renumbered = {}
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            renumbered[channel.id] = out.register(channel.topic, schema.name, schema.data, schema.encoding)
+        parts: list[ChunkIndex | MetadataIndex] = list(summary.chunk_indexes)
+        parts += [index for index in summary.metadata_indexes if index.name != leave_out]
+        for part in sorted(parts, key=_offset):
+            if isinstance(part, MetadataIndex):
+                out.add_metadata(part.name, read_metadata(fd, part).metadata)
+                continue
+            chunk = read_chunk(fd, part)
+            for span in messages(chunk):
+                # sequence numbers count up along a topic, as the writer's steps do
+                sequence = counts[span.channel_id]
+                counts[span.channel_id] += 1
+                out.add(renumbered[span.channel_id], span.log_time_ns, sequence, chunk[span.start : span.end])
+            out.flush()
+    finally:
+        os.close(fd)
+
+
+def _offset(part: ChunkIndex | MetadataIndex) -> int:
+    return part.chunk_start_offset if isinstance(part, ChunkIndex) else part.offset
+
+
+def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | None:
+    """Read an annotation of a log.
+
+    Args:
+        path: the log.
+        key: a word, e.g. "questionnaire".
+
+    Returns:
+        Its values, or None when the log has none of that key.
+
+    Raises:
+        EpisodeReadError: there is no such log, or it is damaged.
+    """
+    name = annotation_name(key)
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError as error:
+        raise EpisodeReadError(f"cannot open {path}: {error.strerror}; check the path") from error
+    try:
+        found = [index for index in read_summary(fd).metadata_indexes if index.name == name]
+        return open_annotation(read_metadata(fd, found[-1]).metadata) if found else None
+    except ContainerError as error:
+        raise damaged(Path(path), error) from error
+    finally:
+        os.close(fd)

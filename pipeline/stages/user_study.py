@@ -1,0 +1,203 @@
+"""The user study: sums up what people recorded at the console, and what they answered; nothing where nobody did."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.config import UserStudySettings
+from pipeline.provenance import hash_file
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stages import Stage, StageContext
+
+if TYPE_CHECKING:
+    from cathsim.metrics import EpisodeMetrics
+
+ROW = "H"  # of the thesis's ablation table
+_MM = 1e3
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass
+class Study:
+    """What was found in the recordings.
+
+    Attributes:
+        counted: task ("type_1/bca") to the metrics of its finished procedures under the study's settings.
+        logs: task to all its finished logs.
+        broken_off: procedures that were left before they ended.
+        other_settings: finished ones with another limit or radius.
+        unreadable: logs that are damaged or not a human's.
+        answers: the questionnaires, oldest first.
+    """
+
+    counted: dict[str, list[EpisodeMetrics]] = field(default_factory=dict)
+    logs: dict[str, list[Path]] = field(default_factory=dict)
+    broken_off: int = 0
+    other_settings: int = 0
+    unreadable: int = 0
+    answers: list[dict[str, Any]] = field(default_factory=list)
+
+
+def logs_of(run_path: Path) -> list[Path]:
+    """The human's logs of a run.
+
+    Args:
+        run_path: folder of the run.
+
+    Returns:
+        Paths, sorted.
+    """
+    from pipeline.human import FOLDER, SUFFIX
+
+    return sorted((run_path / FOLDER).rglob(f"*{SUFFIX}"))
+
+
+def gather(logs: list[Path], settings: UserStudySettings) -> Study:
+    """Reads the logs.
+
+    Args:
+        logs: their paths.
+        settings: which procedures count.
+
+    Returns:
+        What they hold.
+    """
+    from cathsim.console.recorder import OPERATOR
+    from cathsim.metrics import EpisodeMetrics
+    from pipeline.episodes import EpisodeReader, EpisodeReadError
+    from pipeline.episodes.annotate import read_annotation
+    from pipeline.human import QUESTIONNAIRE
+
+    study, answers = Study(), []
+    for path in logs:
+        try:
+            with EpisodeReader(path) as log:
+                info, outcome = log.info, log.outcome
+            answered = read_annotation(path, QUESTIONNAIRE)
+        except EpisodeReadError as error:
+            _LOGGER.warning("left out: %s", error)
+            study.unreadable += 1
+            continue
+        if info.operator != OPERATOR:
+            _LOGGER.warning("left out: %s is an episode of %s", path, info.operator)
+            study.unreadable += 1
+            continue
+        if answered is not None:
+            answers.append((info.start_time_ns, answered))
+        if outcome.status != "finished" or not outcome.metrics:
+            study.broken_off += 1
+            continue
+        task = f"{info.phantom}/{info.target}"
+        study.logs.setdefault(task, []).append(path)
+        limit, radius = info.configuration.get("max_steps"), info.configuration.get("success_radius", 0.0)
+        if limit == settings.max_steps and abs(radius * _MM - settings.success_radius_mm) < 1e-6:
+            study.counted.setdefault(task, []).append(EpisodeMetrics(**outcome.metrics))
+        else:
+            study.other_settings += 1
+    study.answers = [answered for _, answered in sorted(answers, key=lambda entry: entry[0])]
+    return study
+
+
+def tables(study: Study) -> dict[str, Any]:
+    """The measured cells; none for what nobody did.
+
+    Args:
+        study: what was found.
+
+    Returns:
+        Table to row to column to cell.
+    """
+    from pipeline.report.episode_tables import episode_tables
+
+    measured: dict[str, Any] = episode_tables(study.counted, own="human", operator=ROW)
+    scores = user_study_table(study.answers)
+    if scores:
+        measured["user_study"] = scores
+    left_out = {"broken_off": study.broken_off, "other_settings": study.other_settings, "unreadable": study.unreadable}
+    if any(left_out.values()):
+        measured["human_left_out"] = {name: {"episodes": count} for name, count in left_out.items()}
+    return measured
+
+
+def user_study_table(answers: list[dict[str, Any]]) -> dict[str, Any]:
+    """Mean and standard deviation of each criterion; of a participant with a code the last answers count.
+
+    Args:
+        answers: the questionnaires, oldest first.
+
+    Returns:
+        Criterion to column to cell; empty without answers.
+    """
+    from cathsim.console.questionnaire import CRITERIA
+    from cathsim.metrics import Statistic
+
+    last = {given.get("participant") or f"anonymous {number}": given for number, given in enumerate(answers)}
+    rows = {}
+    for criterion in CRITERIA if last else ():
+        scores = Statistic.of([given[criterion.key] for given in last.values()])
+        rows[criterion.key] = {"score": [scores.mean, scores.sd], "n": len(last)}
+    return rows
+
+
+def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
+    """Sums the recordings up.
+
+    Args:
+        settings: which procedures count.
+        context: where the run lies.
+    """
+    logs = logs_of(context.run_path)
+    if not logs:
+        _LOGGER.info(
+            "no human episodes yet: `python -m pipeline.console --name %s` records them", context.run_path.name
+        )
+    study = gather(logs, settings)
+    write_results(context.path, tables(study))
+    write_figures(context.path, figures(study, context.path, settings))
+
+
+def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Figure]:
+    """Draws ways and forces of every task.
+
+    Args:
+        study: what was found.
+        folder: of the stage.
+        settings: with the radius of success.
+
+    Returns:
+        What the report shows.
+    """
+    from cathsim import PHANTOMS, load_phantom
+    from pipeline.episodes import EpisodeReader
+    from pipeline.report.episode_plots import draw_task
+
+    shown = []
+    for task, logs in study.logs.items():
+        name, target = task.split("/")
+        if name not in PHANTOMS:
+            continue  # one of the user's own: its vessel is not known here
+        arrays = [EpisodeReader(log).load_arrays(pictures=False) for log in logs]
+        file = f"{name}/{target}.png"
+        draw_task(load_phantom(name), target, arrays, folder / file, radius_mm=settings.success_radius_mm)
+        caption = f"{len(arrays)} procedures at the console; the target's sphere of success is dashed."
+        shown.append(
+            Figure(f"Human, {name}, {target.upper()}: way of the tip and contact force", caption, file, "Human")
+        )
+    return shown
+
+
+def _recordings(run_path: Path) -> dict[str, str]:
+    return {f"human/{path.relative_to(run_path).as_posix()}": hash_file(path) for path in logs_of(run_path)}
+
+
+STAGE = Stage(
+    name="user_study",
+    run=run_user_study,
+    writes=("<phantom>/<target>.png", "results.json", "figures.json"),
+    code=("pipeline.human", "pipeline.report.episode_tables", "cathsim.metrics", "cathsim.console.questionnaire"),
+    further_inputs=_recordings,
+)

@@ -1,0 +1,88 @@
+"""Targets at the open ends of branches, and the length of the way there."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy import PHANTOMS, ArchParameters, Phantom, VesselTree, library, load_phantom
+from cathsim.anatomy.lumen import build_lumen
+from cathsim.anatomy.phantom import Entry, locate_end_targets, locate_targets
+from cathsim.anatomy.phantom_cache import PhantomCache
+
+ENDS = {"rcca_end", "rsa_end", "lcca_end", "lsa_end"}
+COARSE = 2e-3
+
+
+@pytest.fixture(scope="module")
+def fork(tee: VesselTree) -> Phantom:
+    """The straight vessel with a side branch, as a phantom."""
+    return Phantom(
+        name="fork",
+        hash="0" * 32,
+        parameters=ArchParameters(),
+        tree=tee,
+        grid=build_lumen(tee, resolution=1e-3, fillet_radius=1e-4),
+        targets={},
+        entries={"descending": Entry("descending", np.array([0.0, 0.0, -0.038]), np.array([0.0, 0.0, 1.0]))},
+    )
+
+
+@pytest.mark.parametrize("name", PHANTOMS)
+def test_every_phantom_has_targets_10_mm_before_the_open_ends(name: str, cache: Path) -> None:
+    phantom = load_phantom(name, resolution=COARSE, cache_dir=cache)
+    assert {target.name for target in phantom.targets.values() if target.at_end} == ENDS
+    for end in sorted(ENDS):
+        target = phantom.target(end)
+        branch = phantom.tree[end.removesuffix("_end")]
+        assert branch.open_end
+        assert target.branch == branch.name
+        assert np.linalg.norm(target.position - branch.points[-1]) == pytest.approx(0.010, rel=0.02)
+        assert phantom.grid.sample(target.position) > 0.002
+        assert phantom.way_length(end) > phantom.way_length(branch.name)
+
+
+def test_ends_of_an_own_tree(fork: Phantom) -> None:
+    assert list(fork.targets) == ["bca_end"], "the root's ends are entries"
+    assert fork.target("bca_end").position == pytest.approx([0.030, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_branch_shorter_than_its_parent_is_wide_has_none(tee: VesselTree) -> None:
+    main, side = tee
+    stub = type(side)("bca", side.points[:16], side.radius[:16], side.parent, side.parent_arc)
+    assert locate_end_targets(VesselTree((main, stub))) == {}
+
+
+def test_the_usual_targets_are_what_they_were(phantom: Phantom) -> None:
+    usual = locate_targets(phantom.tree)
+    assert not ENDS & set(usual)
+    assert list(phantom.targets)[: len(usual)] == list(usual)
+
+
+def test_way_along_the_centrelines(fork: Phantom, phantom: Phantom) -> None:
+    assert fork.way_length("bca_end") == pytest.approx(0.038 + 0.030, abs=1e-6)
+    shortest = phantom.geodesic_distance(phantom.entry().position, "lcca_end")
+    assert shortest < phantom.way_length("lcca_end") < 1.3 * shortest
+    with pytest.raises(ValueError, match=r"unknown target 'lcca_start'.*lcca_end"):
+        phantom.way_length("lcca_start")
+    with pytest.raises(ValueError, match="unknown entry 'radial'"):
+        phantom.way_length("lcca", "radial")
+
+
+def test_fields_of_ends_are_computed_when_asked_for(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    built = load_phantom("type_2", resolution=COARSE, cache_dir=tmp_path)
+    with np.load(PhantomCache(tmp_path).path(built.hash)) as file:
+        stored = {name.removeprefix("geodesic_") for name in file if name.startswith("geodesic_")}
+    assert stored == set(built.targets) - ENDS
+    library._load.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        read = load_phantom("type_2", resolution=COARSE, cache_dir=tmp_path)
+        assert read is not built
+        target = read.target("lsa_end")
+        assert read.geodesic_distance(target.position, "lsa_end") < COARSE
+        further = target.position - 0.02 * read.tree["lsa"].tangent_at(target.arc)
+        assert read.geodesic_distance(further, "lsa_end") == pytest.approx(0.02, abs=1.5 * COARSE)
+    assert not caplog.records, "a field that was never stored is not damaged"

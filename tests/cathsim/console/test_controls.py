@@ -1,0 +1,73 @@
+"""The operator's axes: held, released, tapped, gone silent."""
+
+from __future__ import annotations
+
+import pytest
+
+from cathsim.console.controls import SILENCE, ControlPanel, Controls
+
+
+class Clock:
+    """A clock that stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def panel(clock: Clock) -> ControlPanel:
+    return ControlPanel(clock)
+
+
+def test_nothing_is_pressed_at_first(panel: ControlPanel) -> None:
+    assert not panel.touched
+    assert panel.take() == Controls()
+
+
+def test_a_held_key_counts_at_every_step_and_a_released_one_no_more(panel: ControlPanel) -> None:
+    panel.set(Controls(1.0, -0.5, 1))
+    assert [panel.take().advance for _ in range(3)] == [1.0] * 3
+    panel.set(Controls(0.0, 0.0, 2))
+    assert panel.take() == Controls(sequence=2)
+    assert not panel.touched
+
+
+def test_a_tap_between_two_steps_counts_once(panel: ControlPanel) -> None:
+    panel.set(Controls(1.0, 0.0, 1))
+    panel.set(Controls(0.0, 0.0, 2))
+    assert panel.touched
+    assert panel.take() == Controls(1.0, 0.0, 2)
+    assert panel.take() == Controls(sequence=2)
+
+
+def test_letting_go_forgets_taps_too(panel: ControlPanel) -> None:
+    panel.set(Controls(1.0, 0.0, 1))
+    panel.release()
+    assert not panel.take().pressed
+
+
+def test_silence_lets_go(panel: ControlPanel, clock: Clock) -> None:
+    panel.set(Controls(1.0, 0.0, 1))
+    clock.now += 0.9 * SILENCE
+    assert panel.take().pressed
+    clock.now += 0.2 * SILENCE
+    assert not panel.take().pressed
+    panel.set(Controls(1.0, 0.0, 1))
+    assert panel.take().pressed
+
+
+def test_axes_are_clipped_and_must_be_numbers() -> None:
+    assert Controls(3.0, -7.0) == Controls(1.0, -1.0)
+    for wrong in (float("nan"), float("inf"), "1", None, True):
+        with pytest.raises(ValueError, match="advance must be a number from -1 to 1"):
+            Controls(wrong)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="sequence must be a whole number"):
+        Controls(1.0, 0.0, 1.5)  # type: ignore[arg-type]

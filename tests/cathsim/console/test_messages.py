@@ -1,0 +1,87 @@
+"""What goes over the websocket, and the questionnaire in it."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from cathsim.console import CRITERIA, check_answers
+from cathsim.console.messages import LONGEST_REQUEST, frame_message, read_request, surface_message
+
+GOOD = {criterion.key: 3 for criterion in CRITERIA}
+
+
+@pytest.mark.parametrize("state", ["ready", "running", "ended!!"])
+def test_a_picture_is_read_back_as_the_page_reads_it(state: str) -> None:
+    points = np.random.default_rng(0).normal(size=(29, 3))
+    message = frame_message({"state": state, "step": 7}, points, b"\xff\xd8jpeg")
+    length = struct.unpack_from("<I", message, 4)[0]
+    assert message[:4] == b"FRME"
+    assert length % 4 == 0, "JavaScript's float arrays begin at multiples of 4"
+    header = json.loads(message[8 : 8 + length])
+    assert header == {"state": state, "step": 7, "points": 29}
+    read = np.frombuffer(message, "<f4", 3 * 29, 8 + length).reshape(-1, 3)
+    np.testing.assert_array_equal(read, points.astype(np.float32))
+    assert message[8 + length + 12 * 29 :] == b"\xff\xd8jpeg"
+
+
+def test_a_surface_is_read_back() -> None:
+    rng = np.random.default_rng(1)
+    vertices, normals, faces = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), rng.integers(0, 5, (4, 3))
+    message = surface_message(vertices, normals, faces)
+    assert message[:4] == b"MESH"
+    assert struct.unpack_from("<II", message, 4) == (5, 4)
+    np.testing.assert_array_equal(np.frombuffer(message, "<f4", 15, 12).reshape(-1, 3), vertices.astype("<f4"))
+    np.testing.assert_array_equal(np.frombuffer(message, "<f4", 15, 72).reshape(-1, 3), normals.astype("<f4"))
+    np.testing.assert_array_equal(np.frombuffer(message, "<u4", 12, 132).reshape(-1, 3), faces)
+
+
+def test_a_request_has_its_fields() -> None:
+    request = {"type": "controls", "advance": 1, "rotate": 0, "sequence": 4}
+    assert read_request(json.dumps(request)) == request
+    assert read_request('{"type": "restart"}') == {"type": "restart"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "must be JSON"),
+        ("", "must be JSON"),
+        ("[" * 10_000, "must be JSON"),
+        ("[]", "needs a type, one of controls"),
+        ('{"type": ["x"]}', "needs a type, one of controls"),
+        ('{"type": "shutdown"}', "needs a type, one of controls.*got 'shutdown'"),
+        ('{"type": "controls", "advance": 1}', "'controls' needs the fields"),
+        ('{"type": "restart", "more": 1}', "'restart' needs the fields"),
+        ('{"type": "restart"}' + " " * LONGEST_REQUEST, "may have 16384 characters"),
+    ],
+)
+def test_other_requests_are_refused(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        read_request(text)
+
+
+def test_seven_criteria_are_answered_on_the_scale() -> None:
+    assert len(CRITERIA) == 7
+    answers = check_answers({**dict(reversed(GOOD.items())), "participant": " P1 "})
+    assert list(answers) == [*(criterion.key for criterion in CRITERIA), "participant"]
+    assert answers["participant"] == "P1"
+    assert check_answers(GOOD)["participant"] == ""
+
+
+@pytest.mark.parametrize("wrong", [0, 6, 2.5, "3", True, None])
+def test_answers_off_the_scale_are_refused(wrong: object) -> None:
+    with pytest.raises(ValueError, match="motion_accuracy must be a whole number from 1 to 5"):
+        check_answers({**GOOD, "motion_accuracy": wrong})
+
+
+def test_missing_and_unknown_criteria_are_refused() -> None:
+    with pytest.raises(ValueError, match="visual_realism has none"):
+        check_answers({key: value for key, value in GOOD.items() if key != "visual_realism"})
+    with pytest.raises(ValueError, match="no criterion mood"):
+        check_answers({**GOOD, "mood": 5})
+    with pytest.raises(ValueError, match="participant must be a code"):
+        check_answers({**GOOD, "participant": "x" * 41})

@@ -1,0 +1,114 @@
+"""A procedure: what a human does is the environment's episode, recorded step by step."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cathsim import NavigateEnv
+from cathsim.console import CRITERIA, NpzRecorder
+from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, between
+from cathsim.console.recorder import episode_path
+
+MakeEnv = Callable[..., NavigateEnv]
+ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P7"}
+
+
+def test_it_is_the_environments_episode(make_env: MakeEnv, memory: Any) -> None:
+    procedure = Procedure(make_env(max_steps=12), memory, seed=5)
+    assert procedure.state == READY
+    actions = np.random.default_rng(0).uniform(-0.2, 1.0, (12, 2)).astype(np.float32)
+    for action in actions:
+        procedure.step(*action.tolist())
+        assert procedure.state == (RUNNING if procedure.steps < 12 else ENDED)
+    env = make_env(max_steps=12)
+    _, info = env.reset(seed=5)
+    tips = [info["tip"], *(env.step(action)[-1]["tip"] for action in actions)]
+    episode = memory.episodes[0]
+    np.testing.assert_array_equal(episode["tips"], tips)
+    np.testing.assert_array_equal(episode["actions"], actions)
+    assert (episode["state"], episode["seed"]) == ("finished", 5)
+    assert episode["metrics"].steps == 12
+    assert not procedure.success
+    with pytest.raises(RuntimeError, match="has ended"):
+        procedure.step(1.0, 0.0)
+
+
+def test_reaching_the_target_ends_it_with_success(make_env: MakeEnv, memory: Any) -> None:
+    procedure = Procedure(make_env(success_radius=0.15, max_steps=50), memory, seed=0)
+    while procedure.state != ENDED:
+        procedure.step(1.0, 0.0)
+    assert procedure.success
+    assert memory.episodes[0]["metrics"].success
+    assert procedure.samples[-1].distance <= 0.15 < procedure.samples[-2].distance
+    assert procedure.samples[-1].force_max == max(sample.force for sample in procedure.samples)
+
+
+def test_broken_off_it_has_no_metrics_and_untouched_no_file(make_env: MakeEnv, memory: Any) -> None:
+    env = make_env()
+    procedure = Procedure(env, memory, seed=0)
+    procedure.break_off()
+    assert procedure.path is None
+    second = Procedure(env, memory, seed=1)
+    second.step(1.0, 0.0)
+    second.break_off()
+    second.break_off()
+    assert memory.episodes[1]["state"] == "broken off"
+    assert second.path == Path("1.memory")
+    assert second.answer(ANSWERS) == Path("1.memory")
+    assert memory.episodes[1]["answers"] == ANSWERS
+
+
+def test_a_recorder_that_fails_does_not_stop_the_operator(make_env: MakeEnv, memory: Any) -> None:
+    memory.fails_at = 2
+    procedure = Procedure(make_env(max_steps=5), memory, seed=0)
+    for _ in range(5):
+        procedure.step(1.0, 0.0)
+    assert procedure.state == ENDED
+    assert procedure.trouble == "this episode is not recorded: disk full"
+    assert procedure.path is None
+    assert len(memory.episodes[0]["actions"]) == 2
+
+
+def test_pictures_between_two_steps_lie_between_them(make_env: MakeEnv) -> None:
+    procedure = Procedure(make_env(), None, seed=0)
+    procedure.step(1.0, 0.0)
+    earlier, later = procedure.samples
+    np.testing.assert_array_equal(between(earlier, later, 1.0), later.points)
+    np.testing.assert_allclose(between(earlier, later, 0.5), (earlier.points + later.points) / 2, atol=1e-15)
+    np.testing.assert_allclose(between(earlier, later, 0.0), earlier.points, atol=1e-15)
+
+
+def test_npz_episode_is_read_back(make_env: MakeEnv, tmp_path: Path) -> None:
+    recorder = NpzRecorder(tmp_path)
+    procedure = Procedure(make_env(max_steps=6, target="lcca"), recorder, seed=3)
+    for _ in range(6):
+        procedure.step(1.0, 0.25)
+    path = tmp_path / "type_1" / "lcca" / "000.npz"
+    assert procedure.path == path
+    with np.load(path) as file:
+        description = json.loads(str(file["description"]))
+        assert file["action"].tolist() == [[1.0, 0.25]] * 6
+        assert file["wire_points"].shape == (7, 29, 3)
+        np.testing.assert_array_equal(file["wire_points"][-1], procedure.samples[-1].points)
+        assert [file[name].shape[0] for name in ("reward", "tip", "force", "insertion", "rotation")] == [6, 7, 7, 7, 7]
+    assert description["operator"] == "human"
+    assert (description["phantom"], description["seed"], description["metrics"]["steps"]) == ("type_1", 3, 6)
+    beside = procedure.answer(ANSWERS)
+    assert beside == path.with_name("000.questionnaire.json")
+    content = json.loads(beside.read_text())
+    assert content == {"episode": "000.npz", "operator": "human", "answers": ANSWERS}
+
+
+def test_numbers_go_on_after_the_highest_also_of_unfinished_files(tmp_path: Path) -> None:
+    assert episode_path(tmp_path, "type_1", "bca", ".npz").name == "000.npz"
+    folder = tmp_path / "type_1" / "bca"
+    folder.mkdir(parents=True)
+    for name in ("000.npz", "007.npz.partial", "notes.txt"):
+        (folder / name).touch()
+    assert episode_path(tmp_path, "type_1", "bca", ".npz") == folder / "008.npz"

@@ -1,0 +1,138 @@
+"""The real-time loop: pace, first touch, end, replay, choice, and an operator who leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("PIL", reason="the extra cathsim[console] is not installed")
+
+from cathsim.console.questionnaire import CRITERIA
+from cathsim.console.worker import RealTimeLoop, Setup
+
+Wait = Callable[..., Any]
+ANSWERS = {criterion.key: 5 for criterion in CRITERIA}
+
+
+@pytest.fixture
+def loop(page: Any, memory: Any) -> Iterator[RealTimeLoop]:
+    loop = RealTimeLoop(Setup(accuracy="fast", max_steps=6), page, memory, note="somewhere")
+    loop.start()
+    loop.operator_came()
+    yield loop
+    loop.stop()
+    assert not loop.is_alive()
+
+
+def hold(loop: RealTimeLoop, sequence: int, advance: float = 1.0) -> None:
+    loop.request({"type": "controls", "advance": advance, "rotate": 0.0, "sequence": sequence})
+
+
+def finish(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
+    """Holds the key, as the page's heartbeat does, until the procedure has ended."""
+
+    def held() -> Any:
+        hold(loop, 3)
+        return page.told("ended")
+
+    wait_until(held)
+
+
+def test_the_page_is_told_the_task_and_the_clock_waits_for_the_operator(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
+) -> None:
+    task = wait_until(lambda: page.told("task"))[0]
+    assert (task["phantom"], task["target"], task["recording"]) == ("type_1", "bca", "somewhere")
+    assert {"bca", "lcca", "lsa"} <= set(task["targets"])
+    assert all(0 < x < task["size"] for x in task["mark"]["pixel"])
+    assert 5 < task["mark"]["radius"] < 60
+    assert page.surfaces == 1
+    wait_until(lambda: len(page.headers) > 5)
+    assert {(header["state"], header["step"]) for header in page.headers} == {("ready", 0)}
+    assert memory.episodes[0]["actions"] == []
+
+
+def test_three_pictures_a_step_and_ten_steps_a_second(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
+) -> None:
+    wait_until(lambda: page.headers)
+    hold(loop, 3)
+    wait_until(lambda: page.last["state"] == "running")
+    finish(loop, page, wait_until)
+    wait_until(lambda: page.last["state"] == "ended")
+    running = [k for k, header in enumerate(page.headers) if header["state"] == "running"]
+    assert len(running) == 3 * 5, "the sixth step ends the procedure"
+    assert page.headers[running[0]]["sequence"] == 3, "the first picture already shows the touch"
+    assert len({round(page.headers[k]["time_s"], 6) for k in running}) == len(running)
+    # never faster than real time; slower only on a machine that does not keep up
+    assert page.times[running[-1]] - page.times[running[0]] > 0.9 * (len(running) - 1) / 30
+    assert len(memory.episodes[0]["actions"]) == 6
+    ended = page.told("ended")
+    assert len(ended) == 1
+    assert (ended[0]["success"], ended[0]["recorded"]) == (False, "0.memory")
+    assert ended[0]["metrics"]["steps"] == 6
+
+
+def test_replay_shows_the_same_and_answers_are_kept(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
+) -> None:
+    loop.request({"type": "replay"})
+    wait_until(lambda: page.told("notice"))
+    assert "finish a procedure first" in page.told("notice")[0]["text"]
+    finish(loop, page, wait_until)
+    loop.request({"type": "replay"})
+    wait_until(lambda: page.told("replayed"))
+    shown = [header for header in page.headers if header["state"] == "replay"]
+    assert shown[0]["time_s"] == 0
+    assert shown[-1]["time_s"] == pytest.approx(0.6)
+    assert shown[-1]["insertion_mm"] == page.last["insertion_mm"]
+    assert (np.diff([header["insertion_mm"] for header in shown]) >= 0).all()
+    loop.request({"type": "answers", "answers": ANSWERS})
+    wait_until(lambda: page.told("saved"))
+    assert memory.episodes[0]["answers"] == {**ANSWERS, "participant": ""}
+
+
+def test_an_operator_who_leaves_lets_go_and_breaks_off(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
+) -> None:
+    hold(loop, 1)
+    wait_until(lambda: page.last["step"] >= 2)
+    loop.operator_left()
+    wait_until(lambda: len(memory.episodes) == 2)
+    assert memory.episodes[0]["state"] == "broken off"
+    assert wait_until(lambda: page.last["state"] == "ready")
+    assert not loop.panel.touched
+
+
+def test_phantom_and_target_are_chosen(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
+    wait_until(lambda: page.told("task"))
+    loop.request({"type": "choose", "phantom": "type_1", "target": "lcca"})
+    wait_until(lambda: page.told("task")[-1]["target"] == "lcca")
+    assert page.surfaces == 1, "the same vessel is not sent again"
+    loop.request({"type": "choose", "phantom": "type_1", "target": "nowhere"})
+    wait_until(lambda: len(page.told("task")) == 3)
+    assert page.told("task")[-1]["target"] in page.told("task")[0]["targets"]
+    with pytest.raises(ValueError, match="unknown phantom 'moon'; there are type_1"):
+        loop.request({"type": "choose", "phantom": "moon", "target": "bca"})
+    with pytest.raises(ValueError, match="answers must be an object"):
+        loop.request({"type": "answers", "answers": [1, 2]})
+
+
+def test_stopping_keeps_what_was_going_on(page: Any, memory: Any, wait_until: Wait) -> None:
+    loop = RealTimeLoop(Setup(accuracy="fast"), page, memory)
+    loop.start()
+    hold(loop, 1)
+    wait_until(lambda: page.last["step"] >= 1)
+    loop.stop()
+    assert memory.episodes[0]["state"] == "broken off"
+    assert len(memory.episodes[0]["actions"]) >= 1
+
+
+def test_unknown_names_are_refused_before_anything_starts(page: Any) -> None:
+    with pytest.raises(ValueError, match="unknown target 'moon'"):
+        RealTimeLoop(Setup(target="moon"), page)
+    with pytest.raises(ValueError, match="moon"):
+        RealTimeLoop(Setup(phantom="moon"), page)

@@ -1,0 +1,129 @@
+"""The console in a headless Chromium: real keys move the wire, an episode is on disk, a pulled gamepad lets go."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("fastapi", reason="the extra cathsim[console] is not installed")
+pytest.importorskip("websockets", reason="the extra cathsim[console] is not installed")
+
+from cathsim.console.headless import Tab, find_browser, running_console, wait_until
+
+pytestmark = pytest.mark.skipif(
+    find_browser() is None, reason="no Chromium is installed (Debian: apt install chromium)"
+)
+
+
+@pytest.fixture(scope="module")
+def episodes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("episodes")
+
+
+@pytest.fixture(scope="module")
+def address(episodes: Path, anatomy_cache: Path) -> Iterator[str]:
+    """A running console with short procedures (4 s)."""
+    environment = {**os.environ, "CATHSIM_CACHE": str(anatomy_cache)}
+    with running_console("--record", str(episodes), "--max-steps", "40", environment=environment) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def tab(address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
+    with Tab(tmp_path_factory.mktemp("chromium")) as tab:
+        tab.open(address)
+        yield tab
+
+
+def restart(tab: Tab) -> None:
+    if tab.value("document.getElementById('end').open"):
+        tab.value("document.getElementById('again').click()")
+    else:
+        tab.key("r", down=True)
+        tab.key("r", down=False)
+    wait_until(lambda: tab.frame()["state"] == "ready", 5)
+
+
+def test_keys_move_the_wire_while_they_are_held(tab: Tab) -> None:
+    restart(tab)
+    assert tab.frame()["insertion_mm"] < 2
+    tab.key("ArrowUp", down=True)
+    wait_until(lambda: tab.frame()["insertion_mm"] > 15, 10)
+    tab.key("ArrowUp", down=False)
+    time.sleep(0.4)
+    stopped = tab.frame()["insertion_mm"]
+    time.sleep(0.4)
+    assert tab.frame()["insertion_mm"] == pytest.approx(stopped, abs=0.3), "released, the wire stands still"
+    tab.key("ArrowDown", down=True)
+    wait_until(lambda: tab.frame()["insertion_mm"] < stopped - 4, 5)
+    tab.key("ArrowDown", down=False)
+    assert tab.value("consoleStatistics.latencies.length") >= 2
+
+
+def test_an_episode_is_on_disk_when_time_is_up_and_the_answers_lie_beside_it(tab: Tab, episodes: Path) -> None:
+    restart(tab)
+    tab.key("ArrowUp", down=True)
+    before = tab.value("[consoleStatistics.received, performance.now()]")
+    wait_until(lambda: tab.frame()["state"] == "ended", 20)
+    after = tab.value("[consoleStatistics.received, performance.now()]")
+    tab.key("ArrowUp", down=False)
+    rate = 1000 * (after[0] - before[0]) / (after[1] - before[1])
+    assert rate > 10, "pictures come, even on a machine under load"
+    wait_until(lambda: tab.value("document.getElementById('end').open"), 5)
+    recorded = Path(tab.value("document.getElementById('end-recorded').textContent").removeprefix("Recorded in "))
+    assert recorded.is_file()
+    assert episodes in recorded.parents
+    tab.value("document.querySelectorAll('.likert').forEach((row, k) => row.querySelectorAll('input')[k % 5].click())")
+    tab.value("document.getElementById('save-answers').click()")
+    beside = recorded.with_name(f"{recorded.stem}.questionnaire.json")
+    wait_until(beside.is_file, 5)
+    assert list(json.loads(beside.read_text())["answers"].values())[:7] == [1, 2, 3, 4, 5, 1, 2]
+
+
+def test_a_finished_procedure_is_replayed(tab: Tab) -> None:
+    if not tab.value("document.getElementById('replay').disabled === false"):
+        pytest.skip("needs the procedure of the test before")
+    tab.value("document.getElementById('end').open && document.getElementById('end').close('closed')")
+    tab.value("document.getElementById('replay').click()")
+    wait_until(lambda: tab.frame()["state"] == "replay" and tab.frame()["step"] > 3, 5)
+
+
+def test_a_gamepad_steers_and_lets_go_when_it_is_pulled_out(tab: Tab) -> None:
+    restart(tab)
+    tab.value("""(() => {
+      const pad = { index: 0, id: "Test pad", connected: true, axes: [0, -1, 0, 0], buttons: [] };
+      window.testPads = [pad];
+      navigator.getGamepads = () => window.testPads;
+      const event = new Event("gamepadconnected");
+      event.gamepad = pad;
+      dispatchEvent(event);
+    })()""")
+    wait_until(lambda: tab.frame()["insertion_mm"] > 8, 10)
+    tab.value("""(() => {
+      const event = new Event("gamepaddisconnected");
+      event.gamepad = window.testPads[0];
+      window.testPads = [null];
+      dispatchEvent(event);
+    })()""")
+    assert tab.value("consoleStatistics.controls") == [0, 0]
+    assert "gamepad was pulled out" in tab.value("document.getElementById('notice').textContent")
+    time.sleep(0.4)
+    stopped = tab.frame()["insertion_mm"]
+    time.sleep(0.4)
+    assert tab.frame()["insertion_mm"] == pytest.approx(stopped, abs=0.3)
+
+
+def test_a_second_window_is_told_that_the_controls_are_taken(tab: Tab, address: str) -> None:
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    with connect(address.replace("http", "ws") + "ws", origin=address.rstrip("/")) as second:
+        with pytest.raises(ConnectionClosed) as caught:
+            second.recv(timeout=5)
+        assert caught.value.rcvd is not None
+        assert "another window is at the controls" in caught.value.rcvd.reason

@@ -1,0 +1,98 @@
+"""The documentation runs: the notebook from top to bottom, kept without outputs, and the pages' blocks of Python."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+NOTEBOOK = DOCS / "tutorial.ipynb"
+PAGES = ("pipeline.md", "viewers.md", "guide3d.md", "splineformer.md", "enn.md")
+
+
+@pytest.fixture(scope="module")
+def notebook() -> dict[str, Any]:
+    return json.loads(NOTEBOOK.read_text(encoding="utf-8"))
+
+
+def code_cells(notebook: dict[str, Any]) -> list[dict[str, Any]]:
+    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
+def test_it_is_a_notebook_without_outputs(notebook: dict[str, Any]) -> None:
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+    identities = [cell["id"] for cell in notebook["cells"]]
+    assert len(set(identities)) == len(identities)
+    for cell in code_cells(notebook):
+        assert cell["outputs"] == []
+        assert cell["execution_count"] is None
+
+
+def test_its_links_lead_somewhere(notebook: dict[str, Any]) -> None:
+    text = "".join("".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "markdown")
+    assert "](viewers.md)" in text
+    for text_of in (text, *((DOCS / page).read_text(encoding="utf-8") for page in PAGES)):
+        for link in re.findall(r"\]\(([^)#]+)\)", text_of):
+            assert (DOCS / link).is_file(), link
+
+
+def test_every_cell_runs(
+    notebook: dict[str, Any], anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    monkeypatch.setattr(plt, "show", lambda: None)
+    plt.close("all")
+    names: dict[str, Any] = {"__name__": "notebook"}
+    for cell in code_cells(notebook):
+        source = "".join(cell["source"])
+        # as a kernel does: the last expression's value is shown
+        exec(compile(ast.parse(source), f"{NOTEBOOK.name}:{cell['id']}", "exec"), names)
+    pictures = len(plt.get_fignums())
+    plt.close("all")
+
+    assert pictures == 2
+    assert names["metrics"].success
+    assert len(names["arrays"]["tip"]) == names["metrics"].steps + 1
+    assert set(names["ends"]) == {"rcca_end", "rsa_end", "lcca_end", "lsa_end"}
+    printed = capsys.readouterr().out
+    assert "reached after" in printed
+    assert "too short for rcca_end" in printed
+    # the tip's projection falls on the wire's shadow: darker than the mean of the picture
+    u, v = (round(float(names[axis][0])) for axis in "uv")
+    assert names["image"][v, u] < names["image"].mean()
+    names["folder"].cleanup()
+    assert not os.path.exists(names["path"])
+
+
+def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    monkeypatch.chdir(tmp_path)
+    results: dict[str, dict[str, Any]] = {}
+    for page in PAGES:  # the first records a log, which the others read
+        blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
+        assert blocks, page
+        results[page] = {"__name__": page}
+        for block in blocks:
+            if "pipeline.episodes.rerun" in block:
+                try:
+                    import rerun  # noqa: F401
+                except ModuleNotFoundError:
+                    continue
+            exec(compile(block, page, "exec"), results[page])
+        if page == "pipeline.md":
+            shutil.copy("mine.mcap", "episode.mcap")
+    assert results["pipeline.md"]["force"].shape == (41,)
+    assert results["guide3d.md"]["P"].shape == (3, 4)
+    assert results["guide3d.md"]["mask"].shape == results["guide3d.md"]["image"].shape
