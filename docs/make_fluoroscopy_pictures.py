@@ -17,10 +17,10 @@ from cathsim.observables import points_to_border
 from cathsim.planning.sampling import SamplingExpert
 
 FOLDER = Path(__file__).parent / "pictures"
-SHOWN = 420  # px, side of an image on the page
+SHOWN = 380  # px, side of an image on the page
 BEAD_PITCH, BEAD_RADIUS = 0.065, 0.00145  # m
 BEAD_ATTENUATION = 2060.0  # 1/m, steel at 45 keV: nothing thick is in the beam
-SHEET_PITCH_PX, SHEET_HOLE, SHEET_DEPTH = {"a": 15.0, "b": 14.1}, 0.68, 4.0  # hole's diameter over the pitch
+SHEET_PITCH_PX, SHEET_HOLE, SHEET_DEPTH = {"a": 15.0, "b": 14.1}, 0.72, 4.0  # hole's diameter over the pitch
 
 
 def expert_wire() -> tuple[NavigateEnv, np.ndarray]:
@@ -70,7 +70,7 @@ def perforated_sheet(camera: XRayCamera) -> np.ndarray:
             cover += np.exp(-SHEET_DEPTH * (nearest > SHEET_HOLE * pitch / 2)) / 9
         return -np.log(cover).astype(np.float32)
 
-    return _seen(camera, Scene("sheet", (), 0.0, 0.0, 0.0, 0.0, scatter=0.02, middle=135.0), depth)
+    return _seen(camera, Scene("sheet", (), 0.0, 0.0, 0.0, 0.0, scatter=0.03, middle=115.0), depth)
 
 
 def _seen(camera: XRayCamera, scene: Scene, depth: DepthFunction) -> np.ndarray:
@@ -126,9 +126,9 @@ def shrunk(image: np.ndarray) -> np.ndarray:
 
 
 def save(picture: np.ndarray, name: str) -> None:
-    """Writes a grey PNG."""
+    """Writes a PNG of few greys, as it lies in the repository."""
     FOLDER.mkdir(exist_ok=True)
-    Image.fromarray(picture).save(FOLDER / name, optimize=True)
+    Image.fromarray(picture).quantize(64, dither=Image.Dither.NONE).save(FOLDER / name, optimize=True)
 
 
 if __name__ == "__main__":
