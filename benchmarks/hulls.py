@@ -85,7 +85,8 @@ def fit(phantom: Phantom, settings: Decomposition) -> dict[str, float]:
     narrowest = min(clearance, key=lambda name: clearance[name])
     print(
         f"{settings.threshold:9.2f}{len(hulls):7d}{built:9.1f}{built_cpu:8.1f}{p50:8.2f}{p99:8.2f}"
-        f"{wall.intrusion.max() * 1e3:8.2f}{100 * wall.blocked.mean():11.1f}{100 * wall.leak_share:8.2f}{clearance[narrowest]:12.2f} ({narrowest})"
+        f"{wall.intrusion.max() * 1e3:8.2f}{100 * wall.blocked.mean():11.1f}{100 * wall.leak_share:8.2f}"
+        f"{clearance[narrowest]:12.2f} ({narrowest})"
     )
     return {
         "hulls": len(hulls),
@@ -152,13 +153,14 @@ def main() -> None:
     print(f"{phantom.name}{'; quick: coarser lattice, shorter search' if given.quick else ''}\n")
     print(
         f"{'threshold':>9s}{'hulls':>7s}{'built, s':>9s}{'CPU, s':>8s}{'p50':>8s}{'p99':>8s}{'max':>8s}"
-        f"{'blocked, %':>11s}{'leak, %':>8s}{'narrowest':>12s}      (intrusion and free radius around the centreline in mm)"
+        f"{'blocked, %':>11s}{'leak, %':>8s}{'narrowest':>12s}"
+        "      (intrusion and free radius around the centreline in mm)"
     )
     with tempfile.TemporaryDirectory() as empty:
         os.environ["CATHSIM_CACHE"] = empty  # so that nothing is found ready-made
         result = {settings.threshold: fit(phantom, settings) for settings in all_settings}
         all_settings.sort(key=lambda settings: settings.threshold != default.threshold)
-        rounds, steps = (3, 120) if given.quick else (6, 240)
+        rounds, steps = (3, 100) if given.quick else (6, 240)
         raced = race(phantom, all_settings, rounds, steps)
     chosen = {**result[default.threshold], **raced}
     print(json.dumps({name: round(float(value), 4) for name, value in chosen.items()}))

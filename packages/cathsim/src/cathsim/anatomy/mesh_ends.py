@@ -15,6 +15,7 @@ _RAYS = 48
 _SURROUNDED = 0.94  # share of rays across the vessel that must meet its wall
 _REACH = 2.2  # radii within which they must
 _PLATEAU = 0.75  # of the largest depth a little further in, at which a vessel counts as having its full width
+_CLOSING = 0.4  # of the usual reach: where the wall comes nearer than this, it closes the vessel
 _LOOK_BACK = 6e-3  # m, and two radii: how far further in that is
 _LONGEST = 6  # radii that an end is followed
 
@@ -51,8 +52,11 @@ def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) 
         The end, or None where the vessel's wall surrounds it nowhere.
     """
     step = 0.5 * cavity.spacing
-    start = _well_inside(arc_length(way[::-1])[::-1], depth, 2.5 * cavity.spacing)
+    from_end = arc_length(way[::-1])[::-1]
+    start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
     radius = float(depth[start])
+    # The way bends to its corner a little before that.
+    start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
     inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
     centres, normal, reach = _sweep(cavity, wall, inner[-1], _direction(inner, 1.5 * radius), radius, step)
     if len(centres) < 3:
@@ -100,6 +104,8 @@ def _sweep(
         if cavity.holds(wall, middle) or met.mean() < _SURROUNDED:
             break
         reach = np.where(met, travel[np.argmax(struck, axis=1)], np.nan)
+        if reaches and np.nanmin(reach) < _CLOSING * np.median(reaches[-back:]):
+            break
         shift = np.nanmean(np.minimum(reach, 1.3 * np.nanmedian(reach))[:, None] * rays, axis=0)
         middle = middle + min(1.0, 0.5 * step / max(float(np.linalg.norm(shift)), 1e-12)) * shift
         centres.append(middle)
@@ -114,4 +120,4 @@ def _sweep(
     # A gap in the wall is passed; an opening cut aslant ends where it begins.
     if 0 < len(centres) - whole <= 2 * radius / step:
         centres, reaches = centres[:whole], reaches[:whole]
-    return centres, normal, reaches[-1] if reaches else 0.0
+    return centres, normal, float(np.median(reaches[-back:])) if reaches else 0.0

@@ -17,7 +17,7 @@ from .mesh_branches import Vessel, continued
 from .mesh_refusal import MeshRefusedError
 
 ARCH_YAW = 0.75  # rad between the arch's plane and the coronal plane
-SNAP_UP, SNAP_LEFT = math.radians(30), math.radians(43)  # nearer to a file's axis than this the axis is meant
+SNAP_UP, SNAP_LEFT = math.radians(20), math.radians(30)  # nearer to a file's axis than this the axis is meant
 SUPRA_AORTIC = ("bca", "lcca", "lsa")
 
 Array = NDArray[np.float64]
