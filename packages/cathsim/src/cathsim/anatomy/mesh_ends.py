@@ -17,6 +17,7 @@ _REACH = 2.2  # radii within which they must
 _PLATEAU = 0.75  # of the largest depth a little further in, at which a vessel counts as having its full width
 _CLOSING = 0.4  # of the usual reach: where the wall comes nearer than this, it closes the vessel
 _LOOK_BACK = 6e-3  # m, and two radii: how far further in that is
+_CENTRING = 6  # steps to the middle of the first plane
 _LONGEST = 6  # radii that an end is followed
 
 Array = NDArray[np.float64]
@@ -92,21 +93,30 @@ def _sweep(
     """Goes along a vessel as long as its wall surrounds it: middles (3,) m, last direction, radius m about the last."""
     angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
     travel = np.arange(step, _REACH * radius, step)
-    centres: list[Array] = []
-    reaches: list[float] = []
-    whole = 0
-    back = max(4, round(radius / step))
-    for _ in range(int(_LONGEST * radius / step)):
+
+    def across(middle: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Reaches of the rays, which of them met a wall, and the way to the middle between those walls."""
         first, second = (v[0] for v in across_frames(normal[None]))
         rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
         struck = cavity.holds(wall, middle + travel[None, :, None] * rays[:, None, :])
         met = struck.any(axis=1)
+        if not met.any():
+            return travel, met, np.zeros(3)
+        reach = np.where(met, travel[np.argmax(struck, axis=1)], np.nan)
+        return reach, met, np.nanmean(np.minimum(reach, 1.3 * np.nanmedian(reach))[:, None] * rays, axis=0)
+
+    centres: list[Array] = []
+    reaches: list[float] = []
+    whole = 0
+    back = max(4, round(radius / step))
+    for _ in range(_CENTRING):
+        middle = middle + across(middle)[2]
+    for _ in range(int(_LONGEST * radius / step)):
+        reach, met, shift = across(middle)
         if cavity.holds(wall, middle) or met.mean() < _SURROUNDED:
             break
-        reach = np.where(met, travel[np.argmax(struck, axis=1)], np.nan)
         if reaches and np.nanmin(reach) < _CLOSING * np.median(reaches[-back:]):
             break
-        shift = np.nanmean(np.minimum(reach, 1.3 * np.nanmedian(reach))[:, None] * rays, axis=0)
         middle = middle + min(1.0, 0.5 * step / max(float(np.linalg.norm(shift)), 1e-12)) * shift
         centres.append(middle)
         reaches.append(float(np.nanpercentile(reach, 90)))
