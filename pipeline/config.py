@@ -16,6 +16,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from pipeline.errors import ConfigurationError
+from pipeline.provenance import hash_file
 
 CONFIG_DIRECTORY = Path(__file__).resolve().parent.parent / "conf"
 COARSEST_RESOLUTION_MM = 2.5
@@ -67,10 +68,23 @@ class PhantomsSettings:
     resolution_mm: float = 1.0  # spacing of the signed distance grid
     wall_thickness_mm: float = 1.5
     picture: bool = True
+    mesh: str | None = None  # surface file of an anatomy of one's own, which is then the only one
+    unit: str | None = None  # of that file
+    names: Any = None  # of its branches: a mapping from automatic names, or a list from the heart on
+    mesh_sha256: str | None = None  # filled in: the results depend on the file, not on its path
 
     def __post_init__(self) -> None:
         """Checks the sizes and that there is something to build."""
-        if not self.random_seeds:
+        self.mesh_sha256 = None
+        if self.mesh is not None:
+            if not Path(self.mesh).is_file():
+                raise ConfigurationError(
+                    f"phantom.mesh={self.mesh} is no file: give the path of an STL, OBJ or PLY file"
+                )
+            self.mesh_sha256 = hash_file(Path(self.mesh))
+        elif self.unit is not None or self.names is not None:
+            raise ConfigurationError("phantom.unit and phantom.names belong to a mesh: give phantom.mesh=PATH too")
+        elif not self.random_seeds:
             require_unique("stage.phantoms", self.phantoms)
         require_positive("stage.resolution_mm", self.resolution_mm)
         if self.resolution_mm > COARSEST_RESOLUTION_MM:
@@ -163,10 +177,20 @@ STAGE_SETTINGS: dict[str, type] = {
 
 
 @dataclass
+class OwnPhantom:
+    """An anatomy of one's own: ``phantom.mesh=PATH`` on the command line."""
+
+    mesh: str | None = None  # STL, OBJ or PLY
+    unit: str | None = None  # m, cm, mm or inch; detected when left out
+    names: Any = None
+
+
+@dataclass
 class RunConfig:
     """One run of one stage."""
 
     stage: Any = MISSING  # one of the settings above
+    phantom: OwnPhantom = field(default_factory=OwnPhantom)
     budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml: sizes that the stages refer to
     name: str = "${budget.name}"  # the run folder below runs_dir
     runs_dir: str = "runs"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,10 +23,11 @@ _MM = 1e3
 
 @dataclass(frozen=True)
 class Anatomy:
-    """One aorta to write: a named phantom, or a random one by its seed."""
+    """One aorta to write: a named phantom, a random one by its seed, or a mesh."""
 
     phantom: str
     seed: int | None = None
+    mesh: Path | None = None
 
     @property
     def label(self) -> str:
@@ -42,6 +44,14 @@ def check_phantoms(settings: PhantomsSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
+    if settings.mesh is not None:
+        from cathsim.anatomy.mesh_unit import check_unit
+
+        try:
+            check_unit(settings.unit)
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+        return
     require_known_phantoms(settings.phantoms, hint="; random ones by stage.random_seeds=[0,1]")
 
 
@@ -71,23 +81,36 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
         settings: which phantoms, how fine.
         context: where to write.
     """
-    from cathsim.anatomy import load_phantom
-
     anatomies = [Anatomy(name) for name in settings.phantoms]
     anatomies += [Anatomy("random", seed) for seed in settings.random_seeds]
+    if settings.mesh is not None:
+        anatomies = [Anatomy(_folder_name(Path(settings.mesh)), mesh=Path(settings.mesh))]
     for anatomy in context.folder.resumable(anatomies, key=lambda a: a.label, label="phantoms"):
         try:
-            phantom = load_phantom(anatomy.phantom, seed=anatomy.seed, resolution=settings.resolution_mm / _MM)
+            phantom = _build(anatomy, settings)
         except ValueError as error:
             raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {error}") from error
         folder = context.path / anatomy.label
         write_bundle(phantom, folder, wall_thickness=settings.wall_thickness_mm / _MM, picture=settings.picture)
         context.folder.mark_done(anatomy.label, dimensions(phantom))
     measured = {a.label: context.folder.result_of(a.label) for a in anatomies}
-    models = {a.label: {"convex_hulls": "none", "source": "parametric"} for a in anatomies}
+    models = {a.label: {"convex_hulls": "none", "source": "mesh" if a.mesh else "parametric"} for a in anatomies}
     write_results(context.path, {"phantoms": measured, "aortas": models})
     if settings.picture:
         write_figures(context.path, [_figure(a, measured[a.label] or {}) for a in anatomies])
+
+
+def _build(anatomy: Anatomy, settings: PhantomsSettings) -> Phantom:
+    from cathsim.anatomy import import_mesh, load_phantom
+
+    resolution = settings.resolution_mm / _MM
+    if anatomy.mesh is None:
+        return load_phantom(anatomy.phantom, seed=anatomy.seed, resolution=resolution)
+    return import_mesh(anatomy.mesh, unit=settings.unit, names=settings.names, resolution=resolution)
+
+
+def _folder_name(mesh: Path) -> str:
+    return re.sub(r"[^A-Za-z0-9_.+-]", "_", mesh.stem).lstrip(".") or "mesh"
 
 
 def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, picture: bool) -> None:
@@ -117,6 +140,8 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
             for e in phantom.entries.values()
         },
     })  # fmt: skip
+    if phantom.imported is not None:
+        write_json(folder / "import.json", phantom.imported.to_json())
     write_json(folder / "phantom.json", {"name": phantom.name, "hash": phantom.hash, **dimensions(phantom)})
     if picture:
         from cathsim.anatomy.picture import draw_phantom
@@ -164,6 +189,7 @@ STAGE = Stage(
     run=run_phantoms,
     writes=(
         "<phantom>/{lumen.stl, wall.stl, grid.npz, centrelines.json, targets.json, phantom.json, picture.png}",
+        "<phantom>/import.json (of a mesh)",
         "results.json",
         "figures.json",
     ),

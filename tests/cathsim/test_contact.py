@@ -7,13 +7,13 @@ import json
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, cast
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
-from cathsim.anatomy import ArchParameters, Entry, Phantom, SignedDistanceGrid
+from cathsim.anatomy import ArchParameters, Branch, Entry, Phantom, SignedDistanceGrid, VesselTree
 from cathsim.arena import model_spec
 from cathsim.contact import native
 from cathsim.contact.sdf import MAGIC, Vessel
@@ -77,7 +77,9 @@ def tube_phantom() -> Phantom:
     vessel = tube()
     entry = Entry("descending", np.zeros(3), UP)
     grid = SignedDistanceGrid(vessel.values, vessel.origin, vessel.spacing)
-    return Phantom("tube", "0" * 16, ArchParameters(), cast(Any, None), grid, {}, {"descending": entry})
+    axis = np.outer(np.linspace(0.0, 0.1, 11), UP)
+    tree = VesselTree((Branch("aorta", axis, np.full(11, 0.005)),))
+    return Phantom("tube", "0" * 16, ArchParameters(), tree, grid, {}, {"descending": entry})
 
 
 def test_distance_of_a_plane_is_exact() -> None:

@@ -79,7 +79,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
 
     ## Arguments
     Args:
-        phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), or a `Phantom`.
+        phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), the path of a mesh (STL, OBJ,
+            PLY), or a `Phantom`.
         target: "bca", "lcca", "lsa", or another of the phantom's targets: "rcca", "rsa", and 10 mm before the open ends
             "rcca_end", "rsa_end", "lcca_end", "lsa_end".
         entry: "descending" (femoral access) or "ascending".

@@ -3,6 +3,9 @@
 from .arch_parameters import Aneurysm, ArchParameters
 from .distance_grid import SignedDistanceGrid
 from .library import PHANTOMS, load_phantom
+from .mesh_import import import_mesh
+from .mesh_refusal import MeshRefusedError
+from .mesh_report import ImportReport
 from .phantom import Entry, Phantom, Target
 from .vessel_tree import Branch, VesselTree
 
@@ -12,9 +15,12 @@ __all__ = [
     "ArchParameters",
     "Branch",
     "Entry",
+    "ImportReport",
+    "MeshRefusedError",
     "Phantom",
     "SignedDistanceGrid",
     "Target",
     "VesselTree",
+    "import_mesh",
     "load_phantom",
 ]

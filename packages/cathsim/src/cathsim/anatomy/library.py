@@ -15,6 +15,7 @@ import numpy as np
 from .aortic_arch import build_arch
 from .arch_parameters import Aneurysm, ArchParameters
 from .lumen import build_lumen
+from .mesh_reading import is_mesh_path
 from .phantom import Phantom, locate_entries, locate_targets
 from .phantom_cache import PhantomCache, default_cache_directory
 
@@ -76,7 +77,8 @@ def load_phantom(
     """Loads a phantom, from memory, from the disk cache, or by building it.
 
     Args:
-        name: one of PHANTOMS; "random", which needs a seed; or with `parameters` any name of your own.
+        name: one of PHANTOMS; "random", which needs a seed; the path of a mesh (STL, OBJ, PLY); or with `parameters`
+            any name of your own.
         seed: which random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
@@ -89,6 +91,8 @@ def load_phantom(
         ValueError: for an unknown name, a missing or misplaced seed, or an impossible resolution.
     """
     if parameters is None:
+        if is_mesh_path(name):
+            return _import(name, seed, resolution, cache_dir)
         parameters = _parameters_of(name, seed)
         if name == "random":
             name = f"random_{seed}"
@@ -145,6 +149,14 @@ def build_phantom(name: str, parameters: ArchParameters, *, resolution: float = 
     )
 
 
+def _import(path: str, seed: int | None, resolution: float, cache_dir: Path | None) -> Phantom:
+    from .mesh_import import import_mesh
+
+    if seed is not None:
+        raise ValueError(f"a phantom from a mesh takes no seed, got {seed!r}; only 'random' does.")
+    return import_mesh(path, resolution=resolution, cache_dir=cache_dir)
+
+
 def _parameters_of(name: str, seed: int | None) -> ArchParameters:
     if name == "random":
         if seed is None or isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
@@ -153,7 +165,8 @@ def _parameters_of(name: str, seed: int | None) -> ArchParameters:
 
         return sample_parameters(np.random.default_rng(int(seed)))
     if name not in NAMED:
-        raise ValueError(f"unknown phantom {name!r}; choose from {', '.join(PHANTOMS)} or random (with a seed).")
+        known = f"{', '.join(PHANTOMS)} or random (with a seed)"
+        raise ValueError(f"unknown phantom {name!r}; choose from {known}, or give the path of a mesh.")
     if seed is not None:
         raise ValueError(f"phantom {name!r} takes no seed, got {seed!r}; only 'random' does.")
     return NAMED[name]

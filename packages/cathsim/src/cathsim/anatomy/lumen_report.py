@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .cross_section import wall_distances
 from .distance_grid import SignedDistanceGrid
 from .geodesic import centreline_path
 from .phantom import ENTRY_DEPTH, Phantom
 
 WIRE_RADIUS = 0.45e-3  # m
-_RAYS = 16
-_REACH = 0.030  # m: longer than any vessel's radius
 _SPECK = 8  # lattice points: what is smaller is rounding at an edge, not a chamber
 
 
@@ -106,16 +104,5 @@ def _radius_around(
     grid: SignedDistanceGrid, points: NDArray[np.float64], tangents: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Smallest distance (n,) m to the wall within the plane across the vessel, found along rays."""
-    aside = np.where(np.abs(tangents[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    first = np.cross(tangents, aside)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(tangents, first)
-    angles = np.arange(_RAYS) * 2 * math.pi / _RAYS
-    rays = np.cos(angles)[:, None, None] * first + np.sin(angles)[:, None, None] * second
-    travelled = np.zeros(rays.shape[:2])
-    for _ in range(60):  # sphere tracing from within: never steps across the wall
-        value = grid.sample(points + travelled[..., None] * rays)
-        travelled = np.minimum(travelled + np.maximum(value, 0.0), _REACH)
-        if float(np.max(np.where(travelled < _REACH, value, 0.0))) < 2e-5:
-            break
-    return travelled.min(axis=0)
+    radius: NDArray[np.float64] = wall_distances(grid, points, tangents)[0].min(axis=0)
+    return radius

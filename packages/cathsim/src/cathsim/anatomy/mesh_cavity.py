@@ -19,6 +19,9 @@ from .mesh_samples import SurfaceSamples
 _MARGIN = 4  # voxels of free space around the surface
 _ESCAPING = 0.2  # of all directions may lead out of a tunnel
 _LEAST_SPAN = 0.4  # of the surface's diagonal, which a lumen must span
+_PART_SPAN = 0.4  # of that, from which on a piece counts as a part of the lumen that was torn off ...
+_PART_SHARE = 0.05  # ... if it has this share of its volume
+_WALL_SHARE = 0.05  # of an enclosed room's volume: if a tunnel has more, that room is the tunnel's wall
 _LEAST_RADIUS = 2.5  # voxels, of the widest ball in a lumen
 _DIRECTIONS = tuple(
     step for step in product(range(-2, 3), repeat=3) if math.gcd(*step) == 1
@@ -60,84 +63,120 @@ class Cavity:
         return found
 
 
-def find_cavity(samples: SurfaceSamples, spacing: float) -> Cavity:
+@dataclass(frozen=True, eq=False)
+class _Room:
+    """A connected part of the lattice: its voxels within a box, widest ball and extent in voxels."""
+
+    part: Mask
+    box: tuple[slice, ...]
+    radius: float
+    span: float
+
+    @property
+    def volume(self) -> int:
+        return int(np.count_nonzero(self.part))
+
+    def whole(self, shape: tuple[int, ...]) -> Mask:
+        """Its voxels on the whole lattice."""
+        mask = np.zeros(shape, dtype=bool)
+        mask[self.box] = self.part
+        return mask
+
+
+def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = True) -> Cavity:
     """Finds the lumen of a surface whose borders are closed.
 
     Args:
-        samples: points on the surface, at most half a voxel apart.
-        spacing: m between voxels (or any other unit: nothing here depends on it).
+        samples: points on the surface, at most 0.7 voxels apart.
+        spacing: m between voxels.
+        in_metres: False where all lengths are in another unit, so that a refusal must not tell them.
 
     Returns:
-        The lumen; at a tunnel's ends it stops about a radius before the opening.
+        The lumen; at a tunnel's ends it stops somewhat before the opening.
 
     Raises:
         MeshRefusedError: where there is no lumen, or several that hang together nowhere.
     """
-    from scipy.ndimage import binary_dilation, distance_transform_edt, label
+    from scipy.ndimage import binary_dilation, label
 
     low, high = samples.points.min(axis=0), samples.points.max(axis=0)
     origin = low - _MARGIN * spacing
-    shape = tuple(int(n) for n in np.ceil((high - low) / spacing).astype(int) + 2 * _MARGIN + 1)
-    wall = np.zeros(shape, dtype=bool)
+    nx, ny, nz = (int(n) for n in np.ceil((high - low) / spacing).astype(int) + 2 * _MARGIN + 1)
+    wall = np.zeros((nx, ny, nz), dtype=bool)
     i, j, k = np.rint((samples.points - origin) / spacing).astype(np.int64).T
     wall[i, j, k] = True
-    diagonal = float(np.linalg.norm(high - low))
-
-    def rooms(mask: Mask) -> list[tuple[float, float, Mask, tuple[slice, ...]]]:
-        """Connected parts that span the surface, widest first: radius, volume, mask within a box, box."""
-        from scipy.ndimage import find_objects
-
-        labels, _ = label(mask)
-        found = []
-        for number, box in enumerate(find_objects(labels), start=1):
-            span = float(np.linalg.norm([s.stop - s.start for s in box])) * spacing
-            if span < _LEAST_SPAN * diagonal:
-                continue
-            part = labels[box] == number
-            radius = float(distance_transform_edt(np.pad(part, 1)).max())
-            if radius >= _LEAST_RADIUS:
-                found.append((radius * spacing, float(part.sum()), part, box))
-        return sorted(found, key=lambda room: -room[0])
-
     labels, _ = label(~wall)
     outside = labels == labels[0, 0, 0]
-    enclosed = rooms(~wall & ~outside)
-    tunnels = rooms(binary_dilation(_enclosed_voxels(wall) & outside, iterations=3, mask=outside))
-    if tunnels and (not enclosed or tunnels[0][0] > 0.5 * enclosed[0][0] or tunnels[0][1] > 0.05 * enclosed[0][1]):
-        kind, candidates = "tunnel", tunnels
-    elif enclosed:
-        kind, candidates = "closed lumen", enclosed
+    span = _LEAST_SPAN * float(np.linalg.norm(high - low)) / spacing
+    enclosed = _rooms(~wall & ~outside, span)
+    tunnels = _rooms(binary_dilation(_enclosed_voxels(wall) & outside, iterations=3, mask=outside), span)
+    deep = [room for room in enclosed if _is_lumen(room, span)]
+    through = [room for room in tunnels if _is_lumen(room, span)]
+    if through and (
+        not deep or through[0].radius > 0.5 * deep[0].radius or through[0].volume > _WALL_SHARE * deep[0].volume
+    ):
+        kind, chosen, rivals = "tunnel", through[0], [r for r in tunnels if r.radius > 0.4 * through[0].radius]
+    elif deep:
+        kind, chosen, rivals = "closed lumen", deep[0], enclosed
+        around = [room for room in deep[1:] if _surrounds(room, chosen, wall.shape)]
+        within = [room for room in deep[1:] if _surrounds(chosen, room, wall.shape)]
+        if around or within:
+            kind, chosen = "lumen in a closed wall", within[0] if within else chosen
+        rivals = [room for room in rivals if room not in [*around, *within]]
     else:
+        raise MeshRefusedError(_why_none([*enclosed, *tunnels], span, spacing, in_metres=in_metres))
+    rivals = [r for r in rivals if r.radius >= _LEAST_RADIUS and r.volume >= _PART_SHARE * chosen.volume]
+    if len(rivals) > 1:
         raise MeshRefusedError(
+            f"the lumen falls into {len(rivals)} parts that do not hang together; join them, or give one of them."
+        )
+    return Cavity(chosen.whole(wall.shape), wall, origin, spacing, kind, chosen.radius * spacing)
+
+
+def _rooms(mask: Mask, span: float) -> list[_Room]:
+    """Connected parts that are not much shorter than a span, widest first."""
+    from scipy.ndimage import distance_transform_edt, find_objects, label
+
+    labels, _ = label(mask)
+    found = []
+    for number, box in enumerate(find_objects(labels), start=1):
+        extent = float(np.linalg.norm([s.stop - s.start for s in box]))
+        if extent >= _PART_SPAN * span:
+            part = labels[box] == number
+            radius = float(distance_transform_edt(np.pad(part, 1)).max())
+            found.append(_Room(part, box, radius, extent))
+    return sorted(found, key=lambda room: -room.radius)
+
+
+def _is_lumen(room: _Room, span: float) -> bool:
+    return room.span >= span and room.radius >= _LEAST_RADIUS
+
+
+def _surrounds(outer: _Room, inner: _Room, shape: tuple[int, ...]) -> bool:
+    """Whether a room lies all around another, walls between them left out of account."""
+    from scipy.ndimage import binary_dilation, binary_fill_holes
+
+    shell = binary_dilation(outer.whole(shape), iterations=3)
+    return bool(binary_fill_holes(shell)[inner.box][inner.part].mean() > 0.95)
+
+
+def _why_none(rooms: list[_Room], span: float, spacing: float, *, in_metres: bool) -> str:
+    long = [room.radius for room in rooms if room.span >= span]
+    if not long:
+        return (
             "no lumen was found: no cavity of the surface is enclosed over its length; "
             "expected the surface of a hollow vessel, closed or open at its ends."
         )
-    radius, _, part, box = candidates[0]
-    if kind == "closed lumen" and len(candidates) > 1:
-        chosen = _innermost(candidates, labels.shape)
-        if chosen is None:
-            raise MeshRefusedError(
-                f"the lumen falls into {len(candidates)} parts that do not hang together; join them, or give one of them."
-            )
-        kind, (radius, _, part, box) = "lumen in a closed wall", candidates[chosen]
-    inside = np.zeros(shape, dtype=bool)
-    inside[box] = part
-    return Cavity(inside, wall, origin, spacing, kind, radius)
-
-
-def _innermost(rooms: list[tuple[float, float, Mask, tuple[slice, ...]]], shape: tuple[int, ...]) -> int | None:
-    """Which enclosed room all others surround, None where they lie side by side."""
-    for number, (_, _, _, box) in enumerate(rooms):
-        others = [other for k, (_, _, _, other) in enumerate(rooms) if k != number]
-        if all(
-            all(o.start <= s.start and s.stop <= o.stop for s, o in zip(box, other, strict=True)) for other in others
-        ):
-            return number
-    return None
+    width, needed = 2 * max(long), 2 * _LEAST_RADIUS
+    measured = (
+        f"it is {width * spacing * 1e3:.1f} mm wide, {needed * spacing * 1e3:.1f} mm are needed at this resolution"
+    )
+    relative = f"it is {width / span * _LEAST_SPAN:.1%} of the whole's size wide"
+    return f"the lumen is too narrow for a wire: at its widest {measured if in_metres else relative}."
 
 
 def _enclosed_voxels(wall: Mask) -> Mask:
-    """Voxels, not quite up to the wall, that see walls in nearly all directions; judged on a lattice of half the fineness."""
+    """Voxels, not quite up to the wall, that see walls in most directions; judged at half the fineness."""
     from scipy.ndimage import binary_dilation
 
     even = np.pad(wall, [(0, n % 2) for n in wall.shape])

@@ -18,6 +18,7 @@ from .mesh_samples import SurfaceSamples, sample_surface
 _EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them
 _SWEPT = 1.8  # radii before a flat end over which the lumen is filled across the vessel
 _CLEARLY = 0.8  # voxels by which a triangle's two sides must differ in their distance to the lumen
+_LOOSE = 1.8  # voxels: nearer to a triangle than this a point is in or out as that triangle says
 _FACING = 2.0  # voxels between the lumen's voxels and the triangles that bound it, at most
 
 Array = NDArray[np.float64]
@@ -86,9 +87,7 @@ def _swept(end: VesselEnd, cavity: Cavity) -> Array:
     return np.concatenate(points) if points else middles
 
 
-def lumen_samples(
-    samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: Sequence[VesselEnd]
-) -> SurfaceSamples:
+def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: Sequence[VesselEnd]) -> SurfaceSamples:
     """The part of a surface that bounds the lumen, with patches over its gaps.
 
     Args:
@@ -147,7 +146,11 @@ def _patches(points: Array, cavity: Cavity, away: NDArray[np.float32], inside: M
     size = 0.8 * cavity.spacing
     points = points - 0.5 * cavity.spacing * normal
     return np.stack(
-        [points + size * first, points + size * (0.87 * second - 0.5 * first), points - size * (0.87 * second + 0.5 * first)],
+        [
+            points + size * first,
+            points + size * (0.87 * second - 0.5 * first),
+            points - size * (0.87 * second + 0.5 * first),
+        ],
         axis=1,
     )
 
@@ -189,14 +192,15 @@ def distance_grid(
     chosen = np.argwhere(far < -OUTSIDE + 2 * resolution)
     points = (origin + chosen * resolution - offset) @ rotation
     distance, _ = surface.tree.query(points)
-    sign = np.where(cavity.holds(inside, points), 1.0, -1.0)
+    # A voxel next to the lumen and far from what bounds it belongs to a loose sheet in it, which is no wall.
+    away = distance_transform_edt(~inside).astype(np.float32)
+    sign = np.where(cavity.holds(away <= _LOOSE, points), 1.0, -1.0)
     close = np.flatnonzero(distance < _EXACT)
     exact, place, face = surface.nearest(points[close])
     distance[close] = exact
     side = np.einsum("ij,ij->i", points[close] - place, surface.normals[face])
     # Within the wall's own voxels only the triangle itself tells the side.
-    away = distance_transform_edt(~inside).astype(np.float32)
-    unsure = (exact < 1.8 * cavity.spacing) & cavity.holds(away <= _FACING + 1, points[close])
+    unsure = (exact < _LOOSE * cavity.spacing) & cavity.holds(away <= _FACING + 1, points[close])
     sign[close[unsure]] = np.where(side[unsure] >= 0, 1.0, -1.0)
     distance *= sign
     for end in ends:

@@ -58,6 +58,8 @@ def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) 
     radius = float(depth[start])
     # The way bends to its corner a little before that.
     start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
+    first = max(start - 4, min(start, 2))
+    start = first + int(np.argmax(depth[first : start + 1]))
     inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
     centres, normal, reach = _sweep(cavity, wall, inner[-1], _direction(inner, 1.5 * radius), radius, step)
     if len(centres) < 3:
@@ -82,7 +84,7 @@ def _direction(points: Array, length: float) -> Array:
     some = points[from_end <= length]
     if len(some) < 3:
         some = points[-3:]
-    _, _, axes = np.linalg.svd(some - some.mean(axis=0))
+    _, _, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
     direction: Array = axes[0] * np.sign(axes[0] @ (some[-1] - some[0]))
     return direction
 
@@ -99,15 +101,16 @@ def _sweep(
         first, second = (v[0] for v in across_frames(normal[None]))
         rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
         struck = cavity.holds(wall, middle + travel[None, :, None] * rays[:, None, :])
-        met = struck.any(axis=1)
+        met: NDArray[np.bool_] = struck.max(axis=1)
         if not met.any():
             return travel, met, np.zeros(3)
-        reach = np.where(met, travel[np.argmax(struck, axis=1)], np.nan)
-        return reach, met, np.nanmean(np.minimum(reach, 1.3 * np.nanmedian(reach))[:, None] * rays, axis=0)
+        reach: Array = np.where(met, travel[np.argmax(struck, axis=1)], np.nan)
+        shift: Array = np.nanmean(np.minimum(reach, 1.3 * np.nanmedian(reach))[:, None] * rays, axis=0)
+        return reach, met, shift
 
     centres: list[Array] = []
     reaches: list[float] = []
-    whole = 0
+    whole, thick = 0, cavity.spacing
     back = max(4, round(radius / step))
     for _ in range(_CENTRING):
         middle = middle + across(middle)[2]
@@ -115,7 +118,8 @@ def _sweep(
         reach, met, shift = across(middle)
         if cavity.holds(wall, middle) or met.mean() < _SURROUNDED:
             break
-        if reaches and np.nanmin(reach) < _CLOSING * np.median(reaches[-back:]):
+        # The wall's voxels are thickened by one, which counts in a narrow vessel.
+        if reaches and np.nanmin(reach) + thick < _CLOSING * (np.median(reaches[-back:]) + thick):
             break
         middle = middle + min(1.0, 0.5 * step / max(float(np.linalg.norm(shift)), 1e-12)) * shift
         centres.append(middle)

@@ -8,7 +8,7 @@ import logging
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,14 +21,14 @@ from .mesh_cavity import Cavity, find_cavity
 from .mesh_distance import distance_grid, lumen_samples, trim_cavity
 from .mesh_ends import VesselEnd, find_end
 from .mesh_naming import ascending_score, name_vessels, ordered_names, renamed, world_rotation
-from .mesh_reading import SUFFIXES, clean_triangles, close_openings, read_triangles
+from .mesh_reading import clean_triangles, close_openings, read_triangles
 from .mesh_refusal import MeshRefusedError, draw_refusal
 from .mesh_report import ImportReport
 from .mesh_samples import SurfaceSamples, sample_surface
-from .mesh_targets import propose_targets
+from .mesh_targets import propose_entries, propose_targets
 from .mesh_tree import TreeSettings, grow_tree
 from .mesh_unit import UNITS, check_unit, detect_unit
-from .phantom import Phantom, locate_entries
+from .phantom import Phantom
 from .phantom_cache import PhantomCache, default_cache_directory
 
 logger = logging.getLogger(__name__)
@@ -42,18 +42,6 @@ _MOST_VOXELS = 40_000_000
 _importing = threading.Lock()
 Names = Mapping[str, str] | Sequence[str] | None
 Array = NDArray[np.float64]
-
-
-def is_mesh_path(name: str) -> bool:
-    """Whether a phantom's name is a path to a mesh.
-
-    Args:
-        name: what was given.
-
-    Returns:
-        True where it ends like one.
-    """
-    return name.lower().endswith(SUFFIXES)
 
 
 def import_mesh(
@@ -86,8 +74,7 @@ def import_mesh(
         raise ValueError(f"resolution must lie in [{FINEST:g}, {COARSEST:g}] m for a mesh, got {resolution!r}.")
     path = Path(path).expanduser()
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
-    chosen: tuple[tuple[str, str], ...] | tuple[str, ...] | None
-    chosen = None if not names else tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
+    chosen: tuple | None = None if not names else tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
     with _importing:
         return _load(path, _digest(path, unit, chosen, float(resolution)), unit, chosen, float(resolution), directory)
 
@@ -117,7 +104,7 @@ def _load(
             phantom = build.phantom(digest)
         except MeshRefusedError as error:
             picture = build.picture(error.reason, directory / "refused" / f"{path.stem}-{digest[:12]}.png")
-            raise MeshRefusedError(error.reason, picture) from error
+            raise MeshRefusedError(error.reason, picture) from None
         cache.write(phantom)
     return phantom
 
@@ -188,8 +175,8 @@ class _Import:
         targets, shortened = propose_targets(tree)
         if not targets:
             raise MeshRefusedError("no branch of this vessel is wide and long enough for a wire and a target.")
-        entries = locate_entries(tree)
-        phantom = Phantom(self.path.stem, digest, None, tree, grid, targets, entries)
+        entries = propose_entries(tree)
+        phantom = Phantom(self.path.stem, digest, None, tree, grid, targets, entries)  # knows the way to each target
         names_found = {automatic[key]: name for key, name in final.items() if name in tree}
         report = ImportReport(
             file=self.path.name,
@@ -208,8 +195,7 @@ class _Import:
         )
         for note in report.notes:
             logger.info("%s: %s.", self.path.name, note)
-        object.__setattr__(phantom, "imported", report)
-        return phantom
+        return replace(phantom, imported=report)
 
     def picture(self, reason: str, path: Path) -> Path | None:
         """Draws what came."""

@@ -86,11 +86,12 @@ def name_vessels(aorta: Vessel) -> tuple[dict[int, str], tuple[str, ...]]:
     notes = []
     candidates = sorted(aorta.children, key=lambda child: -child.radius)
     upward = [c for c in candidates if c.tip[2] > c.points[0][2]] or candidates
+    chosen: tuple[str, ...] = SUPRA_AORTIC
     arch = sorted(upward[:3], key=lambda child: -child.start)
     if len(arch) == 2:
         carotid = _left_carotid(*arch)
         chosen = ("bca", "lcca") if carotid is None else ("bca", "lsa")
-        why = "there is no third" if carotid is None else "one end of the first lies by the second, as a common trunk's"
+        why = "there is no third" if carotid is None else "the first looks like the common trunk of BCA and LCCA"
         notes.append(f"the arch has two branches, called {chosen[0]} and {chosen[1]}: {why}")
         if carotid is not None:
             names[id(carotid)] = "lcca"
@@ -100,8 +101,6 @@ def name_vessels(aorta: Vessel) -> tuple[dict[int, str], tuple[str, ...]]:
     elif len(arch) == 1:
         chosen = ("bca",)
         notes.append("the arch has one branch, called bca")
-    else:
-        chosen = SUPRA_AORTIC
     for name, vessel in zip(chosen, arch, strict=True):
         names[id(vessel)] = name
         if name == "bca":
@@ -119,11 +118,13 @@ def name_vessels(aorta: Vessel) -> tuple[dict[int, str], tuple[str, ...]]:
 
 
 def _left_carotid(trunk: Vessel, last: Vessel) -> Vessel | None:
-    """The daughter of a trunk whose end lies nearer to the arch's last branch than to the trunk's other ends."""
+    """The daughter of a trunk that is the left carotid: of three the leftmost, of two one that ends by the LSA."""
     daughters = [d for d in trunk.children if len(d.ends) == 1]
     if not daughters:
         return None
     leftmost = max(daughters, key=lambda d: d.tip[0])
+    if len(trunk.ends) > 2:  # more than the two arteries of the right side
+        return leftmost
     others = [d.tip for d in trunk.children if d is not leftmost]
     if trunk.end is not None:
         others.append(trunk.tip)
@@ -133,9 +134,7 @@ def _left_carotid(trunk: Vessel, last: Vessel) -> Vessel | None:
 
 def _name_trunk(trunk: Vessel, names: dict[int, str]) -> None:
     """Names the subclavian and the carotid artery of the right side."""
-    pair = sorted(
-        (c for c in trunk.children if len(c.ends) == 1 and id(c) not in names), key=lambda c: -c.radius
-    )[:2]
+    pair = sorted((c for c in trunk.children if len(c.ends) == 1 and id(c) not in names), key=lambda c: -c.radius)[:2]
     if len(pair) == 2:
         pair.sort(key=_rise)
         names[id(pair[0])], names[id(pair[1])] = "rsa", "rcca"

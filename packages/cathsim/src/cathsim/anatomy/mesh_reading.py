@@ -60,6 +60,18 @@ class Triangles:
         return Triangles(self.vertices * factor, self.faces)
 
 
+def is_mesh_path(name: str) -> bool:
+    """Whether a phantom's name is a path to a mesh.
+
+    Args:
+        name: what was given.
+
+    Returns:
+        True where it ends like one.
+    """
+    return name.lower().endswith(SUFFIXES)
+
+
 def read_triangles(path: Path) -> Triangles:
     """Reads the triangles of an STL, OBJ or PLY file.
 
@@ -95,9 +107,8 @@ def read_triangles(path: Path) -> Triangles:
     faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
     if faces.ndim != 2 or faces.shape[-1] != 3 or len(faces) < 4 or vertices.ndim != 2:
         raise MeshRefusedError(f"{path.name} holds no surface ({len(faces)} triangles): {expected}.")
-    sound = np.isfinite(vertices).all(axis=1)[faces].all(axis=1)
-    if not sound.all():
-        faces = faces[sound]
+    finite: NDArray[np.bool_] = np.isfinite(vertices).min(axis=1)
+    faces = faces[finite[faces].min(axis=1)]
     if len(faces) < 4 or np.ptp(vertices[faces].reshape(-1, 3), axis=0).max() <= 0:
         raise MeshRefusedError(f"{path.name} holds no surface with finite coordinates: {expected}.")
     return Triangles(vertices, faces)

@@ -53,9 +53,7 @@ def draw_refusal(surface: Array, found: Array, reason: str, path: Path) -> Path 
     rng = np.random.default_rng(0)
     shown = surface[rng.permutation(len(surface))[:_MOST_POINTS]]
     inner = found[rng.permutation(len(found))[:_MOST_POINTS]]
-    for panel, (across, up, depth) in zip(
-        figure.subplots(1, 3), ((0, 2, 1), (1, 2, 0), (0, 1, 2)), strict=True
-    ):
+    for panel, (across, up, depth) in zip(figure.subplots(1, 3), ((0, 2, 1), (1, 2, 0), (0, 1, 2)), strict=True):
         order = np.argsort(shown[:, depth])
         panel.scatter(*shown[order][:, [across, up]].T, c=shown[order][:, depth], s=0.4, cmap="Greys", alpha=0.5)
         if len(inner):

@@ -1,11 +1,14 @@
-"""Targets in an imported vessel tree: where the named phantoms have theirs, nearer where a branch is short."""
+"""Targets and entries of an imported vessel tree: where the named phantoms have theirs, as far as there is room."""
 
 from __future__ import annotations
 
-from .phantom import END_CLEARANCE, TARGET_DISTANCE, Target
+import numpy as np
+
+from .phantom import END_CLEARANCE, ENTRY_DEPTH, TARGET_DISTANCE, Entry, Target
 from .vessel_tree import VesselTree
 
 OTHER_DISTANCE = 0.030  # m beyond the ostium, in branches that the named phantoms do not have
+ENTRY_CHORD = 0.010  # m of centreline that give an entry its direction: a cut end is often flared or aslant
 _LEAST = 5e-3  # m beyond the ostium: nearer than this a place is no target
 
 
@@ -37,3 +40,24 @@ def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...
             )
         targets[branch.name] = Target(branch.name, branch.name, branch.point_at(ostium + distance), ostium + distance)
     return targets, tuple(notes)
+
+
+def propose_entries(tree: VesselTree) -> dict[str, Entry]:
+    """Proposes entries at the two ends of the aorta.
+
+    Args:
+        tree: the vessels; the root runs from the descending end to the ascending one.
+
+    Returns:
+        Entries "descending" and "ascending".
+    """
+    aorta = tree.root
+    entries = {}
+    for name, near, far in (
+        ("descending", ENTRY_DEPTH, ENTRY_DEPTH + ENTRY_CHORD),
+        ("ascending", aorta.length - ENTRY_DEPTH, aorta.length - ENTRY_DEPTH - ENTRY_CHORD),
+    ):
+        position = aorta.point_at(near)
+        way = aorta.point_at(far) - position
+        entries[name] = Entry(name, position, way / np.linalg.norm(way))
+    return entries

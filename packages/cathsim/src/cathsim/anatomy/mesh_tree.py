@@ -18,6 +18,7 @@ STEP = 1e-3  # m between centreline points
 _ROUNDS = 10
 _RAYS = 24
 _SIDE = 1.3  # median radii beyond which a ray is taken to look into another vessel
+_FORK = 0.9  # radii by which a fork lies before the place where the ways part
 _END_SETBACK = 3e-3  # m from a flat end at which radii are still measured
 
 Array = NDArray[np.float64]
@@ -101,13 +102,18 @@ def _branch(
         outside = int(np.flatnonzero(distance > parent.radius_at(at))[0])
     points = _centred(raw, grid, outside, smoothing=1.5e-3)
     radius = _radii(points, grid, outside)
+    if any(child.from_fork for child in vessel.children):
+        # Ways part where no ball fills the lumen any more; the daughters' centrelines meet about a radius before.
+        keep = max(int(np.searchsorted(arc_length(points), arc_length(points)[-1] - _FORK * radius[-6:].min())), 4)
+        points, radius = points[:keep], radius[:keep]
     narrow = np.flatnonzero((radius < settings.least_radius) & (np.arange(len(points)) >= outside))
     note, open_end = "", vessel.end is not None
     if len(narrow):
         cut = int(narrow[0])
         note = f"{name} ends where its radius falls below {settings.least_radius * 1e3:.1f} mm"
         points, radius, open_end = points[:cut], radius[:cut], False
-    if len(points) < 4 or (len(points) - 1 - outside) * STEP < settings.least_length and not vessel.children:
+    short = (len(points) - 1 - outside) * STEP < settings.least_length and not vessel.children
+    if len(points) < 4 or short:
         return None, f"{name} left out: it is too short or too narrow for a wire"
     return Branch(name, points, radius, parent.name, start_arc, open_end), note
 

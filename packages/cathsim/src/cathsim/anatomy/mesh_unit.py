@@ -42,10 +42,9 @@ def detect_unit(mesh: Triangles) -> tuple[str, str]:
         MeshRefusedError: where there is no lumen, or in no unit could it be an aorta's.
     """
     spacing = mesh.extent / _VOXELS
-    width = 2 * find_cavity(sample_surface(mesh.corners, 0.7 * spacing), spacing).widest
+    width = 2 * find_cavity(sample_surface(mesh.corners, 0.7 * spacing), spacing, in_metres=False).widest
     scores = {
-        unit: math.log(width * metres / _WIDTH) ** 2
-        + _EXTENT_WEIGHT * math.log(mesh.extent * metres / _EXTENT) ** 2
+        unit: math.log(width * metres / _WIDTH) ** 2 + _EXTENT_WEIGHT * math.log(mesh.extent * metres / _EXTENT) ** 2
         for unit, metres in UNITS.items()
     }
     best, second = sorted(scores, key=lambda unit: scores[unit])[:2]

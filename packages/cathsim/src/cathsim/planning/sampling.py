@@ -30,9 +30,9 @@ class ExpertSettings:
         free_force: N.
     """
 
-    horizon: int = 12
+    horizon: int = 18
     hold: int = 3
-    execute: int = 4
+    execute: int = 6
     samples: int = 24
     elites: int = 5
     rounds: int = 3
