@@ -192,7 +192,7 @@ def main() -> None:
     arguments = parser.parse_args()
     quick = arguments.quick
     result = speeds(rounds=3 if quick else 9, steps=600 if quick else 1500)
-    result["vector_speedup"] = vector_speedup(rounds=3 if quick else 7, steps=40 if quick else 100)
+    result["vector_speedup"] = vector_speedup(rounds=3 if quick else 7, steps=150)
     result |= penetration(arguments.steps or (3000 if quick else 40000))
     print(json.dumps({name: round(value, 4) for name, value in result.items()}))
 

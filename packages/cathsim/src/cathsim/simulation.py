@@ -239,6 +239,11 @@ class Simulation:
         self._native_step(self._rung.reference, *self._arguments)
 
     @property
+    def last_effort(self) -> int:
+        """What the last control step cost, in steps of one link: a guess of what the next one will."""
+        return (self.substeps + self.summary.refined * self.numerics.refinement) * self.active_links
+
+    @property
     def valid(self) -> bool:
         """Whether the state is finite and MuJoCo has not complained about it."""
         return self.summary.warnings == 0 and bool(np.isfinite(self.data.qpos).all())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -71,10 +70,11 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
     def _each(self, work: Callable[[int], Any]) -> list[Any]:
         """Does the work for every environment, each thread taking the next one that is left."""
         results: list[Any] = [None] * self.num_envs
-        order = itertools.count()
+        # the likely longest first, so that no thread is left with a long one at the end
+        queue = iter(sorted(range(self.num_envs), key=lambda index: -self.envs[index].simulation.last_effort))
 
         def run() -> None:
-            while (index := next(order)) < self.num_envs:
+            for index in queue:
                 results[index] = work(index)
 
         if self._pool is None:

@@ -21,7 +21,8 @@ _ESCAPING = 0.2  # of all directions may lead out of a tunnel
 _LEAST_SPAN = 0.4  # of the surface's diagonal, which a lumen must span
 _PART_SPAN = 0.4  # of that, from which on a piece counts as a part of the lumen that was torn off ...
 _PART_SHARE = 0.05  # ... if it has this share of its volume
-_WALL_SHARE = 0.05  # of an enclosed room's volume: if a tunnel has more, that room is the tunnel's wall
+_WALL_SHARE = 0.4  # of an enclosed room's radius: if a tunnel's is larger, that room is the tunnel's wall
+_GROWN = 3  # voxels by which a tunnel is grown up to its wall
 _LEAST_RADIUS = 2.5  # voxels, of the widest ball in a lumen
 _DIRECTIONS = tuple(
     step for step in product(range(-2, 3), repeat=3) if math.gcd(*step) == 1
@@ -109,12 +110,11 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = Tr
     outside = labels == labels[0, 0, 0]
     span = _LEAST_SPAN * float(np.linalg.norm(high - low)) / spacing
     enclosed = _rooms(~wall & ~outside, span)
-    tunnels = _rooms(binary_dilation(_enclosed_voxels(wall) & outside, iterations=3, mask=outside), span)
+    tunnels = _rooms(binary_dilation(_enclosed_voxels(wall) & outside, iterations=_GROWN, mask=outside), span)
     deep = [room for room in enclosed if _is_lumen(room, span)]
     through = [room for room in tunnels if _is_lumen(room, span)]
-    if through and (
-        not deep or through[0].radius > 0.5 * deep[0].radius or through[0].volume > _WALL_SHARE * deep[0].volume
-    ):
+    # Hollows between vessels pass for narrow tunnels: a lumen is not much narrower than what it lies in.
+    if through and (not deep or through[0].radius - _GROWN > _WALL_SHARE * deep[0].radius):
         kind, chosen, rivals = "tunnel", through[0], [r for r in tunnels if r.radius > 0.4 * through[0].radius]
     elif deep:
         kind, chosen, rivals = "closed lumen", deep[0], enclosed

@@ -54,7 +54,7 @@ def grow_tree(
     notes: list[str] = []
     root = _main(aorta, grid)
     branches = [root]
-    queue = [(child, root) for child in aorta.children]
+    queue = [(child, root) for child in sorted(aorta.children, key=lambda child: -child.start)]  # from the heart on
     while queue:
         vessel, parent = queue.pop(0)
         name = names[id(vessel)]
