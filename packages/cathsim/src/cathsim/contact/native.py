@@ -131,9 +131,10 @@ def library() -> ctypes.CDLL:
     if native.cathsim_sources().decode() != _sources_digest(native.cathsim_sources().decode()):
         raise ImportError("cathsim's native code is older than its sources: run 'make setup', or install cathsim again")
     if native.cathsim_header_version() != mujoco.mj_version():
+        built, running = native.cathsim_header_version(), mujoco.mj_version()
         raise ImportError(
-            f"cathsim's native code was built for MuJoCo {native.cathsim_header_version()}, but {mujoco.mj_version()} "
-            "is running: reinstall cathsim with 'pip install --force-reinstall --no-deps ./packages/cathsim'"
+            f"cathsim's native code was built for MuJoCo {built} and {running} is running: "
+            "reinstall cathsim with 'pip install --force-reinstall --no-deps ./packages/cathsim'"
         )
     native.cathsim_vessel_register.argtypes = (
         [ctypes.c_void_p] * 2
