@@ -290,7 +290,7 @@ def test_without_dm_control_one_sentence_says_what_to_install(run_python: Callab
         "except ImportError as error:\n"
         "    print(error)\n"
     )
-    expected = 'cathsim.composer needs dm_control: install it with pip install "endonav-cathsim[dm_control]"'
+    expected = 'cathsim.composer needs dm_control: install it with pip install "endonav-cathsim[composer]"'
     assert run_python(snippet).strip() == expected
 
 

@@ -36,6 +36,7 @@ def test_an_environment_needs_no_learning_library(run_python: Callable[[str], st
         "env.reset(seed=0); env.step(env.action_space.sample())\n"
         "print(json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
     )
+    run_python("import cathsim; cathsim.load_phantom('type_1')")  # building a phantom needs more than using it
     loaded = set(json.loads(run_python(snippet)))
     assert "mujoco" in loaded
     assert not {"torch", "dm_control", "stable_baselines3", "matplotlib", "OpenGL", "trimesh", "skimage"} & loaded

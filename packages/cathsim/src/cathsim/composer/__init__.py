@@ -8,7 +8,7 @@ timestep = environment.reset()
 timestep = environment.step(environment.action_spec().maximum)
 ```
 
-It needs dm_control: `pip install "endonav-cathsim[dm_control]"`.
+It needs dm_control: `pip install "endonav-cathsim[composer]"`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ except ModuleNotFoundError as error:
     if error.name is None or error.name.split(".")[0] not in ("dm_control", "dm_env"):
         raise
     raise ImportError(
-        'cathsim.composer needs dm_control: install it with pip install "endonav-cathsim[dm_control]"'
+        'cathsim.composer needs dm_control: install it with pip install "endonav-cathsim[composer]"'
     ) from error
 
 from cathsim.composer.compatibility import forget_dropped_fields
