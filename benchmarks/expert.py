@@ -14,25 +14,27 @@ import itertools
 import json
 import os
 import time
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from cathsim import NavigateEnv
+from cathsim import Guidewire, NavigateEnv, Phantom
 from cathsim.planning.sampling import SamplingExpert
 
 TASKS = tuple(itertools.product(("type_1", "type_2"), ("bca", "lcca")))
 QUICK_SECONDS = 30.0
 
 
-def episode(phantom: str, target: str, seed: int) -> dict[str, float]:
+def episode(phantom: str | Phantom, target: str, seed: int, wire: str | Guidewire = "default") -> dict[str, float]:
     """Runs one episode; steps, success, largest force and processor seconds."""
-    environment = NavigateEnv(phantom, target, observation="tip")
+    environment = NavigateEnv(phantom, target, wire=wire, observation="tip")
     expert = SamplingExpert(environment, seed=seed)
     start = time.process_time()
     environment.reset(seed=seed)
-    force, done, info = 0.0, False, {}
+    force, done = 0.0, False
+    info: dict[str, Any] = {}
     while not done:
         _, _, terminated, truncated, info = environment.step(expert.action())
         force = max(force, info["force"])

@@ -19,17 +19,16 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from cathsim import NavigateEnv, load_guidewire
+from benchmarks.expert import episode
+from cathsim import load_guidewire
 from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.guidewire import Guidewire
-from cathsim.planning.sampling import SamplingExpert
 
 QUICK_SECONDS = 25.0
 
@@ -39,27 +38,6 @@ def wire_for(phantom: Phantom, targets: list[str]) -> Guidewire:
     wire = load_guidewire("default")
     longest = max(phantom.way_length(target) for target in targets)
     return wire.scaled(max(wire.length, math.ceil((1.2 * longest + 0.04) / 0.008) * 0.008))
-
-
-def episode(phantom: Phantom, target: str, wire: Guidewire, seed: int) -> dict[str, float]:
-    """Runs one episode; steps, success, largest force and processor seconds."""
-    environment = NavigateEnv(phantom, target, wire=wire, observation="tip")
-    expert = SamplingExpert(environment, seed=seed)
-    start = time.process_time()
-    environment.reset(seed=seed)
-    force, done = 0.0, False
-    info: dict[str, Any] = {}
-    while not done:
-        _, _, terminated, truncated, info = environment.step(expert.action())
-        force = max(force, info["force"])
-        done = terminated or truncated
-    expert.close()
-    return {
-        "steps": environment.steps,
-        "success": float(info["success"]),
-        "force": force,
-        "seconds": time.process_time() - start,
-    }
 
 
 def main() -> None:
@@ -111,7 +89,7 @@ def main() -> None:
                 if arguments.quick and time.perf_counter() - began > QUICK_SECONDS:
                     print(f"  no time left for {target}")
                     continue
-                runs[target].append(episode(phantom, target, wire, seed))
+                runs[target].append(episode(phantom, target, seed, wire))
         print(f"{'target':12s}{'seeds':>7s}{'success %':>11s}{'steps':>8s}{'force max, N':>14s}{'CPU s':>8s}")
         done = [e["success"] for episodes in runs.values() for e in episodes]
         result["success_pct"] = round(100 * float(np.mean(done)), 1) if done else None
