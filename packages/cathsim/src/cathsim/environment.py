@@ -85,7 +85,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             "rcca_end", "rsa_end", "lcca_end", "lsa_end".
         entry: "descending" (femoral access) or "ascending".
         wire: a preset's name or a `Guidewire`; for far targets a longer one, load_guidewire("default").scaled(0.36).
-        accuracy: "accurate", "fast" (1.4 times as fast, deeper contacts), "reference", or an `Accuracy`.
+        accuracy: "accurate", "fast" (about twice as fast, deeper contacts), "reference", or an `Accuracy`.
         actions: "feeder" or "tip_motors".
         observation: see above.
         image_size: side of the images, px (the thesis uses 80 and 128; the public biplane data set has 1,024).

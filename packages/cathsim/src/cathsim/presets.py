@@ -24,7 +24,7 @@ class Accuracy:
     mass_scale: float = 1.0
 
 
-# The motion is quasi-static, so ten times the wire's mass changes forces little and keeps contacts stiff at long steps.
+# The motion is quasi-static, so more than the wire's mass changes forces little and keeps contacts stiff at long steps.
 ACCURACY: dict[str, Accuracy] = {
     "reference": Accuracy(timestep=0.001, refinement=4),
     "accurate": Accuracy(timestep=0.010, refinement=8, tolerance=2e-4, rise=5e-5, mass_scale=10.0),

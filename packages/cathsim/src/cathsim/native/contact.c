@@ -5,7 +5,7 @@
 #include "vessel.h"
 
 #define NSAMPLES 5 /* along a link, both ends included */
-#define MAX_CONTACTS 2 /* a link; MuJoCo allows no more for this pair of types without harm to speed */
+#define MAX_CONTACTS 2 /* a link: more slow the solver down and keep the wire no further out of the wall */
 
 static mjfCollision original; /* MuJoCo's own function, for every box that is not a vessel */
 
