@@ -17,7 +17,7 @@ GPU ?=
 export OMP_NUM_THREADS ?= 1
 
 # Stages in the order they depend on each other; one whose module is not there yet is left out.
-ALL_STAGES := phantoms expert user_study validate
+ALL_STAGES := phantoms expert user_study validate baselines enn imitation force unseen
 STAGES := $(patsubst pipeline/stages/%.py,%,$(wildcard $(ALL_STAGES:%=pipeline/stages/%.py)))
 STAGES := $(filter $(STAGES),$(ALL_STAGES))
 
@@ -44,6 +44,8 @@ $(INSTALLED): $(INSTALL_INPUTS)
 	@# Build tools first, pinned like everything else: builds then need no environments of their own.
 	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt setuptools hatchling editables mujoco
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -r requirements.txt
+	@# Its pins on an old cloudpickle and on cloud services' libraries are needed for none of its local and cluster use.
+	@$(PY) -m pip install -qq --disable-pip-version-check --no-deps -c constraints.txt hydra-ray-launcher
 	@$(PY) pipeline/installation.py after $(if $(GPU),--gpu)
 	@touch $@
 
@@ -72,6 +74,21 @@ console: setup  ## steer the wire yourself, in the browser; episodes go to runs/
 
 validate: expert  ## stage: forces against real ones, speed, the wire against theory
 	@$(RUN) stage=validate budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+baselines: expert  ## stage: PPO and SAC on joints and images, and a policy that follows the planned path
+	@$(RUN) stage=baselines budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+enn: expert  ## stage: the Expert Navigation Network and its ablation; its episodes
+	@$(RUN) stage=enn budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+imitation: enn  ## stage: the expert's episodes learnt from with the image alone, and DAgger
+	@$(RUN) stage=imitation budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+force: enn  ## stage: contact forces predicted from what is seen
+	@$(RUN) stage=force budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+unseen: setup  ## stage: policies for anatomies never seen, by a roadmap and by images alone
+	@$(RUN) stage=unseen budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 report: setup  ## stage: the page, from whatever has run
 	@$(RUN) stage=report budget=$(BUDGET) name=$(NAME)

@@ -104,6 +104,11 @@ def software_versions() -> dict[str, str]:
     Returns:
         Name to version; what is not installed is left out.
     """
+    return dict(_installed_versions())
+
+
+@functools.cache  # reading them takes as long as some twenty steps of the simulator
+def _installed_versions() -> dict[str, str]:
     versions = {"python": platform.python_version()}
     for name in _REPORTED_DISTRIBUTIONS:
         try:

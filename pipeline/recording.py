@@ -130,6 +130,7 @@ def describe_episode(
         configuration={
             **asdict(environment.task),
             "wire": asdict(environment.simulation.wire),
+            "numerics": asdict(environment.simulation.numerics),
             **({} if environment.biplane is None else {"cameras": environment.biplane.fluoroscope.to_json()}),
             **(configuration or {}),
         },
@@ -137,7 +138,9 @@ def describe_episode(
     )
 
 
-def open_log(environment: NavigateEnv, path: Path, info: EpisodeInfo, *, overwrite: bool) -> EpisodeWriter:
+def open_log(
+    environment: NavigateEnv, path: Path, info: EpisodeInfo, *, overwrite: bool, pictures: bool = True
+) -> EpisodeWriter:
     """Starts the log of an episode with the environment's fluoroscope and phantom.
 
     Args:
@@ -145,12 +148,13 @@ def open_log(environment: NavigateEnv, path: Path, info: EpisodeInfo, *, overwri
         path: of the log; its folder is made.
         info: as `describe_episode` gives it.
         overwrite: replace a log that is there.
+        pictures: whether the log gets images and masks; without, it declares no camera.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     return EpisodeWriter(
         path,
         info,
-        cameras=cameras_of(environment),
+        cameras=cameras_of(environment) if pictures else {},
         phantom_mesh=phantom_mesh(environment.phantom, info.target, info.entry),
         overwrite=overwrite,
     )
@@ -182,17 +186,20 @@ def record_episode(
     operator: str,
     configuration: Mapping[str, Any] | None = None,
     film: Film | None = None,
+    pictures: bool = True,
 ) -> EpisodeMetrics:
     """Runs one episode and logs it; the log appears under its name only when it is whole.
 
     Args:
-        environment: to be reset and steered; image and mask are logged whatever its observation is.
+        environment: to be reset and steered.
         policy: gives the action to an observation and info.
         path: of the log; one that is there is replaced.
         seed: of the reset.
         operator: who steers, e.g. "sampling_expert".
         configuration: kept in the log.
         film: takes a frame a step.
+        pictures: log image and mask of every step, whatever the observation is; without, nothing is drawn that the
+            policy does not look at.
 
     Returns:
         The episode's metrics, also kept in the log's outcome.
@@ -204,10 +211,13 @@ def record_episode(
     description = describe_episode(environment, seed=seed, operator=operator, configuration=configuration)
     action: np.ndarray = np.zeros(environment.action_space.shape or (), np.float32)
     reward, terminated, truncated, step = 0.0, False, False, 0
-    with open_log(environment, path, description, overwrite=True) as log:
+    with open_log(environment, path, description, overwrite=True, pictures=pictures) as log:
         while True:
             record = step_record(environment, step, action, reward, info, terminated=terminated, truncated=truncated)
-            log_step(log, record, environment)
+            if pictures:
+                log_step(log, record, environment)
+            else:
+                log.step(record)
             if film is not None:
                 film.add(environment)
             if terminated or truncated:

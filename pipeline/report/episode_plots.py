@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.atomic import atomic_path
+from pipeline.report.canvas import new_figure, save_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from cathsim import Phantom
 
 _MM = 1e3
@@ -29,34 +32,43 @@ def draw_task(
         file: the PNG.
         radius_mm: of the sphere of success.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
-
-    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(9.0, 4.6)
     vessel, force = figure.subplots(1, 2, width_ratios=(1.0, 1.35))
-    grid = phantom.grid
-    x, z = (grid.origin[axis] + grid.spacing * np.arange(grid.shape[axis]) for axis in (0, 2))
-    silhouette = grid.values.max(axis=1).T
-    vessel.contourf(x * _MM, z * _MM, silhouette, levels=[0.0, 1.0], colors=["#f3d9d6"])
-    vessel.contour(x * _MM, z * _MM, silhouette, levels=[0.0], colors="0.45", linewidths=0.8)
-    goal = phantom.target(target).position * _MM
-    vessel.add_patch(Circle((goal[0], goal[2]), radius_mm, fill=False, linestyle="--", color="tab:green"))
-    vessel.plot(goal[0], goal[2], "*", color="tab:green", markersize=11)
+    draw_vessel(vessel, phantom, target, radius_mm=radius_mm)
     for index, arrays in enumerate(episodes):
         tips = arrays["tip"] * _MM
         vessel.plot(tips[:, 0], tips[:, 2], linewidth=1.2, color=f"C{index % 10}")
         norms = np.linalg.norm(arrays["resultant_force"], axis=1)
         force.plot(np.arange(len(norms)), norms, linewidth=1.0, color=f"C{index % 10}", label=f"episode {index}")
-    vessel.set(aspect="equal", xlabel="x, patient's left (mm)", ylabel="z, superior (mm)", title="way of the tip")
+    vessel.set(title="way of the tip")
     force.set(xlabel="step (0.1 s)", ylabel="resultant contact force (N)", title="largest force of each step")
     force.set_ylim(bottom=0.0)
     force.grid(alpha=0.3)
     if len(episodes) <= 10:
         force.legend(frameon=False, fontsize=8)
-    with atomic_path(file) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
+    save_figure(figure, file)
+
+
+def draw_vessel(axes: Axes, phantom: Phantom, target: str, *, radius_mm: float = 8.0) -> None:
+    """Draws the frontal view of a phantom's lumen with a target.
+
+    Args:
+        axes: to draw on; in mm afterwards.
+        phantom: the vessel.
+        target: name of the target.
+        radius_mm: of the sphere of success.
+    """
+    from matplotlib.patches import Circle
+
+    grid = phantom.grid
+    x, z = (grid.origin[axis] + grid.spacing * np.arange(grid.shape[axis]) for axis in (0, 2))
+    silhouette = grid.values.max(axis=1).T
+    axes.contourf(x * _MM, z * _MM, silhouette, levels=[0.0, 1.0], colors=["#f3d9d6"])
+    axes.contour(x * _MM, z * _MM, silhouette, levels=[0.0], colors="0.45", linewidths=0.8)
+    goal = phantom.target(target).position * _MM
+    axes.add_patch(Circle((goal[0], goal[2]), radius_mm, fill=False, linestyle="--", color="tab:green"))
+    axes.plot(goal[0], goal[2], "*", color="tab:green", markersize=11)
+    axes.set(aspect="equal", xlabel="x, patient's left (mm)", ylabel="z, superior (mm)")
 
 
 def draw_planned_path(phantom: Phantom, target: str, file: Path, *, entry: str = "descending") -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,8 @@ from pipeline.atomic import atomic_path
 from pipeline.report.results import read_figures
 
 FIGURES_FOLDER = "figures"
+_BASE64 = 4 / 3  # characters a byte
+_COLUMN_PIXELS = 1200
 _MEDIA_TYPES = {
     ".png": "image/png",
     ".jpg": "image/jpeg",
@@ -32,6 +35,12 @@ class ShownFigure:
     group: str
     source: str  # a data URI, or a path relative to the page
     media_type: str
+    is_wide: bool = False  # too wide to be read in a column
+
+    @property
+    def embedded_bytes(self) -> int:
+        """What it takes of the page; nought where it lies beside it."""
+        return len(self.source) if self.source.startswith("data:") else 0
 
     @property
     def is_film(self) -> bool:
@@ -39,7 +48,9 @@ class ShownFigure:
         return self.media_type.startswith("video/")
 
 
-def gather_figures(stage: str, folder: Path, report: Path, *, embed_limit: int) -> list[ShownFigure]:
+def gather_figures(
+    stage: str, folder: Path, report: Path, *, embed_limit: int, room: float = math.inf
+) -> list[ShownFigure]:
     """Collects the figures of one stage folder.
 
     Args:
@@ -47,6 +58,7 @@ def gather_figures(stage: str, folder: Path, report: Path, *, embed_limit: int) 
         folder: the stage's folder.
         report: the report's folder; large files are copied below it, so that it can be moved as a whole.
         embed_limit: size in bytes up to which a file goes inside the page.
+        room: bytes of the page that its figures may take together; what does not fit lies beside it.
 
     Returns:
         The figures, in the stage's order; files of unknown type are left out.
@@ -57,12 +69,23 @@ def gather_figures(stage: str, folder: Path, report: Path, *, embed_limit: int) 
         media_type = _MEDIA_TYPES.get(file.suffix.lower())
         if media_type is None:
             continue
-        if file.stat().st_size <= embed_limit:
+        size = file.stat().st_size
+        if size <= embed_limit and _BASE64 * size <= room:
             source = f"data:{media_type};base64,{base64.b64encode(file.read_bytes()).decode()}"
+            room -= len(source)
         else:
             relative = Path(FIGURES_FOLDER, stage, figure.file)
             with atomic_path(report / relative) as temporary:
                 shutil.copyfile(file, temporary)
             source = relative.as_posix()
-        shown.append(ShownFigure(figure.title, figure.caption, figure.group or stage, source, media_type))
+        shown.append(
+            ShownFigure(figure.title, figure.caption, figure.group or stage, source, media_type, _is_wide(file))
+        )
     return shown
+
+
+def _is_wide(file: Path) -> bool:
+    """Whether a PNG is wider than a column of the page can show it; its head gives the width."""
+    with file.open("rb") as stream:
+        head = stream.read(20)
+    return head.startswith(b"\x89PNG") and int.from_bytes(head[16:20], "big") > _COLUMN_PIXELS

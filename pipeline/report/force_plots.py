@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atomic import atomic_path
+from pipeline.report.canvas import new_figure, save_figure
 from pipeline.report.force_statistics import EpisodeForces, pooled
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def draw_distribution(simulated: Array, real_mean_n: float, real_sd_n: float, fi
     """
     from scipy.stats import norm
 
-    figure = _figure(9.0, 3.8)
+    figure = new_figure(9.0, 3.8)
     density, cumulated = figure.subplots(1, 2)
     top = max(float(simulated.max()), real_mean_n + 3.5 * real_sd_n)
     low = min(0.0, real_mean_n - 3.5 * real_sd_n)
@@ -52,7 +52,7 @@ def draw_distribution(simulated: Array, real_mean_n: float, real_sd_n: float, fi
     for axes in (density, cumulated):
         axes.grid(alpha=0.3)
         axes.legend(frameon=False, fontsize=8)
-    _save(figure, file)
+    save_figure(figure, file)
 
 
 def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n: float, file: Path) -> None:
@@ -70,7 +70,7 @@ def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n:
         chosen = [episode for episode in episodes if (episode.phantom, episode.target) == (phantom, target)]
         samples.append(pooled(chosen))
         labels.append(f"{phantom}\n{target.upper()}\n{len(chosen)} episodes")
-    figure = _figure(max(4.5, 1.5 + 1.1 * len(tasks)), 4.2)
+    figure = new_figure(max(4.5, 1.5 + 1.1 * len(tasks)), 4.2)
     axes = figure.subplots()
     axes.axhspan(real_mean_n - real_sd_n, real_mean_n + real_sd_n, color=_REAL, alpha=0.15, label="real, mean ± SD")
     axes.axhline(real_mean_n, color=_REAL, linewidth=1.0)
@@ -82,7 +82,7 @@ def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n:
     axes.set_ylim(bottom=0.0)
     axes.grid(axis="y", alpha=0.3)
     axes.legend(frameon=False, fontsize=8)
-    _save(figure, file)
+    save_figure(figure, file)
 
 
 def wall_heat(vertices: Array, points: Array, forces: Array) -> tuple[Array, Array]:
@@ -124,7 +124,7 @@ def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *,
     forces = np.concatenate([episode.forces for episode in episodes])
     steps = max(sum(len(episode.magnitudes) for episode in episodes), 1)
     largest, total = wall_heat(vertices, points, forces)
-    figure = _figure(9.4, 5.2)
+    figure = new_figure(9.4, 5.2)
     for axes, heat, label in zip(
         figure.subplots(1, 2),
         (largest, total / steps),
@@ -133,7 +133,7 @@ def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *,
     ):
         _draw_projection(figure, axes, vertices, heat, label)
     figure.suptitle(title, fontsize=11)
-    _save(figure, file)
+    save_figure(figure, file)
 
 
 def _draw_projection(figure: Figure, axes: Axes, vertices: Array, heat: Array, label: str) -> None:
@@ -159,17 +159,3 @@ def _draw_projection(figure: Figure, axes: Axes, vertices: Array, heat: Array, l
     axes.contour(covered, levels=[0.5], extent=extent, origin="lower", colors="0.35", linewidths=0.8)
     axes.set(xlabel="x, patient's left (mm)", ylabel="z, superior (mm)", aspect="equal")
     figure.colorbar(shown, ax=axes, label=label, shrink=0.75)
-
-
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _save(figure: Figure, file: Path) -> None:
-    with atomic_path(file) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)

@@ -83,29 +83,36 @@ def read_forces(folder: Path) -> list[EpisodeForces]:
     Returns:
         One entry a log, in the order of their paths. The state after reset, which is no step, is left out.
     """
+    return [episode_forces(path) for path in sorted(folder.rglob("*.mcap"))]
+
+
+def episode_forces(path: Path) -> EpisodeForces:
+    """Reads the contact forces of one log.
+
+    Args:
+        path: of the log.
+
+    Returns:
+        Its forces. The state after reset, which is no step, is left out.
+    """
     from pipeline.episodes import EpisodeReader
 
-    episodes = []
-    for path in sorted(folder.rglob("*.mcap")):
-        with EpisodeReader(path) as log:
-            arrays, info = log.load_arrays(pictures=False), log.info
-        steps = arrays["step"] > 0
-        points = arrays["contact_positions"][steps].reshape(-1, 3)
-        norms = np.linalg.norm(arrays["contact_forces"][steps].reshape(-1, 3), axis=1)
-        there = np.isfinite(norms)  # the arrays are padded with NaN
-        free = info.configuration.get("expert", {}).get("free_force")
-        episodes.append(
-            EpisodeForces(
-                phantom=info.phantom,
-                target=info.target,
-                operator=info.operator,
-                free_force_n=None if free is None else float(free),
-                magnitudes=np.linalg.norm(arrays["resultant_force"][steps], axis=1),
-                points=points[there],
-                forces=norms[there],
-            )
-        )
-    return episodes
+    with EpisodeReader(path) as log:
+        arrays, info = log.load_arrays(pictures=False), log.info
+    steps = arrays["step"] > 0
+    points = arrays["contact_positions"][steps].reshape(-1, 3)
+    norms = np.linalg.norm(arrays["contact_forces"][steps].reshape(-1, 3), axis=1)
+    there = np.isfinite(norms)  # the arrays are padded with NaN
+    free = info.configuration.get("expert", {}).get("free_force")
+    return EpisodeForces(
+        phantom=info.phantom,
+        target=info.target,
+        operator=info.operator,
+        free_force_n=None if free is None else float(free),
+        magnitudes=np.linalg.norm(arrays["resultant_force"][steps], axis=1),
+        points=points[there],
+        forces=norms[there],
+    )
 
 
 def pooled(episodes: Sequence[EpisodeForces], phantom: str | None = None) -> Array:

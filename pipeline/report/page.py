@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -34,7 +34,7 @@ class StageRecord:
 def render_page(
     *, run: str, budget: str, seeds: Sequence[int], written: str, records: Sequence[StageRecord],
     tables: Sequence[ReportTable], figures: Sequence[ShownFigure], git: dict[str, Any], versions: dict[str, str],
-    machine: dict[str, str],
+    machine: dict[str, str], remarks: Mapping[str, str] | None = None,
 ) -> str:  # fmt: skip
     """Renders the page.
 
@@ -49,6 +49,7 @@ def render_page(
         git: commit and dirtiness of the code that renders.
         versions: software versions.
         machine: the computer.
+        remarks: table -> what the reader should know of its cells, e.g. where logs and stage disagree.
 
     Returns:
         The HTML text.
@@ -61,6 +62,7 @@ def render_page(
     return template.render(
         run=run, budget=budget, seeds=", ".join(map(str, seeds)), written=written, records=records,
         is_smoke="smoke" in budget.split("+"), not_run=NOT_RUN, git=git, versions=versions, machine=machine,
+        remarks=dict(remarks or {}),
         chapters=[(name, list(group)) for name, group in groupby(_by_chapter(tables), key=lambda t: t.chapter)],
         figure_groups=[(name, list(group)) for name, group in groupby(figures, key=lambda f: f.group)],
         measured=sum(t.measured_cells for t in tables), cells=sum(max(t.cells, t.measured_cells) for t in tables),

@@ -127,8 +127,8 @@ def check_cell(cell: Any, place: str) -> None:
 def pool(cells: list[tuple[Cell, int | None]]) -> tuple[Cell, int | None]:
     """Joins the same cell from several jobs of a sweep, e.g. one a seed.
 
-    Numbers become mean and standard deviation over the jobs. Pairs with known sample counts are pooled as if their
-    samples lay in one list; without counts every job weighs the same.
+    Numbers become mean and standard deviation over the jobs, unless they are one setting that all share. Pairs with
+    known sample counts are pooled as if their samples lay in one list; without counts every job weighs the same.
 
     Args:
         cells: cell and its number of samples, a job each; at least one.
@@ -144,6 +144,9 @@ def pool(cells: list[tuple[Cell, int | None]]) -> tuple[Cell, int | None]:
         return "; ".join(texts), None
     if all(isinstance(cell, list) for cell, _ in known) and all(n for _, n in known):
         return _pool_samples([(cell, n) for cell, n in known if isinstance(cell, list) and n])
+    same = len({repr(cell) for cell, _ in known}) == 1 and not any(n for _, n in known)
+    if same and not isinstance(known[0][0], list):
+        return known[0][0], None  # a setting that every job shares
     means = [
         float(cell[0]) if isinstance(cell, list) else float(cell)
         for cell, _ in known

@@ -120,6 +120,24 @@ def _thesis() -> tuple[dict[str, _Spec], dict[str, str]]:
     return {key: _Spec(**table) for key, table in content["tables"].items()}, content["groups"]
 
 
+def group_labels() -> dict[str, str]:
+    """Names of groups of rows, such as phantoms and targets, in words."""
+    return _thesis()[1]
+
+
+def row_labels(table: str) -> dict[str, str]:
+    """Names of a table's rows in words.
+
+    Args:
+        table: its key.
+
+    Returns:
+        Row, without its group, to words; rows that need none are absent.
+    """
+    specs = _thesis()[0]
+    return specs[table].labels if table in specs else {}
+
+
 def join_sweep(parts: Iterable[dict[str, Table]]) -> dict[str, Table]:
     """Joins what several folders measured: different cells side by side, equal cells pooled.
 
@@ -179,7 +197,8 @@ def _merge(key: str, spec: _Spec, groups: dict[str, str], measured: Table) -> Re
         cells = measured.get(name, {})
         samples = cells.get(SAMPLES)
         rows.append(Row(
-            key=name, label=spec.labels.get(short, short), group=groups.get(group, group),
+            key=name, label=spec.labels.get(short, short),
+            group=", ".join(groups.get(part, part) for part in group.split("/")),
             thesis=dict(zip(spec.columns, spec.rows.get(name, []), strict=False)),
             measured={c.key: cells.get(c.key) for c in columns},
             samples=int(samples) if isinstance(samples, int | float) else None, in_thesis=name in spec.rows,

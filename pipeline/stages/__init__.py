@@ -16,7 +16,9 @@ from typing import Any
 from pipeline.artifacts import RunFolder
 from pipeline.errors import ConfigurationError, StageError
 
-STAGE_NAMES = ("phantoms", "expert", "user_study", "validate", "report")
+STAGE_NAMES = (
+    "phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "unseen", "report",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

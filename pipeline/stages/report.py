@@ -10,17 +10,20 @@ from pipeline.artifacts import Manifest, read_manifest
 from pipeline.atomic import write_json, write_text
 from pipeline.config import ReportSettings
 from pipeline.provenance import git_state, machine, software_versions
-from pipeline.report.figures import gather_figures
+from pipeline.report.figures import ShownFigure, gather_figures
+from pipeline.report.learning_section import LearningSection, learning_section
 from pipeline.report.page import PAGE, StageRecord, render_page
-from pipeline.report.results import Table, read_results
+from pipeline.report.results import Table
 from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
 from pipeline.stages import STAGE_NAMES, Stage, StageContext
 
 METRICS = "metrics.json"
 TABLES_FOLDER = "tables"
+LEARNING_FOLDER = "learning"
+PAGE_ROOM_BYTES = 12_000_000  # of embedded figures: the page stays below 15 MB
 # Stages of the plan, in order; the page says of each whether it has run.
-PLANNED_STAGES = ("phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "guide3d",
-                  "shape", "segmentation", "splineformer", "navigation")  # fmt: skip
+PLANNED_STAGES = ("phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "unseen",
+                  "guide3d", "shape", "segmentation", "splineformer", "navigation")  # fmt: skip
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -52,21 +55,14 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
         context: where the run lies.
     """
     finished = finished_stages(context.run_path)
-    measured = join_sweep(
-        [read_results(context.run_path / name) for name in finished] + [{"environment": _environment()}]
-    )
+    learning = learning_section(context.run_path, finished, context.path / LEARNING_FOLDER)
+    measured = join_sweep([*learning.results, {"environment": _environment()}])
     tables = report_tables(measured)
     for table in tables:
         write_text(context.path / TABLES_FOLDER / f"{table.key}.csv", as_csv(table))
         write_text(context.path / TABLES_FOLDER / f"{table.key}.tex", as_latex(table))
     write_json(context.path / METRICS, metrics(tables))
-    figures = [
-        figure
-        for name in finished
-        for figure in gather_figures(
-            name, context.run_path / name, context.path, embed_limit=int(settings.embed_limit_mb * 1e6)
-        )
-    ]
+    figures = _figures(finished, learning, settings, context)
     records = [StageRecord(name, manifest) for name, manifest in finished.items()]
     have_run = {manifest.stage for manifest in finished.values()}
     records += [StageRecord(name, None) for name in PLANNED_STAGES if name not in have_run]
@@ -75,11 +71,28 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
         budget="+".join(dict.fromkeys(m.budget for m in finished.values())) or context.budget,
         seeds=sorted({m.seed for m in finished.values()}) or [context.seed],
         written=datetime.now(UTC).isoformat(timespec="minutes"),
-        records=records, tables=tables, figures=figures, git=git_state(), versions=software_versions(),
-        machine=machine(),
+        records=records, tables=tables, figures=figures, remarks=learning.remarks, git=git_state(),
+        versions=software_versions(), machine=machine(),
     )  # fmt: skip
     write_text(context.path / PAGE, page)
     _LOGGER.info("report: %s", context.path / PAGE)
+
+
+def _figures(
+    finished: dict[str, Manifest], learning: LearningSection, settings: ReportSettings, context: StageContext
+) -> list[ShownFigure]:
+    """The figures of every stage, then those of learning, as many inside the page as it has room for."""
+    folders = {name: context.run_path / name for name in finished}
+    if learning.folder is not None:
+        folders = {LEARNING_FOLDER: learning.folder, **folders}  # first, so that films take what room is left
+    room, shown = PAGE_ROOM_BYTES, {}
+    for name, folder in folders.items():
+        shown[name] = gather_figures(
+            name, folder, context.path, embed_limit=int(settings.embed_limit_mb * 1e6), room=room
+        )
+        room -= sum(figure.embedded_bytes for figure in shown[name])
+    ordered = [*(name for name in shown if name != LEARNING_FOLDER), LEARNING_FOLDER]
+    return [figure for name in ordered for figure in shown.get(name, [])]
 
 
 def _environment() -> Table:
@@ -101,7 +114,7 @@ def _inputs(run_path: Path) -> dict[str, str]:
 STAGE = Stage(
     name="report",
     run=run_report,
-    writes=(PAGE, METRICS, f"{TABLES_FOLDER}/<table>.{{csv,tex}}", "figures/"),
-    code=("pipeline.report",),
+    writes=(PAGE, METRICS, f"{TABLES_FOLDER}/<table>.{{csv,tex}}", "figures/", f"{LEARNING_FOLDER}/<figure>.png"),
+    code=("pipeline.report", "cathsim.metrics"),
     further_inputs=_inputs,
 )

@@ -1,4 +1,4 @@
-"""Sweeps: the basic, joblib and submitit-local launchers run every job in a folder of its own."""
+"""Sweeps: the basic, joblib, submitit-local and Ray launchers run every job in a folder of its own."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from pipeline.execution import variant_of
 from pipeline.provenance import PROJECT_ROOT
 
 
-@pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
+@pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local", "ray"])
 def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
+    if launcher == "ray":
+        pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="Ray's launcher is not installed: make setup")
+        pipeline_process.environment["HOME"] = str(pipeline_process.folder)  # Ray keeps a token of its own there
     overrides = ["-m", "stage=report", "budget=smoke", "name=sweep", "seed=3,4", f"hydra/launcher={launcher}"]
     if launcher == "joblib":
         overrides.append("hydra.launcher.n_jobs=2")

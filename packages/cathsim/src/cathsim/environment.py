@@ -16,6 +16,7 @@ from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.navigation import NavigationTask, navigation_task, require_reach
 from cathsim.observables import BiplaneView, Fluoroscope, make_observable
 from cathsim.presets import Accuracy, accuracy
+from cathsim.roadmap import Roadmap
 from cathsim.robot import DRIVES, FollowerRobot
 from cathsim.simulation import CONTROL_STEP, Simulation
 
@@ -58,6 +59,9 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
     | tip | position of the tip | (3,) | m, world |
     | feeder | insertion, cosine and sine of the rotation | (3,) | m, 1 |
     | force | resultant contact force | (3,) | N, world |
+    | roadmap | the way to the target, walls, wire and force in the tip's frame (`Roadmap.read`) | (64,) | about 1 |
+    | goal | position of the target | (3,) | m, world |
+    | goal_image | the target's dot in the frontal view | (1, size, size) uint8 | 0 to 255 |
 
     With `cameras`, for each of them (a and b): `image_a`, a noisy X-ray image, and `mask_a`, (1, size, size) uint8.
 
@@ -96,6 +100,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         contact: "sdf", "hulls" (convex hulls of the wall, made in minutes and cached), or a `Decomposition`.
         drive: "direct", or "robot": the follower robot feeds the wire stroke by stroke, so that a step may move it less
             than its action says, or not at all while the clamp goes back; `info["driven"]` tells.
+        registration_noise: of the roadmap, m an axis, drawn once an episode.
         contact_info: with `contact_points` and `contact_forces` in `info`; vector environments leave them out.
         task: the task; or its fields as further keywords: success_radius, max_steps, start_jitter, start_rotation,
             reward, force_penalty.
@@ -123,6 +128,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         contact: str | Decomposition = "sdf",
         drive: str = "direct",
         cameras: str | BiplaneFluoroscope | None = None,
+        registration_noise: float = 0.0,
         contact_info: bool = True,
         task: NavigationTask | None = None,
         **task_fields: Any,
@@ -156,6 +162,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             material = wire_material(wire if isinstance(wire, str) else "default", self.simulation.wire.radius)
             cameras = BiplaneFluoroscope.of(self.phantom, cameras, size=image_size, material=material)
         self.biplane = None if cameras is None else BiplaneView(self.simulation, cameras)
+        self.roadmap = Roadmap(self.simulation, self.task.target, registration_noise)
         self._view: Any = None
         self.steps = 0
         self.ended = True
@@ -168,7 +175,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         if not names:
             raise ValueError("observation must name at least one observable")
         self._observables = {
-            name: make_observable(name, self.simulation, self.fluoroscope, self.biplane) for name in names
+            name: make_observable(name, self.simulation, self.fluoroscope, self.biplane, self.roadmap) for name in names
         }
         self._single = names[0] if isinstance(observation, str) else None
         spaces: dict[str, gymnasium.Space[Any]] = {name: entry_.space for name, entry_ in self._observables.items()}
@@ -179,15 +186,25 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
 
         Args:
             seed: of the start's jitter.
-            options: none are known.
+            options: `start`, a state of `self.simulation`: the episode starts there instead of in the sheath.
+
+        Raises:
+            ValueError: an option that there is not, or a start of another wire.
         """
         super().reset(seed=seed)
-        self.task.start(self.simulation, self.np_random)
+        unknown = sorted(set(options or {}) - {"start"})
+        if unknown:
+            raise ValueError(f"reset knows no option {', '.join(unknown)}; there is start")
+        if options and options.get("start") is not None:
+            self.simulation.restore(np.asarray(options["start"]))
+        else:
+            self.task.start(self.simulation, self.np_random)
         if self.robot is not None:
             self.robot.reset()
         self.fluoroscope.update(restart=True)
         if self.biplane is not None:
             self.biplane.update(seed=int(self.np_random.integers(2**32)))
+        self.roadmap.reset(self.np_random)
         self.steps = 0
         self.ended = False
         if self.task.reward == "geodesic":
@@ -232,6 +249,52 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         truncated = not success and (invalid or self.steps >= task.max_steps)
         self.ended = success or truncated
         return self.observe(), reward, success, truncated, self._info(tip, distance, success=success, invalid=invalid)
+
+    def start_state(self) -> np.ndarray:
+        """The moment as a start that `reset(options={"start": …})` takes. Shape (n,)."""
+        return self.simulation.state()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the rest of the episode depends on, to be pickled; for `restore`.
+
+        Raises:
+            NotImplementedError: with the follower robot, whose own state is not saved.
+        """
+        if self.robot is not None:
+            raise NotImplementedError("an environment driven by the robot cannot be saved: use drive='direct'")
+        return {
+            "simulation": self.simulation.state(),
+            "forces": self.simulation.force_state(),
+            "generator": self.np_random.bit_generator.state,
+            "steps": self.steps,
+            "ended": self.ended,
+            "remaining": self._remaining,
+            "fluoroscope": self.fluoroscope.state(),
+            "registration": self.roadmap.offset.copy(),
+            "biplane": None if self.biplane is None else self.biplane.state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> Any:
+        """Goes on where an environment with the same arguments was saved.
+
+        Args:
+            state: from `state`.
+
+        Returns:
+            The observation of that moment.
+
+        Raises:
+            ValueError: the state is of another wire.
+        """
+        self.simulation.restore(state["simulation"])
+        self.simulation.restore_forces(state["forces"])
+        self.np_random.bit_generator.state = state["generator"]
+        self.steps, self.ended, self._remaining = state["steps"], state["ended"], state["remaining"]
+        self.fluoroscope.restore(state["fluoroscope"])
+        self.roadmap.offset = state["registration"].copy()
+        if self.biplane is not None:
+            self.biplane.restore(state["biplane"])
+        return self.observe()
 
     def _reward(self, tip: np.ndarray, distance: float, *, success: bool) -> float:
         task, before = self.task, self._remaining

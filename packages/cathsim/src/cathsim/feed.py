@@ -6,7 +6,6 @@ passes from one rung to the next by adding or dropping straight links at the pro
 
 from __future__ import annotations
 
-import functools
 import itertools
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ import numpy as np
 from cathsim.arena import PROTRUSION, RESERVE, model_spec
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import Guidewire
+from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy
 
 SPACING = 0.016  # least difference in length between rungs, m
@@ -57,7 +57,7 @@ class Ladder:
         return min(lower, current)
 
 
-@functools.lru_cache(maxsize=512)
+@kept_with_owner
 def rung_models(
     vessel: Vessel, wire: Guidewire, numerics: Accuracy, tip_motors: bool
 ) -> tuple[mujoco.MjModel, mujoco.MjModel]:

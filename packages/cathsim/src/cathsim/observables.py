@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,15 +13,18 @@ from cathsim.anatomy import Phantom
 from cathsim.contact.sdf import Vessel
 from cathsim.feed import pass_on
 from cathsim.fluoroscopy import BiplaneFluoroscope, FluoroscopyRenderer, Frame, Projector, background_image
+from cathsim.lifetime_cache import kept_with_owner
+from cathsim.roadmap import ROADMAP_SIZE, Roadmap, target_image
 from cathsim.simulation import Simulation
 
 FRAMES = 3  # of the sequential observation
 SHOWN_SHEATH = 0.010  # this much of the wire inside the sheath is drawn, m
 BEHIND = 0.12  # so much of the wire behind the entry is drawn in bi-planar images: to their border, m
 BEHIND_STEP = 0.005
+DOT_SHARE, LEAST_DOT = 0.02, 1.5  # radius of the target's dot: a share of the image's side, or px
 
 
-@functools.lru_cache(maxsize=64)
+@kept_with_owner
 def camera(phantom: Phantom, size: int, wire_radius: float) -> FluoroscopyRenderer:
     """The frontal fluoroscope of a phantom, shared by every environment that looks at it."""
     projector = Projector.frontal(phantom.bounds, size)
@@ -49,6 +51,15 @@ class Fluoroscope:
         self._drawn = self._kept = False
         if restart:
             self.frames = []
+
+    def state(self) -> tuple[bool, list[np.ndarray]]:
+        """The images kept for `sequence`, for `restore`."""
+        return self._kept, list(self.frames)
+
+    def restore(self, state: tuple[bool, list[np.ndarray]]) -> None:
+        """Returns to kept images; the simulation has been restored before."""
+        self._drawn = False
+        self._kept, self.frames = state[0], list(state[1])
 
     def _draw(self) -> None:
         if not self._drawn:
@@ -88,6 +99,15 @@ class BiplaneView:
         self._moment += 1
         if seed is not None:
             self._seed, self._moment = seed, 0
+
+    def state(self) -> tuple[int, int]:
+        """Seed and moment of the noise, for `restore`."""
+        return self._seed, self._moment
+
+    def restore(self, state: tuple[int, int]) -> None:
+        """Returns to a moment; the simulation has been restored before."""
+        self._frames = {}
+        self._seed, self._moment = state
 
     def frame(self, name: str) -> Frame:
         """Image and mask of a camera; not to be written into."""
@@ -167,17 +187,24 @@ def internal(simulation: Simulation) -> np.ndarray:
     return np.concatenate((joints(simulation), actuator.astype(np.float32), per_body.ravel()))
 
 
-OBSERVABLES = ("internal", "joints", "image", "mask", "sequential", "shape", "tip", "feeder", "force")
+GUIDANCE = ("roadmap", "goal", "goal_image")  # those that know where the target is
+OBSERVABLES = ("internal", "joints", "image", "mask", "sequential", "shape", "tip", "feeder", "force", *GUIDANCE)
 
 
 def make_observable(
-    name: str, simulation: Simulation, fluoroscope: Fluoroscope, biplane: BiplaneView | None = None
+    name: str,
+    simulation: Simulation,
+    fluoroscope: Fluoroscope,
+    biplane: BiplaneView | None = None,
+    roadmap: Roadmap | None = None,
 ) -> Observable:
     """The observable of a name; "image_a", "mask_a" and so on are those of a bi-planar fluoroscope's cameras.
 
     Raises:
         ValueError: there is none.
     """
+    if name in GUIDANCE:
+        return _guidance(name, fluoroscope, roadmap)
     kind, _, view = name.partition("_")
     if kind in ("image", "mask") and view:
         return _camera_observable(name, kind, view, biplane)
@@ -210,6 +237,20 @@ def make_observable(
     if name == "force":
         return Observable(_box(3), lambda: simulation.force().astype(np.float32))
     raise ValueError(f"unknown observation '{name}'; there are {', '.join(OBSERVABLES)}")
+
+
+def _guidance(name: str, fluoroscope: Fluoroscope, roadmap: Roadmap | None) -> Observable:
+    if roadmap is None:
+        raise ValueError(f"observation '{name}' needs a target: use it in a navigation environment")
+    if name == "roadmap":
+        return Observable(_box(ROADMAP_SIZE), roadmap.read)
+    goal = roadmap.simulation.phantom.target(roadmap.target).position
+    if name == "goal":
+        return Observable(_box(3), lambda: goal.astype(np.float32))
+    size = fluoroscope.shape[0]
+    pixel = fluoroscope.renderer.projector.project(goal[None])[0]
+    dot = target_image(pixel, size, max(DOT_SHARE * size, LEAST_DOT))[None]
+    return Observable(gymnasium.spaces.Box(0, 255, dot.shape, np.uint8), dot.copy)
 
 
 def _camera_observable(name: str, kind: str, view: str, biplane: BiplaneView | None) -> Observable:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import gymnasium
 
 ENVIRONMENT = "cathsim/Navigate-v0"
+MANY = "cathsim/NavigateMany-v0"
 
 
 def register() -> None:
-    """Registers the environment; safe to call again."""
+    """Registers the environments; safe to call again."""
     if ENVIRONMENT not in gymnasium.registry:
         gymnasium.register(
             id=ENVIRONMENT,
             entry_point="cathsim.environment:NavigateEnv",
             vector_entry_point="cathsim.vector:ThreadedVectorEnv",
         )
+    if MANY not in gymnasium.registry:
+        gymnasium.register(id=MANY, entry_point="cathsim.variety:NavigateManyEnv")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import functools
 from dataclasses import dataclass
 
 import mujoco
@@ -20,6 +19,7 @@ from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.drag import Drag
 from cathsim.feed import Ladder, pass_on, rung_models
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
+from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy
 
 CONTROL_STEP = 0.1  # s
@@ -42,7 +42,7 @@ class Contacts:
     forces: np.ndarray
 
 
-@functools.lru_cache(maxsize=256)
+@kept_with_owner
 def vessel_of(phantom: Phantom, entry: str) -> Vessel:
     """The native vessel of a phantom with a sheath at one of its entries.
 
@@ -263,6 +263,19 @@ class Simulation:
         """Tip position, m. Shape (3,)."""
         return self._rung.tip.copy()
 
+    def tip_velocity(self) -> np.ndarray:
+        """Velocity of the tip, m/s, world frame. Shape (3,)."""
+        velocity = np.empty(6)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_comVel(self.model, self.data)
+        site = self.model.site(TIP_SITE).id
+        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
+        return velocity[3:]
+
+    def lead(self) -> np.ndarray:
+        """How far the feeder's drive is ahead of the wire, -1 to 1 of what it may be: advance, rotation. Shape (2,)."""
+        return (self._to[:2] - self.data.qpos[:2]) / (LEAD_ADVANCE, LEAD_ROTATION)
+
     def joint_positions(self) -> np.ndarray:
         """Feeder's advance (m) and rotation (rad), then two angles (rad) a joint from the proximal end. Shape (nq,)."""
         return pass_on(self.data.qpos, self.nq, bend=False)
@@ -324,3 +337,15 @@ class Simulation:
         self._to[:] = state[3 * self.nq : -3]
         data.time, self._rung.struct.depth = state[-3], state[-2]
         mujoco.mj_kinematics(self.model, data)
+        ctypes.memset(ctypes.byref(self.summary), 0, ctypes.sizeof(self.summary))
+
+    def force_state(self) -> tuple[bytes, np.ndarray, np.ndarray]:
+        """What the last control step measured: forces and contacts, which no continuation depends on."""
+        count = self.summary.contacts
+        return bytes(self.summary), self._points[:count].copy(), self._forces[:count].copy()
+
+    def restore_forces(self, state: tuple[bytes, np.ndarray, np.ndarray]) -> None:
+        """Returns to a measurement of `force_state`."""
+        summary, points, forces = state
+        ctypes.memmove(ctypes.byref(self.summary), summary, ctypes.sizeof(self.summary))
+        self._points[: len(points)], self._forces[: len(forces)] = points, forces

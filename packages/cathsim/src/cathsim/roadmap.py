@@ -1,0 +1,180 @@
+"""The local roadmap: what a scan taken before the procedure shows at the tip, in the tip's own frame."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from cathsim.contact.native import address, library
+from cathsim.guidewire import TIP_SITE
+from cathsim.simulation import Simulation
+
+PATH_STEP = 1e-3  # m between the points of the way that is followed
+PATH_ARCS = np.array([3, 6, 10, 16, 24, 36, 50]) * 1e-3  # m ahead of the tip: the points of the way that are shown
+WIRE_ARCS = np.array([4, 8, 12, 20, 30, 45, 60]) * 1e-3  # m behind the tip: the points of the wire that are shown
+CLEARANCE = 2e-3  # m: the way is nudged off walls nearer than this
+RAY_LIMIT = 0.03  # m
+RAY_SCALE, REMAINING_SCALE, NEAR_SCALE, INSERTION_SCALE = 0.015, 0.2, 0.02, 0.2  # m
+SPEED_SCALE, FORCE_SCALE = 0.02, 0.05  # m/s, N
+
+# Directions of the rays in the tip's frame: ahead, four askew, four across.
+RAYS = np.array(
+    [(0, 0, 1)]
+    + [(x, y, 1) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+    + [(x, y, 0) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))],
+    float,
+)
+RAYS /= np.linalg.norm(RAYS, axis=1, keepdims=True)
+
+ROADMAP_SIZE = 3 * len(PATH_ARCS) + 3 * len(WIRE_ARCS) + len(RAYS) + 13
+
+
+class _RoadmapStruct(ctypes.Structure):
+    """struct Roadmap of roadmap.c."""
+
+    _fields_ = (
+        ("size", ctypes.c_int * 3),
+        ("origin", ctypes.c_double * 3),
+        ("inverse", ctypes.c_double),
+        ("wall", ctypes.c_void_p),
+        ("remain", ctypes.c_void_p),
+    )
+
+
+class Roadmap:
+    """The way to a target, the walls and the wire as seen from the tip of a simulation's wire.
+
+    The tip's frame is that of the wire's last link: z along the wire and out of its tip, the pre-shaped tip bends about
+    x, towards -y. It turns with the wire and has no place where it jumps.
+
+    Args:
+        simulation: whose tip it is.
+        target: one of its phantom's targets.
+        registration_noise: standard deviation, m an axis, of the displacement between scan and patient, which stays the
+            same through an episode; 0: a perfect registration.
+    """
+
+    def __init__(self, simulation: Simulation, target: str, registration_noise: float = 0.0) -> None:
+        if not registration_noise >= 0:
+            raise ValueError(f"registration_noise must not be negative (m), got {registration_noise}")
+        self.simulation, self.target, self.registration_noise = simulation, target, registration_noise
+        self.offset = np.zeros(3)
+        self._struct: _RoadmapStruct | None = None
+        self._site = -1
+        self._path = np.empty((round(PATH_ARCS[-1] / PATH_STEP), 3))
+        self._shown = np.rint(PATH_ARCS / PATH_STEP).astype(int) - 1
+        self._lengths = np.empty(len(RAYS))
+
+    def reset(self, generator: np.random.Generator) -> None:
+        """Draws the episode's registration; without noise nothing is drawn."""
+        if self.registration_noise:
+            self.offset = generator.normal(0.0, self.registration_noise, 3)
+
+    def _native(self) -> _RoadmapStruct:
+        if self._struct is None:  # the geodesic field is only loaded when it is wanted
+            grid = self.simulation.phantom.grid
+            self._fields = grid.values, self.simulation.phantom.geodesic_field(self.target)
+            self._struct = _RoadmapStruct(
+                grid.shape,
+                tuple(grid.origin.tolist()),
+                1.0 / grid.spacing,
+                *(field.ctypes.data for field in self._fields),
+            )
+            native = library()
+            self._follow, self._cast = native.cathsim_roadmap_path, native.cathsim_roadmap_rays
+            self._follow.restype, self._cast.restype = ctypes.c_double, None
+        return self._struct
+
+    def frame(self) -> np.ndarray:
+        """Axes of the tip's frame, as columns, world frame. Shape (3, 3)."""
+        model, data = self.simulation.model, self.simulation.data
+        return data.site_xmat[model.site(TIP_SITE).id].reshape(3, 3)
+
+    def way(self, start: np.ndarray) -> tuple[np.ndarray, float]:
+        """The way from a place to the target.
+
+        Args:
+            start: m, world frame. Shape (3,).
+
+        Returns:
+            The next 50 mm of it, a point a millimetre, m, world frame, shape (50, 3); its whole length, m.
+        """
+        start = np.ascontiguousarray(start, float)
+        remaining = self._follow_from(start)
+        return self._path.copy(), remaining
+
+    def _follow_from(self, start: np.ndarray) -> float:
+        struct = ctypes.byref(self._native())
+        step, clearance = ctypes.c_double(PATH_STEP), ctypes.c_double(CLEARANCE)
+        length = self._follow(struct, address(start), step, clearance, len(self._path), address(self._path))
+        return float(length)
+
+    def walls(self, start: np.ndarray, axes: np.ndarray) -> np.ndarray:
+        """Distances to the wall along RAYS, 30 mm at most.
+
+        Args:
+            start: m, world frame. Shape (3,).
+            axes: of the frame that the rays are given in, as columns. Shape (3, 3).
+
+        Returns:
+            m. Shape (9,).
+        """
+        start, directions = np.ascontiguousarray(start, float), RAYS @ axes.T
+        struct, limit = ctypes.byref(self._native()), ctypes.c_double(RAY_LIMIT)
+        self._cast(struct, address(start), limit, len(RAYS), address(directions), address(self._lengths))
+        return self._lengths.copy()
+
+    def read(self) -> np.ndarray:
+        """The roadmap at the tip, all of the order of 1 and in the tip's frame.
+
+        Points of the way 3, 6, 10, 16, 24, 36, 50 mm ahead, each over its distance along the way (21); the remaining
+        way over 0.2 m, and the hyperbolic tangent of it over 20 mm (2); distances to the wall ahead, askew and across
+        over 15 mm (9); points of the wire 4, 8, 12, 20, 30, 45, 60 mm behind the tip, each over its distance along the
+        wire (21); insertion over 0.2 m, cosine and sine of the rotation (3); how far the feeder's drive is ahead of the
+        wire, as a share of what its force limit allows: what a hand feels (2); velocity v of the tip over 20 mm/s + |v|
+        (3); contact force f over 0.05 N + |f| (3).
+
+        Returns:
+            Shape (64,), float32.
+        """
+        simulation = self.simulation
+        points, axes = simulation.inserted_points(), self.frame()
+        tip = points[0]
+        start = tip + self.offset
+        remaining = self._follow_from(start)
+        walls = self.walls(start, axes)
+        ahead = (self._path[self._shown] - start) @ axes / PATH_ARCS[:, None]
+        arc = np.concatenate(([0.0], np.cumsum(np.sqrt(np.square(np.diff(points, axis=0)).sum(axis=1)))))
+        behind = np.stack([np.interp(WIRE_ARCS, arc, points[:, k]) for k in range(3)], axis=1)
+        behind = (behind - tip) @ axes / WIRE_ARCS[:, None]
+        force, velocity = simulation.force() @ axes, simulation.tip_velocity() @ axes
+        rotation = simulation.rotation
+        return np.concatenate(
+            (
+                ahead.ravel(),
+                (remaining / REMAINING_SCALE, np.tanh(remaining / NEAR_SCALE)),
+                walls / RAY_SCALE,
+                behind.ravel(),
+                (simulation.insertion / INSERTION_SCALE, np.cos(rotation), np.sin(rotation)),
+                simulation.lead(),
+                velocity / (SPEED_SCALE + np.sqrt(velocity @ velocity)),
+                force / (FORCE_SCALE + np.sqrt(force @ force)),
+            )
+        ).astype(np.float32)
+
+
+def target_image(pixel: np.ndarray, size: int, radius_px: float) -> np.ndarray:
+    """An image of the target's dot alone.
+
+    Args:
+        pixel: where the target is seen, px, column and row. Shape (2,).
+        size: side of the image, px.
+        radius_px: of the dot.
+
+    Returns:
+        255 on the dot, with a soft edge, 0 elsewhere. Shape (size, size), uint8.
+    """
+    column, row = np.arange(size), np.arange(size)[:, None]
+    distance = np.hypot(column - pixel[0], row - pixel[1])
+    return np.rint(255 * np.clip(radius_px + 0.5 - distance, 0.0, 1.0)).astype(np.uint8)

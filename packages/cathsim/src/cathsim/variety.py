@@ -1,0 +1,237 @@
+"""An environment over many anatomies, targets and wires: each episode draws one of each."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+
+from cathsim.anatomy import Phantom, load_phantom
+from cathsim.environment import NavigateEnv
+from cathsim.guidewire import Guidewire, load_guidewire
+
+
+class Case(NamedTuple):
+    """What an episode of `NavigateManyEnv` takes place in, as indices into its arguments."""
+
+    phantom: int
+    target: int
+    wire: int
+
+
+class PhantomShelf:
+    """Phantoms of one process, loaded when first wanted; beyond `capacity` the one unused for longest is let go.
+
+    Args:
+        capacity: phantoms kept at least; those that environments still hold come on top.
+    """
+
+    def __init__(self, capacity: int = 64) -> None:
+        self.capacity = capacity
+        self._kept: OrderedDict[tuple[str | int, float], Phantom] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def take(self, name: str | int, resolution: float) -> Phantom:
+        """The phantom of a name, or for a number the random arch of that seed.
+
+        Args:
+            name: as `load_phantom` takes it, or the seed of a random arch.
+            resolution: m between the nodes of its grid.
+        """
+        key = (name, resolution)
+        with self._lock:
+            if key not in self._kept:
+                if isinstance(name, str):
+                    self._kept[key] = load_phantom(name, resolution=resolution)
+                else:
+                    self._kept[key] = load_phantom("random", seed=int(name), resolution=resolution)
+            self._kept.move_to_end(key)
+            while len(self._kept) > self.capacity:
+                self._kept.popitem(last=False)
+            return self._kept[key]
+
+
+SHELF = PhantomShelf()
+
+
+class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
+    """`NavigateEnv` in an anatomy, towards a target and with a wire that each reset draws anew.
+
+    Phantoms are built at first use and shared by every environment of the process, which keeps the last 64 of them
+    (`SHELF.capacity`): about 40 MB each at 1 mm, 13 MB at 1.5 mm.
+
+    Observations and actions are those of `NavigateEnv`; all wires must give the same observation space. `info` also
+    holds `case`, the number of the drawn case, `phantom` and `target`, their names.
+
+    Args:
+        phantoms: names, paths of meshes, `Phantom`s, or whole numbers: seeds of random arches.
+        targets: their names.
+        wires: names of presets, or `Guidewire`s.
+        resolution: m between the nodes of the phantoms' grids.
+        arguments: of `NavigateEnv`, for every episode.
+
+    Raises:
+        ValueError: nothing to choose from, or wires of different observations.
+    """
+
+    metadata = NavigateEnv.metadata
+
+    def __init__(
+        self,
+        phantoms: Sequence[str | int | Phantom] = tuple(range(16)),
+        targets: Sequence[str] = ("bca", "lcca"),
+        wires: Sequence[str | Guidewire] = ("default",),
+        *,
+        resolution: float = 1e-3,
+        **arguments: Any,
+    ) -> None:
+        for name, choices in (("phantoms", phantoms), ("targets", targets), ("wires", wires)):
+            if isinstance(choices, str) or not len(choices):
+                raise ValueError(f"{name} must list at least one, got {choices!r}")
+        for name in ("phantom", "target", "wire", "phantom_seed"):
+            if name in arguments:
+                raise ValueError(f"an environment over many anatomies takes {name}s, a list, instead of {name}")
+        self.phantoms, self.targets = tuple(phantoms), tuple(targets)
+        self.wires = tuple(load_guidewire(wire) if isinstance(wire, str) else wire for wire in wires)
+        self.resolution = resolution
+        self._arguments = arguments
+        self.case = 0
+        self.current = self._build(0)
+        self.action_space, self.observation_space = self.current.action_space, self.current.observation_space
+        self.render_mode = self.current.render_mode
+
+    @property
+    def cases(self) -> int:
+        """How many combinations of anatomy, target and wire there are."""
+        return len(self.phantoms) * len(self.targets) * len(self.wires)
+
+    def describe(self, case: int) -> Case:
+        """The anatomy, target and wire of a case.
+
+        Raises:
+            ValueError: there is no such case.
+        """
+        if not 0 <= case < self.cases:
+            raise ValueError(f"there is no case {case}: they are numbered from 0 to {self.cases - 1}")
+        rest, wire = divmod(int(case), len(self.wires))
+        return Case(*divmod(rest, len(self.targets)), wire)
+
+    def case_of(self, phantom: int, target: int = 0, wire: int = 0) -> int:
+        """The number of a case, from indices into `phantoms`, `targets` and `wires`."""
+        return (phantom * len(self.targets) + target) * len(self.wires) + wire
+
+    def _build(self, case: int) -> NavigateEnv:
+        chosen = self.describe(case)
+        named = self.phantoms[chosen.phantom]
+        phantom = named if isinstance(named, Phantom) else SHELF.take(named, self.resolution)
+        return NavigateEnv(phantom, self.targets[chosen.target], wire=self.wires[chosen.wire], **self._arguments)
+
+    def _change(self, case: int) -> None:
+        if case == self.case:
+            return
+        current = self._build(case)
+        if current.observation_space != self.observation_space:
+            raise ValueError("all wires and phantoms must give the same observation space: take other observations")
+        self.current.close()
+        self.case, self.current = case, current
+
+    # What recording an episode asks of an environment.
+    @property
+    def simulation(self) -> Any:
+        """The simulation of the episode."""
+        return self.current.simulation
+
+    @property
+    def phantom(self) -> Phantom:
+        """The anatomy of the episode."""
+        return self.current.phantom
+
+    @property
+    def task(self) -> Any:
+        """The task of the episode."""
+        return self.current.task
+
+    @property
+    def fluoroscope(self) -> Any:
+        """The fluoroscope of the episode."""
+        return self.current.fluoroscope
+
+    @property
+    def biplane(self) -> Any:
+        """The bi-planar fluoroscope of the episode, or None."""
+        return self.current.biplane
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode in a case drawn at random.
+
+        Args:
+            seed: of the case and of the start's jitter.
+            options: `case`, the number of the case instead of a drawn one; `start`, from `start_state`, which brings
+                its case along.
+
+        Raises:
+            ValueError: an option that there is not.
+        """
+        super().reset(seed=seed)
+        options = dict(options or {})
+        start, wanted = options.pop("start", None), options.pop("case", None)
+        if options:
+            raise ValueError(f"reset knows no option {', '.join(sorted(options))}; there are case, start")
+        case, own_seed = (int(number) for number in self.np_random.integers((self.cases, 2**31)))
+        if start is not None:
+            start = np.asarray(start)
+            case, start = int(start[-1]), start[:-1]
+        elif wanted is not None:
+            case = int(wanted)
+        self._change(case)
+        observation, info = self.current.reset(seed=own_seed, options=None if start is None else {"start": start})
+        return observation, self._named(info)
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advances by 0.1 s, as `NavigateEnv.step` does."""
+        observation, reward, terminated, truncated, info = self.current.step(action)
+        return observation, reward, terminated, truncated, self._named(info)
+
+    def _named(self, info: dict[str, Any]) -> dict[str, Any]:
+        return info | {"case": self.case, "phantom": self.phantom.name, "target": self.task.target}
+
+    def observe(self) -> Any:
+        """The observation of the moment."""
+        return self.current.observe()
+
+    def start_state(self) -> np.ndarray:
+        """The moment as a start that `reset(options={"start": …})` takes, the number of the case last. Shape (n,)."""
+        return np.append(self.current.start_state(), float(self.case))
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the rest of the episode and later draws depend on, to be pickled; for `restore`."""
+        return {
+            "case": self.case,
+            "generator": self.np_random.bit_generator.state,
+            "episode": self.current.state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> Any:
+        """Goes on where an environment with the same arguments was saved.
+
+        Args:
+            state: from `state`.
+
+        Returns:
+            The observation of that moment.
+        """
+        self._change(state["case"])
+        self.np_random.bit_generator.state = state["generator"]
+        return self.current.restore(state["episode"])
+
+    def render(self) -> np.ndarray | None:
+        """A picture as `render_mode` says."""
+        return self.current.render()
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self.current.close()

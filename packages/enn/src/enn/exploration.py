@@ -1,0 +1,273 @@
+"""Scripted roll-outs: what the wire looks like all over an anatomy, with the truth beside every picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+TRUTH = ("shape", "feeder", "force")  # observations that the targets are read from
+ARC_LENGTHS_MM = (0.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # of the wire points, behind the tip
+ROLL_OUT = (15, 60)  # steps, from and to
+BRANCH = 0.85  # share of roll-outs that go on from where an earlier one had come
+KEPT_EVERY = 4  # steps
+JUMP = 0.35  # share of roll-outs that start at a demonstration's state, where there are any
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Observations, and what is to be read off them.
+
+    Attributes:
+        observations: by name. Shapes (n, ...), images uint8.
+        points_mm: wire points at `ARC_LENGTHS_MM` behind the tip, world frame. Shape (n, points, 3).
+        direction: unit vector along the tip. Shape (n, 3).
+        feeder: insertion in mm, cosine and sine of the rotation. Shape (n, 3).
+        force: contact force, N, world frame. Shape (n, 3).
+        episode: number of the roll-out that a sample is from. Shape (n,).
+    """
+
+    observations: dict[str, np.ndarray]
+    points_mm: np.ndarray
+    direction: np.ndarray
+    feeder: np.ndarray
+    force: np.ndarray
+    episode: np.ndarray
+
+    def __post_init__(self) -> None:
+        count = len(self.points_mm)
+        rows = {name: len(array) for name, array in self.observations.items()}
+        rows |= {name: len(getattr(self, name)) for name in ("direction", "feeder", "force", "episode")}
+        wrong = [f"{name} {length}" for name, length in rows.items() if length != count]
+        if wrong:
+            raise ValueError(f"expected {count} rows in every array, got {', '.join(wrong)}")
+
+    def __len__(self) -> int:
+        return len(self.points_mm)
+
+    def take(self, rows: np.ndarray) -> Samples:
+        """The samples of some rows, or of a boolean mask."""
+        observations = {name: array[rows] for name, array in self.observations.items()}
+        fields = ("points_mm", "direction", "feeder", "force", "episode")
+        return Samples(observations, **{name: getattr(self, name)[rows] for name in fields})
+
+    @staticmethod
+    def joined(parts: Sequence[Samples]) -> Samples:
+        """Several sets as one; their roll-outs are numbered on.
+
+        Raises:
+            ValueError: there is none, or they hold different observations.
+        """
+        if not parts:
+            raise ValueError("there are no samples to join")
+        names = list(parts[0].observations)
+        for part in parts:
+            if list(part.observations) != names:
+                raise ValueError(f"expected samples of {', '.join(names)}, got {', '.join(part.observations)}")
+        observations = {name: np.concatenate([part.observations[name] for part in parts]) for name in names}
+        fields = ("points_mm", "direction", "feeder", "force")
+        others = {field: np.concatenate([getattr(part, field) for part in parts]) for field in fields}
+        firsts = np.cumsum([0, *(int(part.episode.max(initial=-1)) + 1 for part in parts[:-1])])
+        episode = np.concatenate([part.episode + first for part, first in zip(parts, firsts, strict=True)])
+        return Samples(observations, **others, episode=episode)
+
+
+def points_behind_tip(shape: np.ndarray, arc_lengths: np.ndarray) -> np.ndarray:
+    """Points of a wire at given lengths along it, linear between its nodes.
+
+    Args:
+        shape: nodes from the tip to the proximal end, any unit. Shape (nodes, 3).
+        arc_lengths: same unit; beyond the proximal end the last node stands. Shape (n,).
+
+    Returns:
+        Shape (n, 3).
+    """
+    lengths = np.linalg.norm(np.diff(shape, axis=0), axis=1)
+    at = np.concatenate(([0.0], np.cumsum(lengths)))
+    return np.stack([np.interp(arc_lengths, at, shape[:, axis]) for axis in range(3)], axis=1)
+
+
+class Moves:
+    """Persistent random actions: advance, retract, turn on the spot, tremble, each for a while.
+
+    Args:
+        size: of an action; two are translation and rotation of the feeder, otherwise the last one is the translation
+            and the others are motors of the tip.
+        generator: of the draws.
+    """
+
+    def __init__(self, size: int, generator: np.random.Generator) -> None:
+        self.size, self.generator = size, generator
+        self._left = 0
+        self._translation, self._spread = 0.0, 0.2
+        self._others = np.zeros(size - 1)
+
+    def start(self) -> None:
+        """Begins a roll-out: the next action belongs to a new move."""
+        self._left = 0
+
+    def _draw(self) -> None:
+        generator = self.generator
+        kind = generator.choice(4, p=(0.5, 0.2, 0.18, 0.12))
+        low, high = ((0.2, 1.0), (-1.0, -0.2), (-0.15, 0.15), (-0.3, 0.6))[kind]
+        self._translation, self._spread = generator.uniform(low, high), (0.15, 0.15, 0.05, 0.8)[kind]
+        self._others = generator.uniform(-1.0, 1.0, self.size - 1)
+        if kind < 2 and generator.random() < 0.4:
+            self._others[:] = 0.0  # straight in or out
+        self._left = int(generator.integers(3, 22))
+
+    def action(self) -> np.ndarray:
+        """The next action. Shape (size,), float32."""
+        if self._left == 0:
+            self._draw()
+        self._left -= 1
+        noise = self._spread * self.generator.standard_normal(self.size)
+        translation = self._translation + noise[0]
+        others = self._others + noise[1:]
+        parts = (translation, *others) if self.size == 2 else (*others, translation)
+        return np.clip(parts, -1.0, 1.0).astype(np.float32)
+
+
+class Frontier:
+    """States that earlier roll-outs came to, by the cell of space their tip lay in; rarely visited cells come first.
+
+    Roll-outs that always begin in the sheath crowd into the branch that lies straight ahead.
+
+    Args:
+        generator: of the draws.
+        cell: side of a cell, m.
+        capacity: states kept a cell; with more, each seen one is kept with equal probability.
+    """
+
+    def __init__(self, generator: np.random.Generator, cell: float = 0.006, capacity: int = 12) -> None:
+        self.generator, self.cell, self.capacity = generator, cell, capacity
+        self._cells: list[list[np.ndarray]] = []
+        self._visits: list[int] = []
+        self._index: dict[tuple[int, ...], int] = {}
+
+    def __len__(self) -> int:
+        return len(self._cells)
+
+    def add(self, state: np.ndarray, tip: np.ndarray) -> None:
+        """Keeps a state whose tip lies at a position, m. Shape (3,)."""
+        key = tuple(int(number) for number in np.floor(tip / self.cell))
+        index = self._index.setdefault(key, len(self._cells))
+        if index == len(self._cells):
+            self._cells.append([])
+            self._visits.append(0)
+        self._visits[index] += 1
+        kept = self._cells[index]
+        if len(kept) < self.capacity:
+            kept.append(state)
+        elif (place := int(self.generator.integers(self._visits[index]))) < self.capacity:
+            kept[place] = state
+
+    def draw(self) -> np.ndarray | None:
+        """A kept state; None while there is none."""
+        if not self._cells:
+            return None
+        weights = 1.0 / np.asarray(self._visits, np.float64)
+        cell = self._cells[int(self.generator.choice(len(weights), p=weights / weights.sum()))]
+        return cell[int(self.generator.integers(len(cell)))]
+
+
+def _start_state(env: gymnasium.Env[Any, Any]) -> np.ndarray | None:
+    bare = env.unwrapped
+    if hasattr(bare, "start_state"):
+        return np.asarray(bare.start_state())
+    if hasattr(bare, "simulation"):
+        return np.asarray(bare.simulation.state())
+    return None
+
+
+def _boxes(env: gymnasium.Env[Any, Any]) -> dict[str, gymnasium.spaces.Box]:
+    space = env.observation_space
+    if not isinstance(space, gymnasium.spaces.Dict):
+        raise ValueError(f"expected an environment with a Dict observation, got {space}: pass observation=(name, ...)")
+    missing = [name for name in TRUTH if name not in space.spaces]
+    if missing:
+        raise ValueError(
+            f"samples need the observations {', '.join(TRUTH)} for their targets, but {', '.join(missing)} is missing: "
+            "add it to the environment's observation"
+        )
+    return {name: box for name, box in space.spaces.items() if isinstance(box, gymnasium.spaces.Box)}
+
+
+def scripted_samples(
+    make_env: Callable[[], gymnasium.Env[Any, Any]],
+    count: int,
+    seed: int,
+    *,
+    starts: np.ndarray | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Samples:
+    """Rolls out random moves, from the sheath, from states that earlier ones reached, and from demonstrations.
+
+    Args:
+        make_env: makes the environment. Its observation is a Dict with `TRUTH` and the names to learn from; with a tiny
+            success radius no roll-out ends at the target, so that one set serves every target of an anatomy.
+        count: number of samples, one a step.
+        seed: of the moves and of the starts.
+        starts: states that `reset(options={"start": ...})` takes, such as those along demonstrations. Shape (k, size).
+        progress: called with the samples so far and `count`, about a hundred times.
+
+    Raises:
+        ValueError: count is not positive, or the environment does not observe the targets.
+    """
+    if count < 1:
+        raise ValueError(f"count must be at least 1, got {count}")
+    env = make_env()
+    boxes = _boxes(env)
+    generator = np.random.default_rng(seed)
+    size = int(np.prod(env.action_space.shape or (0,)))
+    moves, frontier = Moves(size, generator), Frontier(generator)
+    observations = {name: np.empty((count, *box.shape), box.dtype) for name, box in boxes.items()}
+    episode = np.empty(count, np.int32)
+    row, number, report = 0, -1, max(count // 100, 1)
+    while row < count:
+        number += 1
+        start = None
+        if starts is not None and len(starts) and generator.random() < JUMP:
+            start = np.asarray(starts[int(generator.integers(len(starts)))])
+        elif generator.random() < BRANCH:
+            start = frontier.draw()
+        options = None if start is None else {"start": start}
+        observation, _ = env.reset(seed=int(generator.integers(2**31)), options=options)
+        moves.start()
+        for _ in range(int(generator.integers(ROLL_OUT[0], ROLL_OUT[1]))):
+            for name, array in observations.items():
+                array[row] = observation[name]
+            episode[row] = number
+            row += 1
+            if progress is not None and (row % report == 0 or row == count):
+                progress(row, count)
+            if row == count:
+                break
+            observation, _, terminated, truncated, _ = env.step(moves.action())
+            if terminated or truncated:
+                break
+            if row % KEPT_EVERY == 0 and (state := _start_state(env)) is not None:
+                frontier.add(state, observation["shape"][0])
+    env.close()
+    return _with_targets(observations, episode)
+
+
+def _with_targets(observations: dict[str, np.ndarray], episode: np.ndarray) -> Samples:
+    shapes = 1e3 * observations["shape"].astype(np.float64)
+    at = np.asarray(ARC_LENGTHS_MM)
+    points = np.stack([points_behind_tip(shape, at) for shape in shapes])
+    ahead = shapes[:, 0] - shapes[:, 1]
+    direction = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    feeder = observations["feeder"].astype(np.float64) * (1e3, 1.0, 1.0)
+    kept = {name: array for name, array in observations.items() if name not in TRUTH}
+    return Samples(
+        kept,
+        points.astype(np.float32),
+        direction.astype(np.float32),
+        feeder.astype(np.float32),
+        observations["force"].astype(np.float32),
+        episode,
+    )

@@ -1,0 +1,158 @@
+"""Force samples: what is seen at the end of a step, beside the largest contact force of that step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from enn.trajectory import Trajectory, require_same_shapes
+
+
+@dataclass(frozen=True)
+class ForceSamples:
+    """Samples to learn forces from.
+
+    Attributes:
+        images: (N, channels, height, width) uint8; no channels where none are used.
+        vectors: (N, v) float32; v may be 0.
+        forces: (N,) float32, N, largest resultant contact force of the step.
+        episodes: (N,) number of the episode of each sample.
+        features: (N, z) float32, the expert's feature vector Z, or None.
+
+    Raises:
+        ValueError: lengths disagree, or a value is not finite.
+    """
+
+    images: NDArray[np.uint8]
+    vectors: NDArray[np.float32]
+    forces: NDArray[np.float32]
+    episodes: NDArray[np.int64]
+    features: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        """Checks lengths and values."""
+        count = len(self.forces)
+        named: list[tuple[str, NDArray[Any]]] = [
+            ("images", self.images),
+            ("vectors", self.vectors),
+            ("episodes", self.episodes),
+        ]
+        if self.features is not None:
+            named.append(("features", self.features))
+        for name, array in named:
+            if len(array) != count:
+                raise ValueError(f"{count} forces need as many {name}, got {len(array)}")
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise ValueError(f"{name} hold a value that is not finite: leave that episode out")
+        if not np.isfinite(self.forces).all():
+            raise ValueError("forces hold a value that is not finite: leave that episode out")
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.forces)
+
+    def chosen(self, index: NDArray[np.int64]) -> ForceSamples:
+        """Some of the samples."""
+        return ForceSamples(
+            self.images[index],
+            self.vectors[index],
+            self.forces[index],
+            self.episodes[index],
+            None if self.features is None else self.features[index],
+        )
+
+    def drawn(self, count: int, seed: int) -> ForceSamples:
+        """So many samples, drawn without replacement; a larger draw with the same seed holds the smaller one.
+
+        Raises:
+            ValueError: there are not that many.
+        """
+        if count > len(self):
+            raise ValueError(f"there are {len(self)} samples, {count} were asked for: record more episodes")
+        return self.chosen(np.random.default_rng(seed).permutation(len(self))[:count])
+
+
+def force_samples(
+    trajectories: Sequence[Trajectory],
+    *,
+    images: Sequence[str] = ("image",),
+    vectors: Sequence[str] = (),
+    frames: int = 1,
+    actions: bool = False,
+    features: Sequence[NDArray[np.float32]] | None = None,
+) -> ForceSamples:
+    """Samples of episodes: a step each.
+
+    Args:
+        trajectories: of one kind.
+        images: image observations, of the end of the step.
+        vectors: further observations of that moment, (T + 1, ...).
+        frames: images of that moment and of so many less one before it; an episode's first image stands in for those
+            before the start.
+        actions: whether the action of the step is seen, too.
+        features: the expert's Z of each episode's moments, (T + 1, z), or None.
+
+    Returns:
+        A sample a step.
+
+    Raises:
+        ValueError: no episodes, episodes of different kinds, or features of another length.
+    """
+    if frames < 1:
+        raise ValueError(f"frames must be at least 1, got {frames}")
+    shapes = require_same_shapes(trajectories, (*images, *vectors))
+    side = shapes[images[0]][1:] if images else (0, 0)
+    seen, numbers, matched = [], [], []
+    for index, trajectory in enumerate(trajectories):
+        moments = np.arange(1, len(trajectory) + 1)
+        if images:
+            stacked = np.concatenate([trajectory.observations[key] for key in images], axis=1)
+            history = [stacked[np.maximum(moments - back, 0)] for back in reversed(range(frames))]
+            seen.append(np.concatenate(history, axis=1))
+        else:
+            seen.append(np.zeros((len(trajectory), 0, *side), np.uint8))
+        parts = [trajectory.observations[key][1:].reshape(len(trajectory), -1) for key in vectors]
+        if actions:
+            parts.append(trajectory.actions)
+        parts.append(np.zeros((len(trajectory), 0)))
+        numbers.append(np.concatenate(parts, axis=1).astype(np.float32))
+        if features is not None:
+            if len(features) != len(trajectories) or len(features[index]) != len(trajectory) + 1:
+                raise ValueError(
+                    f"{trajectory.label} of {len(trajectory)} steps needs features of shape ({len(trajectory) + 1}, z)"
+                )
+            matched.append(features[index][1:].astype(np.float32))
+    return ForceSamples(
+        images=np.concatenate(seen),
+        vectors=np.concatenate(numbers),
+        forces=np.concatenate([trajectory.forces for trajectory in trajectories]).astype(np.float32),
+        episodes=np.repeat(np.arange(len(trajectories)), [len(trajectory) for trajectory in trajectories]),
+        features=np.concatenate(matched) if features is not None else None,
+    )
+
+
+def principal_components(episodes: Sequence[NDArray[np.float32]], count: int) -> list[NDArray[np.float32]]:
+    """A few numbers that say most of a larger observation, each with standard deviation 1 over all moments.
+
+    Args:
+        episodes: (T + 1, ...) each, such as the points of the wire.
+        count: of components at most.
+
+    Returns:
+        (T + 1, components) an episode.
+
+    Raises:
+        ValueError: no episode.
+    """
+    if not episodes:
+        raise ValueError("principal components need at least one episode")
+    flat = np.concatenate([values.reshape(len(values), -1) for values in episodes]).astype(np.float64)
+    centred = flat - flat.mean(axis=0)
+    variances, directions = np.linalg.eigh(centred.T @ centred / len(centred))
+    largest = [k for k in np.argsort(variances)[::-1][:count] if variances[k] > 1e-12 * variances.max()]
+    components = (centred @ directions[:, largest] / np.sqrt(variances[largest])).astype(np.float32)
+    return np.split(components, np.cumsum([len(values) for values in episodes])[:-1])

@@ -1,0 +1,112 @@
+"""Normalised vectors: a features extractor whose mean and scale are fitted once and belong to the network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gymnasium
+import torch
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
+
+LIMIT = 10.0  # normalised values are cut here: what hardly varied while fitting may jump later
+SMALLEST_SCALE = 1e-6
+
+
+class VectorExtractor(BaseFeaturesExtractor):
+    """Vector observations side by side, each value less its mean and over its standard deviation.
+
+    Mean 0 and scale 1 until `fit`; both are buffers, so that they are saved with the network.
+
+    Args:
+        observation_space: a `Dict`, or one `Box`.
+        keys: the observations of a `Dict` to use, in this order; none: all.
+
+    Raises:
+        ValueError: a key that there is not, or an image among them.
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, observation_space: gymnasium.Space, keys: Sequence[str] = ()) -> None:
+        spaces = vector_spaces(observation_space, keys)
+        super().__init__(observation_space, sum(_size(space) for space in spaces.values()))
+        self.keys = tuple(spaces)
+        self.register_buffer("mean", torch.zeros(self.features_dim))
+        self.register_buffer("scale", torch.ones(self.features_dim))
+        self.fitted = False
+
+    def forward(self, observations: dict[str, Tensor] | Tensor) -> Tensor:
+        """Features of observations. Shape (N, features)."""
+        vectors = self._vectors(observations)
+        if not self.fitted:
+            return vectors
+        return ((vectors - self.mean) / self.scale).clamp(-LIMIT, LIMIT)
+
+    def fit(self, observations: dict[str, Tensor] | Tensor) -> None:
+        """Takes mean and scale from observations; values that do not vary are only shifted.
+
+        Args:
+            observations: name to (N, ...), or (N, ...).
+        """
+        vectors = self._vectors(observations)
+        scale = vectors.std(dim=0)
+        self.mean.copy_(vectors.mean(dim=0))
+        self.scale.copy_(torch.where(scale > SMALLEST_SCALE, scale, torch.ones_like(scale)))
+        self.fitted = True
+
+    def _load_from_state_dict(self, state_dict: dict[str, Tensor], prefix: str, *rest: object) -> None:
+        super()._load_from_state_dict(state_dict, prefix, *rest)
+        self.fitted = bool((self.scale != 1).any() or (self.mean != 0).any())
+
+    def _vectors(self, observations: dict[str, Tensor] | Tensor) -> Tensor:
+        if not isinstance(observations, dict):
+            return observations.flatten(1)
+        if len(self.keys) == 1:
+            return observations[self.keys[0]].flatten(1)
+        return torch.cat([observations[key].flatten(1) for key in self.keys], dim=1)
+
+
+def fit_normalisation(network: nn.Module, observations: dict[str, Tensor] | Tensor) -> None:
+    """Fits every `VectorExtractor` of a network to the same observations."""
+    for module in network.modules():
+        if isinstance(module, VectorExtractor):
+            module.fit(observations)
+
+
+def vector_spaces(space: gymnasium.Space, keys: Sequence[str] = ()) -> dict[str, gymnasium.spaces.Box]:
+    """The vector observations of a space by name; a single `Box` has the name "".
+
+    Raises:
+        ValueError: a key that there is not, or an image among them.
+    """
+    if isinstance(space, gymnasium.spaces.Dict):
+        spaces = {key: space[key] for key in select_keys(space, keys)}
+    else:
+        spaces = {"": space}
+    images = [key or "the observation" for key, one in spaces.items() if len(one.shape or ()) == 3]
+    if images:
+        raise ValueError(
+            f"{', '.join(images)} is an image: give it an encoder, or a network with extractor='multimodal'"
+        )
+    return spaces  # type: ignore[return-value]
+
+
+def select_keys(space: gymnasium.spaces.Dict, keys: Sequence[str]) -> tuple[str, ...]:
+    """The keys asked for, or all of a space.
+
+    Raises:
+        ValueError: a key that there is not.
+    """
+    unknown = [key for key in keys if key not in space.spaces]
+    if unknown:
+        raise ValueError(f"no observation {', '.join(unknown)}; the environment gives {', '.join(space.spaces)}")
+    return tuple(keys) or tuple(space.spaces)
+
+
+def _size(space: gymnasium.spaces.Box) -> int:
+    size = 1
+    for length in space.shape:
+        size *= length
+    return size

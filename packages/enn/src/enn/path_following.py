@@ -1,0 +1,271 @@
+"""Path following: a network that predicts the next action from where the tip has been and a planned path ahead of it.
+
+The thesis's attempt, in which an MLP predicts the next action from a sequence of observations along the A* path.
+
+Source: thesis, chapter CathSim, section RL for Autonomous Cannulation.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+
+from enn.fitting import FitProgress, FitReport, FitSettings, fit
+from enn.trajectory import Trajectory
+
+FORMAT = "enn-path-follower-1"
+_PER_METRE = 50.0  # brings offsets of centimetres to about one
+_PATH_STEP = 1e-3  # m between the points that the nearest one is sought among
+_BACKWARDS = 0.005  # m that the nearest point may go back along the path in a step
+
+
+@dataclass(frozen=True)
+class PathFollowerSettings:
+    """What is seen of tip and path, and how it is learnt from.
+
+    Attributes:
+        history: tip positions, the present one included.
+        waypoints: points of the path ahead of the tip.
+        spacing: between them, m.
+        hidden: units of the hidden layers.
+        fit: of the fit.
+    """
+
+    history: int = 5
+    waypoints: int = 5
+    spacing: float = 0.008
+    hidden: tuple[int, ...] = (128, 128)
+    fit: FitSettings = field(
+        default_factory=lambda: FitSettings(epochs=60, batch_size=64, learning_rate=1e-3, weight_decay=1e-3)
+    )
+
+    def __post_init__(self) -> None:
+        """Refuses what cannot be seen."""
+        if self.history < 1 or self.waypoints < 1 or not self.spacing > 0:
+            raise ValueError(
+                "history and waypoints must be at least 1 and spacing above 0, got "
+                f"{self.history}, {self.waypoints} and {self.spacing}"
+            )
+
+    @property
+    def size(self) -> int:
+        """Numbers that the network sees."""
+        return 3 * (self.history - 1) + 3 + 3 * self.waypoints + 1
+
+
+class PlannedPath:
+    """A path that progress is measured along.
+
+    Args:
+        points: (n, 3) m, from the entry to the target, n >= 2.
+
+    Raises:
+        ValueError: another shape, a point that is not finite, or no length.
+    """
+
+    def __init__(self, points: ArrayLike) -> None:
+        given = np.asarray(points, np.float64)
+        if given.ndim != 2 or given.shape[1] != 3 or len(given) < 2 or not np.isfinite(given).all():
+            raise ValueError(f"a path needs finite points of shape (n, 3) with n >= 2, got shape {given.shape}")
+        arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))))
+        self.length = float(arc[-1])
+        if not self.length > 0:
+            raise ValueError("a path needs a length above nought: its points are all the same")
+        self.arc = np.linspace(0.0, self.length, max(2, round(self.length / _PATH_STEP) + 1))
+        self.points = np.column_stack([np.interp(self.arc, arc, given[:, axis]) for axis in range(3)])
+
+    def at(self, arc: NDArray[Any]) -> NDArray[np.float64]:
+        """Points at lengths along the path, the end beyond it. Shape (k, 3), m."""
+        return np.column_stack([np.interp(arc, self.arc, self.points[:, axis]) for axis in range(3)])
+
+    def progress(self, tip: NDArray[np.float64], before: float) -> float:
+        """Length along the path of the point nearest to the tip, not far behind where it was before, m."""
+        distances = np.linalg.norm(self.points - tip, axis=1)
+        distances[self.arc < before - _BACKWARDS] = np.inf
+        return float(self.arc[int(np.argmin(distances))])
+
+
+def describe(
+    tips: Sequence[NDArray[np.float64]], path: PlannedPath, progress: float, settings: PathFollowerSettings
+) -> NDArray[np.float32]:
+    """What the network sees of a moment: everything relative to the tip.
+
+    Args:
+        tips: (3,) m each, positions up to now, the present one last.
+        path: to be followed.
+        progress: along it, m.
+        settings: what is seen.
+
+    Returns:
+        Former tip positions, nearest point, points ahead, all from the tip, and the length left. Shape (size,).
+    """
+    tip = tips[-1]
+    former = [tips[max(len(tips) - 1 - back, 0)] for back in range(1, settings.history)]
+    ahead = path.at(progress + settings.spacing * np.arange(settings.waypoints + 1))
+    offsets = np.concatenate((np.array(former).reshape(-1, 3), ahead)) - tip
+    return np.append(_PER_METRE * offsets.ravel(), 10.0 * (path.length - progress)).astype(np.float32)
+
+
+class PathFollower:
+    """A fitted network that follows paths.
+
+    Args:
+        network: (N, size) to (N, actions).
+        settings: what it sees.
+    """
+
+    def __init__(self, network: nn.Sequential, settings: PathFollowerSettings) -> None:
+        self.network, self.settings = network.eval(), settings
+
+    def controller(self, path: ArrayLike) -> PathController:
+        """Follows a path over an episode; call `reset()` at the start of each.
+
+        Args:
+            path: (n, 3) m, from the entry to the target.
+        """
+        return PathController(self, PlannedPath(path))
+
+    def act(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions for what is seen, (N, size). Within -1 and 1, shape (N, actions)."""
+        with torch.inference_mode():
+            actions: NDArray[np.float32] = self.network(torch.as_tensor(seen)).numpy()
+        return np.clip(actions, -1.0, 1.0)
+
+    def save(self, path: Path | str) -> None:
+        """Writes settings and weights into one file, atomically."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        torch.save(
+            {
+                "format": FORMAT,
+                "settings": asdict(self.settings),
+                "actions": self.network[-1].out_features,
+                "weights": self.network.state_dict(),
+            },
+            temporary,
+        )
+        os.replace(temporary, path)
+
+    @classmethod
+    def load(cls, path: Path | str) -> PathFollower:
+        """Reads a path follower.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged, no path follower, or its weights do not fit its settings.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"there is no path follower {path}: fit one first")
+        try:
+            content = torch.load(path, weights_only=True)
+            if content["format"] != FORMAT:
+                raise KeyError("format")
+        except Exception as error:
+            raise ValueError(f"{path} is damaged or no path follower: fit it again") from error
+        try:
+            fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content["settings"].items()}
+            settings = PathFollowerSettings(**{**fields, "fit": FitSettings(**fields["fit"])})
+            network = build(settings, content["actions"])
+            network.load_state_dict(content["weights"])
+        except (TypeError, RuntimeError, ValueError) as error:
+            raise ValueError(f"{path} is of another architecture than this version builds: fit it again") from error
+        return cls(network, settings)
+
+
+class PathController:
+    """A path follower over an episode."""
+
+    def __init__(self, follower: PathFollower, path: PlannedPath) -> None:
+        self.follower, self.path = follower, path
+        self._tips: list[NDArray[np.float64]] = []
+        self._progress = 0.0
+
+    def reset(self) -> None:
+        """Starts an episode."""
+        self._tips, self._progress = [], 0.0
+
+    def __call__(self, observation: Any, info: Mapping[str, Any]) -> NDArray[np.float32]:
+        """The action of this step. Shape (actions,).
+
+        Args:
+            observation: not looked at.
+            info: with `tip`, (3,) m.
+        """
+        tip = np.asarray(info["tip"], np.float64)
+        self._tips = [*self._tips, tip][-self.follower.settings.history :]
+        self._progress = self.path.progress(tip, self._progress)
+        seen = describe(self._tips, self.path, self._progress, self.follower.settings)
+        return self.follower.act(seen[None])[0]
+
+
+def build(settings: PathFollowerSettings, actions: int) -> nn.Sequential:
+    """The network with fresh weights."""
+    layers: list[nn.Module] = []
+    size = settings.size
+    for units in settings.hidden:
+        layers += [nn.Linear(size, units), nn.ReLU()]
+        size = units
+    return nn.Sequential(*layers, nn.Linear(size, actions))
+
+
+def fit_path_follower(
+    trajectories: Sequence[Trajectory],
+    paths: Sequence[ArrayLike],
+    settings: PathFollowerSettings | None = None,
+    *,
+    seed: int = 0,
+    folder: Path | None = None,
+    progress: Callable[[FitProgress], None] | None = None,
+) -> tuple[PathFollower, FitReport]:
+    """Learns to follow paths from an expert's episodes.
+
+    Args:
+        trajectories: of the expert; only tips and actions are used.
+        paths: the planned path of each episode, (n, 3) m.
+        settings: what is seen and how it is learnt from.
+        seed: of weights and shuffling.
+        folder: for a checkpoint, from which an interrupted fit goes on.
+        progress: called after every epoch.
+
+    Returns:
+        The follower, and what the fit was like.
+
+    Raises:
+        ValueError: no episodes, not a path for each, or episodes with different numbers of actions.
+    """
+    settings = settings or PathFollowerSettings()
+    if not trajectories or len(paths) != len(trajectories):
+        raise ValueError(f"expected a path for each of at least one episode, got {len(paths)} for {len(trajectories)}")
+    sizes = {trajectory.actions.shape[1] for trajectory in trajectories}
+    if len(sizes) > 1:
+        raise ValueError(f"the episodes have different numbers of actions ({', '.join(map(str, sorted(sizes)))})")
+    rows = []
+    for trajectory, points in zip(trajectories, paths, strict=True):
+        path, along = PlannedPath(points), 0.0
+        tips = list(trajectory.tips.astype(np.float64))
+        for step in range(len(trajectory)):
+            along = path.progress(tips[step], along)
+            rows.append(describe(tips[: step + 1], path, along, settings))
+    seen = torch.as_tensor(np.stack(rows))
+    wanted = torch.as_tensor(np.concatenate([trajectory.actions for trajectory in trajectories]).astype(np.float32))
+    episodes = np.repeat(np.arange(len(trajectories)), [len(trajectory) for trajectory in trajectories])
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        network = build(settings, wanted.shape[1])
+
+        def loss(samples: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
+            index = torch.as_tensor(samples)
+            return nn.functional.mse_loss(network(seen[index]), wanted[index])
+
+        report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
+    return PathFollower(network, settings), report

@@ -1,0 +1,274 @@
+"""Policy: what a training leaves behind, from raw observations to actions, and the one file that it is kept in."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BasePolicy
+from torch import Tensor
+
+from enn.network import NetworkSettings, action_distribution, actor_features, build_network
+
+if TYPE_CHECKING:
+    from enn.encoder import Encoder
+
+FORMAT = "enn-policy-1"
+Observation = Mapping[str, NDArray[Any]] | NDArray[Any]
+
+
+class Policy:
+    """A trained policy: optional frozen encoder, network, and how its actions are to be repeated.
+
+    Args:
+        network: how the network is built.
+        module: the network, an actor (and critic) of stable-baselines3.
+        observation_space: of the environment, before any encoder.
+        action_space: of the environment.
+        encoder: turns observations into features before the network, or None.
+        passthrough: observations that go to the network beside the encoder's features.
+        action_repeat: environment steps that each action is meant for.
+        metadata: whatever else is worth keeping: seed, decisions, phantom, target.
+    """
+
+    def __init__(
+        self,
+        network: NetworkSettings,
+        module: BasePolicy,
+        observation_space: gymnasium.Space[Any],
+        action_space: gymnasium.spaces.Box,
+        *,
+        encoder: Encoder | None = None,
+        passthrough: tuple[str, ...] = (),
+        action_repeat: int = 1,
+        metadata: dict[str, Any] | None = None,
+    ) -> None:
+        self.network, self.module, self.encoder, self.passthrough = network, module, encoder, passthrough
+        self.observation_space, self.action_space = observation_space, action_space
+        self.action_repeat = action_repeat
+        self.metadata = dict(metadata or {})
+        self.module.set_training_mode(False)
+        if encoder is not None:
+            encoder.eval()
+            self.keys: tuple[str, ...] = (*encoder.keys, *passthrough)
+        elif isinstance(observation_space, gymnasium.spaces.Dict):
+            self.keys = network.keys or tuple(observation_space)
+        else:
+            self.keys = ()
+        self._low, self._high = action_space.low, action_space.high
+
+    def act(
+        self, observation: Observation, deterministic: bool = True, generator: np.random.Generator | None = None
+    ) -> NDArray[np.float32]:
+        """The action for one observation.
+
+        Args:
+            observation: as the environment gives it; names that the policy does not see are ignored.
+            deterministic: the mean instead of a draw.
+            generator: of the draw.
+
+        Returns:
+            Within the action space. Shape (actions,).
+        """
+        if isinstance(observation, Mapping):
+            return self.act_batch({key: observation[key][None] for key in observation}, deterministic, generator)[0]
+        return self.act_batch(observation[None], deterministic, generator)[0]
+
+    def act_batch(
+        self, observations: Observation, deterministic: bool = True, generator: np.random.Generator | None = None
+    ) -> NDArray[np.float32]:
+        """Actions for observations with a leading N. Shape (N, actions).
+
+        Raises:
+            ValueError: an observation is missing or has another shape than in training; a draw without a generator.
+        """
+        with torch.inference_mode():
+            mean, log_std = action_distribution(self.module, self._encoded(observations))
+            raw = mean.cpu().numpy()
+            if not deterministic:
+                if generator is None:
+                    raise ValueError("a stochastic action needs a seeded numpy Generator")
+                noise = generator.standard_normal(raw.shape, np.float32)
+                raw = raw + np.exp(log_std.cpu().numpy()) * noise
+        return self._bounded(raw)
+
+    def features(self, observations: Observation) -> NDArray[np.float32]:
+        """The features Z that the decision rests on, for observations with a leading N. Shape (N, features)."""
+        with torch.inference_mode():
+            return actor_features(self.module, self._encoded(observations)).cpu().numpy()
+
+    def controller(self, deterministic: bool = True, seed: int = 0) -> Controller:
+        """The policy over an episode, with its action repeat; call `reset()` at the start of each."""
+        return Controller(self, deterministic, seed)
+
+    def _bounded(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
+        if self.network.algorithm == "sac":
+            raw = (self._low + 0.5 * (np.tanh(raw) + 1.0) * (self._high - self._low)).astype(np.float32)
+        return np.asarray(raw.clip(self._low, self._high), np.float32)
+
+    def _encoded(self, observations: Observation) -> dict[str, Tensor] | Tensor:
+        tensors = self._tensors(observations)
+        if self.encoder is None or not isinstance(tensors, dict):
+            return tensors
+        features = self.encoder({key: tensors[key] for key in self.encoder.keys})
+        seen = {"features": features} | {key: tensors[key] for key in self.passthrough}
+        return {key: value.to(self.module.device) for key, value in seen.items()}
+
+    def _tensors(self, observations: Observation) -> dict[str, Tensor] | Tensor:
+        space = self.observation_space
+        if not isinstance(space, gymnasium.spaces.Dict):
+            if isinstance(observations, Mapping):
+                raise ValueError(
+                    f"the policy sees one array of shape {space.shape}, got the observations {', '.join(observations)}"
+                )
+            return self._tensor("the observation", observations, space)
+        if not isinstance(observations, Mapping):
+            raise ValueError(f"the policy sees {', '.join(self.keys)} by name, got one array {np.shape(observations)}")
+        missing = [key for key in self.keys if key not in observations]
+        if missing:
+            raise ValueError(
+                f"the policy sees {', '.join(self.keys)}, but {', '.join(missing)} is missing: make the environment "
+                "with these observations"
+            )
+        return {key: self._tensor(f"'{key}'", observations[key], space[key]) for key in self.keys}
+
+    def _tensor(self, name: str, values: NDArray[Any], space: gymnasium.Space[Any]) -> Tensor:
+        if values.shape[1:] != space.shape:
+            kind = "image size" if len(space.shape or ()) == 3 else "wire or environment"
+            raise ValueError(
+                f"the policy was trained with {name} of shape {space.shape}, got {values.shape[1:]}: another {kind}"
+            )
+        # an encoder lives on the CPU, whatever the network is on
+        return torch.as_tensor(values, device=self.module.device if self.encoder is None else "cpu")
+
+    def save(self, path: Path | str) -> None:
+        """Writes settings, spaces and weights into one file, atomically."""
+        path = Path(path)
+        content = {
+            "format": FORMAT,
+            "network": asdict(self.network),
+            "weights": {
+                key: value.cpu() for key, value in self.module.state_dict().items() if _acts(self.network, key)
+            },
+            "observation_space": _describe(self.observation_space),
+            "network_space": _describe(self.module.observation_space),
+            "action_space": _describe(self.action_space),
+            "encoder": None
+            if self.encoder is None
+            else {"settings": asdict(self.encoder.settings), "weights": self.encoder.state_dict()},
+            "passthrough": list(self.passthrough),
+            "action_repeat": self.action_repeat,
+            "metadata": self.metadata,
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        torch.save(content, temporary)
+        os.replace(temporary, path)
+
+    @classmethod
+    def load(cls, path: Path | str, device: str = "cpu") -> Policy:
+        """Reads a policy.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file is damaged, holds something else, or its weights do not fit its own settings.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"there is no policy {path}: train one first")
+        try:
+            content = torch.load(path, map_location=device, weights_only=True)
+        except Exception as error:
+            raise ValueError(f"{path} is damaged or no policy ({type(error).__name__}): train it again") from error
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            got = content.get("format") if isinstance(content, dict) else type(content).__name__
+            raise ValueError(f"{path} is no policy of format {FORMAT}, but {got}")
+        fields: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in content["network"].items()}
+        observation_space, action_space = _space(content["observation_space"]), _space(content["action_space"])
+        encoder = None
+        try:
+            network = NetworkSettings(**fields)
+            if content["encoder"] is not None:
+                from enn.encoder import Encoder, EncoderSettings
+
+                encoder = Encoder(EncoderSettings(**content["encoder"]["settings"]))
+                encoder.load_state_dict(content["encoder"]["weights"])
+            module = build_network(network, _space(content["network_space"]), action_space).to(device)
+            wanted = {key for key in module.state_dict() if _acts(network, key)}
+            if wanted != content["weights"].keys():
+                odd = sorted(wanted ^ content["weights"].keys())
+                raise RuntimeError(f"weights {', '.join(odd[:3])} are missing or unexpected")
+            module.load_state_dict(content["weights"], strict=False)
+        except (RuntimeError, TypeError, KeyError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise ValueError(f"{path} is of another architecture than this version builds ({reason})") from error
+        return cls(
+            network,
+            module,
+            observation_space,
+            action_space,
+            encoder=encoder,
+            passthrough=tuple(content["passthrough"]),
+            action_repeat=content["action_repeat"],
+            metadata=content["metadata"],
+        )
+
+
+class Controller:
+    """A policy over an episode: holds each action for the policy's action repeat."""
+
+    def __init__(self, policy: Policy, deterministic: bool = True, seed: int = 0) -> None:
+        self.policy, self.deterministic = policy, deterministic
+        self._generator = np.random.default_rng(seed)
+        self._left = 0
+        self._action: NDArray[np.float32] = np.zeros(policy.action_space.shape, np.float32)
+
+    def reset(self) -> None:
+        """Starts an episode: the next call decides anew."""
+        self._left = 0
+
+    def __call__(self, observation: Observation, info: Mapping[str, Any] | None = None) -> NDArray[np.float32]:
+        """The action of this step. Shape (actions,)."""
+        if self._left == 0:
+            self._action = self.policy.act(observation, self.deterministic, self._generator)
+            self._left = self.policy.action_repeat
+        self._left -= 1
+        return self._action
+
+
+def _acts(network: NetworkSettings, key: str) -> bool:
+    # SAC's critics are of no use without their optimisers and targets
+    return network.algorithm != "sac" or key.startswith("actor.")
+
+
+def _describe(space: gymnasium.Space[Any]) -> dict[str, Any]:
+    if isinstance(space, gymnasium.spaces.Dict):
+        return {"dict": {name: _describe(one) for name, one in space.spaces.items()}}
+    if not isinstance(space, gymnasium.spaces.Box):
+        raise ValueError(f"a policy needs Box or Dict spaces, got {space}")
+    bounds = [
+        [float(array.flat[0])] if (array == array.flat[0]).all() else array.ravel().tolist()
+        for array in (space.low, space.high)
+    ]
+    return {"shape": list(space.shape), "dtype": str(space.dtype), "low": bounds[0], "high": bounds[1]}
+
+
+def _space(description: dict[str, Any]) -> Any:
+    if "dict" in description:
+        # the order of the names is the order of the network's inputs
+        return gymnasium.spaces.Dict([(name, _space(one)) for name, one in description["dict"].items()])
+    shape, dtype = tuple(description["shape"]), np.dtype(description["dtype"])
+    low, high = (
+        np.broadcast_to(
+            np.array(description[k]) if len(description[k]) == 1 else np.reshape(description[k], shape), shape
+        ).astype(dtype)
+        for k in ("low", "high")
+    )
+    return gymnasium.spaces.Box(low, high, shape, dtype.type)

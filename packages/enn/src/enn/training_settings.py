@@ -1,0 +1,201 @@
+"""Training settings: everything a reinforcement learning run is defined by, and the presets of thesis and desk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from enn.network import NetworkSettings
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """A reinforcement learning run; one decision is one action of one environment, held for `action_repeat` steps.
+
+    Attributes:
+        algorithm: "sac" or "ppo".
+        variant: of the networks: "thesis", "desk" or "baselines".
+        keys: observations that the actor sees, without an encoder; none: all.
+        critic_keys: observations that the critic sees where they differ (SAC).
+        passthrough: observations beside the encoder's features.
+        extractor: "vectors" or "multimodal"; see `enn.network`.
+        image_features: features an image in the multimodal extractor.
+        hidden: units of the hidden layers.
+        critic_hidden: of the critic alone, where they differ.
+        shared: features that actor and critic share, by whose loss they are trained; see `enn.network`.
+        activation: "relu" or "tanh".
+        normalise: fits mean and scale of vector observations to the first decisions; never with an encoder, whose
+            features are normalised.
+        decisions: budget, all environments together.
+        n_envs: environments sampled together.
+        threads: that step them.
+        action_repeat: environment steps a decision.
+        learning_rate: of Adam.
+        batch_size: transitions an update.
+        gamma: discount a decision.
+        learning_starts: random decisions at the start.
+        gradient_steps: updates a decision (SAC); may be a fraction.
+        actor_every: updates of the critic for one of the actor and of the entropy's weight (SAC).
+        tau: share of the new weights in the target critic.
+        ent_coef: weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05; for PPO a number.
+        target_entropy: that "auto" aims at; None: minus the number of actions.
+        buffer_size: transitions in the replay buffer.
+        half: vectors of the replay buffer in half precision.
+        demonstrations_in_replay: share of each batch drawn from demonstrations.
+        n_steps: decisions of each environment between PPO's updates.
+        epochs: of PPO over each roll-out.
+        gae_lambda: of PPO.
+        clip_range: of PPO.
+        bank_share: share of the resets that start from the bank; 0: there is no bank.
+        bank_capacity: states in the bank.
+        evaluate_every: decisions between evaluations; 0: none, the last policy is kept.
+        evaluation_episodes: deterministic episodes, and as many stochastic ones where those were no worse than the best
+            so far; when the first three fail, the rest are not played.
+        stop_after: evaluations in a row that are perfect and no shorter than the best, after which training stops
+            early; 0: never.
+        curve_every: decisions between rows of the curve.
+        checkpoint_seconds: between checkpoints; 0: after every decision.
+        tensorboard: writes event files into the folder.
+        device: of the networks, "cpu" or "cuda".
+    """
+
+    algorithm: str = "sac"
+    variant: str = "desk"
+    keys: tuple[str, ...] = ()
+    critic_keys: tuple[str, ...] = ()
+    passthrough: tuple[str, ...] = ()
+    extractor: str = "vectors"
+    image_features: int = 128
+    hidden: tuple[int, ...] = (128, 128)
+    critic_hidden: tuple[int, ...] | None = None
+    shared: str = ""
+    activation: str = "relu"
+    normalise: bool = True
+    decisions: int = 6000
+    n_envs: int = 8
+    threads: int = 1
+    action_repeat: int = 3
+    learning_rate: float = 1e-3
+    batch_size: int = 128
+    gamma: float = 0.99
+    learning_starts: int = 304
+    gradient_steps: float = 1.0
+    actor_every: int = 1
+    tau: float = 0.005
+    ent_coef: str | float = "auto_0.05"
+    target_entropy: float | None = None
+    buffer_size: int = 50_000
+    half: bool = False
+    demonstrations_in_replay: float = 0.0
+    n_steps: int = 256
+    epochs: int = 10
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    bank_share: float = 0.75
+    bank_capacity: int = 4096
+    evaluate_every: int = 1000
+    evaluation_episodes: int = 10
+    stop_after: int = 0
+    curve_every: int = 200
+    checkpoint_seconds: float = 60.0
+    tensorboard: bool = False
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        """Refuses what cannot be trained with."""
+        for name in (
+            "decisions",
+            "n_envs",
+            "threads",
+            "action_repeat",
+            "batch_size",
+            "buffer_size",
+            "n_steps",
+            "epochs",
+            "actor_every",
+        ):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("learning_rate", "tau"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if not 0 < self.gamma <= 1:
+            raise ValueError(f"gamma must lie between 0 and 1, got {self.gamma}")
+        if self.gradient_steps < 0 or self.learning_starts < 0 or self.checkpoint_seconds < 0:
+            raise ValueError("gradient_steps, learning_starts and checkpoint_seconds cannot be negative")
+        if self.algorithm == "ppo":
+            if isinstance(self.ent_coef, str):
+                raise ValueError(f"PPO needs a number as ent_coef, got '{self.ent_coef}': only SAC learns it")
+            if self.demonstrations_in_replay:
+                raise ValueError("PPO keeps no replay buffer: leave demonstrations_in_replay at 0")
+        self.network  # noqa: B018 - refuses unknown names
+
+    @property
+    def network(self) -> NetworkSettings:
+        """The part that shapes of weights depend on."""
+        return NetworkSettings(
+            algorithm=self.algorithm,
+            keys=self.keys,
+            critic_keys=self.critic_keys,
+            extractor=self.extractor,
+            variant=self.variant,
+            image_features=self.image_features,
+            hidden=self.hidden,
+            critic_hidden=self.critic_hidden,
+            shared=self.shared,
+            activation=self.activation,
+        )
+
+
+# Thesis, table of SAC's hyper-parameters, features of its architecture table; the layers after them, which it does not
+# print, are the library's. Budget: 600,000 steps.
+THESIS_SAC = TrainingSettings(
+    variant="thesis",
+    extractor="multimodal",
+    hidden=(256, 256),
+    normalise=False,
+    decisions=600_000,
+    action_repeat=1,
+    n_envs=1,
+    learning_rate=3e-4,
+    batch_size=256,
+    learning_starts=100,
+    ent_coef=1.0,
+    target_entropy=-2.0,
+    buffer_size=1_000_000,
+    bank_share=0.0,
+    evaluate_every=10_000,
+    curve_every=1000,
+)
+# Thesis, CathSim chapter: Adam at 3e-4; the rest as in stable-baselines3.
+THESIS_PPO = TrainingSettings(
+    algorithm="ppo",
+    variant="thesis",
+    extractor="multimodal",
+    hidden=(64, 64),
+    activation="tanh",
+    normalise=False,
+    decisions=600_000,
+    action_repeat=1,
+    n_envs=1,
+    learning_rate=3e-4,
+    batch_size=64,
+    learning_starts=0,
+    ent_coef=0.0,
+    n_steps=2048,
+    bank_share=0.0,
+    evaluate_every=10_000,
+    curve_every=2048,
+)
+# Measured on the simulator: with demonstrations in the bank, holding an action for 0.3 s is what makes LCCA quick.
+DESK_SAC = TrainingSettings()
+DESK_PPO = TrainingSettings(
+    algorithm="ppo",
+    activation="tanh",
+    decisions=60_000,
+    learning_rate=1e-3,
+    batch_size=256,
+    ent_coef=0.0,
+    n_steps=128,
+    evaluate_every=5000,
+    curve_every=1024,
+)

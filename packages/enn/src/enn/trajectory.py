@@ -1,0 +1,168 @@
+"""Trajectory: the arrays of one episode, with the invariants that everything learnt from episodes relies on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One episode of T >= 1 steps; what is observed has one entry more, the last moment.
+
+    Attributes:
+        observations: name to (T + 1, ...), the episode's start and the moment after every step.
+        actions: (T, a), within -1 and 1.
+        rewards: (T,).
+        terminated: whether the target was reached (an episode that was cut off was not).
+        forces: (T,) N, largest contact force of each step.
+        tips: (T + 1, 3) m, tip positions, world frame.
+        simulation_states: (T + 1, n) states that an episode can be started from, or None.
+        metadata: whatever else belongs to it: phantom, target, seed, wire, file.
+
+    Raises:
+        ValueError: when lengths disagree, or a value is not finite; the message names the array and both sides.
+    """
+
+    observations: dict[str, NDArray[Any]]
+    actions: NDArray[Any]
+    rewards: NDArray[Any]
+    terminated: bool
+    forces: NDArray[Any]
+    tips: NDArray[Any]
+    simulation_states: NDArray[Any] | None = None
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Checks lengths and values."""
+        if self.actions.ndim != 2 or len(self.actions) == 0:
+            raise ValueError(f"actions must have shape (T, a) with T >= 1, got {self.actions.shape}")
+        steps = len(self.actions)
+        for name, array in (("rewards", self.rewards), ("forces", self.forces)):
+            if array.shape != (steps,):
+                raise ValueError(f"{name} of {steps} actions must have shape ({steps},), got {array.shape}")
+        if self.tips.shape != (steps + 1, 3):
+            raise ValueError(f"tips of {steps} actions must have shape ({steps + 1}, 3), got {self.tips.shape}")
+        if self.simulation_states is not None and (
+            self.simulation_states.ndim != 2 or len(self.simulation_states) != steps + 1
+        ):
+            raise ValueError(
+                f"simulation_states of {steps} actions must have shape ({steps + 1}, n), "
+                f"got {self.simulation_states.shape}"
+            )
+        for name, array in self.observations.items():
+            if len(array) != steps + 1:
+                raise ValueError(f"observation '{name}' of {steps} actions needs {steps + 1} entries, got {len(array)}")
+        for name, array in (*self.observations.items(), *self._numbers()):
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                step = int(np.argwhere(~np.isfinite(array))[0][0])
+                raise ValueError(f"'{name}' is not finite at step {step}: leave this episode out")
+        if (self.forces < 0).any():
+            raise ValueError(f"forces are magnitudes and cannot be negative, got {self.forces.min():.3g} N")
+
+    def _numbers(self) -> list[tuple[str, NDArray[Any]]]:
+        named = [("actions", self.actions), ("rewards", self.rewards), ("forces", self.forces), ("tips", self.tips)]
+        if self.simulation_states is not None:
+            named.append(("simulation_states", self.simulation_states))
+        return named
+
+    def __len__(self) -> int:
+        """Number of steps T."""
+        return len(self.actions)
+
+    @property
+    def path_length(self) -> float:
+        """Length of the way the tip went, m."""
+        return float(np.linalg.norm(np.diff(self.tips.astype(np.float64), axis=0), axis=1).sum())
+
+    def require(self, keys: Sequence[str]) -> None:
+        """Refuses a trajectory that lacks an observation.
+
+        Args:
+            keys: names of the observations that are needed.
+
+        Raises:
+            ValueError: naming what is missing and what there is.
+        """
+        missing = [key for key in keys if key not in self.observations]
+        if missing:
+            there = ", ".join(self.observations) or "none"
+            raise ValueError(f"{self.label} has no observation {', '.join(missing)}; it has {there}")
+
+    @property
+    def label(self) -> str:
+        """Its file if the metadata knows one, to name it in messages."""
+        return str(self.metadata.get("file", "the trajectory"))
+
+
+def require_same_shapes(trajectories: Sequence[Trajectory], keys: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Checks that episodes can be learnt from together: same observations, same actions.
+
+    Args:
+        trajectories: at least one.
+        keys: names of the observations that are needed.
+
+    Returns:
+        Name to the shape of one observation.
+
+    Raises:
+        ValueError: when there are none, one lacks an observation, or shapes differ (another wire or image size); the
+            message names the episode.
+    """
+    if not trajectories:
+        raise ValueError("there are no episodes to learn from: record some first")
+    first = trajectories[0]
+    for trajectory in trajectories:
+        trajectory.require(keys)
+        for key in keys:
+            expected, got = first.observations[key].shape[1:], trajectory.observations[key].shape[1:]
+            if got != expected:
+                cause = "image size" if len(expected) == 3 else "wire"
+                raise ValueError(
+                    f"{trajectory.label} was recorded with another {cause}: its '{key}' has shape {got}, the other "
+                    f"episodes' {expected}; keep episodes of one kind together"
+                )
+        if trajectory.actions.shape[1] != first.actions.shape[1]:
+            raise ValueError(
+                f"{trajectory.label} has {trajectory.actions.shape[1]} actions, the other episodes "
+                f"{first.actions.shape[1]}: keep episodes of one kind together"
+            )
+    return {key: first.observations[key].shape[1:] for key in keys}
+
+
+def join(
+    trajectories: Sequence[Trajectory], keys: Sequence[str]
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.float32], NDArray[np.float32]]:
+    """Lays episodes end to end as samples of (observation before the step, action, force of the step).
+
+    Args:
+        trajectories: at least one, of one kind.
+        keys: names of the observations wanted.
+
+    Returns:
+        Observations (name to (N, ...)), actions (N, a) and forces (N,) N, where N is the sum of all T.
+
+    Raises:
+        ValueError: as `require_same_shapes`.
+    """
+    require_same_shapes(trajectories, keys)
+    observations = {key: np.concatenate([t.observations[key][:-1] for t in trajectories]) for key in keys}
+    actions = np.concatenate([t.actions for t in trajectories]).astype(np.float32)
+    forces = np.concatenate([t.forces for t in trajectories]).astype(np.float32)
+    return observations, actions, forces
+
+
+def observation_shapes(observations: Mapping[str, NDArray[Any]]) -> dict[str, tuple[int, ...]]:
+    """Shapes of single observations of a batch.
+
+    Args:
+        observations: name to (N, ...).
+
+    Returns:
+        Name to the shape without N.
+    """
+    return {name: array.shape[1:] for name, array in observations.items()}

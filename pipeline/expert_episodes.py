@@ -1,0 +1,185 @@
+"""Expert episodes: the logs with images that the enn stage leaves, read for what learns from them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.episodes import EpisodeReader
+from pipeline.episodes.errors import EpisodeReadError
+from pipeline.errors import StageError
+from pipeline.learning_task import LearningTask
+from pipeline.replay import recorded_wire
+from pipeline.training_job import EXPERT, POLICY
+
+if TYPE_CHECKING:
+    from enn.policy import Policy
+    from enn.trajectory import Trajectory
+
+CAMERA = "frontal"
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def read_episode(log: Path) -> Trajectory:
+    """Reads an episode with its images, as a learner sees it.
+
+    Args:
+        log: of an episode that was logged with images.
+
+    Returns:
+        Observations `image` and `mask` (T + 1, 1, H, W), `joints`, `feeder` and `shape`, as the environment gives them.
+
+    Raises:
+        EpisodeReadError: the log is damaged or unfinished.
+        StageError: it holds no images.
+        ValueError: it holds no step, or a value that is not finite.
+    """
+    from enn.trajectory import Trajectory
+
+    with EpisodeReader(log) as reader:
+        info, outcome = reader.info, reader.outcome
+        if CAMERA not in reader.cameras or not reader.has(CAMERA, "image"):
+            raise StageError(f"{log} was logged without images: nothing can be learnt to see from it")
+        arrays = reader.load_arrays()
+        wire = recorded_wire(info)
+    feeder = np.column_stack((arrays["insertion"], np.cos(arrays["rotation"]), np.sin(arrays["rotation"])))
+    joints = np.concatenate((arrays["joint_positions"], arrays["joint_velocities"]), axis=1)
+    return Trajectory(
+        observations={
+            "image": arrays[f"image/{CAMERA}"][:, None],
+            "mask": arrays[f"mask/{CAMERA}"][:, None] * np.uint8(255),
+            "joints": joints.astype(np.float32),
+            "feeder": feeder.astype(np.float32),
+            "shape": arrays["wire_points"].astype(np.float32),
+        },
+        actions=arrays["action"][1:].astype(np.float32),
+        rewards=arrays["reward"][1:],
+        terminated=bool(outcome.success),
+        forces=np.linalg.norm(arrays["resultant_force"][1:], axis=1),
+        tips=arrays["tip"],
+        metadata={"file": str(log), "phantom": info.phantom, "target": info.target, "seed": info.seed, "wire": wire},
+    )
+
+
+def read_episodes(logs: Sequence[Path], wanted: int | None = None) -> list[Trajectory]:
+    """Reads episodes that are to be learnt from together; a damaged one is left out with a warning.
+
+    Args:
+        logs: in the order in which they are to be taken.
+        wanted: how many; None: all.
+
+    Returns:
+        The episodes.
+
+    Raises:
+        StageError: there are no logs, none can be read, or one is of another wire or image size than the rest.
+    """
+    episodes: list[Trajectory] = []
+    for log in logs:
+        if wanted is not None and len(episodes) == wanted:
+            break
+        try:
+            episodes.append(read_episode(log))
+        except (EpisodeReadError, ValueError) as error:
+            _LOGGER.warning("%s is left out: %s", log, error)
+    if not episodes:
+        place = f" of {len(logs)} in {logs[0].parent}" if logs else ""
+        raise StageError(f"there is no expert episode to learn from{place}: run stage=enn with stage.expert_episodes>0")
+    require_alike(episodes)
+    if wanted is not None and len(episodes) < wanted:
+        _LOGGER.warning("%d expert episodes were asked for, there are %d", wanted, len(episodes))
+    return episodes
+
+
+def require_alike(episodes: Sequence[Trajectory]) -> None:
+    """Refuses episodes of several wires or image sizes.
+
+    Raises:
+        StageError: names the first that differs.
+    """
+    from enn.trajectory import require_same_shapes
+
+    for episode in episodes:
+        if episode.metadata["wire"] != episodes[0].metadata["wire"]:
+            raise StageError(
+                f"{episode.label} was recorded with another wire than {episodes[0].label}: keep episodes of one kind "
+                "together"
+            )
+    try:
+        require_same_shapes(episodes, ("image", "joints"))
+    except ValueError as error:
+        raise StageError(str(error)) from error
+
+
+def expert_folder(enn: Path, task: str, row: str) -> Path:
+    """The training whose policy is the expert: the first seed that has expert episodes, or else a policy.
+
+    Args:
+        enn: folder of the stage.
+        task: phantom and target, ``type_1/bca``.
+        row: of its table, ``I+V+M``.
+
+    Raises:
+        StageError: there is none.
+    """
+    folders = sorted((enn / task / row).glob("seed*"), key=lambda folder: int(folder.name.removeprefix("seed")))
+    trained = [folder for folder in folders if (folder / POLICY).is_file()]
+    recorded = [folder for folder in trained if any((folder / EXPERT).glob("*.mcap"))]
+    for folder in (*recorded, *trained):
+        return folder
+    raise StageError(
+        f"stage enn has trained no {row} for {task}: run stage=enn with this phantom and target, or choose others"
+    )
+
+
+def expert_logs(folder: Path) -> list[Path]:
+    """Logs of the expert episodes of a training, in their order."""
+    return sorted((folder / EXPERT).glob("*.mcap"))
+
+
+def load_expert(folder: Path) -> Policy:
+    """The policy of a training.
+
+    Raises:
+        StageError: it cannot be read.
+    """
+    from enn.policy import Policy
+
+    try:
+        return Policy.load(folder / POLICY)
+    except ValueError as error:
+        raise StageError(f"{error}; run stage=enn again") from error
+
+
+def task_of_log(log: Path) -> LearningTask:
+    """The task that an episode was recorded in.
+
+    Args:
+        log: of the enn stage, with images.
+    """
+    from cathsim import GUIDEWIRES, load_guidewire
+
+    with EpisodeReader(log) as reader:
+        info, wire = reader.info, recorded_wire(reader.info)
+        size = reader.camera(CAMERA).width if CAMERA in reader.cameras else 80
+        actions = len(reader.step(0).action)
+    names = [name for name in GUIDEWIRES if load_guidewire(name) == wire]
+    if not names:
+        raise StageError(f"{log} was recorded with a wire that this version does not have: record it anew")
+    configuration: dict[str, Any] = dict(info.configuration)
+    return LearningTask(
+        phantom=info.phantom,
+        target=info.target,
+        wire=names[0],
+        actions="feeder" if actions == 2 else "tip_motors",
+        image_size=size,
+        max_steps=configuration["max_steps"],
+        success_radius=configuration["success_radius"],
+        start_jitter=configuration["start_jitter"],
+        start_rotation=configuration["start_rotation"],
+    )

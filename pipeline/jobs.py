@@ -1,0 +1,269 @@
+"""Jobs: independent pieces of a stage's work in processes of their own, resumable one by one.
+
+A job is a function of a module and what it is given, both picklable. It runs in a fresh process with one thread for
+numerics, tells how far it is through its `Report`, and returns what `RunFolder.mark_done` keeps for the stage's
+summary. What it had begun when it was stopped it finds again in its own files: a finished job never runs twice, an
+unfinished one goes on from its checkpoint.
+
+How a job ends early:
+
+- The stage is stopped (Ctrl-C, SIGTERM): the next `report` in each job raises `KeyboardInterrupt`, so that a training
+  writes its checkpoint and leaves.
+- The stage is killed: its jobs notice at once and end where they stand.
+- A job fails, or its process is killed: the others go on, and `run_jobs` names it at the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing import forkserver
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from pipeline.artifacts import RunFolder
+from pipeline.errors import StageError
+from pipeline.interruption import stop_if_asked
+from pipeline.job_progress import JobDisplay, JobState
+from pipeline.job_worker import Message, Report, work
+
+__all__ = ["Job", "Report", "run_jobs"]
+
+SECONDS_TO_STOP = 60.0  # that a job may take to write its checkpoint
+_SECONDS_BETWEEN_LOOKS = 0.25
+# One thread a process: the jobs already use every core.
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A piece of work.
+
+    Attributes:
+        key: its name in messages and in the run folder; no two of a stage share one.
+        run: a module's function: what it is given, and where it tells its progress, to a JSON value.
+        given: to `run`; picklable.
+        after: keys of jobs that must be done before.
+        weight: how long it takes beside the others, for the estimate of the end.
+    """
+
+    key: str
+    run: Callable[[Any, Report], Any]
+    given: Any = None
+    after: tuple[str, ...] = ()
+    weight: float = 1.0
+
+
+@dataclass
+class _Running:
+    job: Job
+    process: Any
+    connection: Connection
+    state: JobState
+    failure: str | None = None
+    result: Any = None
+    answered: bool = False
+
+
+def available_workers() -> int:
+    """How many processes may run beside each other: one a core that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_jobs(
+    folder: RunFolder, jobs: Sequence[Job], *, workers: int = 0, label: str = "jobs", preload: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Runs the jobs that are not done yet, several beside each other.
+
+    Args:
+        folder: of the stage; keeps what is done.
+        jobs: all of the stage, in the order in which they should start.
+        workers: processes beside each other; 0: one a core.
+        label: what the jobs are, for the progress line.
+        preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
+
+    Returns:
+        Key to what each job returned, also those of an earlier, interrupted run.
+
+    Raises:
+        StageError: jobs failed or were killed; it names them, and the others are done.
+        ValueError: two jobs have the same key, or one waits for a job that there is not.
+    """
+    todo = folder.pending(jobs, key=lambda job: job.key)
+    _check_order(jobs)
+    states = [JobState(job.key, job.weight, done=job not in todo) for job in jobs]
+    display = JobDisplay(label, states, workers=workers or available_workers())
+    failures: dict[str, str] = {}
+    if todo:
+        with display, _one_thread():
+            failures = _Pool(folder, todo, display, preload).run()
+    if failures:
+        raise StageError(_sentence(label, failures, len(jobs)))
+    return {job.key: folder.result_of(job.key) for job in jobs}
+
+
+def _check_order(jobs: Sequence[Job]) -> None:
+    seen: set[str] = set()
+    for job in jobs:
+        missing = [key for key in job.after if key not in seen]
+        if missing:
+            raise ValueError(f"job {job.key} waits for {', '.join(missing)}: list those before it")
+        seen.add(job.key)
+
+
+def _sentence(label: str, failures: dict[str, str], total: int) -> str:
+    named = "; ".join(f"{key} ({reason})" for key, reason in list(failures.items())[:5])
+    more = f"; and {len(failures) - 5} more" if len(failures) > 5 else ""
+    return (
+        f"{len(failures)} of {total} {label} failed: {named}{more}. The others are kept; the same command tries "
+        "these again"
+    )
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextlib.contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    """Lets what starts inside inherit that Ctrl-C means nothing: a job still importing would print a traceback."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class _Pool:
+    """The processes of the jobs under way."""
+
+    def __init__(self, folder: RunFolder, todo: Sequence[Job], display: JobDisplay, preload: Sequence[str]) -> None:
+        self._folder, self._waiting, self._display = folder, list(todo), display
+        self._running: list[_Running] = []
+        self._failures: dict[str, str] = {}
+        # A forked copy of this process would inherit the lock, the log's file and the threads of libraries.
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload(["pipeline.job_worker", *preload])
+        with _ctrl_c_ignored():
+            forkserver.ensure_running()
+
+    def run(self) -> dict[str, str]:
+        """Runs everything; returns key to reason of those that failed."""
+        try:
+            while self._waiting or self._running:
+                self._start_what_can()
+                self._listen(_SECONDS_BETWEEN_LOOKS)
+                self._display.show()
+                stop_if_asked()
+        finally:
+            self._stop()
+        return self._failures
+
+    def _start_what_can(self) -> None:
+        for job in list(self._waiting):
+            broken = [key for key in job.after if key in self._failures]
+            if broken:
+                self._waiting.remove(job)
+                self._fail(job.key, f"it needs {broken[0]}")
+            elif len(self._running) < self._display.workers and self._is_ready(job):
+                self._waiting.remove(job)
+                self._start(job)
+
+    def _is_ready(self, job: Job) -> bool:
+        return all(self._folder.result_of(key) is not None for key in job.after)
+
+    def _start(self, job: Job) -> None:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=work, args=(job.run, job.given, theirs), name=job.key)
+        process.start()
+        theirs.close()  # or the end of the job's process would not end the connection
+        self._running.append(_Running(job, process, ours, self._display.states[job.key]))
+        self._display.states[job.key].start()
+
+    def _listen(self, timeout_s: float) -> None:
+        ready = wait([running.connection for running in self._running], timeout_s)
+        for running in [r for r in self._running if r.connection in ready]:
+            try:
+                while running.connection.poll():
+                    self._take(running, running.connection.recv())
+            except (EOFError, OSError):
+                self._ended(running)
+
+    def _take(self, running: _Running, message: Message) -> None:
+        if message.kind == "progress":
+            running.state.update(message.fraction, message.text)
+        elif message.kind == "log":
+            _LOGGER.log(message.level, "%s: %s", running.job.key, message.text)
+        elif message.kind == "failed":
+            running.answered, running.failure = True, message.text
+            if message.traceback:
+                _LOGGER.error("%s failed:\n%s", running.job.key, message.traceback.rstrip())
+        elif message.kind == "done":
+            running.answered, running.result = True, message.result
+
+    def _ended(self, running: _Running) -> None:
+        """A job's process has closed its connection: done, failed, stopped or killed."""
+        self._running.remove(running)
+        running.process.join(SECONDS_TO_STOP)
+        running.connection.close()
+        if running.answered and running.failure is None:
+            self._folder.mark_done(running.job.key, running.result)
+            running.state.finish()
+        elif running.answered:
+            self._fail(running.job.key, running.failure or "unknown error")
+        else:
+            code = running.process.exitcode or 0
+            self._fail(running.job.key, f"its process was killed by signal {-code}" if code < 0 else "it was stopped")
+
+    def _fail(self, key: str, reason: str) -> None:
+        self._failures[key] = reason
+        self._display.states[key].fail()
+        _LOGGER.warning("%s failed: %s", key, reason)
+
+    def _stop(self) -> None:
+        """Asks the jobs under way to stop, and waits for their checkpoints; a second Ctrl-C waits no more."""
+        for running in self._running:
+            with contextlib.suppress(OSError):
+                running.connection.send("stop")
+        deadline = time.monotonic() + SECONDS_TO_STOP
+        try:
+            while self._running and time.monotonic() < deadline:
+                self._drain()
+        finally:
+            for running in self._running:
+                running.process.kill()
+                running.process.join()
+
+    def _drain(self) -> None:
+        """Takes what stopping jobs still say; one that was just done counts as done."""
+        for connection in wait([running.connection for running in self._running], _SECONDS_BETWEEN_LOOKS):
+            running = next(r for r in self._running if r.connection is connection)
+            try:
+                self._take(running, running.connection.recv())
+            except (EOFError, OSError):
+                self._running.remove(running)
+                running.process.join(SECONDS_TO_STOP)
+                if running.answered and running.failure is None:
+                    self._folder.mark_done(running.job.key, running.result)

@@ -1,0 +1,102 @@
+"""The task that learning stages train and evaluate on, and the environments made from it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cathsim import NavigateEnv
+
+HELD_OUT_SEED = 1_000_000  # evaluation episodes' seeds begin here: no training comes so far
+EXPERT_SEED = 2_000_000  # those of expert episodes, which imitation learns from and is not evaluated on
+SEEDS_A_TRAINING = 1_000
+REWARD_OF_TRAINING, REWARD_OF_EVALUATION = "geodesic", "distance"  # the latter is the thesis's
+
+
+@dataclass(frozen=True)
+class LearningTask:
+    """Anatomy, target, wire and rules of an episode.
+
+    Attributes:
+        phantom: name of an anatomy.
+        target: name of one of its targets.
+        wire: name of a guidewire.
+        actions: "feeder" (two) or "tip_motors" (twenty-one).
+        image_size: side of the images, px.
+        max_steps: an episode is cut off after so many.
+        success_radius: m.
+        start_jitter: the wire starts advanced by up to this much, m.
+        start_rotation: ... and turned by up to this much either way, rad.
+        force_penalty: of the training's reward, a newton.
+    """
+
+    phantom: str
+    target: str
+    wire: str = "default"
+    actions: str = "feeder"
+    image_size: int = 80
+    max_steps: int = 300
+    success_radius: float = 0.008
+    start_jitter: float = 0.001
+    start_rotation: float = math.pi
+    force_penalty: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Phantom and target, which name the folder: ``type_1/bca``."""
+        return f"{self.phantom}/{self.target}"
+
+    def environment(self, observation: str | Sequence[str], *, training: bool = False) -> NavigateEnv:
+        """Makes an environment.
+
+        Args:
+            observation: a name, which gives one array, or several, which give a dictionary.
+            training: with the shaped reward and the force's penalty, and without the list of contacts; otherwise with
+                the thesis's reward, which is what tables report.
+        """
+        from cathsim import NavigateEnv
+
+        return NavigateEnv(
+            self.phantom,
+            self.target,
+            wire=self.wire,
+            actions=self.actions,
+            observation=observation if isinstance(observation, str) else tuple(observation),
+            image_size=self.image_size,
+            contact_info=not training,
+            max_steps=self.max_steps,
+            success_radius=self.success_radius,
+            start_jitter=self.start_jitter,
+            start_rotation=self.start_rotation,
+            reward=REWARD_OF_TRAINING if training else REWARD_OF_EVALUATION,
+            force_penalty=self.force_penalty if training else 0.0,
+        )
+
+    def factory(self, observation: str | Sequence[str]) -> Callable[[], NavigateEnv]:
+        """Makes training environments.
+
+        Args:
+            observation: as `environment` takes it.
+        """
+        return functools.partial(self.environment, observation, training=True)
+
+
+def held_out_seeds(training_seed: int, count: int, *, first: int = HELD_OUT_SEED) -> range:
+    """Seeds of the episodes that belong to a training: no other training's, and none that it was trained on.
+
+    Args:
+        training_seed: of the training.
+        count: of episodes.
+        first: `HELD_OUT_SEED` for evaluation, `EXPERT_SEED` for episodes to learn from.
+
+    Raises:
+        ValueError: more episodes than a training has seeds.
+    """
+    if count > SEEDS_A_TRAINING:
+        raise ValueError(f"a training has {SEEDS_A_TRAINING} seeds of its own for episodes, got {count} episodes")
+    start = first + training_seed * SEEDS_A_TRAINING
+    return range(start, start + count)

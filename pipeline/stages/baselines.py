@@ -1,0 +1,143 @@
+"""The baselines stage: PPO and SAC on joints, one image or three, and a policy that follows the planned path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from pipeline.config import BaselinesSettings
+from pipeline.jobs import Job
+from pipeline.path_job import ROW, PathJob, follow
+from pipeline.report.learning_tables import tables_from_logs
+from pipeline.report.results import write_results
+from pipeline.stages import Stage, StageContext
+from pipeline.training_plan import (
+    LEARNING_CODE,
+    THESIS,
+    Cell,
+    check_learning,
+    demonstrations,
+    run_cells,
+    sized,
+    task_of,
+    training_seeds,
+)
+from pipeline.trials import Origin
+
+if TYPE_CHECKING:
+    from enn.reinforcement import TrainingSettings
+
+SECONDS_AN_EPISODE = 0.3  # of the path follower's; only for the estimate of the end
+
+
+def run_baselines(settings: BaselinesSettings, context: StageContext) -> None:
+    """Trains and evaluates every cell of the table and sums them up.
+
+    Args:
+        settings: of the stage.
+        context: where to write.
+    """
+    cells = plan(settings, context.seed)
+    followers = path_followers(settings, context) if settings.path_follower else []
+    run_cells(cells, settings, context, stage="baselines", beside=followers)
+    tables = tables_from_logs(context.path)
+    tables["task"] = {"episode_limit_rl": {"value": settings.max_steps}}
+    write_results(context.path, tables)
+
+
+def plan(settings: BaselinesSettings, run_seed: int) -> list[Cell]:
+    """The trainings of the table: each algorithm with each observation on each task.
+
+    Args:
+        settings: of the stage.
+        run_seed: of the run.
+
+    Returns:
+        A cell each.
+    """
+    return [
+        Cell(
+            task=task_of(settings, phantom, target),
+            row=f"{algorithm}_{observation}",
+            seed=seed,
+            keys=(observation,),
+            settings=training_settings(settings, algorithm, observation),
+            encoded=settings.variant != THESIS,
+        )
+        for seed in training_seeds(run_seed, settings.seeds, settings.seeds)
+        for observation in settings.observations
+        for algorithm in settings.algorithms
+        for phantom in settings.phantoms
+        for target in settings.targets
+    ]
+
+
+def training_settings(settings: BaselinesSettings, algorithm: str, observation: str) -> TrainingSettings:
+    """Hyper-parameters of a cell.
+
+    Args:
+        settings: of the stage.
+        algorithm: "ppo" or "sac".
+        observation: "internal", "image" or "sequential".
+    """
+    from enn.reinforcement import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC
+
+    thesis = settings.variant == THESIS
+    presets = {("sac", True): THESIS_SAC, ("ppo", True): THESIS_PPO, ("sac", False): DESK_SAC, ("ppo", False): DESK_PPO}
+    changed: dict[str, Any] = {}
+    if thesis:
+        # Two layers of 64 with tanh over the state; over images the convolutions of Mnih et al. and 512 units, from
+        # which the actions are linear. The critic of SAC, which the thesis does not print, is the library's.
+        changed = {"keys": (observation,), "variant": "baselines", "hidden": (64, 64), "activation": "tanh"}
+        if observation != "internal":
+            changed |= {"hidden": (), "activation": "relu"}
+        if algorithm == "sac":
+            changed["critic_hidden"] = (256, 256)
+        if settings.actions != "feeder":
+            changed["target_entropy"] = None  # the thesis's -2 belongs to the two actions of the ENN
+    decisions = settings.ppo_decisions if algorithm == "ppo" else settings.decisions
+    return sized(presets[algorithm, thesis], decisions, settings, **changed)
+
+
+def path_followers(settings: BaselinesSettings, context: StageContext) -> list[Job]:
+    """The jobs of the path follower, one a task and seed; it steers the feeder's two actions.
+
+    Args:
+        settings: of the stage.
+        context: of the stage.
+
+    Returns:
+        The jobs.
+    """
+    jobs = []
+    for seed in training_seeds(context.seed, settings.seeds, settings.seeds):
+        for phantom in settings.phantoms:
+            for target in settings.targets:
+                task = replace(task_of(settings, phantom, target), actions="feeder")
+                name = f"{task.name}/{ROW}/seed{seed}"
+                job = PathJob(
+                    folder=context.path / name,
+                    task=task,
+                    seed=seed,
+                    origin=Origin("baselines", ROW, seed, settings.variant, {"force_weight": 0.0}),
+                    demonstrations=demonstrations(task, context),
+                    evaluation_episodes=settings.evaluation_episodes,
+                )
+                jobs.append(Job(name, follow, job, weight=settings.evaluation_episodes * SECONDS_AN_EPISODE))
+    return jobs
+
+
+STAGE = Stage(
+    name="baselines",
+    run=run_baselines,
+    reads=("expert",),
+    writes=(
+        "encoders/<phantom>/<observation>.{pt, json}",
+        "<phantom>/<target>/<row>/seed<k>/{policy.pt, training.csv, training.json, tensorboard/}",
+        "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
+        "<phantom>/<target>/path_follower/seed<k>/{follower.pt, evaluation/deterministic/NNN.mcap}",
+        "results.json",
+    ),
+    code=(*LEARNING_CODE, "enn.path_following", "enn.fitting", "pipeline.path_job"),
+    check=check_learning,
+)

@@ -1,0 +1,196 @@
+"""The enn stage: the Expert Navigation Network, its ablation over modality sets, and policies that spare the wall."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from pipeline.config import EnnSettings
+from pipeline.errors import ConfigurationError
+from pipeline.report.learning_tables import tables_from_logs
+from pipeline.report.results import write_results
+from pipeline.stages import Stage, StageContext
+from pipeline.training_plan import (
+    LEARNING_CODE,
+    THESIS,
+    Cell,
+    check_learning,
+    run_cells,
+    sized,
+    task_of,
+    training_seeds,
+)
+
+# The thesis's table of training times has names of its own for the sets.
+TRAINING_TIME_ROWS = {"V": "image", "V+M": "image_mask", "I": "internal", "I+V": "internal_image", "I+V+M": "enn"}
+TRAINING_TIME_PHANTOM = "type_1"  # of the thesis's ablation
+SAFE = "safe"
+IMAGE_SHAPE = (1, 80, 80)  # of the thesis
+LAYER_COLUMNS = ("output_shape", "parameters", "nonlinearity", "kernel", "stride", "padding")
+_SECONDS_AN_HOUR = 3600.0
+
+
+def check_enn(settings: EnnSettings) -> None:
+    """Refuses unknown phantoms, targets, wires and modality sets.
+
+    Args:
+        settings: of the stage.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    from enn.features import modality_keys
+
+    check_learning(settings)
+    for modalities in (settings.expert, *settings.modalities):
+        try:
+            modality_keys(modalities)
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+
+
+def run_enn(settings: EnnSettings, context: StageContext) -> None:
+    """Trains and evaluates every policy and sums them up.
+
+    Args:
+        settings: of the stage.
+        context: where to write.
+    """
+    cells = plan(settings, context.seed)
+    outcomes = run_cells(cells, settings, context, stage="enn")
+    tables = tables_from_logs(context.path)
+    tables["training_time_h"] = training_times(cells, outcomes)
+    tables["architecture_params"] = architecture()
+    tables["sac_hyperparameters"] = hyperparameters(settings)
+    tables["task"] = {"training_steps": {"value": settings.decisions}}
+    write_results(context.path, tables)
+
+
+def plan(settings: EnnSettings, run_seed: int) -> list[Cell]:
+    """The trainings: those of the expert row first, as later stages wait for them.
+
+    Args:
+        settings: of the stage.
+        run_seed: of the run.
+
+    Returns:
+        A cell each.
+    """
+    from enn.features import modality_keys
+    from enn.reinforcement import DESK_SAC, THESIS_SAC
+
+    thesis = settings.variant == THESIS
+    preset = THESIS_SAC if thesis else DESK_SAC
+    most = max(settings.seeds, settings.ablation_seeds)
+    cells: list[Cell] = []
+
+    def add(phantoms: Sequence[str], row: str, modalities: str, count: int, *, weight: float = 0.0) -> None:
+        keys = modality_keys(modalities)
+        trained = sized(preset, settings.decisions, settings, keys=keys if thesis else ())
+        for seed in training_seeds(run_seed, count, most):
+            first = row == settings.expert and seed == run_seed * most
+            for phantom in phantoms:
+                for target in settings.targets:
+                    task = task_of(settings, phantom, target, force_penalty=weight)
+                    episodes = settings.expert_episodes if first else 0
+                    cells.append(Cell(task, row, seed, keys, trained, encoded=not thesis, expert_episodes=episodes))
+
+    chosen = settings.modality  # from a sweep: this row alone
+    if chosen is None or chosen == settings.expert:
+        add(settings.phantoms, settings.expert, settings.expert, settings.seeds)
+    for modalities in settings.modalities:
+        if modalities != settings.expert:
+            add(settings.ablation_phantoms, modalities, modalities, settings.ablation_seeds)
+    for weight in settings.safe_weights:
+        row = f"{settings.expert} {SAFE} {weight:g}"
+        add(settings.ablation_phantoms, row, settings.expert, settings.ablation_seeds, weight=weight)
+    return cells
+
+
+def training_times(cells: Sequence[Cell], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Hours that the trainings on the Type I arch took, with the fit of the encoder that each sees through.
+
+    Args:
+        cells: of the stage.
+        outcomes: a cell's name to what its training told.
+
+    Returns:
+        Row to target to mean and standard deviation over seeds.
+    """
+    import numpy as np
+
+    hours: dict[tuple[str, str], list[float]] = {}
+    for cell in cells:
+        row = TRAINING_TIME_ROWS.get(cell.row)
+        if row is not None and cell.task.phantom == TRAINING_TIME_PHANTOM:
+            told = outcomes[cell.name]
+            spent = (told["training_s"] + told["encoder_s"]) / _SECONDS_AN_HOUR
+            hours.setdefault((row, cell.task.target), []).append(spent)
+    table: dict[str, dict[str, Any]] = {}
+    for (row, target), values in hours.items():
+        table.setdefault(row, {})[target] = [float(np.mean(values)), float(np.std(values))]
+    return table
+
+
+def architecture() -> dict[str, dict[str, Any]]:
+    """The layers of the thesis's networks as they are built here, with the thesis's wire and image.
+
+    Returns:
+        Row to column to cell of the thesis's table.
+    """
+    from cathsim import load_guidewire
+    from enn.features import layer_table, thesis_cnn, thesis_mlp
+
+    joints = 4 * (load_guidewire(THESIS).joints + 1)  # positions and velocities of feeder and hinges
+    networks = {
+        "cnn": layer_table(thesis_cnn(IMAGE_SHAPE), IMAGE_SHAPE),
+        "mlp": layer_table(thesis_mlp(joints), (joints,)),
+    }
+    return {
+        f"{network}/{layer}": dict(zip(LAYER_COLUMNS, cells, strict=True))
+        for network, layers in networks.items()
+        for layer, cells in layers.items()
+    }
+
+
+def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
+    """What SAC was run with.
+
+    Args:
+        settings: of the stage.
+
+    Returns:
+        Row to column to cell of the thesis's table.
+    """
+    from enn.reinforcement import DESK_SAC, THESIS_SAC
+
+    used = sized(THESIS_SAC if settings.variant == THESIS else DESK_SAC, settings.decisions, settings)
+    values = {
+        "learning_rate": used.learning_rate,
+        "buffer_size": used.buffer_size,
+        "batch_size": used.batch_size,
+        "tau": used.tau,
+        "gamma": used.gamma,
+        "train_freq": 1,
+        "gradient_steps": used.gradient_steps,
+        "ent_coef": used.ent_coef,
+        "target_update_interval": 1,
+        "target_entropy": -2.0 if used.target_entropy is None else used.target_entropy,  # minus the number of actions
+    }
+    return {name: {"value": value} for name, value in values.items()}
+
+
+STAGE = Stage(
+    name="enn",
+    run=run_enn,
+    reads=("expert",),
+    writes=(
+        "encoders/<phantom>/<observations>.{pt, json}",
+        "<phantom>/<target>/<row>/seed<k>/{policy.pt, training.csv, training.json, tensorboard/}",
+        "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
+        "<phantom>/<target>/<row>/seed<k>/expert/NNN.mcap",
+        "results.json",
+    ),
+    code=LEARNING_CODE,
+    check=check_enn,
+)

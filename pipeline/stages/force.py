@@ -1,0 +1,219 @@
+"""The force stage: contact forces predicted from what is seen, learnt from disturbed episodes of the expert."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.config import ForceSettings
+from pipeline.errors import ConfigurationError, StageError
+from pipeline.expert_episodes import expert_folder, expert_logs, task_of_log
+from pipeline.force_job import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
+from pipeline.jobs import Job, run_jobs
+from pipeline.report.imitation_plots import draw_calibration, draw_shares
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stages import Stage, StageContext
+from pipeline.stages.phantoms import require_known_phantoms
+
+THESIS_INPUTS = "V"  # the image alone, with the loss on features and force
+GROUP = "Force prediction"
+# Episodes are drawn apart for the test, and their lengths vary: so much more is recorded than is learnt from.
+_MORE_STEPS = 1.1 * TEST_EVERY / (TEST_EVERY - 1)
+_SECONDS_A_STEP, _SECONDS_A_SAMPLE = 4e-3, 6e-3
+
+
+def check_force(settings: ForceSettings) -> None:
+    """Refuses unknown phantoms and modality sets.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    from enn.features import modality_keys
+
+    require_known_phantoms([settings.phantom])
+    try:
+        modality_keys(settings.expert)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+
+
+def run_force(settings: ForceSettings, context: StageContext) -> None:
+    """Records disturbed episodes, fits every network and sums them up.
+
+    Args:
+        settings: of the stage.
+        context: where the expert lies and where to write.
+    """
+    recordings, fits = plan(settings, context)
+    outcomes = run_jobs(
+        context.folder, [*recordings, *fits], workers=settings.workers, label="force jobs", preload=PRELOAD
+    )
+    write_results(context.path, tables(fits, outcomes))
+    write_figures(context.path, figures(fits, outcomes, context.path))
+
+
+def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], list[Job]]:
+    """The recordings, a target each, and the fits that wait for them.
+
+    Args:
+        settings: of the stage.
+        context: likewise.
+
+    Raises:
+        StageError: the stage enn left no expert or no episodes of a task.
+    """
+    steps = int(max(settings.samples[-1] * _MORE_STEPS, settings.test_samples * TEST_EVERY)) // len(settings.targets)
+    recordings, logs, experts = [], [], []
+    for target in settings.targets:
+        task = f"{settings.phantom}/{target}"
+        expert = expert_folder(context.inputs["enn"], task, settings.expert)
+        folder = context.path / task / "episodes"
+        given = RecordingJob(
+            folder=folder,
+            task=task_of_log(_any_log(expert)),
+            expert=expert,
+            steps=steps + 1,
+            noise=settings.noise,
+            spell_chance=settings.spell_chance,
+            seed=context.seed,
+        )
+        recordings.append(Job(f"{task}/episodes", record_disturbed, given, weight=steps * _SECONDS_A_STEP))
+        logs.append(folder)
+        experts.append(expert)
+    fits = []
+    wanted = [(THESIS_INPUTS, count) for count in settings.samples]
+    wanted += [(inputs, settings.samples[-1]) for inputs in settings.inputs if inputs != THESIS_INPUTS]
+    for inputs, count in wanted:
+        key = f"{inputs}/{count}"
+        fit = ForceJob(
+            folder=context.path / key,
+            logs=tuple(logs),
+            expert=experts[0],
+            inputs=inputs,
+            samples=count,
+            test_samples=settings.test_samples,
+            variant=settings.variant,
+            epochs=settings.epochs,
+            seed=context.seed,
+        )
+        fits.append(
+            Job(key, learn_force, fit, after=tuple(job.key for job in recordings), weight=count * _SECONDS_A_SAMPLE)
+        )
+    return recordings, fits
+
+
+def _any_log(expert: Path) -> Path:
+    """A log of the expert's task: one with images, or else one of its evaluation."""
+    logs = expert_logs(expert) or sorted(expert.glob("evaluation/*/*.mcap"))
+    if not logs:
+        raise StageError(f"{expert} holds no episode: run stage=enn again")
+    return logs[0]
+
+
+def row_of(samples: int) -> str:
+    """The thesis's name of a number of samples: 1000 is ``fpn_1k``."""
+    return f"fpn_{samples // 1000}k" if samples % 1000 == 0 else f"fpn_{samples}"
+
+
+def tables(fits: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, Any]:
+    """The thesis's table, the errors as a share of the variance, and what forces there were.
+
+    Args:
+        fits: of the stage.
+        outcomes: of the jobs.
+
+    Returns:
+        Table to row to column to cell.
+    """
+    last = outcomes[fits[-1].key]
+    mse: dict[str, Any] = {
+        "baseline": {"mse_n2": last["mean_mse_n2"]},
+        "untrained": {"mse_n2": last["untrained_mse_n2"]},
+    }
+    share: dict[str, Any] = {
+        "baseline": {
+            "mse_n2": last["mean_mse_n2"],
+            "variance_n2": last["variance_n2"],
+            "share_pct": 100.0 * last["mean_mse_n2"] / last["variance_n2"] if last["variance_n2"] > 0 else None,
+        }
+    }
+    for job in fits:
+        told = outcomes[job.key]
+        thesis = job.given.inputs == THESIS_INPUTS
+        row = row_of(job.given.samples) + ("" if thesis else f" {job.given.inputs}")
+        if thesis:
+            mse[row] = {"mse_n2": told["mse_n2"], "n": told["test_samples"]}
+        cells = {key: told[key] for key in ("mse_n2", "variance_n2", "share_pct", "correlation", "cpu_s")}
+        share[row] = {**cells, "n": told["test_samples"]}
+    forces = {
+        "test": {key: last[key] for key in ("force_mean_n", "variance_n2", "force_p95_n", "force_max_n")}
+        | {"n": last["test_samples"]}
+    }
+    return {"force_prediction_mse": mse, "force_share": share, "force_distribution": forces}
+
+
+def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list[Figure]:
+    """Draws calibration and error against number of samples.
+
+    Args:
+        fits: of the stage.
+        outcomes: of the jobs.
+        folder: of the stage.
+    """
+    draw_calibration({job.key: outcomes[job.key]["calibration"] for job in fits}, folder / "calibration.png")
+    shares = {job.given.samples: outcomes[job.key]["share_pct"] for job in fits if job.given.inputs == THESIS_INPUTS}
+    draw_shares(shares, folder / "shares.png")
+    last = outcomes[fits[-1].key]
+    spread = (
+        f"mean {last['force_mean_n']:.3f} N, variance {last['variance_n2']:.2g} N², largest {last['force_max_n']:.2f} N"
+    )
+    return [
+        Figure(
+            "Predicted and true contact force",
+            f"Bins of equally many test samples by predicted force; episodes that were not learnt from; {spread}.",
+            "calibration.png",
+            GROUP,
+        ),
+        Figure(
+            "Error of force prediction by number of samples",
+            "From the image alone, as a share of the variance of the test forces; samples are drawn from the disturbed "
+            "episodes at random. The line is at 10 %.",
+            "shares.png",
+            GROUP,
+        ),
+    ]
+
+
+STAGE = Stage(
+    name="force",
+    run=run_force,
+    reads=("enn",),
+    writes=(
+        "<phantom>/<target>/episodes/NNN.mcap",
+        "<inputs>/<samples>/{predictor.pt, force.json}",
+        "calibration.png, shares.png",
+        "results.json",
+        "figures.json",
+    ),
+    code=(
+        "cathsim",
+        *(
+            f"enn.{name}"
+            for name in (
+                "dagger",
+                "features",
+                "fitting",
+                "force",
+                "force_samples",
+                "image_network",
+                "policy",
+                "trajectory",
+            )
+        ),
+        "pipeline.expert_episodes",
+        "pipeline.force_job",
+        "pipeline.recording",
+    ),
+    check=check_force,
+)

@@ -1,0 +1,236 @@
+"""The imitation stage: the expert's episodes learnt from with the image alone, by behaviour cloning and by DAgger."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.config import ImitationSettings
+from pipeline.errors import ConfigurationError
+from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes
+from pipeline.imitation_job import PRELOAD, ImitationJob, imitate
+from pipeline.jobs import Job, run_jobs
+from pipeline.report.imitation_plots import draw_success
+from pipeline.report.learning_tables import tables_from_logs
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stages import Stage, StageContext
+from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.trials import Origin
+
+CLONED, DISTURBED, DAGGER = "image_w_enn", "image_w_enn_disturbed", "dagger"
+GROUP = "Imitation"
+
+
+def check_imitation(settings: ImitationSettings) -> None:
+    """Refuses unknown phantoms and modality sets.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    from enn.features import modality_keys
+
+    require_known_phantoms(settings.phantoms)
+    try:
+        modality_keys(settings.expert)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+
+
+def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
+    """Fits and evaluates every student and sums them up.
+
+    Args:
+        settings: of the stage.
+        context: where the expert's episodes lie and where to write.
+    """
+    jobs = plan(settings, context)
+    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="students", preload=PRELOAD)
+    tables: dict[str, Any] = tables_from_logs(context.path)
+    tables["bc_architecture"] = architecture(settings)
+    tables["bc_hyperparameters"] = hyperparameters(settings)
+    tables["imitation_episodes"] = by_episodes(jobs, outcomes)
+    tables["dagger_rounds"] = by_round(jobs, outcomes)
+    write_results(context.path, {name: table for name, table in tables.items() if table})
+    write_figures(context.path, figures(jobs, outcomes, context.path))
+
+
+def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
+    """The students: a task and number of episodes each, then those with disturbed episodes and by DAgger.
+
+    Args:
+        settings: of the stage.
+        context: likewise.
+
+    Raises:
+        StageError: the stage enn left no expert or no episodes of a task, or episodes of several kinds.
+    """
+    jobs = []
+    for phantom in settings.phantoms:
+        for target in settings.targets:
+            task = f"{phantom}/{target}"
+            expert = expert_folder(context.inputs["enn"], task, settings.expert)
+            logs = expert_logs(expert)
+            read_episodes(logs, 1)  # an empty folder is told before any work
+            most = min(settings.episodes[-1], len(logs))
+            counts = sorted({min(count, most) for count in settings.episodes})
+            rows: list[tuple[str, int, dict[str, int]]] = [(_row(count, most), count, {}) for count in counts]
+            if settings.disturbed_episodes:
+                rows.append((DISTURBED, most, {"disturbed_episodes": settings.disturbed_episodes}))
+            if settings.dagger_rounds:
+                rounds = {"dagger_rounds": settings.dagger_rounds, "dagger_episodes": settings.dagger_episodes}
+                rows.append((DAGGER, counts[0], rounds))
+            for row, count, further in rows:
+                folder = context.path / task / row / f"seed{context.seed}"
+                given = ImitationJob(
+                    folder=folder,
+                    expert=expert,
+                    seed=context.seed,
+                    origin=Origin("imitation", row, context.seed, settings.variant),
+                    observations=tuple(settings.observations),
+                    episodes=count,
+                    variant=settings.variant,
+                    feature_matching=settings.feature_matching,
+                    epochs=settings.epochs,
+                    evaluation_episodes=settings.evaluation_episodes,
+                    **further,
+                )
+                jobs.append(Job(f"{task}/{row}", imitate, given, weight=count + 3.0 * sum(further.values())))
+    return jobs
+
+
+def _row(count: int, most: int) -> str:
+    return CLONED if count == most else f"{CLONED}_{count}"
+
+
+def architecture(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
+    """The layers of the thesis's network as it is built here, in the thesis's table.
+
+    Args:
+        settings: of the stage.
+    """
+    from enn.cloned_policy import CloningNetwork, CloningSettings
+    from enn.features import layer_table
+
+    columns = ("output_shape", "parameters", "nonlinearity", "kernel", "stride", "padding")
+    layers = CloningNetwork(CloningSettings(variant="thesis")).layers()
+    return {row: dict(zip(columns, cells, strict=True)) for row, cells in layer_table(layers, (1, 80, 80)).items()}
+
+
+def hyperparameters(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
+    """What the students were fitted with.
+
+    Args:
+        settings: of the stage.
+    """
+    from enn.behaviour_cloning import cloning_preset
+
+    used = cloning_preset(settings.variant)
+    values = {
+        "batch_size": used.fit.batch_size,
+        "optimizer": "Adam" if used.fit.weight_decay == 0 else "AdamW",
+        "learning_rate": used.fit.learning_rate,
+        "ent_coef": used.entropy,
+        "epochs": settings.epochs or used.fit.epochs,
+    }
+    return {name: {"value": value} for name, value in values.items()}
+
+
+def by_episodes(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Success against number of episodes.
+
+    Args:
+        jobs: of the stage.
+        outcomes: of the jobs.
+
+    Returns:
+        Row ``phantom/target/episodes`` to success in % of the deterministic episodes.
+    """
+    table = {}
+    for job in jobs:
+        if job.given.disturbed_episodes or job.given.dagger_rounds:
+            continue
+        task, told = job.key.rpartition("/")[0], outcomes[job.key]
+        row = f"{task}/{told['episodes']} episodes"
+        table[row] = {"success_pct": told["deterministic"]["success_pct"], "n": told["deterministic"]["n"]}
+    return table
+
+
+def by_round(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What DAgger's rounds came to.
+
+    Args:
+        jobs: of the stage.
+        outcomes: of the jobs.
+
+    Returns:
+        Row ``phantom/target/round k`` to success of the student's roll-outs and distance to the expert's actions.
+    """
+    table = {}
+    for job in jobs:
+        for index, told in enumerate(outcomes[job.key]["rounds"]):
+            table[f"{job.key.rpartition('/')[0]}/round {index + 1}"] = dict(told)
+    return table
+
+
+def figures(jobs: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list[Figure]:
+    """Draws success against number of episodes.
+
+    Args:
+        jobs: of the stage.
+        outcomes: of the jobs.
+        folder: of the stage.
+    """
+    curves: dict[str, list[tuple[int, float, int]]] = {}
+    beside: dict[str, list[tuple[str, float]]] = {}
+    for job in jobs:
+        task, told = job.key.rpartition("/")[0], outcomes[job.key]
+        share = told["deterministic"]["success_pct"]
+        if job.given.disturbed_episodes or job.given.dagger_rounds:
+            beside.setdefault(task, []).append((job.given.origin.row, share))
+        else:
+            curves.setdefault(task, []).append((told["episodes"], share, told["deterministic"]["n"]))
+    draw_success(curves, beside, folder / "success.png")
+    return [
+        Figure(
+            "Imitation by number of expert episodes",
+            "Behaviour cloning from the image alone: deterministic episodes on held-out starts, with 95 % intervals.",
+            "success.png",
+            GROUP,
+        )
+    ]
+
+
+STAGE = Stage(
+    name="imitation",
+    run=run_imitation,
+    reads=("enn",),
+    writes=(
+        "<phantom>/<target>/<row>/seed<k>/{policy.pt, training.csv, training.json}",
+        "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
+        "success.png",
+        "results.json",
+        "figures.json",
+    ),
+    code=(
+        "cathsim",
+        *(
+            f"enn.{name}"
+            for name in (
+                "behaviour_cloning",
+                "cloned_policy",
+                "dagger",
+                "features",
+                "fitting",
+                "image_network",
+                "policy",
+                "trajectory",
+            )
+        ),
+        "pipeline.expert_episodes",
+        "pipeline.imitation_job",
+        "pipeline.recording",
+        "pipeline.trials",
+    ),
+    check=check_imitation,
+)

@@ -1,0 +1,240 @@
+"""The unseen stage: one policy for every target, trained on random anatomies, tested on those it has never seen."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.config import UnseenSettings
+from pipeline.errors import ConfigurationError
+from pipeline.jobs import Job, run_jobs
+from pipeline.report.learning_tables import tables_from_logs
+from pipeline.report.results import write_results
+from pipeline.stages import Stage, StageContext
+from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.training_plan import LEARNING_CODE
+from pipeline.trials import Origin
+from pipeline.unseen_jobs import (
+    POLICY,
+    PRELOAD,
+    TRAINING_RESOLUTION,
+    AnatomiesJob,
+    HeldOutSet,
+    RoadmapJob,
+    StudentJob,
+    UnseenTask,
+    build_anatomies,
+    train_roadmap,
+    train_student,
+)
+
+if TYPE_CHECKING:
+    from enn.reinforcement import TrainingSettings
+
+ROADMAP, IMAGE = "roadmap", "image"
+UNSEEN, REAL_MESH = "unseen", "real_mesh"
+FIRST_TEST_ANATOMY = 10_000  # random arches from this seed on are never trained on
+TEST_RESOLUTION = 1e-3  # m
+TARGETS = ("bca", "lcca", "lsa")
+_ANATOMIES_A_JOB = 16
+_SECONDS = {"anatomy": 0.8, "decision": 10e-3, "lesson": 0.6, "test": 0.4}  # guesses, for the estimate of the end
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def check_unseen(settings: UnseenSettings) -> None:
+    """Refuses unknown phantoms, targets and wires.
+
+    Args:
+        settings: of the stage.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    from cathsim import GUIDEWIRES
+
+    if settings.phantoms:
+        require_known_phantoms(settings.phantoms)
+    unknown = [name for name in settings.targets if name not in TARGETS]
+    if unknown:
+        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
+    wires = (*GUIDEWIRES, "softer", "stiffer")
+    unknown = [name for name in settings.wires if name not in wires]
+    if unknown:
+        raise ConfigurationError(f"unknown wire {', '.join(map(repr, unknown))}: choose from {', '.join(wires)}")
+
+
+def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
+    """Trains and tests every policy and sums them up.
+
+    Args:
+        settings: of the stage.
+        context: where to write.
+    """
+    jobs = plan(settings, context.path, context.seed)
+    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="anatomies and policies", preload=PRELOAD)
+    tables = tables_from_logs(context.path)
+    tables["generalisation_curve"] = curve(jobs, outcomes)
+    write_results(context.path, tables)
+
+
+def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
+    """The jobs: anatomies first, then the roadmap policies, the student's teacher before the others.
+
+    Args:
+        settings: of the stage.
+        folder: of the stage.
+        run_seed: of the run; also which random arches are trained on.
+
+    Returns:
+        In the order in which they should start.
+    """
+    task = UnseenTask(
+        targets=tuple(settings.targets),
+        wire_length=settings.wire_length_mm / 1e3,
+        image_size=settings.image_size_px,
+        max_steps=settings.max_steps,
+        success_radius=settings.success_radius_mm / 1e3,
+    )
+    first = 1000 * run_seed
+    if first + max(*settings.curve, settings.anatomies, settings.image_anatomies) > FIRST_TEST_ANATOMY:
+        raise ConfigurationError(f"seed={run_seed} would train on anatomies of the test: choose a seed below 9")
+    trained = range(first, first + max(settings.anatomies, settings.image_anatomies if settings.image else 0))
+    tested = range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + settings.test_anatomies)
+    jobs = [
+        Job(
+            f"anatomies/{part[0]}",
+            build_anatomies,
+            AnatomiesJob(tuple(part), resolution),
+            weight=len(part) * _SECONDS["anatomy"],
+        )
+        for seeds, resolution in ((trained, TRAINING_RESOLUTION), (tested, TEST_RESOLUTION))
+        for part in (seeds[k : k + _ANATOMIES_A_JOB] for k in range(0, len(seeds), _ANATOMIES_A_JOB))
+    ]
+    built = tuple(job.key for job in jobs)
+    main, curve_only = test_sets(settings), test_sets(settings)[:1]
+    plain = tuple(replace(test, modes=("deterministic",)) for test in curve_only)
+    counts = [settings.anatomies, *(count for count in settings.curve if count != settings.anatomies)]
+    for count in counts:
+        row = ROADMAP if count == settings.anatomies else f"{ROADMAP} {count}"
+        given = RoadmapJob(
+            folder=folder / row / f"seed{run_seed}",
+            task=task,
+            anatomies=tuple(range(first, first + count)),
+            settings=training_settings(settings),
+            seed=run_seed,
+            origin=Origin("unseen", row, run_seed, "desk"),
+            tests=main if row == ROADMAP else plain,
+        )
+        weight = settings.decisions * _SECONDS["decision"] + _tests(given.tests, settings)
+        jobs.append(Job(row, train_roadmap, given, after=built, weight=weight))
+    if settings.image:
+        student = StudentJob(
+            folder=folder / IMAGE / f"seed{run_seed}",
+            expert=folder / ROADMAP / f"seed{run_seed}" / POLICY,
+            task=task,
+            anatomies=tuple(range(first, first + settings.image_anatomies)),
+            segmenter_epochs=settings.segmenter_epochs,
+            rounds=settings.rounds,
+            lessons=settings.lessons,
+            epochs=settings.epochs,
+            seed=run_seed,
+            origin=Origin("unseen", IMAGE, run_seed, "desk"),
+            tests=tuple(replace(test, modes=("deterministic",)) for test in main),
+        )
+        weight = settings.rounds * settings.lessons * _SECONDS["lesson"] + _tests(student.tests, settings)
+        jobs.append(Job(IMAGE, train_student, student, after=(ROADMAP,), weight=weight))
+    return jobs
+
+
+def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
+    episodes = sum(len(test.phantoms) * test.episodes * len(test.modes) for test in tests)
+    return episodes * len(settings.targets) * _SECONDS["test"]
+
+
+def training_settings(settings: UnseenSettings) -> TrainingSettings:
+    """Those of the roadmap policies: each action held for four steps, and room in the bank for many anatomies."""
+    from enn.reinforcement import DESK_SAC
+
+    return replace(
+        DESK_SAC,
+        keys=("roadmap",),
+        decisions=settings.decisions,
+        learning_starts=min(DESK_SAC.learning_starts, settings.decisions // 4),
+        action_repeat=4,
+        gamma=0.98,
+        bank_capacity=16_384,
+        evaluate_every=max(settings.decisions // 4, 1),
+        evaluation_episodes=settings.validation_episodes,
+        tensorboard=settings.tensorboard,
+    )
+
+
+def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
+    """The tests of a policy: unseen random arches first, named phantoms, the mesh, and other wires on unseen arches.
+
+    Args:
+        settings: of the stage.
+
+    Returns:
+        Those that there are; a mesh that is not there is left out with a warning.
+    """
+    unseen = tuple(range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + settings.test_anatomies))
+    tests = [HeldOutSet(UNSEEN, unseen, modes=("deterministic", "stochastic"))]
+    tests += [HeldOutSet(name, (name,), settings.named_episodes) for name in settings.phantoms]
+    if settings.mesh is not None:
+        if Path(settings.mesh).is_file():
+            tests.append(HeldOutSet(REAL_MESH, (settings.mesh,), settings.mesh_episodes))
+        else:
+            _LOGGER.warning("there is no mesh %s: the test on a scanned anatomy is left out", settings.mesh)
+    tests += [HeldOutSet(f"{UNSEEN} {wire}", unseen[: settings.wire_anatomies], wire=wire) for wire in settings.wires]
+    return tuple(tests)
+
+
+def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Success on unseen arches against the number of anatomies trained on.
+
+    Args:
+        jobs: of the stage.
+        outcomes: a job's key to what it told.
+
+    Returns:
+        Row "<policy>/<number of training anatomies>" to columns.
+    """
+    table: dict[str, dict[str, Any]] = {}
+    for job in jobs:
+        if isinstance(job.given, AnatomiesJob):
+            continue
+        rows = [
+            row for row in outcomes[job.key]["tests"] if row["test_set"] == UNSEEN and row["mode"] == "deterministic"
+        ]
+        columns: dict[str, Any] = {"success_pct": float(np.average([r["success_pct"] for r in rows]))}
+        columns |= {f"success_{row['target']}_pct": row["success_pct"] for row in rows if row["target"] != "lsa"}
+        kind = IMAGE if isinstance(job.given, StudentJob) else ROADMAP
+        table[f"{kind}/{len(job.given.anatomies)}"] = {**columns, "n": sum(row["n"] for row in rows)}
+    return dict(sorted(table.items(), key=lambda item: (item[0].split("/")[0] != ROADMAP, int(item[0].split("/")[1]))))
+
+
+STAGE = Stage(
+    name="unseen",
+    run=run_unseen,
+    writes=(
+        "<row>/seed<k>/{policy.pt or student.pt, training.csv, training.json}",
+        "<row>/seed<k>/evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap",
+        "results.json",
+    ),
+    code=(
+        *LEARNING_CODE,
+        "enn.egocentric",
+        "enn.lessons",
+        "enn.lumen_segmentation",
+        "enn.student",
+        "pipeline.unseen_jobs",
+    ),
+    check=check_unseen,
+)

@@ -1,0 +1,276 @@
+"""Training jobs: one policy of a learning stage from nothing to its logged episodes, and the encoder it sees through.
+
+A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, draws as::
+
+    policy.pt  training.csv  training.json        what was trained, and how it went
+    tensorboard/                                  event files, if asked for
+    evaluation/{deterministic,stochastic}/NNN.mcap
+    expert/NNN.mcap                               with images: what imitation learns from
+    checkpoint/                                   until the training is finished
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.atomic import atomic_path, write_json
+from pipeline.episodes import EpisodeReader
+from pipeline.episodes.errors import EpisodeReadError
+from pipeline.job_worker import Report
+from pipeline.learning_task import EXPERT_SEED, REWARD_OF_TRAINING, LearningTask, held_out_seeds
+from pipeline.replay import ReplayError, recorded_wire, replay
+from pipeline.trials import MODES, Origin, run_trials, summary
+
+if TYPE_CHECKING:
+    from enn.encoder import Encoder
+    from enn.policy import Policy
+    from enn.reinforcement import Progress, TrainingSettings
+    from enn.trajectory import Trajectory
+
+POLICY, RECORD, CURVE = "policy.pt", "training.json", "training.csv"
+EVALUATION, EXPERT = "evaluation", "expert"
+# What every job imports: once, before the jobs' processes are forked.
+PRELOAD = ("cathsim", "enn.reinforcement", "enn.encoder", "pipeline.recording")
+_SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
+_SECONDS_A_DECISION = 1e-2
+_SAMPLES_SHARE = 0.4  # of the time that an encoder takes
+_NOWHERE = 1e-6  # m, a radius that no tip comes into
+_NEVER = 100_000  # steps that no roll-out takes
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class EncoderJob:
+    """An encoder to fit.
+
+    Attributes:
+        file: where it goes, with its report beside it as JSON.
+        task: whose anatomy it is to see; the target does not matter.
+        keys: observations that it encodes.
+        demonstrations: logs of an expert's episodes, along which some of the roll-outs start.
+        samples: of scripted roll-outs to fit it to.
+        epochs: over the samples; 0: as the library's default has it.
+        seed: of roll-outs and fit.
+    """
+
+    file: Path
+    task: LearningTask
+    keys: tuple[str, ...]
+    demonstrations: tuple[Path, ...]
+    samples: int
+    epochs: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class TrainingJob:
+    """A policy to train and to evaluate.
+
+    Attributes:
+        folder: of the training.
+        task: that it is trained for and evaluated on.
+        settings: of the training.
+        observation: names that the environment gives.
+        seed: of the training.
+        origin: kept in the logs.
+        encoder: file of a fitted encoder; None: the policy sees the observations themselves.
+        demonstrations: logs of an expert's episodes of the task.
+        evaluation_episodes: deterministic ones, and as many stochastic ones.
+        expert_episodes: with images, for imitation.
+    """
+
+    folder: Path
+    task: LearningTask
+    settings: TrainingSettings
+    observation: tuple[str, ...]
+    seed: int
+    origin: Origin
+    encoder: Path | None = None
+    demonstrations: tuple[Path, ...] = ()
+    evaluation_episodes: int = 30
+    expert_episodes: int = 0
+
+    @property
+    def weight(self) -> float:
+        """Guess of its seconds, beside other jobs."""
+        steps = (2 * self.evaluation_episodes + self.expert_episodes) * self.task.max_steps / 3
+        return self.settings.decisions * _SECONDS_A_DECISION + steps * _SECONDS_A_STEP
+
+
+def fit(job: EncoderJob, report: Report) -> dict[str, Any]:
+    """Fits an encoder; one that is there already is kept.
+
+    Args:
+        job: what to fit.
+        report: takes the progress.
+
+    Returns:
+        What the fit says of itself, with ``wall_s``.
+    """
+    from enn.encoder import EncoderSettings, fit_encoder, scripted_samples
+    from enn.exploration import TRUTH
+
+    record = job.file.with_suffix(".json")
+    if job.file.is_file() and record.is_file():
+        return dict(json.loads(record.read_text(encoding="utf-8")))
+    began = time.monotonic()
+    # No roll-out is to end at a target, nor at a limit: one encoder serves them all.
+    task = replace(job.task, success_radius=_NOWHERE, max_steps=_NEVER)
+    states = [found.simulation_states for found in repeat(job.demonstrations, job.task)]
+    samples = scripted_samples(
+        task.factory((*job.keys, *TRUTH)),
+        job.samples,
+        job.seed,
+        starts=np.concatenate([one for one in states if one is not None]) if states else None,
+        progress=lambda done, count: report(_SAMPLES_SHARE * done / count, "samples"),
+    )
+    settings = EncoderSettings(seed=job.seed)
+    settings = replace(settings, epochs=job.epochs or settings.epochs)
+    fitted, told = fit_encoder(
+        samples, job.keys, settings, lambda done, errors: report.part(_SAMPLES_SHARE, 1.0, "fit")(done, "")
+    )
+    save_encoder(fitted, job.file)
+    said = {**told, "wall_s": time.monotonic() - began}
+    write_json(record, said)
+    return said
+
+
+def save_encoder(encoder: Encoder, file: Path) -> None:
+    """Writes an encoder's settings and weights into one file."""
+    import torch
+
+    with atomic_path(file) as temporary:
+        torch.save({"settings": asdict(encoder.settings), "weights": encoder.state_dict()}, temporary)
+
+
+def load_encoder(file: Path) -> Encoder:
+    """Reads an encoder from its file."""
+    import torch
+
+    from enn.encoder import Encoder, EncoderSettings
+
+    content = torch.load(file, weights_only=True)
+    encoder = Encoder(EncoderSettings(**content["settings"]))
+    encoder.load_state_dict(content["weights"])
+    return encoder
+
+
+def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
+    """Trains a policy, evaluates it on held-out seeds, and records expert episodes; each part only where it lacks.
+
+    Args:
+        job: what to train.
+        report: takes the progress.
+
+    Returns:
+        ``training_s`` and ``decisions``, ``deterministic`` and ``stochastic`` summaries.
+    """
+    from enn.reinforcement import Training
+
+    for leftover in job.folder.glob(".*.tmp"):  # of a killed training
+        leftover.unlink()
+    trained = _training_share(job)
+    training = Training(
+        job.settings,
+        job.task.factory(job.observation),
+        job.folder,
+        seed=job.seed,
+        demonstrations=[] if (job.folder / RECORD).is_file() else _demonstrations(job),
+        encoder=None if job.encoder is None else load_encoder(job.encoder),
+        metadata={**job.origin.configuration("training"), "phantom": job.task.phantom, "target": job.task.target},
+    )
+    result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
+    outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
+    done, rest = trained, (1.0 - trained) / (2 * job.evaluation_episodes + job.expert_episodes)
+    environment = job.task.environment(result.policy.keys)
+    for mode in MODES:
+        after = done + rest * job.evaluation_episodes
+        metrics = run_trials(
+            environment,
+            _controllers(result.policy, mode),
+            job.folder / EVALUATION / mode,
+            seeds=held_out_seeds(job.seed, job.evaluation_episodes),
+            mode=mode,
+            origin=job.origin,
+            report=report.part(done, after, mode),
+        )
+        outcome[mode], done = summary(metrics), after
+    if job.expert_episodes:
+        run_trials(
+            environment,
+            _controllers(result.policy, MODES[0]),
+            job.folder / EXPERT,
+            seeds=held_out_seeds(job.seed, job.expert_episodes, first=EXPERT_SEED),
+            mode=MODES[0],
+            origin=job.origin,
+            pictures=True,
+            report=report.part(done, 1.0, "expert episodes"),
+        )
+    environment.close()
+    return outcome
+
+
+def _training_share(job: TrainingJob) -> float:
+    """Share of the job that is training, by time."""
+    return job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)
+
+
+def _controllers(policy: Policy, mode: str) -> Any:
+    return lambda seed: policy.controller(deterministic=mode == "deterministic", seed=seed)
+
+
+def _words(progress: Progress) -> str:
+    best = "" if progress.best_success is None else f", best {100 * progress.best_success:.0f} %"
+    now = "" if progress.success is None else f"success {100 * progress.success:.0f} %"
+    return f"{now}{best}".strip(", ")
+
+
+def _demonstrations(job: TrainingJob) -> list[Trajectory]:
+    """The expert's episodes, as far as the training uses them."""
+    if not (job.settings.bank_share or job.settings.demonstrations_in_replay):
+        return []
+    return repeat(job.demonstrations, job.task, job.observation if job.settings.demonstrations_in_replay else ())
+
+
+def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...] = ()) -> list[Trajectory]:
+    """Repeats an expert's episodes; one that cannot be used is left out with a warning.
+
+    Args:
+        logs: of the episodes.
+        task: whose wire and reward they are to have.
+        observation: names of the observations wanted.
+
+    Returns:
+        The episodes; none for tip motors, whose states no expert went through.
+    """
+    from cathsim import load_guidewire
+
+    if task.actions != "feeder":
+        return []
+    found = []
+    for log in logs:
+        try:
+            with EpisodeReader(log) as reader:
+                if recorded_wire(reader.info) != load_guidewire(task.wire):
+                    raise ReplayError(f"it was recorded with another wire than {task.wire}")
+            found.append(
+                replay(
+                    log,
+                    observation,
+                    image_size=task.image_size,
+                    reward=REWARD_OF_TRAINING,
+                    force_penalty=task.force_penalty,
+                )
+            )
+        except (EpisodeReadError, ReplayError, ValueError) as error:
+            _LOGGER.warning("%s is left out: %s", log, error)
+    return found

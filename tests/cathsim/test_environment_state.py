@@ -1,0 +1,87 @@
+"""Saving an environment in the middle of an episode, and starting an episode from a saved state of the wire."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from cathsim import NavigateEnv
+
+
+def drive(environment: NavigateEnv, actions: np.ndarray) -> list[tuple]:
+    return [environment.step(action)[:4] for action in actions]
+
+
+def equal(first: list[tuple], second: list[tuple]) -> bool:
+    return all(
+        a[1:] == b[1:] and all(np.array_equal(a[0][key], b[0][key]) for key in a[0])
+        for a, b in zip(first, second, strict=True)
+    )
+
+
+@pytest.fixture
+def environment() -> NavigateEnv:
+    return NavigateEnv(observation=("joints", "sequential", "force"), reward="geodesic", start_rotation=np.pi)
+
+
+@pytest.fixture
+def actions() -> np.ndarray:
+    return np.random.default_rng(0).uniform((-0.2, -1.0), 1.0, (60, 2))
+
+
+def test_restored_environment_goes_on_bit_for_bit(environment: NavigateEnv, actions: np.ndarray) -> None:
+    environment.reset(seed=3)
+    drive(environment, actions[:30])
+    saved, seen = pickle.loads(pickle.dumps(environment.state())), environment.observe()
+    expected = drive(environment, actions[30:])
+    again = environment.restore(saved)
+    assert all(np.array_equal(again[key], seen[key]) for key in seen)
+    assert equal(drive(environment, actions[30:]), expected)
+    assert environment.simulation.summary.contacts == environment.simulation.contacts().points.shape[0]
+
+
+def test_state_carries_the_random_draws_of_later_episodes(environment: NavigateEnv, actions: np.ndarray) -> None:
+    environment.reset(seed=3)
+    saved = environment.state()
+    first, _ = environment.reset()
+    environment.restore(saved)
+    second, _ = environment.reset()
+    assert np.array_equal(first["joints"], second["joints"])
+
+
+def test_state_moves_to_another_environment(environment: NavigateEnv, actions: np.ndarray) -> None:
+    environment.reset(seed=3)
+    drive(environment, actions[:30])
+    saved = environment.state()
+    expected = drive(environment, actions[30:])
+    other = NavigateEnv(observation=("joints", "sequential", "force"), reward="geodesic", start_rotation=np.pi)
+    other.reset(seed=8)
+    other.restore(saved)
+    assert equal(drive(other, actions[30:]), expected)
+
+
+def test_episode_starts_where_a_wire_was_left(environment: NavigateEnv, actions: np.ndarray) -> None:
+    environment.reset(seed=3)
+    drive(environment, actions[:30])
+    tip, start = environment.simulation.tip, environment.simulation.state()
+    environment.reset(seed=4)
+    _, info = environment.reset(options={"start": start})
+    assert np.array_equal(info["tip"], tip)
+    assert environment.steps == 0
+    assert info["force"] == 0.0
+
+
+def test_unknown_option_and_wrong_start_are_refused(environment: NavigateEnv) -> None:
+    with pytest.raises(ValueError, match="reset knows no option where; there is start"):
+        environment.reset(options={"where": 1})
+    with pytest.raises(ValueError, match="expected a state of shape"):
+        environment.reset(options={"start": np.zeros(3)})
+
+
+def test_robot_cannot_be_saved() -> None:
+    environment = NavigateEnv(drive="robot")
+    environment.reset(seed=0)
+    with pytest.raises(NotImplementedError, match="drive='direct'"):
+        environment.state()

@@ -1,0 +1,162 @@
+"""Policies: actions, action repeat, the file they are kept in, and what they refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from enn.network import NetworkSettings, build_network
+from enn.normalisation import fit_normalisation
+from enn.policy import Policy
+
+ACTIONS = gymnasium.spaces.Box(np.array([-1, 0], np.float32), np.array([1, 4], np.float32))
+SPACE = gymnasium.spaces.Dict(
+    [
+        ("tip", gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)),
+        ("feeder", gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float32)),
+    ]
+)
+
+
+def _policy(settings: NetworkSettings | None = None, space: gymnasium.Space[Any] = SPACE, **rest: Any) -> Policy:
+    torch.manual_seed(0)
+    settings = settings or NetworkSettings(hidden=(8, 8))
+    return Policy(settings, build_network(settings, space, ACTIONS), space, ACTIONS, **rest)
+
+
+def _batch(count: int, seed: int = 0) -> dict[str, np.ndarray]:
+    generator = np.random.default_rng(seed)
+    return {name: generator.standard_normal((count, *SPACE[name].shape)).astype(np.float32) for name in SPACE}
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ppo"])
+def test_actions_lie_in_the_action_space_and_one_is_as_many(algorithm: str) -> None:
+    policy = _policy(NetworkSettings(algorithm=algorithm, hidden=(8,)))
+    batch = _batch(200)
+    for deterministic in (True, False):
+        actions = policy.act_batch(batch, deterministic, np.random.default_rng(0))
+        assert actions.shape == (200, 2)
+        assert actions.dtype == np.float32
+        assert (actions >= ACTIONS.low).all()
+        assert (actions <= ACTIONS.high).all()
+    single = policy.act({name: values[7] for name, values in batch.items()} | {"unseen": np.zeros(9)})
+    np.testing.assert_allclose(single, policy.act_batch(batch)[7], atol=1e-6)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ppo"])
+def test_the_mean_action_is_the_librarys(algorithm: str) -> None:
+    policy = _policy(NetworkSettings(algorithm=algorithm))
+    batch = _batch(20)
+    expected, _ = policy.module.predict(batch, deterministic=True)
+    np.testing.assert_allclose(policy.act_batch(batch), expected, atol=1e-6)
+
+
+def test_draws_follow_their_generator_and_spread_as_the_network_says() -> None:
+    policy = _policy(NetworkSettings(algorithm="ppo", hidden=(8,)))
+    batch = {name: np.repeat(values, 4000, axis=0) for name, values in _batch(1).items()}
+    first = policy.act_batch(batch, False, np.random.default_rng(1))
+    np.testing.assert_array_equal(first, policy.act_batch(batch, False, np.random.default_rng(1)))
+    assert (first != policy.act_batch(batch, False, np.random.default_rng(2))).any()
+    # a standard deviation of 1 about nearly 0, cut at -1 and 1
+    assert np.mean(np.abs(first[:, 0]) == 1) == pytest.approx(0.317, abs=0.04)
+    with pytest.raises(ValueError, match="seeded numpy Generator"):
+        policy.act_batch(batch, deterministic=False)
+
+
+def test_a_controller_holds_its_actions_and_decides_anew_after_a_reset() -> None:
+    policy = _policy(action_repeat=3)
+    controller = policy.controller()
+    moments = [{name: values[i] for name, values in _batch(8).items()} for i in range(8)]
+    controller.reset()
+    actions = [controller(moment, {}) for moment in moments[:5]]
+    for number, action in enumerate(actions):
+        np.testing.assert_array_equal(action, policy.act(moments[3 * (number // 3)]))
+    controller.reset()
+    np.testing.assert_array_equal(controller(moments[6], {}), policy.act(moments[6]))
+    assert (actions[4] != policy.act(moments[6])).any()
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ppo"])
+def test_saved_and_loaded_it_acts_the_same(algorithm: str, tmp_path: Path) -> None:
+    policy = _policy(NetworkSettings(algorithm=algorithm), action_repeat=2, metadata={"target": "bca"})
+    batch = _batch(50)
+    fit_normalisation(policy.module, {name: torch.as_tensor(3 * values + 1) for name, values in batch.items()})
+    policy.save(tmp_path / "folder" / "policy.pt")
+    loaded = Policy.load(tmp_path / "folder" / "policy.pt")
+    np.testing.assert_array_equal(loaded.act_batch(batch), policy.act_batch(batch))
+    np.testing.assert_array_equal(loaded.features(batch), policy.features(batch))
+    assert loaded.features(batch).shape == (50, 5)
+    assert loaded.action_repeat == 2
+    assert loaded.metadata == {"target": "bca"}
+    assert loaded.keys == ("tip", "feeder")
+    assert loaded.observation_space == SPACE
+    assert loaded.action_space == ACTIONS
+    assert [file.name for file in (tmp_path / "folder").iterdir()] == ["policy.pt"]
+
+
+def test_only_the_actors_keys_are_needed_to_act() -> None:
+    policy = _policy(
+        NetworkSettings(keys=("feeder",), hidden=(8,)), gymnasium.spaces.Dict([("feeder", SPACE["feeder"])])
+    )
+    assert policy.keys == ("feeder",)
+    assert policy.act({"feeder": np.zeros(2, np.float32)}).shape == (2,)
+
+
+def test_a_single_box(tmp_path: Path) -> None:
+    policy = _policy(space=SPACE["tip"])
+    policy.save(tmp_path / "policy.pt")
+    tip = np.array([1, 2, 3], np.float32)
+    np.testing.assert_array_equal(Policy.load(tmp_path / "policy.pt").act(tip), policy.act(tip))
+    with pytest.raises(ValueError, match="sees one array of shape \\(3,\\), got the observations tip"):
+        policy.act({"tip": tip})
+
+
+def test_other_observations_are_one_clear_sentence() -> None:
+    policy = _policy()
+    with pytest.raises(ValueError, match="sees tip, feeder, but feeder is missing: make the environment with these"):
+        policy.act({"tip": np.zeros(3)})
+    with pytest.raises(ValueError, match=r"'tip' of shape \(3,\), got \(4,\): another wire"):
+        policy.act({"tip": np.zeros(4), "feeder": np.zeros(2)})
+    with pytest.raises(ValueError, match="sees tip, feeder by name, got one array"):
+        policy.act(np.zeros(3))
+
+
+def test_files_that_are_no_policy_are_one_clear_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "policy.pt"
+    with pytest.raises(FileNotFoundError, match="train one first"):
+        Policy.load(path)
+    path.write_bytes(b"not a policy")
+    with pytest.raises(ValueError, match="damaged or no policy"):
+        Policy.load(path)
+    torch.save({"weights": {}}, path)
+    with pytest.raises(ValueError, match="no policy of format enn-policy-1, but None"):
+        Policy.load(path)
+    policy = _policy()
+    policy.save(path)
+    content = torch.load(path, weights_only=True)
+    for change in ({"hidden": [8, 9]}, {"hidden": [8]}, {"width": 3}):
+        torch.save({**content, "network": {**content["network"], **change}}, path)
+        with pytest.raises(ValueError, match="is of another architecture than this version builds"):
+            Policy.load(path)
+    data = (tmp_path / "policy.pt").read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(ValueError, match="damaged or no policy"):
+        Policy.load(path)
+
+
+def test_settings_refuse_unknown_names() -> None:
+    for name in ("algorithm", "extractor", "variant", "activation"):
+        with pytest.raises(ValueError, match=f"unknown {name} 'other'; there are"):
+            NetworkSettings(**{name: "other"})
+    with pytest.raises(ValueError, match="leave critic_keys empty with ppo"):
+        NetworkSettings(algorithm="ppo", critic_keys=("tip",))
+    image = gymnasium.spaces.Dict({"image": gymnasium.spaces.Box(0, 255, (1, 8, 8), np.uint8)})
+    with pytest.raises(
+        ValueError, match="image is an image: give it an encoder, or a network with extractor='multimod"
+    ):
+        build_network(NetworkSettings(), image, ACTIONS)

@@ -1,0 +1,434 @@
+"""Reinforcement learning: it learns, keeps the best, reports its curve, and updates as stable-baselines3 does."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import SAC
+
+from enn.demonstrations import demonstration_replay
+from enn.encoder import Encoder, EncoderSettings
+from enn.network import action_distribution
+from enn.policy import Policy
+from enn.reinforcement import (
+    DESK_PPO,
+    DESK_SAC,
+    THESIS_PPO,
+    THESIS_SAC,
+    Progress,
+    Training,
+    TrainingSettings,
+)
+from enn.rollouts import Evaluation, Outcome, evaluate
+from enn.sampling import NotFiniteError, SampledEnvs
+from enn.soft_actor_critic import SacLearner
+from enn.training_curve import COLUMNS
+from enn.trajectory import Trajectory
+
+SMALL = dataclasses.replace(
+    DESK_SAC,
+    action_repeat=1,
+    decisions=900,
+    hidden=(32, 32),
+    batch_size=32,
+    learning_starts=200,
+    gradient_steps=0.5,
+    evaluate_every=300,
+    evaluation_episodes=5,
+    curve_every=100,
+    buffer_size=2000,
+)
+
+
+def test_sac_learns_and_its_curve_and_files_say_so(point_env: Any, tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    settings = dataclasses.replace(SMALL, gradient_steps=1.0)
+    result = Training(settings, point_env, tmp_path, seed=3, metadata={"target": "centre"}).run(seen.append)
+    assert result.evaluation is not None
+    assert result.evaluation["success"] == 1.0
+    assert result.evaluation["steps"] < 12
+    lines = (tmp_path / "training.csv").read_text().splitlines()
+    assert lines[0] == ",".join(COLUMNS)
+    assert len(lines) == 1 + len(result.curve) == 10
+    assert [row["decisions"] for row in result.curve] == [104, 200, 304, 400, 504, 600, 704, 800, 904]
+    assert result.curve[-1]["reward"] > result.curve[0]["reward"]
+    assert result.curve[2]["evaluation_success"] is not None
+    assert result.curve[3]["evaluation_success"] is None
+    record = json.loads((tmp_path / "training.json").read_text())
+    assert record["settings"]["hidden"] == [32, 32]
+    assert record["metadata"] == {"seed": 3, "target": "centre", "decisions": 904}
+    assert seen[0].decisions == 0
+    assert seen[-1].total == 900
+    assert result.timings["updates"] == pytest.approx(704, abs=8)
+    assert not (tmp_path / "tensorboard").exists()
+    loaded = Policy.load(tmp_path / "policy.pt")
+    played = evaluate(loaded, [point_env()], [7, 8, 9], deterministic=True)
+    assert played.success == 1.0
+
+
+def test_ppo_learns(point_env: Any) -> None:
+    settings = dataclasses.replace(
+        DESK_PPO,
+        action_repeat=1,
+        decisions=6000,
+        hidden=(32, 32),
+        learning_starts=200,
+        n_steps=64,
+        learning_rate=3e-3,
+        evaluate_every=3000,
+        evaluation_episodes=5,
+    )
+    result = Training(settings, point_env, None, seed=0).run()
+    assert result.evaluation is not None
+    assert result.evaluation["success"] == 1.0
+    assert result.evaluation["steps"] < 12
+
+
+def test_the_same_seed_gives_the_same_training(point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, decisions=320, evaluate_every=160)
+    weights = []
+    for seed in (2, 2, 3):
+        policy = Training(settings, point_env, None, seed=seed).run().policy
+        weights.append(torch.cat([value.flatten() for value in policy.module.actor.parameters()]))
+    assert torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[0], weights[2])
+
+
+@pytest.mark.parametrize("ent_coef", ["auto_0.05", 0.2])
+def test_one_update_is_the_librarys(ent_coef: str | float, point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, ent_coef=ent_coef, normalise=False, batch_size=64)
+    envs = SampledEnvs([point_env] * 2, seed=0)
+    learner = SacLearner(settings, envs, 0)
+    observations = envs.reset()
+    for _ in range(60):
+        actions = learner.act(observations, explore=True)
+        after, rewards, dones, infos = envs.step(actions)
+        learner.observe(observations, rewards, dones, after, infos, explore=True)
+        observations = after
+    model = learner.model
+    library = SAC(
+        type(model.policy),
+        envs,
+        learning_rate=settings.learning_rate,
+        batch_size=64,
+        ent_coef=ent_coef,
+        policy_kwargs=dict(model.policy_kwargs),
+        device="cpu",
+    )
+    library.policy.load_state_dict(model.policy.state_dict())
+    data = learner.replay.gather(np.arange(60), np.zeros(60, int))
+
+    class Fixed:
+        def sample(self, *arguments: Any, **keywords: Any) -> Any:
+            return data
+
+    learner.replay.sample = Fixed().sample  # type: ignore[method-assign]
+    library.replay_buffer = Fixed()
+    from stable_baselines3.common.logger import Logger
+
+    library.set_logger(Logger(None, []))
+    model.noise = None  # the global generator, as the library
+    for one in (library, model):
+        torch.manual_seed(5)
+        one.train(3, 64)
+    theirs = library.policy.state_dict()
+    before = dict(SacLearner(settings, envs, 0).policy.state_dict())
+    for name, value in model.policy.state_dict().items():
+        torch.testing.assert_close(value, theirs[name], atol=2e-5, rtol=2e-4)
+        if name.endswith("weight"):
+            assert not torch.equal(value, before[name])
+    if ent_coef == "auto_0.05":
+        assert library.log_ent_coef is not None
+        assert model.log_ent_coef is not None
+        torch.testing.assert_close(model.log_ent_coef, library.log_ent_coef, atol=1e-5, rtol=1e-4)
+
+
+def test_log_probability_is_that_of_the_squashed_gaussian(point_env: Any) -> None:
+    learner = SacLearner(SMALL, SampledEnvs([point_env], seed=0), 0)
+    observations = {"place": torch.randn(50, 2, generator=torch.Generator().manual_seed(0))}
+    actions, log_prob = learner.model.sample_actions(observations)
+    mean, log_std = action_distribution(learner.policy, observations)
+    raw = torch.atanh(actions.double().clamp(-1 + 1e-9, 1 - 1e-9))
+    expected = torch.distributions.Normal(mean.double(), log_std.double().exp()).log_prob(raw)
+    expected -= torch.log(1 - actions.double() ** 2)
+    torch.testing.assert_close(log_prob[:, 0].double(), expected.sum(1), atol=1e-3, rtol=1e-3)
+
+
+def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    successes, weights = iter([1, 2, 2, 1]), []
+
+    def judged(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> Evaluation:
+        if not deterministic:
+            return Evaluation((Outcome(True, 10, 0.0, 0.0, 0.0, 0.0),))
+        assert len(seeds) == 3
+        weights.append(torch.cat([value.flatten().clone() for value in policy.module.actor.parameters()]))
+        success = next(successes)
+        steps = 30 if len(weights) == 2 else 25
+        return Evaluation(tuple(Outcome(number < success, steps, 0.0, 0.0, 0.0, 0.0) for number in range(3)))
+
+    monkeypatch.setattr("enn.judgement.evaluate", judged)
+    settings = dataclasses.replace(SMALL, decisions=800, evaluate_every=200, evaluation_episodes=3)
+    result = Training(settings, point_env, None, seed=1).run()
+    kept = torch.cat([value.flatten() for value in result.policy.module.actor.parameters()])
+    # as successful as the second, but shorter
+    assert [torch.equal(kept, one) for one in weights] == [False, False, True, False]
+    assert result.evaluation is not None
+    assert result.evaluation["decisions"] == 600
+    assert result.evaluation["steps"] == 25
+
+
+def test_evaluation_is_the_same_for_the_same_seeds(point_env: Any) -> None:
+    result = Training(dataclasses.replace(SMALL, decisions=800, evaluate_every=800), point_env, None, seed=1).run()
+    assert result.evaluation is not None
+    for count in (1, 3):  # environments side by side
+        again = evaluate(
+            result.policy, [point_env() for _ in range(count)], range(501_000, 501_005), deterministic=True
+        )
+        assert (again.success, again.steps) == (result.evaluation["success"], result.evaluation["steps"])
+        assert again.path_mm == pytest.approx(result.evaluation["path_mm"])
+    drawn = evaluate(result.policy, [point_env()], range(9), deterministic=False)
+    assert drawn == evaluate(result.policy, [point_env()], range(9), deterministic=False)
+    assert drawn != evaluate(result.policy, [point_env()], range(9), deterministic=True)
+
+
+def test_stops_early_once_perfect_and_no_shorter(point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, decisions=100_000, evaluate_every=200, stop_after=2)
+    result = Training(settings, point_env, None, seed=1).run()
+    assert result.timings["decisions"] < 4000
+    assert result.evaluation is not None
+    assert result.evaluation["success"] == 1.0
+
+
+def test_action_repeat_counts_steps_and_is_played_in_evaluation(point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, action_repeat=2, decisions=400, evaluate_every=400)
+    result = Training(settings, point_env, None, seed=0).run()
+    assert result.policy.action_repeat == 2
+    assert 1.5 * 400 < result.timings["env_steps"] <= 800
+
+
+def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
+    env, trajectories = point_env(), []
+    for seed in range(3):
+        observation, info = env.reset(seed=seed)
+        seen, tips, states, actions, rewards = [observation], [info["tip"]], [env.start_state()], [], []
+        terminated = False
+        while not terminated:
+            action = np.clip(-observation["place"] / 0.15, -1, 1)
+            observation, reward, terminated, _, info = env.step(action)
+            for items, item in ((seen, observation), (tips, info["tip"]), (states, env.start_state())):
+                items.append(item)
+            actions.append(action)
+            rewards.append(reward)
+        places = {"place": np.stack([one["place"] for one in seen])}
+        trajectories.append(
+            Trajectory(
+                places,
+                np.stack(actions),
+                np.array(rewards),
+                True,
+                np.zeros(len(actions)),
+                np.stack(tips),
+                np.stack(states),
+            )
+        )
+    settings = dataclasses.replace(
+        SMALL, decisions=240, demonstrations_in_replay=0.25, evaluate_every=0, bank_share=1.0
+    )
+    from enn.training_run import TrainingRun
+
+    run = TrainingRun(Training(settings, point_env, None, 0, trajectories), None)
+    assert isinstance(run.learner, SacLearner)
+    assert run.learner.replay.demonstrations is not None
+    assert run.learner.replay.demonstrations.added == sum(map(len, trajectories))
+    assert run.sampled.bank is not None
+    assert len(run.sampled.bank) >= 3
+    drawn = run.learner.replay.demonstrations.gather(
+        np.arange(len(trajectories[0])), np.zeros(len(trajectories[0]), int)
+    )
+    np.testing.assert_allclose(drawn.actions, trajectories[0].actions, atol=1e-6)
+    np.testing.assert_allclose(drawn.next_observations["place"], trajectories[0].observations["place"][1:])
+    assert drawn.dones[-1] == 1.0
+    starts = run.observations["place"]
+    known = np.concatenate([t.observations["place"] for t in trajectories])
+    assert all(np.abs(known - start).max(axis=1).min() < 1e-6 for start in starts)
+    result = run.train()
+    assert result.evaluation is None
+
+    held = demonstration_replay(
+        trajectories[:1], run.envs.observation_space, point_env.action_space, action_repeat=len(trajectories[0])
+    )
+    assert held.added == 1
+    whole = held.gather(np.zeros(1, int), np.zeros(1, int))
+    np.testing.assert_allclose(whole.actions[0], trajectories[0].actions.mean(axis=0), atol=1e-6)
+    assert float(whole.rewards) == pytest.approx(trajectories[0].rewards.sum(), rel=1e-5)
+    np.testing.assert_allclose(whole.next_observations["place"][0], trajectories[0].observations["place"][-1])
+    with pytest.raises(ValueError, match="no demonstrations to put"):
+        demonstration_replay([], run.envs.observation_space, point_env.action_space)
+
+
+def test_images_train_too(point_env: Any) -> None:
+    settings = dataclasses.replace(
+        SMALL,
+        extractor="multimodal",
+        variant="desk",
+        shared="critic",
+        normalise=False,
+        decisions=64,
+        learning_starts=32,
+        batch_size=8,
+        evaluate_every=64,
+    )
+    settings = dataclasses.replace(settings, n_envs=2, gradient_steps=0.25, evaluation_episodes=1)
+    result = Training(settings, lambda: point_env(("image", "mask"), max_steps=5), None).run()
+    assert (
+        result.policy.features(
+            {"image": np.zeros((3, 1, 36, 36), np.uint8), "mask": np.zeros((3, 1, 36, 36), np.uint8)}
+        ).shape[0]
+        == 3
+    )
+    assert result.timings["updates"] > 0
+
+
+def test_what_is_not_finite_stops_the_training(point_env: Any, tmp_path: Path) -> None:
+    with pytest.raises(NotFiniteError, match="observation 'place' of environment 0 is not finite"):
+        Training(SMALL, lambda: point_env(broken_at=20), tmp_path).run()
+
+
+def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard")
+    settings = dataclasses.replace(SMALL, decisions=240, evaluate_every=0, tensorboard=True)
+    Training(settings, point_env, tmp_path).run()
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    assert [event.step for event in events.Scalars("curve/reward")] == [104, 200, 240]
+    assert "train/critic_loss" in events.Tags()["scalars"]
+
+
+def test_the_thesis_presets_are_its_tables() -> None:
+    table = {
+        "learning_rate": 3e-4,
+        "buffer_size": 1_000_000,
+        "batch_size": 256,
+        "tau": 0.005,
+        "gamma": 0.99,
+        "gradient_steps": 1,
+        "ent_coef": 1,
+        "target_entropy": -2,
+    }
+    assert {name: getattr(THESIS_SAC, name) for name in table} == table
+    assert THESIS_SAC.decisions == THESIS_PPO.decisions == 600_000
+    assert THESIS_PPO.learning_rate == 3e-4
+    assert THESIS_PPO.variant == THESIS_SAC.variant == "thesis"
+
+
+def test_refusals_say_why() -> None:
+    with pytest.raises(ValueError, match="decisions must be at least 1, got 0"):
+        TrainingSettings(decisions=0)
+    with pytest.raises(ValueError, match=r"PPO needs a number as ent_coef, got 'auto_0\.05'"):
+        TrainingSettings(algorithm="ppo")
+    with pytest.raises(ValueError, match="PPO keeps no replay buffer"):
+        TrainingSettings(algorithm="ppo", ent_coef=0.0, demonstrations_in_replay=0.5)
+    with pytest.raises(ValueError, match="unknown algorithm 'td3'; there are sac, ppo"):
+        TrainingSettings(algorithm="td3")
+    with pytest.raises(ValueError, match="gamma must lie between 0 and 1"):
+        TrainingSettings(gamma=1.5)
+
+
+def test_the_real_simulator_trains_a_little(tmp_path: Path) -> None:
+    pytest.importorskip("cathsim")
+
+    def make() -> gymnasium.Env[Any, Any]:
+        return gymnasium.make(
+            "cathsim:cathsim/Navigate-v0",
+            observation=("shape", "feeder"),
+            reward="geodesic",
+            success_radius=0.008,
+            max_steps=20,
+            start_jitter=0.001,
+            start_rotation=np.pi,
+            contact_info=False,
+            disable_env_checker=True,
+        )
+
+    settings = dataclasses.replace(
+        SMALL,
+        decisions=120,
+        n_envs=2,
+        learning_starts=60,
+        evaluate_every=120,
+        evaluation_episodes=2,
+        gradient_steps=0.2,
+    )
+    result = Training(settings, make, None, seed=0).run()
+    assert result.evaluation is not None
+    assert result.evaluation["steps"] == 20
+
+    def stop(moment: Progress) -> None:
+        if moment.decisions >= 80:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("enn.training_run.TICK", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            Training(settings, make, tmp_path, seed=0).run(stop)
+    resumed = Training(settings, make, tmp_path, seed=0).run()
+    assert resumed.evaluation == result.evaluation
+    theirs = resumed.policy.module.state_dict()
+    assert all(torch.equal(value, theirs[name]) for name, value in result.policy.module.state_dict().items())
+    assert result.evaluation["path_mm"] > 0
+    assert Policy.load(tmp_path / "policy.pt").keys == ("feeder", "shape")
+
+
+def test_with_a_frozen_encoder_it_trains_resumes_and_loads(point_env: Any, tmp_path: Path) -> None:
+    def make() -> Any:
+        return point_env(("place", "mask"), max_steps=15)
+
+    torch.manual_seed(0)
+    encoder = Encoder(EncoderSettings(keys=("mask",), shapes=((1, 36, 36),), channels=(4,), hidden=16, features=8))
+    before = {name: value.clone() for name, value in encoder.state_dict().items()}
+    settings = dataclasses.replace(
+        SMALL, passthrough=("place",), decisions=240, learning_starts=80, evaluate_every=120, evaluation_episodes=3
+    )
+    straight = Training(settings, make, None, seed=0, encoder=encoder).run()
+
+    class Interruption(Exception):
+        pass
+
+    def stop(moment: Progress) -> None:
+        if moment.decisions >= 120:
+            raise Interruption
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("enn.training_run.TICK", 0.0)
+        with pytest.raises(Interruption):
+            Training(settings, make, tmp_path, seed=0, encoder=encoder).run(stop)
+    resumed = Training(settings, make, tmp_path, seed=0, encoder=encoder).run()
+    batch = {"mask": np.zeros((4, 1, 36, 36), np.uint8), "place": np.linspace(-1, 1, 8, dtype=np.float32).reshape(4, 2)}
+    batch["mask"][np.arange(4), 0, np.arange(4), 5] = 255
+    loaded = Policy.load(tmp_path / "policy.pt")
+    assert loaded.keys == ("mask", "place")
+    assert loaded.features(batch).shape == (4, 10)
+    np.testing.assert_array_equal(straight.policy.act_batch(batch), resumed.policy.act_batch(batch))
+    np.testing.assert_array_equal(loaded.act_batch(batch), resumed.policy.act_batch(batch))
+    assert all(torch.equal(value, before[name]) for name, value in encoder.state_dict().items())
+    with pytest.raises(ValueError, match="'mask' of shape \\(1, 36, 36\\), got \\(1, 40, 40\\): another image size"):
+        loaded.act({"mask": np.zeros((1, 40, 40), np.uint8), "place": np.zeros(2, np.float32)})
+
+
+def test_an_asymmetric_critic_needs_nothing_to_act(point_env: Any, tmp_path: Path) -> None:
+    settings = dataclasses.replace(
+        SMALL, keys=("place",), critic_keys=("place", "range"), decisions=240, evaluate_every=240
+    )
+    Training(settings, lambda: point_env(("place", "range", "mask")), tmp_path, seed=0).run()
+    loaded = Policy.load(tmp_path / "policy.pt")
+    assert loaded.keys == ("place",)
+    assert loaded.act({"place": np.zeros(2, np.float32)}).shape == (2,)
