@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 HELD_OUT_SEED = 1_000_000  # evaluation episodes' seeds begin here: no training comes so far
 EXPERT_SEED = 2_000_000  # those of expert episodes, which imitation learns from and is not evaluated on
 SEEDS_A_TRAINING = 1_000
+PATH_PENALTY = 20.0  # of the reward of training, a metre of the tip's way
 REWARD_OF_TRAINING, REWARD_OF_EVALUATION = "geodesic", "distance"  # the latter is the thesis's
 
 
@@ -29,9 +30,11 @@ class LearningTask:
         image_size: side of the images, px.
         max_steps: an episode is cut off after so many.
         success_radius: m.
+        accuracy: preset of the simulator.
         start_jitter: the wire starts advanced by up to this much, m.
         start_rotation: ... and turned by up to this much either way, rad.
         force_penalty: of the training's reward, a newton.
+        path_penalty: of the training's reward, a metre of the tip's way: what makes ways short.
     """
 
     phantom: str
@@ -41,9 +44,11 @@ class LearningTask:
     image_size: int = 80
     max_steps: int = 300
     success_radius: float = 0.008
+    accuracy: str = "accurate"
     start_jitter: float = 0.001
     start_rotation: float = math.pi
     force_penalty: float = 0.0
+    path_penalty: float = PATH_PENALTY
 
     @property
     def name(self) -> str:
@@ -64,6 +69,7 @@ class LearningTask:
             self.phantom,
             self.target,
             wire=self.wire,
+            accuracy=self.accuracy,
             actions=self.actions,
             observation=observation if isinstance(observation, str) else tuple(observation),
             image_size=self.image_size,
@@ -74,6 +80,7 @@ class LearningTask:
             start_rotation=self.start_rotation,
             reward=REWARD_OF_TRAINING if training else REWARD_OF_EVALUATION,
             force_penalty=self.force_penalty if training else 0.0,
+            path_penalty=self.path_penalty if training else 0.0,
         )
 
     def factory(self, observation: str | Sequence[str]) -> Callable[[], NavigateEnv]:

@@ -36,6 +36,7 @@ def replay(
     image_size: int | None = None,
     reward: str | None = None,
     force_penalty: float | None = None,
+    path_penalty: float | None = None,
     environment: NavigateEnv | None = None,
 ) -> Trajectory:
     """Repeats a logged episode.
@@ -46,6 +47,7 @@ def replay(
         image_size: of images among them, px; None: as the log's camera has it, or 80.
         reward: of the steps, "distance" or "geodesic"; None: as it was recorded.
         force_penalty: of the reward; None: as it was recorded.
+        path_penalty: likewise.
         environment: made by `replay_environment` for another log of the same task, to save making it anew.
 
     Returns:
@@ -63,7 +65,12 @@ def replay(
     if outcome.missing_steps:
         raise ReplayError(f"{log} lacks step {outcome.missing_steps[0]} and cannot be repeated: leave it out")
     env = environment or replay_environment(
-        log, observation, image_size=image_size, reward=reward, force_penalty=force_penalty
+        log,
+        observation,
+        image_size=image_size,
+        reward=reward,
+        force_penalty=force_penalty,
+        path_penalty=path_penalty,
     )
     _require_same(log, info, env)
     actions = arrays["action"][1:].astype(np.float32)
@@ -104,6 +111,7 @@ def replay_environment(
     image_size: int | None = None,
     reward: str | None = None,
     force_penalty: float | None = None,
+    path_penalty: float | None = None,
 ) -> NavigateEnv:
     """Makes the environment that a log was recorded in.
 
@@ -113,6 +121,7 @@ def replay_environment(
         image_size: likewise.
         reward: likewise.
         force_penalty: likewise.
+        path_penalty: likewise.
     """
     from cathsim import NavigateEnv
 
@@ -122,7 +131,7 @@ def replay_environment(
             size = reader.camera(reader.cameras[0]).width if reader.cameras else 80
         action = reader.step(0).action
     task = _task(info)
-    changed: dict[str, Any] = {"reward": reward, "force_penalty": force_penalty}
+    changed: dict[str, Any] = {"reward": reward, "force_penalty": force_penalty, "path_penalty": path_penalty}
     task = dataclasses.replace(task, **{name: value for name, value in changed.items() if value is not None})
     return NavigateEnv(
         info.phantom,

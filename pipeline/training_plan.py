@@ -40,7 +40,6 @@ LEARNING_CODE = (
 THESIS = "thesis"
 _MM = 1e3
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
-_PERFECT_IN_A_ROW = 3  # evaluations after which the desk variant stops early
 _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
 
 
@@ -144,7 +143,6 @@ def sized(preset: TrainingSettings, decisions: int, settings: LearningSettings, 
         evaluate_every=min(preset.evaluate_every, decisions),
         evaluation_episodes=min(preset.evaluation_episodes, settings.evaluation_episodes),
         curve_every=min(preset.curve_every, decisions),
-        stop_after=preset.stop_after or (0 if settings.variant == THESIS else _PERFECT_IN_A_ROW),
         tensorboard=settings.tensorboard,
         **changed,
     )

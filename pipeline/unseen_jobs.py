@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from enn.student import ImageStudent, Lesson
 
 POLICY, STUDENT, RECORD, CURVE = "policy.pt", "student.pt", "training.json", "training.csv"
+TRAINING_PHANTOM, TEST_PHANTOM = "random_wide", "random"  # rare shapes are trained on as often as common ones
 TRAINING_RESOLUTION = 1.5e-3  # m: coarser than the tests', for the sake of memory and time
 LUMEN_DEPTH = 1.5e-3  # m: a pixel shows the lumen where its ray passes through this much of it
 SIDE_BY_SIDE = 12  # episodes played together while lessons are given
@@ -97,7 +98,7 @@ class UnseenTask:
         from cathsim.variety import NavigateManyEnv
 
         return NavigateManyEnv(
-            tuple(anatomies),
+            [(TRAINING_PHANTOM, seed) for seed in anatomies],
             self.targets,
             (self.wire("default"),),
             resolution=TRAINING_RESOLUTION,
@@ -112,7 +113,7 @@ class UnseenTask:
         """An environment of a test: a named phantom, a mesh's path, or the seed of a random arch."""
         from cathsim import NavigateEnv
 
-        named = {"phantom": phantom} if isinstance(phantom, str) else {"phantom": "random", "phantom_seed": phantom}
+        named = {"phantom": phantom} if isinstance(phantom, str) else {"phantom": TEST_PHANTOM, "phantom_seed": phantom}
         return NavigateEnv(
             **named,
             target=target,
@@ -146,6 +147,7 @@ class HeldOutSet:
 class AnatomiesJob:
     """Random arches to build into the cache."""
 
+    name: str
     seeds: tuple[int, ...]
     resolution: float
 
@@ -210,7 +212,7 @@ def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
 
     for done, seed in enumerate(job.seeds):
         report(done / len(job.seeds), f"arch {seed}")
-        load_phantom("random", seed=seed, resolution=job.resolution)
+        load_phantom(job.name, seed=seed, resolution=job.resolution)
     return {"anatomies": len(job.seeds)}
 
 
@@ -340,7 +342,7 @@ def train_segmenter(job: StudentJob, report: Callable[[float, str], None]) -> tu
     images, lumens = [], []
     for number, seed in enumerate(job.anatomies):
         report(0.1 * number / len(job.anatomies) / job.rounds, "images")
-        phantom = SHELF.take(seed, TRAINING_RESOLUTION)
+        phantom = SHELF.take((TRAINING_PHANTOM, seed), TRAINING_RESOLUTION)
         projector = Projector.frontal(phantom.bounds, job.task.image_size)
         images.append(background_image(phantom.grid, projector, key=phantom.hash))
         lumens.append(lumen_path_length(phantom.grid, projector) > LUMEN_DEPTH)

@@ -22,6 +22,8 @@ from pipeline.trials import Origin
 from pipeline.unseen_jobs import (
     POLICY,
     PRELOAD,
+    TEST_PHANTOM,
+    TRAINING_PHANTOM,
     TRAINING_RESOLUTION,
     AnatomiesJob,
     HeldOutSet,
@@ -108,12 +110,15 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
     tested = range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + settings.test_anatomies)
     jobs = [
         Job(
-            f"anatomies/{part[0]}",
+            f"{name}/{part[0]}",
             build_anatomies,
-            AnatomiesJob(tuple(part), resolution),
+            AnatomiesJob(name, tuple(part), resolution),
             weight=len(part) * _SECONDS["anatomy"],
         )
-        for seeds, resolution in ((trained, TRAINING_RESOLUTION), (tested, TEST_RESOLUTION))
+        for name, seeds, resolution in (
+            (TRAINING_PHANTOM, trained, TRAINING_RESOLUTION),
+            (TEST_PHANTOM, tested, TEST_RESOLUTION),
+        )
         for part in (seeds[k : k + _ANATOMIES_A_JOB] for k in range(0, len(seeds), _ANATOMIES_A_JOB))
     ]
     built = tuple(job.key for job in jobs)
@@ -169,7 +174,7 @@ def training_settings(settings: UnseenSettings) -> TrainingSettings:
         action_repeat=4,
         gamma=0.98,
         bank_capacity=16_384,
-        evaluate_every=max(settings.decisions // 4, 1),
+        evaluate_every=max(settings.decisions // 6, 1),
         evaluation_episodes=settings.validation_episodes,
         tensorboard=settings.tensorboard,
     )

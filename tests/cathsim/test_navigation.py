@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,19 @@ def test_thesis_reward_is_minus_the_distance_in_metres(make_env: MakeEnv, type_1
         assert not terminated
 
 
+def test_path_penalty_costs_what_the_tip_moves(make_env: Any) -> None:
+    env, free = make_env(target="bca", path_penalty=20.0), make_env(target="bca")
+    _, start = env.reset(seed=0)
+    free.reset(seed=0)
+    before = start["tip"]
+    for _ in range(5):
+        _, reward, _, _, info = env.step(FORWARD)
+        _, without, *_ = free.step(FORWARD)
+        assert reward == pytest.approx(without - 20.0 * np.linalg.norm(info["tip"] - before), abs=1e-12)
+        assert reward < without - 0.01
+        before = info["tip"]
+
+
 def test_reward_values_at_known_distances() -> None:
     thesis, geodesic = NavigationTask(), NavigationTask(reward="geodesic")
     assert thesis.step_reward(0.1234, 0.5, 1.0, success=False) == -0.1234
@@ -41,6 +55,8 @@ def test_reward_values_at_known_distances() -> None:
     strict = NavigationTask(force_penalty=0.5)
     assert strict.step_reward(0.1, 0.0, 0.4, success=False) == pytest.approx(-0.3)
     assert strict.step_reward(0.1, 0.0, 0.4, success=True) == pytest.approx(9.8)
+    short = NavigationTask(path_penalty=20.0)
+    assert short.step_reward(0.1, 0.0, 0.0, 0.003, success=False) == pytest.approx(-0.16)
 
 
 @pytest.mark.parametrize(("beyond", "reached"), [(-1e-6, True), (1e-6, False)])

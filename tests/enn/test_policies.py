@@ -12,7 +12,7 @@ import torch
 from stable_baselines3 import PPO, SAC
 
 from enn.features import MultimodalExtractor
-from enn.policies import AsymmetricSACPolicy, baseline_arguments
+from enn.policies import AsymmetricSACPolicy, LayerNormSACPolicy, baseline_arguments
 
 ARRAYS = dict[str, np.ndarray]
 
@@ -200,3 +200,32 @@ def test_unknown_baselines_are_refused() -> None:
         baseline_arguments("mask", "sac")
     with pytest.raises(ValueError, match="unknown algorithm 'td3'"):
         baseline_arguments("image", "td3")
+
+
+@pytest.mark.parametrize("policy", [LayerNormSACPolicy, AsymmetricSACPolicy])
+def test_layer_norm_stands_in_the_critics_alone(policy: type, tmp_path: Path) -> None:
+    arguments = {"features_extractor_class": MultimodalExtractor, "net_arch": [16, 16], "critic_layer_norm": True}
+    arguments["features_extractor_kwargs"] = {"variant": "desk"} | (
+        {"keys": ("image", "state")} if policy is LayerNormSACPolicy else {}
+    )
+    sac = SAC(policy, Chase(), policy_kwargs=arguments, seed=0, device="cpu", buffer_size=100, learning_starts=8)
+
+    def norms(module: torch.nn.Module) -> int:
+        return sum(isinstance(layer, torch.nn.LayerNorm) for layer in module.modules())
+
+    assert norms(sac.critic.qf0) == norms(sac.critic.qf1) == norms(sac.critic_target.qf0) == 2
+    assert norms(sac.actor.latent_pi) == 0
+    action, seen = torch.zeros(4, 2), observed()
+    for first, second in zip(sac.critic(seen, action), sac.critic_target(seen, action), strict=True):
+        assert torch.equal(first, second)
+    with torch.no_grad():  # scale of the hidden layers no longer reaches the value
+        before = sac.critic(seen, action)[0]
+        for layer in sac.critic.qf0:
+            if isinstance(layer, torch.nn.Linear) and layer.out_features == 16:
+                layer.weight.mul_(100.0), layer.bias.mul_(100.0)
+        assert torch.allclose(sac.critic(seen, action)[0], before, atol=0.05 * before.abs().max().item())
+    sac.learn(30)
+    sac.save(tmp_path / "model")
+    again = SAC.load(tmp_path / "model")
+    for first, second in zip(sac.critic(seen, action), again.critic(seen, action), strict=True):
+        assert torch.equal(first, second)

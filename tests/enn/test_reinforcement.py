@@ -30,6 +30,7 @@ from enn.rollouts import Evaluation, Outcome, evaluate
 from enn.sampling import NotFiniteError, SampledEnvs
 from enn.soft_actor_critic import SacLearner
 from enn.training_curve import COLUMNS
+from enn.training_run import TrainingRun
 from enn.trajectory import Trajectory
 
 SMALL = dataclasses.replace(
@@ -37,6 +38,8 @@ SMALL = dataclasses.replace(
     action_repeat=1,
     decisions=900,
     hidden=(32, 32),
+    critic_layer_norm=False,
+    final_learning_rate=1.0,
     batch_size=32,
     learning_starts=200,
     gradient_steps=0.5,
@@ -170,8 +173,8 @@ def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytes
         assert len(seeds) == 3
         weights.append(torch.cat([value.flatten().clone() for value in policy.module.actor.parameters()]))
         success = next(successes)
-        steps = 30 if len(weights) == 2 else 25
-        return Evaluation(tuple(Outcome(number < success, steps, 0.0, 0.0, 0.0, 0.0) for number in range(3)))
+        path_mm = 30.0 if len(weights) == 2 else 25.0
+        return Evaluation(tuple(Outcome(number < success, 20, 0.0, path_mm, 0.0, 0.0) for number in range(3)))
 
     monkeypatch.setattr("enn.judgement.evaluate", judged)
     settings = dataclasses.replace(SMALL, decisions=800, evaluate_every=200, evaluation_episodes=3)
@@ -181,7 +184,7 @@ def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytes
     assert [torch.equal(kept, one) for one in weights] == [False, False, True, False]
     assert result.evaluation is not None
     assert result.evaluation["decisions"] == 600
-    assert result.evaluation["steps"] == 25
+    assert result.evaluation["path_mm"] == 25
 
 
 def test_evaluation_is_the_same_for_the_same_seeds(point_env: Any) -> None:
@@ -432,3 +435,27 @@ def test_an_asymmetric_critic_needs_nothing_to_act(point_env: Any, tmp_path: Pat
     loaded = Policy.load(tmp_path / "policy.pt")
     assert loaded.keys == ("place",)
     assert loaded.act({"place": np.zeros(2, np.float32)}).shape == (2,)
+
+
+@pytest.mark.parametrize("preset", [SMALL, dataclasses.replace(DESK_PPO, n_steps=16, batch_size=32, action_repeat=1)])
+def test_learning_rate_falls_evenly_to_its_share(point_env: Any, preset: TrainingSettings) -> None:
+    settings = dataclasses.replace(
+        preset, decisions=400, learning_starts=0, final_learning_rate=0.1, evaluate_every=0, curve_every=100
+    )
+    training = Training(settings, point_env, seed=0)
+    run = TrainingRun(training, None)
+    rates = []
+    try:
+        while not run._pause():
+            run._decide()
+            rates.append(optimizer_of(run).param_groups[0]["lr"])
+    finally:
+        run.close()
+    assert rates[0] > 0.9 * settings.learning_rate
+    assert rates[-1] == pytest.approx(0.1 * settings.learning_rate, rel=0.5)
+    assert np.all(np.diff(rates) <= 0)
+
+
+def optimizer_of(run: TrainingRun) -> Any:
+    model = run.learner.model
+    return model.critic.optimizer if isinstance(run.learner, SacLearner) else model.policy.optimizer

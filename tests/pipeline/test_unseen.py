@@ -43,7 +43,7 @@ def settings(**changed) -> UnseenSettings:
 def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     jobs = {job.key: job for job in plan(settings(), tmp_path, run_seed=3)}
     policies = ["roadmap", "roadmap 1", "roadmap 4", "image"]
-    assert [key for key in jobs if not key.startswith("anatomies")] == policies
+    assert [key for key in jobs if not key.startswith("random")] == policies
     for key in policies:
         given = jobs[key].given
         assert given.anatomies == tuple(range(3000, 3000 + len(given.anatomies)))
@@ -113,7 +113,7 @@ def student_job(folder: Path, rounds: int) -> StudentJob:
 
 
 def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
-    assert build_anatomies(AnatomiesJob((0,), 1.5e-3), Report()) == {"anatomies": 1}
+    assert build_anatomies(AnatomiesJob("random_wide", (0,), 1.5e-3), Report()) == {"anatomies": 1}
     tiny = replace(training_settings(settings(decisions=160, validation_episodes=1)), learning_starts=32, n_envs=4)
     teacher = RoadmapJob(
         folder=tmp_path / "unseen" / "roadmap" / "seed0",

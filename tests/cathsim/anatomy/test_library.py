@@ -187,3 +187,17 @@ def test_the_hash_follows_parameters_and_resolution():
     assert base == library.phantom_hash(ArchParameters(), 0.001)
     assert base != library.phantom_hash(ArchParameters(), 1.5e-3)
     assert base != library.phantom_hash(ArchParameters(lsa_takeoff=0.4), 1e-3)
+
+
+def test_wide_random_phantoms_have_rare_shapes_as_often() -> None:
+    from cathsim.anatomy.random_arch import WIDE, sample_parameters
+
+    drawn = {
+        wide: np.array([sample_parameters(np.random.default_rng(k), wide=wide).lcca_takeoff for k in range(24)])
+        for wide in (False, True)
+    }
+    low, high = WIDE["lcca_takeoff"]
+    assert ((drawn[True] >= low) & (drawn[True] <= high)).all()
+    assert (drawn[True] > 0.8).sum() > (drawn[False] > 0.8).sum()
+    with pytest.raises(ValueError, match="'random_wide' needs a seed"):
+        load_phantom("random_wide")

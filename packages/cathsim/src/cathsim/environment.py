@@ -67,7 +67,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
 
     ## Reward
     "distance" (the thesis's): -|tip - target| in metres; "geodesic": 100 per metre of decrease of the distance along
-    the lumen, less 0.02 a step. Both: 10 on reaching the target, less `force_penalty` per newton of contact force.
+    the lumen, less 0.02 a step. Both: 10 on reaching the target, less `force_penalty` per newton of contact force and
+    `path_penalty` per metre that the tip moves.
 
     ## Start
     The wire lies in the sheath, its tip 5 mm inside the vessel, advanced by up to `start_jitter` and turned by up to
@@ -103,7 +104,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         contact_info: with `contact_points` and `contact_forces` in `info`; vector environments leave them out.
         task: the task; or its fields as further keywords: success_radius, max_steps, start_jitter, start_rotation,
-            reward, force_penalty.
+            reward, force_penalty, path_penalty.
 
     ## Versions
     v0: first.
@@ -233,6 +234,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         rotation = 0.0 if self._motors else ROTATION_STEP * float(action[1])
         if self.robot is not None:
             translation, rotation = self.robot.advance(translation, rotation, CONTROL_STEP)
+        before = simulation.tip
         simulation.advance(translation, rotation, motors)
         self.fluoroscope.update()
         if self.biplane is not None:
@@ -245,7 +247,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         tip = simulation.tip
         distance = _distance(tip, self._goal)
         success = distance <= task.success_radius and not invalid
-        reward = self._reward(tip, distance, success=success)
+        reward = self._reward(before, tip, distance, success=success)
         truncated = not success and (invalid or self.steps >= task.max_steps)
         self.ended = success or truncated
         return self.observe(), reward, success, truncated, self._info(tip, distance, success=success, invalid=invalid)
@@ -296,12 +298,13 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             self.biplane.restore(state["biplane"])
         return self.observe()
 
-    def _reward(self, tip: np.ndarray, distance: float, *, success: bool) -> float:
+    def _reward(self, before_step: np.ndarray, tip: np.ndarray, distance: float, *, success: bool) -> float:
         task, before = self.task, self._remaining
         if task.reward == "geodesic":
             self._remaining = task.remaining(self.phantom, tip)
         force = float(self.simulation.summary.force_max)
-        return task.step_reward(distance, before - self._remaining, force, success=success)
+        moved = _distance(tip, before_step) if task.path_penalty else 0.0
+        return task.step_reward(distance, before - self._remaining, force, moved, success=success)
 
     def observe(self) -> Any:
         """The observation of the moment."""

@@ -34,6 +34,7 @@ class NavigationTask:
         reward: "distance", the thesis's: minus the Euclidean distance to the target in metres; or "geodesic": the
             decrease of the distance along the lumen times 100 per metre, less 0.02 a step. Both give 10 at the target.
         force_penalty: subtracted per newton of the step's largest resultant contact force.
+        path_penalty: subtracted per metre that the tip moves in a step.
 
     Source: thesis, chapter CathSim, "Actions and Rewards".
     """
@@ -45,6 +46,7 @@ class NavigationTask:
     start_rotation: float = 0.0
     reward: str = "distance"
     force_penalty: float = 0.0
+    path_penalty: float = 0.0
 
     def __post_init__(self) -> None:
         if self.reward not in REWARDS:
@@ -53,7 +55,7 @@ class NavigationTask:
             raise ValueError(f"success_radius must be positive (m), got {self.success_radius}")
         if self.max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}")
-        for name in ("start_jitter", "start_rotation", "force_penalty"):
+        for name in ("start_jitter", "start_rotation", "force_penalty", "path_penalty"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
@@ -71,20 +73,23 @@ class NavigationTask:
         """Position of the target, m. Shape (3,)."""
         return phantom.target(self.target).position
 
-    def step_reward(self, distance: float, progress: float, force: float, *, success: bool) -> float:
+    def step_reward(
+        self, distance: float, progress: float, force: float, moved: float = 0.0, *, success: bool
+    ) -> float:
         """Reward of one step.
 
         Args:
             distance: from the tip to the target in a straight line, m.
             progress: decrease of the distance along the lumen in this step, m; only the geodesic reward uses it.
             force: largest resultant contact force of the step, N.
+            moved: how far the tip has moved in this step, m.
             success: whether the target was reached.
         """
         if self.reward == "geodesic":
             reward = POTENTIAL_PER_METRE * progress - STEP_COST + (SUCCESS_REWARD if success else 0.0)
         else:
             reward = SUCCESS_REWARD if success else -distance
-        return reward - self.force_penalty * force
+        return reward - self.force_penalty * force - self.path_penalty * moved
 
     def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
         """Distance along the lumen from the tip to the target, m."""

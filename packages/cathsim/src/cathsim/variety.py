@@ -14,6 +14,9 @@ from cathsim.anatomy import Phantom, load_phantom
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire, load_guidewire
 
+# a phantom's name or a mesh's path; the seed of a random arch; a name that needs a seed, and that
+Anatomy = str | int | tuple[str, int]
+
 
 class Case(NamedTuple):
     """What an episode of `NavigateManyEnv` takes place in, as indices into its arguments."""
@@ -32,14 +35,14 @@ class PhantomShelf:
 
     def __init__(self, capacity: int = 64) -> None:
         self.capacity = capacity
-        self._kept: OrderedDict[tuple[str | int, float], Phantom] = OrderedDict()
+        self._kept: OrderedDict[tuple[Anatomy, float], Phantom] = OrderedDict()
         self._lock = threading.Lock()
 
-    def take(self, name: str | int, resolution: float) -> Phantom:
+    def take(self, name: Anatomy, resolution: float) -> Phantom:
         """The phantom of a name, or for a number the random arch of that seed.
 
         Args:
-            name: as `load_phantom` takes it, or the seed of a random arch.
+            name: as `load_phantom` takes it, with its seed where it needs one, or the seed of a random arch.
             resolution: m between the nodes of its grid.
         """
         key = (name, resolution)
@@ -48,7 +51,8 @@ class PhantomShelf:
                 if isinstance(name, str):
                     self._kept[key] = load_phantom(name, resolution=resolution)
                 else:
-                    self._kept[key] = load_phantom("random", seed=int(name), resolution=resolution)
+                    kind, seed = name if isinstance(name, tuple) else ("random", name)
+                    self._kept[key] = load_phantom(kind, seed=int(seed), resolution=resolution)
             self._kept.move_to_end(key)
             while len(self._kept) > self.capacity:
                 self._kept.popitem(last=False)
@@ -68,7 +72,8 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
     holds `case`, the number of the drawn case, `phantom` and `target`, their names.
 
     Args:
-        phantoms: names, paths of meshes, `Phantom`s, or whole numbers: seeds of random arches.
+        phantoms: names, paths of meshes, `Phantom`s, whole numbers (seeds of random arches), or pairs of a name and a
+            seed: ("random_wide", 3).
         targets: their names.
         wires: names of presets, or `Guidewire`s.
         resolution: m between the nodes of the phantoms' grids.
@@ -82,7 +87,7 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
 
     def __init__(
         self,
-        phantoms: Sequence[str | int | Phantom] = tuple(range(16)),
+        phantoms: Sequence[Anatomy | Phantom] = tuple(range(16)),
         targets: Sequence[str] = ("bca", "lcca"),
         wires: Sequence[str | Guidewire] = ("default",),
         *,

@@ -11,10 +11,11 @@ from stable_baselines3.common.policies import (
     BasePolicy,
     MultiInputActorCriticPolicy,
 )
-from stable_baselines3.sac.policies import MultiInputPolicy, SACPolicy
+from stable_baselines3.sac.policies import SACPolicy
 from torch import Tensor, nn, optim
 
 from enn.normalisation import VectorExtractor, select_keys, vector_spaces
+from enn.policies import AsymmetricSACPolicy, LayerNormSACPolicy
 
 ALGORITHMS = ("sac", "ppo")
 EXTRACTORS = ("vectors", "multimodal")
@@ -39,6 +40,7 @@ class NetworkSettings:
         shared: features that actor and critic share, by whose loss they are trained: "actor", "critic", or "": each has
             its own (SAC; PPO always shares them).
         activation: "relu" or "tanh".
+        critic_layer_norm: layer normalisation in the critics; SAC only.
     """
 
     algorithm: str = "sac"
@@ -51,6 +53,7 @@ class NetworkSettings:
     critic_hidden: tuple[int, ...] | None = None
     shared: str = ""
     activation: str = "relu"
+    critic_layer_norm: bool = False
 
     def __post_init__(self) -> None:
         """Refuses unknown names."""
@@ -99,9 +102,9 @@ def network_class(settings: NetworkSettings, space: gymnasium.Space[Any]) -> tup
     else:
         raise ValueError("the multimodal extractor needs observations by name: make the environment with several names")
     arguments |= {"features_extractor_class": extractor[0], "features_extractor_kwargs": extractor[1]}
+    if settings.algorithm == "sac":
+        arguments["critic_layer_norm"] = settings.critic_layer_norm
     if settings.critic_keys or settings.shared:
-        from enn.policies import AsymmetricSACPolicy
-
         critic_keys = select_keys(space, settings.critic_keys) if settings.critic_keys else keys  # type: ignore[arg-type]
         arguments |= {"actor_keys": keys, "critic_keys": critic_keys}
         if settings.shared:
@@ -110,7 +113,7 @@ def network_class(settings: NetworkSettings, space: gymnasium.Space[Any]) -> tup
     arguments["features_extractor_kwargs"] |= {"keys": keys}
     if settings.algorithm == "ppo":
         return (MultiInputActorCriticPolicy if is_dict else ActorCriticPolicy), arguments
-    return (MultiInputPolicy if is_dict else SACPolicy), arguments
+    return LayerNormSACPolicy, arguments
 
 
 def build_network(

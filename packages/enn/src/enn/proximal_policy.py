@@ -109,6 +109,10 @@ class PpoLearner:
         self.rollout.add(observations, self._action.cpu().numpy(), rewards, self._starts, self._value, self._log_prob)
         self._starts, self._latest = dones.copy(), after
 
+    def set_learning_rate(self, rate: float) -> None:
+        """Sets the learning rate."""
+        self.model.lr_schedule = lambda _: rate
+
     def update(self, *, explore: bool) -> None:
         """Updates when the roll-out is full."""
         if explore or not self.rollout.full:

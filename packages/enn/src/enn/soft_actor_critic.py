@@ -186,6 +186,12 @@ class SacLearner:
                     following[index] = last
         self.replay.add(observations, following, self._scaled, rewards, dones, infos)
 
+    def set_learning_rate(self, rate: float) -> None:
+        """Sets the learning rate of actor and critic."""
+        for optimizer in (self.model.actor.optimizer, self.model.critic.optimizer):
+            for group in optimizer.param_groups:
+                group["lr"] = rate
+
     def update(self, *, explore: bool) -> None:
         """Updates as often as the settings say for the decisions since the last call."""
         if explore:

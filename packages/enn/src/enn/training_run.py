@@ -202,9 +202,15 @@ class TrainingRun:
             if episode is not None and episode["fresh"]:
                 self.episodes.append((episode["l"], episode["success"]))
         clock = time.perf_counter()
+        self.learner.set_learning_rate(self._learning_rate())
         self.learner.update(explore=explore)
         self.spent["update_s"] += time.perf_counter() - clock
         self.consistent = True
+
+    def _learning_rate(self) -> float:
+        settings = self.settings
+        done = min(self.decisions / settings.decisions, 1.0)
+        return settings.learning_rate * (1.0 - (1.0 - settings.final_learning_rate) * done)
 
     def _pause(self) -> bool:
         """What is due between decisions; whether the training is over."""

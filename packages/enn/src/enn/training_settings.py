@@ -23,6 +23,7 @@ class TrainingSettings:
         critic_hidden: of the critic alone, where they differ.
         shared: features that actor and critic share, by whose loss they are trained; see `enn.network`.
         activation: "relu" or "tanh".
+        critic_layer_norm: layer normalisation in SAC's critics.
         normalise: fits mean and scale of vector observations to the first decisions; never with an encoder, whose
             features are normalised.
         decisions: budget, all environments together.
@@ -30,6 +31,7 @@ class TrainingSettings:
         threads: that step them.
         action_repeat: environment steps a decision.
         learning_rate: of Adam.
+        final_learning_rate: share of it that is left at the end of the budget, to which it falls evenly.
         batch_size: transitions an update.
         gamma: discount a decision.
         learning_starts: random decisions at the start.
@@ -69,12 +71,14 @@ class TrainingSettings:
     critic_hidden: tuple[int, ...] | None = None
     shared: str = ""
     activation: str = "relu"
+    critic_layer_norm: bool = False
     normalise: bool = True
     decisions: int = 6000
     n_envs: int = 8
     threads: int = 1
     action_repeat: int = 3
     learning_rate: float = 1e-3
+    final_learning_rate: float = 1.0
     batch_size: int = 128
     gamma: float = 0.99
     learning_starts: int = 304
@@ -115,7 +119,7 @@ class TrainingSettings:
         ):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("learning_rate", "tau"):
+        for name in ("learning_rate", "final_learning_rate", "tau"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         if not 0 < self.gamma <= 1:
@@ -143,6 +147,7 @@ class TrainingSettings:
             critic_hidden=self.critic_hidden,
             shared=self.shared,
             activation=self.activation,
+            critic_layer_norm=self.critic_layer_norm,
         )
 
 
@@ -187,7 +192,13 @@ THESIS_PPO = TrainingSettings(
     curve_every=2048,
 )
 # Measured on the simulator: with demonstrations in the bank, holding an action for 0.3 s is what makes LCCA quick.
-DESK_SAC = TrainingSettings()
+DESK_SAC = TrainingSettings(
+    decisions=4000,
+    critic_layer_norm=True,
+    demonstrations_in_replay=0.25,
+    final_learning_rate=0.1,
+    evaluate_every=500,
+)
 DESK_PPO = TrainingSettings(
     algorithm="ppo",
     activation="tanh",

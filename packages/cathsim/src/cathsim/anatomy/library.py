@@ -62,6 +62,7 @@ NAMED: dict[str, ArchParameters] = {
     "bovine": ArchParameters(apex_ratio=0.6, bovine=True, bca_diameter=0.0165, lcca_diameter=0.0088, winding_seed=6),
 }
 PHANTOMS: tuple[str, ...] = tuple(NAMED)
+RANDOM = ("random", "random_wide")
 
 _loading = threading.Lock()
 
@@ -77,8 +78,8 @@ def load_phantom(
     """Loads a phantom, from memory, from the disk cache, or by building it.
 
     Args:
-        name: one of PHANTOMS; "random", which needs a seed; the path of a mesh (STL, OBJ, PLY); or with `parameters`
-            any name of your own.
+        name: one of PHANTOMS; "random" or "random_wide" (rare shapes as often as common ones), which need a seed; the
+            path of a mesh (STL, OBJ, PLY); or with `parameters` any name of your own.
         seed: which random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
@@ -94,9 +95,9 @@ def load_phantom(
         if is_mesh_path(name):
             return _import(name, seed, resolution, cache_dir)
         parameters = _parameters_of(name, seed)
-        if name == "random":
-            name = f"random_{seed}"
-    elif seed is not None or name in NAMED or name == "random":
+        if name in RANDOM:
+            name = f"{name}_{seed}"
+    elif seed is not None or name in NAMED or name in RANDOM:
         raise ValueError(
             f"with parameters of your own give a name of your own and no seed; got name {name!r} and seed {seed!r}."
         )
@@ -158,12 +159,12 @@ def _import(path: str, seed: int | None, resolution: float, cache_dir: Path | No
 
 
 def _parameters_of(name: str, seed: int | None) -> ArchParameters:
-    if name == "random":
+    if name in RANDOM:
         if seed is None or isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-            raise ValueError(f"phantom 'random' needs a seed, a whole number from 0 on; got {seed!r}.")
+            raise ValueError(f"phantom '{name}' needs a seed, a whole number from 0 on; got {seed!r}.")
         from .random_arch import sample_parameters
 
-        return sample_parameters(np.random.default_rng(int(seed)))
+        return sample_parameters(np.random.default_rng(int(seed)), wide=name == RANDOM[1])
     if name not in NAMED:
         known = f"{', '.join(PHANTOMS)} or random (with a seed)"
         raise ValueError(f"unknown phantom {name!r}; choose from {known}, or give the path of a mesh.")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from .aortic_arch import build_arch
@@ -11,19 +14,38 @@ from .vessel_tree import VesselTree, nearest_on_branch
 MINIMUM_SEPARATION = 2e-3  # m of wall between the lumens of vessels that do not meet
 _OSTIUM_REGION = 0.008  # m beyond an ostium within which neighbours may lie nearer
 _ATTEMPTS = 200
+BOVINE_SHARE = 0.25  # of wide draws
+WIDE = {
+    "bca_takeoff": (0.1, 1.25),
+    "lcca_takeoff": (0.0, 1.0),
+    "lsa_takeoff": (0.05, 1.0),
+    "apex_ratio": (0.15, 3.8),
+    "tortuosity": (0.0, 0.007),
+    "branch_tortuosity": (0.0, 0.0038),
+    "ascending_lean": (-0.05, 0.45),
+    "arch_yaw": (0.3, 1.1),
+    "arch_tilt": (-0.25, 0.25),
+}
 
 
-def sample_parameters(rng: np.random.Generator) -> ArchParameters:
+def sample_parameters(rng: np.random.Generator, *, wide: bool = False) -> ArchParameters:
     """Draws a plausible aortic arch: within the published spread, buildable, no vessel running into another.
 
     Args:
         rng: source of every draw.
+        wide: take-offs, type and windings are drawn evenly from all that can be built, rare ones as often as common
+            ones, and a quarter has a common origin of BCA and LCCA: for training.
 
     Returns:
         Parameters of an arch that can be built.
     """
     for _ in range(_ATTEMPTS):
         parameters = draw_parameters(rng)
+        if wide:
+            drawn: dict[str, Any] = {name: float(rng.uniform(low, high)) for name, (low, high) in WIDE.items()}
+            if rng.random() < BOVINE_SHARE:
+                drawn |= {"bovine": True, "bca_diameter": float(rng.uniform(0.0145, 0.0185))}
+            parameters = replace(parameters, **drawn)
         try:
             tree = build_arch(parameters)
         except ValueError:

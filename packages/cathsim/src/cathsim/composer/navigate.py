@@ -72,6 +72,7 @@ class NavigateTask(composer.Task):
         self.steps = self._substep = 0
         self.force = np.zeros(3)
         self._remaining = 0.0
+        self._tip_before = np.zeros(3)
         self._reward = 0.0
         self.success = False
         self._observables = OrderedDict(
@@ -122,6 +123,7 @@ class NavigateTask(composer.Task):
         self.force[:] = 0.0
         if self.task.reward == "geodesic":
             self._remaining = self.task.remaining(self.phantom, self._tip(physics))
+        self._tip_before = self._tip(physics)
 
     def before_step(self, physics: mjcf.Physics, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Hands the action to the feeder and the motors.
@@ -161,13 +163,15 @@ class NavigateTask(composer.Task):
             mujoco.mj_resetData(model, data)  # the episode ends here; so that its last observation is at least finite
         mujoco.mj_kinematics(model, data)  # poses of the state that the step has reached
         self.steps += 1
-        tip, before = self._tip(physics), self._remaining
+        tip, before, moved_from = self._tip(physics), self._remaining, self._tip_before
+        self._tip_before = tip
         distance = float(np.linalg.norm(tip - self.goal))
         self.success = distance <= self.task.success_radius
         if self.task.reward == "geodesic":
             self._remaining = self.task.remaining(self.phantom, tip)
         force = float(np.linalg.norm(self.force))
-        self._reward = self.task.step_reward(distance, before - self._remaining, force, success=self.success)
+        moved = float(np.linalg.norm(tip - moved_from))
+        self._reward = self.task.step_reward(distance, before - self._remaining, force, moved, success=self.success)
 
     def _tip(self, physics: mjcf.Physics) -> np.ndarray:
         return np.array(physics.bind(self.guidewire.tip_site).xpos)
