@@ -27,7 +27,7 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 
 RUN = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)} $(PY) -m pipeline
 
-.PHONY: help setup all smoke demo test lint format bench-quick clean clean-all console report $(ALL_STAGES)
+.PHONY: help setup ray all smoke demo test lint format bench-quick clean clean-all console report $(ALL_STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
@@ -44,10 +44,13 @@ $(INSTALLED): $(INSTALL_INPUTS)
 	@# Build tools first, pinned like everything else: builds then need no environments of their own.
 	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt setuptools hatchling editables mujoco
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -r requirements.txt
-	@# Its pins on an old cloudpickle and on cloud services' libraries are needed for none of its local and cluster use.
-	@$(PY) -m pip install -qq --disable-pip-version-check --no-deps -c constraints.txt hydra-ray-launcher
 	@$(PY) pipeline/installation.py after $(if $(GPU),--gpu)
 	@touch $@
+
+ray: setup  ## Ray for sweeps over a cluster (hydra/launcher=ray), 240 MB more
+	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -e .[ray]
+	@# Its pins on an old cloudpickle and on cloud services' libraries are needed for none of its local and cluster use.
+	@$(PY) -m pip install -qq --disable-pip-version-check --no-deps -c constraints.txt hydra-ray-launcher
 
 all: setup  ## every stage, then the report: runs/<name>/report/index.html
 	@for stage in $(STAGES) report; do $(RUN) stage=$$stage budget=$(BUDGET) name=$(NAME) $(ARGS) || exit $$?; done

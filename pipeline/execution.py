@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.artifacts import Identity, RunFolder, require_input
-from pipeline.config import RunConfig, settings_that_matter
+from pipeline.config import RunConfig
 from pipeline.errors import StageError
 from pipeline.provenance import hash_sources, hash_value
+from pipeline.setting_checks import settings_that_matter
 from pipeline.stages import Stage, StageContext, load_stage, missing_module
 
 _LOGGER = logging.getLogger(__name__)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -156,11 +157,31 @@ def load_expert(folder: Path) -> Policy:
         raise StageError(f"{error}; run stage=enn again") from error
 
 
+def task_of_logs(logs: Sequence[Path]) -> LearningTask:
+    """The task that episodes were recorded in: that of the first one that can be read.
+
+    Args:
+        logs: of the enn stage, of one task.
+
+    Raises:
+        StageError: none can be read.
+    """
+    for log in logs:
+        with contextlib.suppress(EpisodeReadError):
+            return task_of_log(log)
+    place = f" of {len(logs)} in {logs[0].parent}" if logs else ""
+    raise StageError(f"there is no episode that can be read{place}: run stage=enn again")
+
+
 def task_of_log(log: Path) -> LearningTask:
     """The task that an episode was recorded in.
 
     Args:
-        log: of the enn stage, with images.
+        log: of the enn stage; without images they are taken to be 80 px wide.
+
+    Raises:
+        EpisodeReadError: the log is damaged or unfinished.
+        StageError: its wire is none of this version's.
     """
     from cathsim import GUIDEWIRES, load_guidewire
 

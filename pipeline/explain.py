@@ -59,6 +59,8 @@ def _missing_choice(config: str) -> str:
         valid = sorted(p.stem for p in folder.glob("*.yaml")) if folder.is_dir() else []
     name = group.rsplit("/", 1)[-1] or "configuration"
     if group == "hydra/launcher":
+        if choice == "ray":
+            return "Ray's launcher is not installed: run `make ray`, or choose basic, joblib or submitit_local"
         valid = ["basic", "joblib", "ray", "submitit_local", "submitit_slurm"]
     listing = f": choose one of {', '.join(valid)}" if valid else ""
     return f"unknown {name} {choice!r}{listing}"

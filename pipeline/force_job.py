@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.atomic import write_json
-from pipeline.episodes import EpisodeReader
-from pipeline.episodes.errors import EpisodeReadError
 from pipeline.expert_episodes import load_expert, read_episodes
 from pipeline.job_worker import Report
 from pipeline.learning_task import EXPERT_SEED, LearningTask
 from pipeline.recording import record_episode
+from pipeline.trials import recorded
 
 if TYPE_CHECKING:
     from enn.force_samples import ForceSamples
@@ -112,8 +111,8 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
     while steps < job.steps:
         path = job.folder / f"{episode:03d}.mcap"
         seed = 3 * EXPERT_SEED + 100_000 * job.seed + episode
-        done = _recorded_steps(path, seed)
-        if done is None:
+        metrics = recorded(path, seed)
+        if metrics is None:
             actor = Disturbed(
                 lambda observation, info: expert.act(observation),
                 np.random.default_rng((job.seed, episode)),
@@ -129,22 +128,11 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
                 configuration={"stage": "force", "mode": "demonstration", "noise": job.noise,
                                "spell_chance": job.spell_chance},
             )  # fmt: skip
-            done = metrics.steps
-        steps += done
+        steps += metrics.steps
         episode += 1
         report(steps / job.steps, f"{steps} steps")
     environment.close()
     return {"steps": steps, "episodes": episode}
-
-
-def _recorded_steps(path: Path, seed: int) -> int | None:
-    if not path.exists():
-        return None
-    try:
-        with EpisodeReader(path) as log:
-            return log.outcome.steps if log.info.seed == seed else None
-    except EpisodeReadError:
-        return None
 
 
 def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:

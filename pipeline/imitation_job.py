@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.atomic import atomic_path, write_json
-from pipeline.expert_episodes import expert_logs, load_expert, read_episodes, task_of_log
+from pipeline.expert_episodes import expert_logs, load_expert, read_episodes, task_of_logs
 from pipeline.job_worker import Report
 from pipeline.learning_task import EXPERT_SEED, LearningTask, held_out_seeds
 from pipeline.training_job import CURVE, EVALUATION, POLICY, RECORD
-from pipeline.trials import MODES, Origin, run_trials, summary
+from pipeline.trials import MODES, Origin, controllers, run_trials, summary
 
 if TYPE_CHECKING:
     from enn.behaviour_cloning import BehaviourCloningSettings
@@ -88,17 +88,17 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
     told = job.folder / RECORD
     if (job.folder / POLICY).is_file() and told.is_file():
         student, outcome = ClonedPolicy.load(job.folder / POLICY), json.loads(told.read_text(encoding="utf-8"))
-        task = task_of_log(logs[0])
+        task = task_of_logs(logs)
     else:
         episodes = read_episodes(logs, job.episodes)
-        task = task_of_log(logs[0])
+        task = task_of_logs(logs)
         student, outcome = _student(job, task, episodes, report)
     environment = task.environment(student.keys)
     share = (1.0 - _FITTING) / len(MODES)
     for index, mode in enumerate(MODES):
         metrics = run_trials(
             environment,
-            _controllers(student, mode),
+            controllers(student, mode),
             job.folder / EVALUATION / mode,
             seeds=held_out_seeds(job.seed, job.evaluation_episodes),
             mode=mode,
@@ -209,7 +209,3 @@ def disturbed(task: LearningTask, expert: Policy, keys: Sequence[str], count: in
 
 def _actor(expert: Policy) -> Any:
     return lambda observation, info: expert.act(observation)
-
-
-def _controllers(student: ClonedPolicy, mode: str) -> Any:
-    return lambda seed: student.controller(deterministic=mode == "deterministic", seed=seed)

@@ -50,7 +50,7 @@ options
   force=true        run although the results are up to date
   stage.KEY=VALUE   a setting of the stage, e.g. 'stage.phantoms=[type_1,bovine]'; --cfg job shows all of them
   -m, --multirun    sweep: 'seed=0,1,2' runs three jobs, each in runs/RUN/STAGE@seed=N/;
-                    hydra/launcher=joblib or hydra/launcher=submitit_local runs them beside each other
+                    hydra/launcher=joblib, submitit_local or ray runs them beside each other
   --cfg job         print the configuration and stop
   --hydra-help      Hydra's own options
 """

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 HELD_OUT_SEED = 1_000_000  # evaluation episodes' seeds begin here: no training comes so far
 EXPERT_SEED = 2_000_000  # those of expert episodes, which imitation learns from and is not evaluated on
 SEEDS_A_TRAINING = 1_000
-PATH_PENALTY = 20.0  # of the reward of training, a metre of the tip's way
 REWARD_OF_TRAINING, REWARD_OF_EVALUATION = "geodesic", "distance"  # the latter is the thesis's
 
 
@@ -33,6 +32,7 @@ class LearningTask:
         accuracy: preset of the simulator.
         start_jitter: the wire starts advanced by up to this much, m.
         start_rotation: ... and turned by up to this much either way, rad.
+        reward: of training: "geodesic", shaped, or "distance", the thesis's.
         force_penalty: of the training's reward, a newton.
         path_penalty: of the training's reward, a metre of the tip's way: what makes ways short.
     """
@@ -47,8 +47,9 @@ class LearningTask:
     accuracy: str = "accurate"
     start_jitter: float = 0.001
     start_rotation: float = math.pi
+    reward: str = REWARD_OF_TRAINING
     force_penalty: float = 0.0
-    path_penalty: float = PATH_PENALTY
+    path_penalty: float = 0.0
 
     @property
     def name(self) -> str:
@@ -78,7 +79,7 @@ class LearningTask:
             success_radius=self.success_radius,
             start_jitter=self.start_jitter,
             start_rotation=self.start_rotation,
-            reward=REWARD_OF_TRAINING if training else REWARD_OF_EVALUATION,
+            reward=self.reward if training else REWARD_OF_EVALUATION,
             force_penalty=self.force_penalty if training else 0.0,
             path_penalty=self.path_penalty if training else 0.0,
         )

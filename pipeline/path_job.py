@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.episodes import EpisodeReader
+from pipeline.episodes.errors import EpisodeReadError
 from pipeline.errors import StageError
 from pipeline.job_worker import Report
 from pipeline.learning_task import LearningTask, held_out_seeds
@@ -21,6 +24,8 @@ if TYPE_CHECKING:
 FOLLOWER = "follower.pt"
 ROW = "path_follower"
 _FIT_SHARE = 0.1
+
+_LOGGER = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
         report: takes the progress.
 
     Returns:
-        ``episodes`` that it was fitted to, and the ``deterministic`` summary.
+        The ``deterministic`` summary.
 
     Raises:
         StageError: there are no episodes to fit it to.
@@ -61,17 +66,17 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
     from cathsim.planning.path import plan_path
     from enn.path_following import PathFollower, fit_path_follower
 
-    if not job.demonstrations:
+    file = job.folder / FOLLOWER
+    episodes = [] if file.is_file() else demonstrated(job.demonstrations)
+    if not (episodes or file.is_file()):
         raise StageError(
             f"the path follower of {job.task.name} has no expert episodes: run stage expert with this task, or set "
             "stage.path_follower=false"
         )
     phantom = load_phantom(job.task.phantom)
     path = plan_path(phantom.grid, phantom.entry("descending").position, phantom.target(job.task.target).position)
-    file = job.folder / FOLLOWER
-    if not file.is_file():
+    if episodes:
         report(0.0, "fit")
-        episodes = [steps_of(log) for log in job.demonstrations]
         follower, _ = fit_path_follower(episodes, [path.points] * len(episodes), seed=job.seed)
         follower.save(file)
     follower = PathFollower.load(file)
@@ -86,7 +91,22 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
         report=report.part(_FIT_SHARE, 1.0, "evaluation"),
     )
     environment.close()
-    return {"episodes": len(job.demonstrations), MODES[0]: summary(metrics)}
+    return {MODES[0]: summary(metrics)}
+
+
+def demonstrated(logs: Sequence[Path]) -> list[Trajectory]:
+    """Tips and actions of logged episodes; a damaged one is left out with a warning.
+
+    Args:
+        logs: of the sampling expert's episodes.
+    """
+    episodes = []
+    for log in logs:
+        try:
+            episodes.append(steps_of(log))
+        except (EpisodeReadError, ValueError) as error:
+            _LOGGER.warning("%s is left out: %s", log, error)
+    return episodes
 
 
 def steps_of(log: Path) -> Trajectory:

@@ -15,23 +15,21 @@ import json
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.atomic import atomic_path, write_json
+from pipeline.atomic import write_json
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.job_worker import Report
-from pipeline.learning_task import EXPERT_SEED, REWARD_OF_TRAINING, LearningTask, held_out_seeds
+from pipeline.learning_task import EXPERT_SEED, LearningTask, held_out_seeds
 from pipeline.replay import ReplayError, recorded_wire, replay
-from pipeline.trials import MODES, Origin, run_trials, summary
+from pipeline.trials import MODES, Origin, controllers, run_trials, summary
 
 if TYPE_CHECKING:
-    from enn.encoder import Encoder
-    from enn.policy import Policy
     from enn.reinforcement import Progress, TrainingSettings
     from enn.trajectory import Trajectory
 
@@ -139,30 +137,10 @@ def fit(job: EncoderJob, report: Report) -> dict[str, Any]:
     fitted, told = fit_encoder(
         samples, job.keys, settings, lambda done, errors: report.part(_SAMPLES_SHARE, 1.0, "fit")(done, "")
     )
-    save_encoder(fitted, job.file)
+    fitted.save(job.file)
     said = {**told, "wall_s": time.monotonic() - began}
     write_json(record, said)
     return said
-
-
-def save_encoder(encoder: Encoder, file: Path) -> None:
-    """Writes an encoder's settings and weights into one file."""
-    import torch
-
-    with atomic_path(file) as temporary:
-        torch.save({"settings": asdict(encoder.settings), "weights": encoder.state_dict()}, temporary)
-
-
-def load_encoder(file: Path) -> Encoder:
-    """Reads an encoder from its file."""
-    import torch
-
-    from enn.encoder import Encoder, EncoderSettings
-
-    content = torch.load(file, weights_only=True)
-    encoder = Encoder(EncoderSettings(**content["settings"]))
-    encoder.load_state_dict(content["weights"])
-    return encoder
 
 
 def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
@@ -175,6 +153,7 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
     Returns:
         ``training_s`` and ``decisions``, ``deterministic`` and ``stochastic`` summaries.
     """
+    from enn.encoder import Encoder
     from enn.reinforcement import Training
 
     for leftover in job.folder.glob(".*.tmp"):  # of a killed training
@@ -186,7 +165,7 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
         job.folder,
         seed=job.seed,
         demonstrations=[] if (job.folder / RECORD).is_file() else _demonstrations(job),
-        encoder=None if job.encoder is None else load_encoder(job.encoder),
+        encoder=None if job.encoder is None else Encoder.load(job.encoder),
         metadata={**job.origin.configuration("training"), "phantom": job.task.phantom, "target": job.task.target},
     )
     result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
@@ -197,7 +176,7 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
         after = done + rest * job.evaluation_episodes
         metrics = run_trials(
             environment,
-            _controllers(result.policy, mode),
+            controllers(result.policy, mode),
             job.folder / EVALUATION / mode,
             seeds=held_out_seeds(job.seed, job.evaluation_episodes),
             mode=mode,
@@ -208,7 +187,7 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
     if job.expert_episodes:
         run_trials(
             environment,
-            _controllers(result.policy, MODES[0]),
+            controllers(result.policy, MODES[0]),
             job.folder / EXPERT,
             seeds=held_out_seeds(job.seed, job.expert_episodes, first=EXPERT_SEED),
             mode=MODES[0],
@@ -223,10 +202,6 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
 def _training_share(job: TrainingJob) -> float:
     """Share of the job that is training, by time."""
     return job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)
-
-
-def _controllers(policy: Policy, mode: str) -> Any:
-    return lambda seed: policy.controller(deterministic=mode == "deterministic", seed=seed)
 
 
 def _words(progress: Progress) -> str:
@@ -268,7 +243,7 @@ def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...
                     log,
                     observation,
                     image_size=task.image_size,
-                    reward=REWARD_OF_TRAINING,
+                    reward=task.reward,
                     force_penalty=task.force_penalty,
                     path_penalty=task.path_penalty,
                 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import pkgutil
 from collections.abc import Sequence
@@ -10,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import enn
-from pipeline.config import LearningSettings
 from pipeline.errors import ConfigurationError
 from pipeline.jobs import Job, run_jobs
+from pipeline.learning_settings import LearningSettings
 from pipeline.learning_task import LearningTask
 from pipeline.stages import StageContext
 from pipeline.stages.phantoms import require_known_phantoms
@@ -41,6 +42,8 @@ THESIS = "thesis"
 _MM = 1e3
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
 _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
+
+_LOGGER = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ class Cell:
 
 
 def check_learning(settings: LearningSettings) -> None:
-    """Refuses unknown phantoms, targets and wires.
+    """Refuses unknown phantoms, targets and wires, and a GPU where there is none.
 
     Args:
         settings: of the stage.
@@ -89,6 +92,14 @@ def check_learning(settings: LearningSettings) -> None:
         raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
     if settings.wire not in GUIDEWIRES:
         raise ConfigurationError(f"unknown wire {settings.wire!r}: choose from {', '.join(GUIDEWIRES)}")
+    if settings.device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise ConfigurationError(
+                "stage.device=cuda, but torch finds no GPU: install a CUDA build of torch (README, With a GPU), or "
+                "leave it at cpu"
+            )
 
 
 def training_seeds(run_seed: int, count: int, most: int) -> range:
@@ -121,7 +132,9 @@ def task_of(settings: LearningSettings, phantom: str, target: str, *, force_pena
         success_radius=settings.success_radius_mm / _MM,
         start_jitter=settings.start_jitter_mm / _MM,
         start_rotation=math.radians(settings.start_rotation_deg),
+        reward=settings.reward,
         force_penalty=force_penalty,
+        path_penalty=settings.path_penalty,
     )
 
 
@@ -144,6 +157,7 @@ def sized(preset: TrainingSettings, decisions: int, settings: LearningSettings, 
         evaluation_episodes=min(preset.evaluation_episodes, settings.evaluation_episodes),
         curve_every=min(preset.curve_every, decisions),
         tensorboard=settings.tensorboard,
+        device=settings.device,
         **changed,
     )
 
@@ -163,6 +177,7 @@ def run_cells(
     Returns:
         A cell's name to what its training told.
     """
+    _warn_of_missing_demonstrations(cells, settings, context)
     encoders = _encoders([cell for cell in cells if cell.encoded], settings, context)
     jobs = [Job(key, fit, job, weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE) for key, job in encoders.items()]
     for cell in cells:
@@ -188,6 +203,17 @@ def run_cells(
         cell.name: {**results[cell.name], "encoder_s": results[_encoder_key(cell)]["wall_s"] if cell.encoded else 0.0}
         for cell in cells
     }
+
+
+def _warn_of_missing_demonstrations(cells: Sequence[Cell], settings: LearningSettings, context: StageContext) -> None:
+    tasks = {cell.task.name: cell.task for cell in cells if cell.settings.bank_share > 0}
+    for name, task in tasks.items():
+        if settings.demonstrations and task.actions == "feeder" and not demonstrations(task, context):
+            _LOGGER.warning(
+                "there are no expert episodes of %s, so it is learnt without demonstrations: run stage expert with "
+                "this phantom and target first",
+                name,
+            )
 
 
 def _encoder_key(cell: Cell) -> str:

@@ -16,6 +16,8 @@ from pipeline.recording import record_episode
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
     from cathsim.metrics import EpisodeMetrics
+    from enn.cloned_policy import ClonedPolicy
+    from enn.policy import Policy
 
 MODES = ("deterministic", "stochastic")
 OPERATOR = "policy"
@@ -51,6 +53,16 @@ class Origin:
             "variant": self.variant,
             **self.further,
         }
+
+
+def controllers(policy: Policy | ClonedPolicy, mode: str) -> Callable[[int], Controller]:
+    """What gives a policy for the episode of a seed, as `run_trials` wants it.
+
+    Args:
+        policy: that steers.
+        mode: "deterministic" or "stochastic".
+    """
+    return lambda seed: policy.controller(deterministic=mode == MODES[0], seed=seed)
 
 
 def run_trials(

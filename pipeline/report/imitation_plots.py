@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.atomic import atomic_path
+from pipeline.report.canvas import new_figure, save_figure
 from pipeline.report.learning_statistics import wilson_interval
 
-_DPI = 130
+_SIZE = (6.4, 4.2)  # inches
 
 
 def draw_success(
@@ -26,7 +26,8 @@ def draw_success(
         beside: task to (row, success in %) of other ways to imitate.
         file: of the picture.
     """
-    figure, axes = _figure()
+    figure = new_figure(*_SIZE)
+    axes = figure.subplots()
     for index, (task, points) in enumerate(curves.items()):
         ordered = sorted(points)
         counts, shares = [p[0] for p in ordered], [p[1] for p in ordered]
@@ -45,7 +46,7 @@ def draw_success(
     axes.set_xscale("log")
     axes.legend(frameon=False, fontsize=8)
     axes.grid(alpha=0.3)
-    _save(figure, file)
+    save_figure(figure, file)
 
 
 def draw_calibration(bins: Mapping[str, Mapping[str, Any]], file: Path) -> None:
@@ -55,7 +56,8 @@ def draw_calibration(bins: Mapping[str, Mapping[str, Any]], file: Path) -> None:
         bins: name of a predictor to `predicted`, `true` and `true_sd`, N, an entry a bin.
         file: of the picture.
     """
-    figure, axes = _figure()
+    figure = new_figure(*_SIZE)
+    axes = figure.subplots()
     top = 0.0
     for index, (name, values) in enumerate(bins.items()):
         predicted, true, spread = (np.asarray(values[key]) for key in ("predicted", "true", "true_sd"))
@@ -65,7 +67,7 @@ def draw_calibration(bins: Mapping[str, Mapping[str, Any]], file: Path) -> None:
     axes.set(xlabel="predicted force, N (mean of a bin)", ylabel="true force, N (mean and sd of the bin)")
     axes.legend(frameon=False, fontsize=8)
     axes.grid(alpha=0.3)
-    _save(figure, file)
+    save_figure(figure, file)
 
 
 def draw_shares(rows: Mapping[int, float], file: Path) -> None:
@@ -75,25 +77,12 @@ def draw_shares(rows: Mapping[int, float], file: Path) -> None:
         rows: samples to mean squared error as a share of the variance, %.
         file: of the picture.
     """
-    figure, axes = _figure()
+    figure = new_figure(*_SIZE)
+    axes = figure.subplots()
     counts = sorted(rows)
     axes.plot(counts, [rows[count] for count in counts], marker="o")
     axes.axhline(10.0, color="0.5", linestyle="--", linewidth=1)
     axes.set(xlabel="samples", ylabel="mean squared error / variance, %", ylim=(0, None))
     axes.set_xscale("log")
     axes.grid(alpha=0.3)
-    _save(figure, file)
-
-
-def _figure() -> tuple[Any, Any]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.subplots()
-
-
-def _save(figure: Any, file: Path) -> None:
-    with atomic_path(file) as temporary:
-        figure.savefig(temporary, dpi=_DPI)
+    save_figure(figure, file)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pipeline.config import BaselinesSettings
 from pipeline.jobs import Job
+from pipeline.learning_settings import BaselinesSettings
 from pipeline.path_job import ROW, PathJob, follow
 from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import write_results

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pipeline.config import EnnSettings
-from pipeline.errors import ConfigurationError
+from pipeline.learning_settings import EnnSettings
 from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import write_results
+from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.training_plan import (
     LEARNING_CODE,
@@ -26,7 +26,6 @@ TRAINING_TIME_ROWS = {"V": "image", "V+M": "image_mask", "I": "internal", "I+V":
 TRAINING_TIME_PHANTOM = "type_1"  # of the thesis's ablation
 SAFE = "safe"
 IMAGE_SHAPE = (1, 80, 80)  # of the thesis
-LAYER_COLUMNS = ("output_shape", "parameters", "nonlinearity", "kernel", "stride", "padding")
 _SECONDS_AN_HOUR = 3600.0
 
 
@@ -39,14 +38,8 @@ def check_enn(settings: EnnSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
-    from enn.features import modality_keys
-
     check_learning(settings)
-    for modalities in (settings.expert, *settings.modalities):
-        try:
-            modality_keys(modalities)
-        except ValueError as error:
-            raise ConfigurationError(str(error)) from error
+    require_modalities(settings.expert, *settings.modalities)
 
 
 def run_enn(settings: EnnSettings, context: StageContext) -> None:
@@ -139,7 +132,7 @@ def architecture() -> dict[str, dict[str, Any]]:
         Row to column to cell of the thesis's table.
     """
     from cathsim import load_guidewire
-    from enn.features import layer_table, thesis_cnn, thesis_mlp
+    from enn.features import LAYER_COLUMNS, layer_table, thesis_cnn, thesis_mlp
 
     joints = 4 * (load_guidewire(THESIS).joints + 1)  # positions and velocities of feeder and hinges
     networks = {

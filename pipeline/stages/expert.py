@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.atomic import write_json
-from pipeline.config import ExpertSettings
 from pipeline.errors import ConfigurationError
 from pipeline.report.episode_tables import episode_tables
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stage_settings import ExpertSettings
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 

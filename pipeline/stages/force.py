@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.config import ForceSettings
-from pipeline.errors import ConfigurationError, StageError
-from pipeline.expert_episodes import expert_folder, expert_logs, task_of_log
+from pipeline.errors import StageError
+from pipeline.expert_episodes import expert_folder, expert_logs, task_of_logs
 from pipeline.force_job import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
 from pipeline.jobs import Job, run_jobs
+from pipeline.learning_settings import ForceSettings
 from pipeline.report.imitation_plots import draw_calibration, draw_shares
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 
@@ -29,13 +30,8 @@ def check_force(settings: ForceSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
-    from enn.features import modality_keys
-
     require_known_phantoms([settings.phantom])
-    try:
-        modality_keys(settings.expert)
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
+    require_modalities(settings.expert)
 
 
 def run_force(settings: ForceSettings, context: StageContext) -> None:
@@ -71,7 +67,7 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
         folder = context.path / task / "episodes"
         given = RecordingJob(
             folder=folder,
-            task=task_of_log(_any_log(expert)),
+            task=task_of_logs(_logs(expert)),
             expert=expert,
             steps=steps + 1,
             noise=settings.noise,
@@ -103,12 +99,12 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
     return recordings, fits
 
 
-def _any_log(expert: Path) -> Path:
-    """A log of the expert's task: one with images, or else one of its evaluation."""
+def _logs(expert: Path) -> list[Path]:
+    """Logs of the expert's task: those with images, or else those of its evaluation."""
     logs = expert_logs(expert) or sorted(expert.glob("evaluation/*/*.mcap"))
     if not logs:
         raise StageError(f"{expert} holds no episode: run stage=enn again")
-    return logs[0]
+    return logs
 
 
 def row_of(samples: int) -> str:
@@ -207,6 +203,8 @@ STAGE = Stage(
                 "force",
                 "force_samples",
                 "image_network",
+                "model_file",
+                "normalisation",
                 "policy",
                 "trajectory",
             )

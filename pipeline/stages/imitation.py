@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.config import ImitationSettings
-from pipeline.errors import ConfigurationError
 from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes
 from pipeline.imitation_job import PRELOAD, ImitationJob, imitate
 from pipeline.jobs import Job, run_jobs
+from pipeline.learning_settings import ImitationSettings
 from pipeline.report.imitation_plots import draw_success
 from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.trials import Origin
@@ -28,13 +28,8 @@ def check_imitation(settings: ImitationSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
-    from enn.features import modality_keys
-
     require_known_phantoms(settings.phantoms)
-    try:
-        modality_keys(settings.expert)
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
+    require_modalities(settings.expert)
 
 
 def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
@@ -110,11 +105,12 @@ def architecture(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
         settings: of the stage.
     """
     from enn.cloned_policy import CloningNetwork, CloningSettings
-    from enn.features import layer_table
+    from enn.features import LAYER_COLUMNS, layer_table
 
-    columns = ("output_shape", "parameters", "nonlinearity", "kernel", "stride", "padding")
     layers = CloningNetwork(CloningSettings(variant="thesis")).layers()
-    return {row: dict(zip(columns, cells, strict=True)) for row, cells in layer_table(layers, (1, 80, 80)).items()}
+    return {
+        row: dict(zip(LAYER_COLUMNS, cells, strict=True)) for row, cells in layer_table(layers, (1, 80, 80)).items()
+    }
 
 
 def hyperparameters(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
@@ -223,6 +219,8 @@ STAGE = Stage(
                 "features",
                 "fitting",
                 "image_network",
+                "model_file",
+                "normalisation",
                 "policy",
                 "trajectory",
             )

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.atomic import atomic_path, write_json
-from pipeline.config import PhantomsSettings
 from pipeline.errors import ConfigurationError
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stage_settings import PhantomsSettings
 from pipeline.stages import Stage, StageContext
 
 if TYPE_CHECKING:

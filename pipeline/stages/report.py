@@ -8,13 +8,13 @@ from pathlib import Path
 
 from pipeline.artifacts import Manifest, read_manifest
 from pipeline.atomic import write_json, write_text
-from pipeline.config import ReportSettings
 from pipeline.provenance import git_state, machine, software_versions
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.learning_section import LearningSection, learning_section
 from pipeline.report.page import PAGE, StageRecord, render_page
 from pipeline.report.results import Table
 from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
+from pipeline.stage_settings import ReportSettings
 from pipeline.stages import STAGE_NAMES, Stage, StageContext
 
 METRICS = "metrics.json"

@@ -19,32 +19,35 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.training_plan import LEARNING_CODE
 from pipeline.trials import Origin
+from pipeline.unseen_demonstrations import DemonstrationsJob, choose, record_demonstrations
 from pipeline.unseen_jobs import (
     POLICY,
     PRELOAD,
-    TEST_PHANTOM,
-    TRAINING_PHANTOM,
-    TRAINING_RESOLUTION,
     AnatomiesJob,
     HeldOutSet,
     RoadmapJob,
     StudentJob,
-    UnseenTask,
     build_anatomies,
     train_roadmap,
     train_student,
 )
+from pipeline.unseen_task import TEST_PHANTOM, TRAINING_PHANTOM, TRAINING_RESOLUTION, UnseenTask
 
 if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
 
-ROADMAP, IMAGE = "roadmap", "image"
+ROADMAP, IMAGE, DEMONSTRATIONS = "roadmap", "image", "demonstrations"
 UNSEEN, REAL_MESH = "unseen", "real_mesh"
-FIRST_TEST_ANATOMY = 10_000  # random arches from this seed on are never trained on
+FIRST_TEST_ANATOMY = 30_000  # random arches from this seed on are never trained on
 TEST_RESOLUTION = 1e-3  # m
 TARGETS = ("bca", "lcca", "lsa")
+ACTION_REPEAT = 4  # steps of a decision
+STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
 _ANATOMIES_A_JOB = 16
-_SECONDS = {"anatomy": 0.8, "decision": 10e-3, "lesson": 0.6, "test": 0.4}  # guesses, for the estimate of the end
+_PARTS = 2  # jobs that demonstrate beside each other
+DEMONSTRATED = "lcca"  # the target that is hard to find without
+BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
+_SECONDS = {"anatomy": 0.8, "decision": 10e-3, "demonstration": 10.0, "lesson": 0.6, "test": 0.4}  # guesses
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -105,7 +108,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
     )
     first = 1000 * run_seed
     if first + max(*settings.curve, settings.anatomies, settings.image_anatomies) > FIRST_TEST_ANATOMY:
-        raise ConfigurationError(f"seed={run_seed} would train on anatomies of the test: choose a seed below 9")
+        raise ConfigurationError(f"seed={run_seed} would train on anatomies of the test: choose a seed below 29")
     trained = range(first, first + max(settings.anatomies, settings.image_anatomies if settings.image else 0))
     tested = range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + settings.test_anatomies)
     jobs = [
@@ -122,6 +125,9 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
         for part in (seeds[k : k + _ANATOMIES_A_JOB] for k in range(0, len(seeds), _ANATOMIES_A_JOB))
     ]
     built = tuple(job.key for job in jobs)
+    shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, first, run_seed)
+    jobs += [replace(job, after=built) for job in shown]
+    taught = (*built, *(job.key for job in shown))
     main, curve_only = test_sets(settings), test_sets(settings)[:1]
     plain = tuple(replace(test, modes=("deterministic",)) for test in curve_only)
     counts = [settings.anatomies, *(count for count in settings.curve if count != settings.anatomies)]
@@ -131,13 +137,14 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
             folder=folder / row / f"seed{run_seed}",
             task=task,
             anatomies=tuple(range(first, first + count)),
-            settings=training_settings(settings),
+            settings=training_settings(settings, count),
             seed=run_seed,
             origin=Origin("unseen", row, run_seed, "desk"),
             tests=main if row == ROADMAP else plain,
+            demonstrations=folder / DEMONSTRATIONS if shown else None,
         )
         weight = settings.decisions * _SECONDS["decision"] + _tests(given.tests, settings)
-        jobs.append(Job(row, train_roadmap, given, after=built, weight=weight))
+        jobs.append(Job(row, train_roadmap, given, after=taught, weight=weight))
     if settings.image:
         student = StudentJob(
             folder=folder / IMAGE / f"seed{run_seed}",
@@ -157,13 +164,39 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
     return jobs
 
 
+def demonstrations(settings: UnseenSettings, folder: Path, task: UnseenTask, first: int, run_seed: int) -> list[Job]:
+    """The jobs that demonstrate the way in some of the training anatomies."""
+    anatomies = range(first, first + settings.anatomies)
+    shown = choose(TRAINING_PHANTOM, anatomies, settings.demonstrations)
+    size = -(-len(shown) // _PARTS)  # in one piece, so that arches of either kind are in each
+    jobs = []
+    for part in range(-(-len(shown) // max(size, 1))):
+        given = DemonstrationsJob(
+            folder=folder / DEMONSTRATIONS,
+            task=task,
+            anatomies=tuple(anatomies),
+            shown=tuple(shown[part * size : (part + 1) * size]),
+            target=DEMONSTRATED,
+            hold=ACTION_REPEAT,
+            seed=run_seed,
+        )
+        weight = len(given.shown) * _SECONDS["demonstration"]
+        jobs.append(Job(f"{DEMONSTRATIONS}/{part}", record_demonstrations, given, weight=weight))
+    return jobs
+
+
 def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
     episodes = sum(len(test.phantoms) * test.episodes * len(test.modes) for test in tests)
     return episodes * len(settings.targets) * _SECONDS["test"]
 
 
-def training_settings(settings: UnseenSettings) -> TrainingSettings:
-    """Those of the roadmap policies: each action held for four steps, and room in the bank for many anatomies."""
+def training_settings(settings: UnseenSettings, anatomies: int) -> TrainingSettings:
+    """Those of the roadmap policies: each action held for four steps, and a bank that knows of its cases.
+
+    Args:
+        settings: of the stage.
+        anatomies: how many the policy is trained on.
+    """
     from enn.reinforcement import DESK_SAC
 
     return replace(
@@ -171,11 +204,14 @@ def training_settings(settings: UnseenSettings) -> TrainingSettings:
         keys=("roadmap",),
         decisions=settings.decisions,
         learning_starts=min(DESK_SAC.learning_starts, settings.decisions // 4),
-        action_repeat=4,
+        action_repeat=ACTION_REPEAT,
         gamma=0.98,
-        bank_capacity=16_384,
+        bank_share=BANK_SHARE,
+        bank_capacity=BANK_CAPACITY,
+        bank_cases=anatomies * len(settings.targets),
         evaluate_every=max(settings.decisions // 6, 1),
         evaluation_episodes=settings.validation_episodes,
+        stop_after=STOP_AFTER,
         tensorboard=settings.tensorboard,
     )
 
@@ -213,7 +249,7 @@ def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, 
     """
     table: dict[str, dict[str, Any]] = {}
     for job in jobs:
-        if isinstance(job.given, AnatomiesJob):
+        if isinstance(job.given, AnatomiesJob | DemonstrationsJob):
             continue
         rows = [
             row for row in outcomes[job.key]["tests"] if row["test_set"] == UNSEEN and row["mode"] == "deterministic"
@@ -229,6 +265,7 @@ STAGE = Stage(
     name="unseen",
     run=run_unseen,
     writes=(
+        "demonstrations/<target>_<arch>.npz",
         "<row>/seed<k>/{policy.pt or student.pt, training.csv, training.json}",
         "<row>/seed<k>/evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap",
         "results.json",
@@ -239,7 +276,9 @@ STAGE = Stage(
         "enn.lessons",
         "enn.lumen_segmentation",
         "enn.student",
+        "pipeline.unseen_demonstrations",
         "pipeline.unseen_jobs",
+        "pipeline.unseen_task",
     ),
     check=check_unseen,
 )

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.config import UserStudySettings
 from pipeline.provenance import hash_file
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stage_settings import UserStudySettings
 from pipeline.stages import Stage, StageContext
 
 if TYPE_CHECKING:

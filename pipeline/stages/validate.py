@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.atomic import write_text
-from pipeline.config import ValidateSettings
 from pipeline.errors import StageError
 from pipeline.provenance import PROJECT_ROOT
 from pipeline.report.force_plots import draw_boxes, draw_distribution, draw_heat
 from pipeline.report.force_statistics import EpisodeForces, compare, pooled, read_forces, table_rows, verdict
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stage_settings import ValidateSettings
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 

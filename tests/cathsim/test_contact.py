@@ -1,4 +1,4 @@
-"""Contact by signed distance: the grid's distances and normals, forces, neighbours left alone, layout, NaN, threads."""
+"""Contact by signed distance: forces, neighbours left alone, layout, NaN, threads."""
 
 from __future__ import annotations
 
@@ -20,36 +20,7 @@ from cathsim.contact.sdf import MAGIC, Vessel
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
-
-UP = np.array([0.0, 0.0, 1.0])
-TUBE_RADIUS = 0.006
-
-
-def sampled(
-    distance: Callable[[np.ndarray], np.ndarray], low: float, high: float, spacing: float, **sheath: Any
-) -> Vessel:
-    """A vessel over a cube, from a signed distance of points (n, 3); without a sheath unless told."""
-    axis = np.arange(low, high + spacing / 2, spacing)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
-    values = distance(points.reshape(-1, 3)).reshape(points.shape[:3])
-    return Vessel(
-        values, np.full(3, axis[0]), spacing, **{"entry": np.zeros(3), "direction": UP, "sheath_radius": 0.0, **sheath}
-    )
-
-
-def sphere(radius: float, spacing: float = 0.001) -> Vessel:
-    """The inside of a sphere about the origin."""
-    return sampled(lambda p: radius - np.linalg.norm(p, axis=1), -radius - 0.003, radius + 0.003, spacing)
-
-
-def tube_distance(points: np.ndarray) -> np.ndarray:
-    """Inside of a tube along z, closed at both ends."""
-    x, y, z = points.T
-    return np.minimum(TUBE_RADIUS - np.hypot(x, y), np.minimum(0.045 - z, z + 0.005))
-
-
-def tube(**sheath: Any) -> Vessel:
-    return sampled(tube_distance, -0.010, 0.050, 0.001, **sheath)
+from tests.cathsim.drawn_vessels import UP, sampled, sphere, tube
 
 
 @pytest.fixture(scope="module")
@@ -80,92 +51,6 @@ def tube_phantom() -> Phantom:
     axis = np.outer(np.linspace(0.0, 0.1, 11), UP)
     tree = VesselTree((Branch("aorta", axis, np.full(11, 0.005)),))
     return Phantom("tube", "0" * 16, ArchParameters(), tree, grid, {}, {"descending": entry})
-
-
-def test_distance_of_a_plane_is_exact() -> None:
-    """The spline reproduces linear functions, so a plane's distance is that of the formula to rounding of float32."""
-    normal = np.array([0.6, 0.0, 0.8])
-    vessel = sampled(lambda p: p @ normal - 0.002, -0.010, 0.010, 0.001)
-    points = np.random.default_rng(0).uniform(-0.008, 0.008, (500, 3))
-    distance, gradient = vessel.distance(points)
-    np.testing.assert_allclose(distance, points @ normal - 0.002, atol=2e-9)
-    np.testing.assert_allclose(gradient, np.broadcast_to(normal, gradient.shape), atol=2e-6)
-
-
-def test_distance_at_nodes_is_the_grids_up_to_its_curvature() -> None:
-    """At a node the quadratic spline averages 6/8 of it with 1/8 of its neighbours, along each axis."""
-    rng = np.random.default_rng(1)
-    values = rng.normal(0, 1e-3, (7, 8, 9)).astype(np.float32)
-    vessel = Vessel(values, np.array([0.01, 0.02, 0.03]), 0.002, np.zeros(3), UP, sheath_radius=0.0)
-    weights = np.array([0.125, 0.75, 0.125])
-    for i, j, k in rng.integers(1, 6, (50, 3)):
-        block = values[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2].astype(float)
-        expected = np.einsum("ijk,i,j,k", block, weights, weights, weights)
-        point = np.array([0.01, 0.02, 0.03]) + 0.002 * np.array([i, j, k])
-        assert vessel.distance(point)[0][0] == pytest.approx(expected, abs=1e-9)
-
-
-def test_distance_and_normal_of_a_sphere() -> None:
-    """Near the wall the spline is off by spacing^2 / 8 x curvature, 2 / radius, and no more."""
-    radius = 0.006
-    rng = np.random.default_rng(2)
-    direction = rng.normal(size=(500, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    rho = radius + rng.uniform(-0.001, 0.001, (500, 1))
-    distance, gradient = sphere(radius).distance(rho * direction)
-    np.testing.assert_allclose(distance, radius - rho[:, 0], atol=1.4 * 0.001**2 / 8 * 2 / radius)
-    normal = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
-    assert np.degrees(np.arccos(np.clip(-(normal * direction).sum(1), -1, 1))).max() < 1.0
-
-
-def test_distance_and_normal_of_a_tube() -> None:
-    rng = np.random.default_rng(3)
-    angle, rho = rng.uniform(0, 2 * np.pi, 500), rng.uniform(0.005, 0.007, 500)
-    points = np.column_stack((rho * np.cos(angle), rho * np.sin(angle), rng.uniform(0.0, 0.03, 500)))
-    distance, gradient = tube().distance(points)
-    np.testing.assert_allclose(distance, TUBE_RADIUS - rho, atol=1.4 * 0.001**2 / 8 / 0.005)
-    assert np.abs(gradient[:, 2]).max() < 1e-6
-    assert (-(gradient[:, 0] * np.cos(angle) + gradient[:, 1] * np.sin(angle))).min() > 0.98
-
-
-def test_gradient_is_the_distances_derivative() -> None:
-    vessel = sphere(0.008)
-    points = np.random.default_rng(4).uniform(-0.008, 0.008, (100, 3))
-    gradient = vessel.distance(points)[1]
-    step = 1e-7
-    for axis in range(3):
-        shift = step * np.eye(3)[axis]
-        slope = (vessel.distance(points + shift)[0] - vessel.distance(points - shift)[0]) / (2 * step)
-        np.testing.assert_allclose(gradient[:, axis], slope, atol=1e-5)
-
-
-def test_sheath_is_a_straight_bore_behind_the_entry() -> None:
-    vessel = tube(sheath_radius=0.75e-3, sheath_overlap=0.006)
-    behind = np.array([[0.0003, 0.0, -0.5], [0.0, -0.0009, -0.1]])
-    distance, gradient = vessel.distance(behind)
-    np.testing.assert_allclose(distance, [0.00045, -0.00015], atol=1e-12)
-    np.testing.assert_allclose(gradient, [[-1, 0, 0], [0, 1, 0]], atol=1e-12)
-    inside = np.array([[0.004, 0.0, 0.020]])
-    assert vessel.distance(inside)[0] == pytest.approx(tube().distance(inside)[0])
-
-
-@pytest.mark.parametrize(
-    ("values", "direction", "message"),
-    [
-        (np.ones((2, 5, 5)), UP, "at least 3 each, got \\(2, 5, 5\\)"),
-        (np.ones((5, 5)), UP, "shape \\(nx, ny, nz\\)"),
-        (np.ones((5, 5, 5)), 2 * UP, "direction must be a unit vector"),
-        (np.ones((5, 5, 5)), np.array([0.0, 1.0]), "direction must be a unit vector"),
-    ],
-)
-def test_impossible_vessel_is_refused(values: np.ndarray, direction: np.ndarray, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Vessel(values, np.zeros(3), 0.001, np.zeros(3), direction)
-
-
-def test_points_of_a_wrong_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"shape \(n, 3\), got \(4, 2\)"):
-        tube().distance(np.zeros((4, 2)))
 
 
 @pytest.mark.parametrize("push", [0.02, 0.1, 0.5])
@@ -323,14 +208,6 @@ def test_another_version_of_mujoco_is_detected(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(mujoco, "mj_version", lambda: 3_017_000)
     with pytest.raises(ImportError, match=r"was built for MuJoCo .* and 3017000 is running"):
         native.library.__wrapped__()
-
-
-def test_far_outside_and_on_the_medial_axis_nothing_is_nan() -> None:
-    points = np.array([[0, 0, 0], [0, 0, 0.02], [9, -9, 9], [1e12, 0, 0], [-np.inf, np.inf, 0], [0, 0, -0.5]], float)
-    for vessel in (tube(), tube(sheath_radius=0.75e-3), sphere(0.006)):
-        distance, gradient = vessel.distance(points)
-        assert np.isfinite(distance).all()
-        assert np.isfinite(gradient).all()
 
 
 NAN_STATE = """

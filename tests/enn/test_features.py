@@ -10,9 +10,9 @@ import pytest
 import torch
 import yaml
 
+from enn.cloned_policy import CloningNetwork, CloningSettings
 from enn.features import (
     MultimodalExtractor,
-    bc_network,
     desk_cnn,
     layer_table,
     modality_keys,
@@ -52,7 +52,7 @@ def test_the_enn_networks_reproduce_the_thesis_table() -> None:
 
 
 def test_the_cloning_network_reproduces_the_thesis_table() -> None:
-    rows = layer_table(bc_network((1, 80, 80)), (1, 80, 80))
+    rows = layer_table(CloningNetwork(CloningSettings(variant="thesis")).layers(), (1, 80, 80))
     assert rows == thesis_rows("bc_architecture")
     assert rows["linear_3"] == ["2", 258, "none", None, None, None]
 

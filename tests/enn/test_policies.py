@@ -12,7 +12,7 @@ import torch
 from stable_baselines3 import PPO, SAC
 
 from enn.features import MultimodalExtractor
-from enn.policies import AsymmetricSACPolicy, LayerNormSACPolicy, baseline_arguments
+from enn.policies import AsymmetricSACPolicy, LayerNormSACPolicy
 
 ARRAYS = dict[str, np.ndarray]
 
@@ -165,41 +165,6 @@ def test_ppo_takes_the_extractor() -> None:
     before = weights(extractor)
     trained.learn(16)
     assert moved(extractor, before)
-
-
-@pytest.mark.parametrize("algorithm", [PPO, SAC])
-@pytest.mark.parametrize("observation", ["internal", "image", "sequential"])
-def test_baselines_have_the_chapters_networks(algorithm: type, observation: str) -> None:
-    class Blank(gymnasium.Env[Any, Any]):
-        box = gymnasium.spaces.Box
-        spaces = {  # noqa: RUF012
-            "internal": box(-np.inf, np.inf, (30,), np.float32),
-            "image": box(0, 255, (1, 64, 64), np.uint8),
-            "sequential": box(0, 255, (3, 64, 64), np.uint8),
-        }
-        observation_space = gymnasium.spaces.Dict({observation: spaces[observation]})
-        action_space = box(-1, 1, (21,), np.float32)
-
-    name = algorithm.__name__.lower()
-    sizes = {"buffer_size": 10} if name == "sac" else {}
-    kwargs = baseline_arguments(observation, name)
-    built = algorithm("MultiInputPolicy", Blank(), policy_kwargs=kwargs, device="cpu", **sizes)
-    policy = built.policy
-    units = [layer.out_features for layer in policy.modules() if isinstance(layer, torch.nn.Linear)]
-    if observation == "internal":
-        assert {64, 21} <= set(units)
-        assert set(units) <= {64, 21, 1}
-        assert any(isinstance(layer, torch.nn.Tanh) for layer in policy.modules())
-    else:
-        head = policy.action_net if name == "ppo" else policy.actor.mu
-        assert (head.in_features, head.out_features) == (512, 21)
-
-
-def test_unknown_baselines_are_refused() -> None:
-    with pytest.raises(ValueError, match="the baselines have internal, image, sequential"):
-        baseline_arguments("mask", "sac")
-    with pytest.raises(ValueError, match="unknown algorithm 'td3'"):
-        baseline_arguments("image", "td3")
 
 
 @pytest.mark.parametrize("policy", [LayerNormSACPolicy, AsymmetricSACPolicy])

@@ -124,6 +124,8 @@ def test_other_observations_are_one_clear_sentence() -> None:
         policy.act({"tip": np.zeros(4), "feeder": np.zeros(2)})
     with pytest.raises(ValueError, match="sees tip, feeder by name, got one array"):
         policy.act(np.zeros(3))
+    with pytest.raises(ValueError, match="'feeder' is not finite: look at what makes the observations"):
+        policy.act({"tip": np.zeros(3), "feeder": np.array([0.0, np.nan])})
 
 
 def test_files_that_are_no_policy_are_one_clear_sentence(tmp_path: Path) -> None:

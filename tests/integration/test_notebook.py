@@ -12,6 +12,10 @@ from typing import Any
 
 import pytest
 
+from enn.fitting import FitSettings
+from pipeline.report.learning_tables import tables_from_logs
+from tests.pipeline.small_expert import write_expert
+
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NOTEBOOK = DOCS / "tutorial.ipynb"
 PAGES = ("pipeline.md", "viewers.md", "guide3d.md", "splineformer.md", "enn.md")
@@ -76,23 +80,49 @@ def test_every_cell_runs(
     assert not os.path.exists(names["path"])
 
 
+# What takes minutes on a page, and seconds here.
+SMALLER = {
+    "30_000": "400",
+    "decisions=4000": "decisions=64, evaluation_episodes=1",
+    "decisions=3000": "decisions=64, evaluation_episodes=1",
+    "held_out_seeds(0, 30)": "held_out_seeds(0, 1)",
+    "range(100)": "range(2)",
+    "DESK_CLONING, expert": "dataclasses.replace(DESK_CLONING, fit=FitSettings(epochs=1)), expert",
+}
+
+
+def quick(block: str, used: set[str]) -> str:
+    for large, small in SMALLER.items():
+        if large in block:
+            used.add(large)
+            block = block.replace(large, small)
+    return block
+
+
 def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     monkeypatch.chdir(tmp_path)
     results: dict[str, dict[str, Any]] = {}
-    for page in PAGES:  # the first records a log, which the others read
+    used: set[str] = set()
+    write_expert(Path("runs/desk/enn"), episodes=0)
+    for page in (*PAGES, "../README.md", "../packages/enn/README.md"):  # the first records a log, which the others read
         blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
         assert blocks, page
-        results[page] = {"__name__": page}
+        results[page] = {"__name__": page, "FitSettings": FitSettings}
         for block in blocks:
             if "pipeline.episodes.rerun" in block:
                 try:
                     import rerun  # noqa: F401
                 except ModuleNotFoundError:
                     continue
-            exec(compile(block, page, "exec"), results[page])
+            exec(compile(quick(block, used), page, "exec"), results[page])
         if page == "pipeline.md":
             shutil.copy("mine.mcap", "episode.mcap")
     assert results["pipeline.md"]["force"].shape == (41,)
+    assert used == set(SMALLER)
+    assert results["../README.md"]["policy"].keys == ("feeder",)
+    assert results["enn.md"]["own"].keys == ("offset", "shape", "feeder")
+    assert results["enn.md"]["student"].keys == ("image",)
+    assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]
     assert results["guide3d.md"]["P"].shape == (3, 4)
     assert results["guide3d.md"]["mask"].shape == results["guide3d.md"]["image"].shape

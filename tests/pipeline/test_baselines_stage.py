@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pytest
+import torch
 
-from pipeline.config import BaselinesSettings
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.job_worker import Report
+from pipeline.learning_settings import BaselinesSettings
 from pipeline.learning_task import LearningTask
-from pipeline.path_job import PathJob, follow
-from pipeline.stages.baselines import plan
+from pipeline.path_job import PathJob, demonstrated, follow
+from pipeline.stages.baselines import plan, training_settings
+from pipeline.training_plan import check_learning
 from pipeline.trials import Origin
 from tests.pipeline.test_enn_stage import expert_run  # noqa: F401 - a fixture
 
@@ -43,6 +48,33 @@ def test_thesis_has_its_own_networks_and_actions() -> None:
     assert not cells["sac_internal"].encoded
 
 
+@pytest.mark.parametrize("observation", ["internal", "image", "sequential"])
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_thesis_networks_are_those_of_the_chapter(algorithm: str, observation: str) -> None:
+    from enn.network import build_network
+
+    thesis = settings(variant="thesis", decisions=600_000, ppo_decisions=600_000)
+    box = gymnasium.spaces.Box
+    spaces = {
+        "internal": box(-np.inf, np.inf, (30,), np.float32),
+        "image": box(0, 255, (1, 64, 64), np.uint8),
+        "sequential": box(0, 255, (3, 64, 64), np.uint8),
+    }
+    space = gymnasium.spaces.Dict({observation: spaces[observation]})
+    network = build_network(
+        training_settings(thesis, algorithm, observation).network, space, box(-1, 1, (21,), np.float32)
+    )
+    actor = network.actor if algorithm == "sac" else network
+    head = actor.mu if algorithm == "sac" else actor.action_net
+    assert (head.in_features, head.out_features) == (64 if observation == "internal" else 512, 21)
+    hidden = actor.latent_pi if algorithm == "sac" else actor.mlp_extractor.policy_net
+    sizes = [layer.out_features for layer in hidden if isinstance(layer, torch.nn.Linear)]
+    assert sizes == ([64, 64] if observation == "internal" else [])
+    assert any(isinstance(layer, torch.nn.Tanh) for layer in hidden) == (observation == "internal")
+    convolutions = [layer for layer in actor.modules() if isinstance(layer, torch.nn.Conv2d)]
+    assert bool(convolutions) == (observation != "internal")
+
+
 def test_unknown_observations_are_one_sentence() -> None:
     with pytest.raises(
         ConfigurationError, match=r"stage\.observations has no 'sound': choose from internal, image, seq"
@@ -52,10 +84,33 @@ def test_unknown_observations_are_one_sentence() -> None:
         settings(algorithms=["dqn"])
 
 
+def test_a_gpu_that_is_not_there_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    wanted = settings(device="cuda")
+    assert {cell.settings.device for cell in plan(wanted, run_seed=0)} == {"cuda"}
+    with pytest.raises(ConfigurationError, match=r"stage\.device=cuda, but torch finds no GPU: install a CUDA build"):
+        check_learning(wanted)
+    with pytest.raises(ConfigurationError, match=r"stage\.device has no 'tpu': choose from cpu, cuda"):
+        settings(device="tpu")
+
+
+def path_job(folder: Path, logs: tuple[Path, ...]) -> PathJob:
+    return PathJob(folder, LearningTask("type_1", "bca"), 0, Origin("baselines", "path_follower", 0, "desk"), logs, 1)
+
+
 def test_a_path_follower_without_episodes_says_what_to_do(tmp_path) -> None:
-    job = PathJob(tmp_path, LearningTask("type_1", "bca"), 0, Origin("baselines", "path_follower", 0, "desk"), (), 1)
     with pytest.raises(StageError, match="the path follower of type_1/bca has no expert episodes: run stage expert"):
-        follow(job, Report())
+        follow(path_job(tmp_path, ()), Report())
+
+
+def test_a_path_follower_leaves_damaged_logs_out_by_name(expert_run, tmp_path, caplog) -> None:  # noqa: F811
+    intact = min((expert_run / "expert/type_1/bca").glob("*.mcap"))
+    broken = tmp_path / "001.mcap"
+    broken.write_bytes(intact.read_bytes()[:2000])
+    assert [episode.label for episode in demonstrated([broken, intact])] == [str(intact)]
+    assert "001.mcap is left out" in caplog.text
+    with pytest.raises(StageError, match="has no expert episodes: run stage expert"):
+        follow(path_job(tmp_path, (broken,)), Report())
 
 
 def test_a_tiny_run_fills_the_table(pipeline_process, expert_run) -> None:  # noqa: F811

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import EnnSettings
 from pipeline.errors import ConfigurationError
+from pipeline.learning_settings import EnnSettings
 from pipeline.stages.enn import architecture, check_enn, plan
 from pipeline.training_plan import training_seeds
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config import ForceSettings
 from pipeline.errors import ConfigurationError
 from pipeline.expert_episodes import read_episodes
 from pipeline.force_job import INPUTS, held_apart, learn_force, samples_of
 from pipeline.job_worker import Report
+from pipeline.learning_settings import ForceSettings
 from pipeline.stages import force
 from tests.pipeline.small_expert import context, in_this_process, write_expert
 
@@ -95,6 +95,6 @@ def test_settings_are_checked(changed: dict, sentence: str) -> None:
 
 
 def test_settings_know_every_input() -> None:
-    from pipeline.config import FORCE_INPUTS
+    from pipeline.learning_settings import FORCE_INPUTS
 
     assert tuple(INPUTS) == FORCE_INPUTS

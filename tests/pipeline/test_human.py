@@ -12,11 +12,11 @@ import pytest
 from cathsim import NavigateEnv
 from cathsim.console.procedure import Procedure
 from cathsim.console.questionnaire import CRITERIA
-from pipeline.config import UserStudySettings
 from pipeline.episodes import EpisodeReader, EpisodeReadError, check
 from pipeline.episodes.annotate import annotate, read_annotation
 from pipeline.human import McapRecorder
 from pipeline.report.results import read_figures, read_results
+from pipeline.stage_settings import UserStudySettings
 from pipeline.stages.user_study import gather, logs_of, tables, user_study_table
 
 ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P1"}

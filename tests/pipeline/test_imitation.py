@@ -10,12 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config import ImitationSettings
 from pipeline.episodes import EpisodeReader
 from pipeline.errors import ConfigurationError, StageError
-from pipeline.expert_episodes import expert_folder, expert_logs, load_expert, read_episode, read_episodes, task_of_log
+from pipeline.expert_episodes import (
+    expert_folder,
+    expert_logs,
+    load_expert,
+    read_episode,
+    read_episodes,
+    task_of_log,
+    task_of_logs,
+)
 from pipeline.imitation_job import imitate
 from pipeline.job_worker import Report
+from pipeline.learning_settings import ImitationSettings
 from pipeline.learning_task import HELD_OUT_SEED
 from pipeline.stages import imitation
 from tests.pipeline.small_expert import TASK, context, in_this_process, write_expert
@@ -98,6 +106,9 @@ def test_a_damaged_log_is_left_out_by_name(enn: Path, tmp_path: Path, caplog: py
     assert [Path(episode.label).name for episode in episodes] == ["000.mcap", "002.mcap", "003.mcap"]
     assert len(caplog.messages) == 1
     assert "001.mcap is left out" in caplog.messages[0]
+    assert task_of_logs(logs[1:]) == TASK
+    with pytest.raises(StageError, match=r"no episode that can be read of 1 in .*: run stage=enn again"):
+        task_of_logs(logs[1:2])
 
 
 def test_no_episodes_is_one_sentence(enn: Path, tmp_path: Path) -> None:

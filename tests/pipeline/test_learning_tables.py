@@ -72,18 +72,18 @@ def test_a_log_without_the_metadata_of_an_evaluation_is_none(tmp_path: Path) -> 
         read_evaluation(path, tmp_path)
 
 
-def test_one_damaged_log_among_many_is_left_out_with_its_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    paths = write_row(tmp_path, "enn", "V", successes=(True,) * 12)
-    content = bytearray(paths[5].read_bytes())
+def test_one_damaged_log_among_a_hundred_is_left_out_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    paths = write_row(tmp_path, "enn", "V", successes=(True,) * 100)
+    content = bytearray(paths[57].read_bytes())
     content[len(content) // 2] ^= 0xFF
-    paths[5].write_bytes(content)
+    paths[57].write_bytes(content)
     reading = read(tmp_path)
-    assert len(reading.evaluations) == 11
-    assert list(reading.left_out) == [paths[5].relative_to(tmp_path).as_posix()]
+    assert len(reading.evaluations) == 99
+    assert list(reading.left_out) == [paths[57].relative_to(tmp_path).as_posix()]
     (warning,) = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert str(paths[5]) in warning
+    assert str(paths[57]) in warning
     assert "damaged" in warning
-    assert tables_from_logs(reading.evaluations)["ablation"]["bca/V"]["n"] == 11
+    assert tables_from_logs(reading.evaluations)["ablation"]["bca/V"]["n"] == 99
 
 
 def test_a_folder_without_evaluations_is_one_sentence(tmp_path: Path) -> None:
@@ -304,7 +304,8 @@ def test_report_shows_the_logs_and_says_what_differs(tmp_path: Path, run_python:
     finish(run, "enn")
     printed = run_python(
         "import sys\n"
-        "from pipeline.config import ReportSettings, RunConfig\n"
+        "from pipeline.config import RunConfig\n"
+        "from pipeline.stage_settings import ReportSettings\n"
         "from pipeline.execution import execute\n"
         "config = RunConfig(stage=ReportSettings(), budget={'name': 'desk'}, name='tried', runs_dir="
         + repr(str(tmp_path))

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from cathsim.anatomy import load_phantom
-from pipeline.config import PhantomsSettings
 from pipeline.errors import ConfigurationError
 from pipeline.launch import main
+from pipeline.stage_settings import PhantomsSettings
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.config import PhantomsSettings
 from pipeline.errors import ConfigurationError
+from pipeline.stage_settings import PhantomsSettings
 from pipeline.stages.phantoms import check_phantoms, dimensions, write_bundle
 
 RESOLUTION = 2e-3

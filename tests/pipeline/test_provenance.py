@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import ExpertSettings, settings_that_matter
 from pipeline.progress import progress, progress_line
 from pipeline.provenance import git_state, hash_file, hash_sources, hash_value, machine, software_versions
+from pipeline.setting_checks import settings_that_matter
+from pipeline.stage_settings import ExpertSettings
 
 
 def test_hash_of_a_value_ignores_the_order_of_keys() -> None:

@@ -89,8 +89,9 @@ def run_report(runs: Path, name: str, budget: str = "desk", **settings: float) -
     Returns:
         The report's folder.
     """
-    from pipeline.config import ReportSettings, RunConfig
+    from pipeline.config import RunConfig
     from pipeline.execution import execute
+    from pipeline.stage_settings import ReportSettings
 
     stage = ReportSettings(**settings)
     execute(RunConfig(stage=stage, budget={"name": budget}, name=name, runs_dir=str(runs)))

@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 
 import pytest
+from hydra.errors import MissingConfigException
 
 from pipeline.execution import variant_of
+from pipeline.explain import one_line
 from pipeline.provenance import PROJECT_ROOT
 
 
 @pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local", "ray"])
 def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
     if launcher == "ray":
-        pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="Ray's launcher is not installed: make setup")
+        pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="Ray's launcher is not installed: make ray")
         pipeline_process.environment["HOME"] = str(pipeline_process.folder)  # Ray keeps a token of its own there
     overrides = ["-m", "stage=report", "budget=smoke", "name=sweep", "seed=3,4", f"hydra/launcher={launcher}"]
     if launcher == "joblib":
@@ -25,6 +27,13 @@ def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
         assert json.loads((folder / "manifest.json").read_text())["seed"] == seed
         assert (folder / "index.html").is_file()
     assert not [name for name in ("outputs", "multirun", ".submitit") if (PROJECT_ROOT / name).exists()]
+
+
+def test_ray_where_it_is_not_installed_is_one_sentence() -> None:
+    error = MissingConfigException("not found", missing_cfg_file="hydra/launcher/ray")
+    assert one_line(error, []) == (
+        "Ray's launcher is not installed: run `make ray`, or choose basic, joblib or submitit_local"
+    )
 
 
 def test_variants_of_different_jobs_differ() -> None:

@@ -9,22 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config import UnseenSettings
 from pipeline.errors import ConfigurationError
 from pipeline.job_worker import Report
+from pipeline.learning_settings import UnseenSettings
 from pipeline.report.learning_tables import tables_from_logs
 from pipeline.stages.unseen import FIRST_TEST_ANATOMY, check_unseen, curve, plan, training_settings
 from pipeline.trials import Origin
+from pipeline.unseen_demonstrations import choose
 from pipeline.unseen_jobs import (
     AnatomiesJob,
     HeldOutSet,
     RoadmapJob,
     StudentJob,
-    UnseenTask,
     build_anatomies,
     train_roadmap,
     train_student,
 )
+from pipeline.unseen_task import UnseenTask
 
 TASK = UnseenTask(targets=("lcca",), wire_length=0.312, image_size=96, max_steps=16)
 TESTS = (HeldOutSet("unseen", (1,)),)
@@ -43,7 +44,7 @@ def settings(**changed) -> UnseenSettings:
 def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     jobs = {job.key: job for job in plan(settings(), tmp_path, run_seed=3)}
     policies = ["roadmap", "roadmap 1", "roadmap 4", "image"]
-    assert [key for key in jobs if not key.startswith("random")] == policies
+    assert [key for key in jobs if not key.startswith(("random", "demonstrations"))] == policies
     for key in policies:
         given = jobs[key].given
         assert given.anatomies == tuple(range(3000, 3000 + len(given.anatomies)))
@@ -56,6 +57,20 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     built = {seed for job in jobs.values() if isinstance(job.given, AnatomiesJob) for seed in job.given.seeds}
     assert built == {*range(3000, 3020), *range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + 50)}
     assert "image" not in {job.key for job in plan(settings(image=False), tmp_path, run_seed=3)}
+
+
+def test_plan_demonstrates_in_training_anatomies(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(settings(demonstrations=5), tmp_path, run_seed=1)}
+    shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
+    assert sorted(seed for given in shown for seed in given.shown) == sorted(
+        choose("random_wide", range(1000, 1008), 5)
+    )
+    assert {"demonstrations/0", "demonstrations/1"} <= set(jobs["roadmap 4"].after)
+    assert jobs["roadmap 4"].given.settings.bank_cases == 8
+    none = plan(settings(demonstrations=0), tmp_path, run_seed=1)
+    assert not [job.key for job in none if job.key.startswith("demonstrations")]
+    assert none[-1].key == "image"
+    assert jobs["roadmap"].given.demonstrations == tmp_path / "demonstrations"
 
 
 def test_wires_of_the_tests() -> None:
@@ -83,8 +98,8 @@ def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"stage\.lessons must be above zero, got 0"):
         settings(lessons=0)
-    with pytest.raises(ConfigurationError, match="seed=10 would train on anatomies of the test"):
-        plan(settings(), tmp_path, run_seed=10)
+    with pytest.raises(ConfigurationError, match="seed=30 would train on anatomies of the test"):
+        plan(settings(), tmp_path, run_seed=30)
 
 
 def test_a_missing_mesh_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -114,7 +129,11 @@ def student_job(folder: Path, rounds: int) -> StudentJob:
 
 def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     assert build_anatomies(AnatomiesJob("random_wide", (0,), 1.5e-3), Report()) == {"anatomies": 1}
-    tiny = replace(training_settings(settings(decisions=160, validation_episodes=1)), learning_starts=32, n_envs=4)
+    tiny = replace(
+        training_settings(settings(targets=["lcca"], decisions=160, validation_episodes=1), 1),
+        learning_starts=32,
+        n_envs=4,
+    )
     teacher = RoadmapJob(
         folder=tmp_path / "unseen" / "roadmap" / "seed0",
         task=TASK,

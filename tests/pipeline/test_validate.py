@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.config import ValidateSettings
 from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeWriter, StepRecord
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.report.force_plots import KERNEL, draw_heat, wall_heat
@@ -25,6 +24,7 @@ from pipeline.report.force_statistics import (
     verdict,
 )
 from pipeline.report.results import read_figures, read_results
+from pipeline.stage_settings import ValidateSettings
 from pipeline.stages import validate
 from pipeline.stages.validate import check_validate, physics_from, run_validate
 

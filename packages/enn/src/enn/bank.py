@@ -70,6 +70,13 @@ class ResetBank:
             return None
         return self._states[self._generator.integers(self._count)].copy()
 
+    def choose(self) -> int | None:
+        """The case of an episode that starts as the task says; None: as the environment draws it."""
+        return None
+
+    def judge(self, case: int, *, success: bool) -> None:
+        """Takes note of how an episode ended that started as the task says."""
+
     def state(self) -> dict[str, Any]:
         """Contents and random state, to be pickled; for `restore`."""
         return {

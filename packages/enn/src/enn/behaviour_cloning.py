@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from enn.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.image_network import shifted
-from enn.trajectory import Trajectory, join
+from enn.normalisation import standardised
+from enn.trajectory import Trajectory, episode_numbers, join
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def clone(
     expert_features: Sequence[NDArray[np.float32]] | None = None,
     initial: ClonedPolicy | None = None,
     seed: int = 0,
-    folder: Path | None = None,
+    folder: Path | str | None = None,
     progress: Callable[[FitProgress], None] | None = None,
 ) -> tuple[ClonedPolicy, FitReport]:
     """Clones an expert.
@@ -109,7 +110,7 @@ def clone(
     seen, actions, _ = join(trajectories, keys)
     images = torch.as_tensor(np.concatenate([seen[key] for key in keys], axis=1))
     wanted = torch.as_tensor(actions)
-    episodes = np.repeat(np.arange(len(trajectories)), [len(trajectory) for trajectory in trajectories])
+    episodes = episode_numbers(trajectories)
     target = None if expert_features is None else normalised_features(trajectories, expert_features)
 
     network_settings = replace(
@@ -207,7 +208,7 @@ def normalised_features(trajectories: Sequence[Trajectory], features: Sequence[N
         if not np.isfinite(values).all():
             raise ValueError(f"the expert's features of {trajectory.label} are not finite: check its observations")
     joined = np.concatenate([v[: len(t)] for t, v in zip(trajectories, features, strict=True)]).astype(np.float32)
-    return torch.as_tensor((joined - joined.mean(0)) / (joined.std(0) + 1e-4))
+    return torch.as_tensor(standardised(joined))
 
 
 def take_over(network: CloningNetwork, student: ClonedPolicy) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.image_network import ImageNetwork, ImageSettings
+from enn.model_file import another_architecture, read_model, write_model
 
 FORMAT = "enn-cloned-policy-1"
 KEYS = ("image", "mask", "sequential")
@@ -181,17 +181,13 @@ class ClonedPolicy:
 
     def save(self, path: Path | str) -> None:
         """Writes settings and weights into one file, atomically."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         content = {
             "format": FORMAT,
             "settings": asdict(self.network.settings),
             "weights": self.network.state_dict(),
             "metadata": self.metadata,
         }
-        torch.save(content, temporary)
-        os.replace(temporary, path)
+        write_model(Path(path), content)
 
     @classmethod
     def load(cls, path: Path | str) -> ClonedPolicy:
@@ -202,18 +198,10 @@ class ClonedPolicy:
             ValueError: it is damaged, no student, or its weights do not fit its settings.
         """
         path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"there is no cloned policy {path}: run behaviour cloning first")
+        content = read_model(path, FORMAT, kind="cloned policy", verb="clone")
         try:
-            content = torch.load(path, weights_only=True)
-        except Exception as error:
-            raise ValueError(f"{path} is damaged or no cloned policy: clone the expert again") from error
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise ValueError(f"{path} is no cloned policy of format {FORMAT}: clone the expert again")
-        try:
-            fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content["settings"].items()}
-            network = CloningNetwork(CloningSettings(**fields))
+            network = CloningNetwork(CloningSettings(**content["settings"]))
             network.load_state_dict(content["weights"])
         except (TypeError, RuntimeError, ValueError) as error:
-            raise ValueError(f"{path} is of another architecture than this version builds: clone it again") from error
+            raise another_architecture(path, error, verb="clone") from error
         return cls(network, content["metadata"])

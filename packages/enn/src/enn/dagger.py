@@ -170,7 +170,7 @@ def dagger(
     *,
     student: ClonedPolicy | None = None,
     seed: int = 0,
-    folder: Path | None = None,
+    folder: Path | str | None = None,
     progress: Callable[[int, FitProgress], None] | None = None,
 ) -> tuple[ClonedPolicy, list[DaggerRound], list[Trajectory]]:
     """Improves a student where it goes itself.
@@ -200,7 +200,7 @@ def dagger(
             settings.cloning,
             initial=initial if settings.warm_start else None,
             seed=seed + index,
-            folder=None if folder is None else folder / f"round{index}",
+            folder=None if folder is None else Path(folder) / f"round{index}",
             progress=None if progress is None else lambda told: progress(index, told),
         )
 

@@ -81,7 +81,3 @@ class EncodedEnvs(VecEnvWrapper):
             last = {key: values[count + place] for key, values in encoded.items()}
             infos[index] = {**infos[index], "terminal_observation": last}
         return {key: values[:count] for key, values in encoded.items()}, rewards, dones, infos
-
-    def restore(self, state: Any) -> Observations:
-        """Goes on where `state()` of the inner environments was taken; returns that moment's features."""
-        return self.encode(self.venv.restore(state))  # type: ignore[attr-defined]

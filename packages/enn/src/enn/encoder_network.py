@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.exploration import ARC_LENGTHS_MM, Samples
+from enn.model_file import another_architecture, read_model, write_model
 
+FORMAT = "enn-encoder-1"
 POINTS = len(ARC_LENGTHS_MM)
 TARGETS = 3 * POINTS + 3 + 3 + 3  # points, direction, feeder, force
 POINT_SCALE = 10.0  # mm
@@ -226,3 +229,25 @@ class Encoder(nn.Module):
                     gains += [1.0 / 255.0 if is_mask else -1.0 / WIRE_DARKNESS] * len(background)
                 part.background.copy_(torch.cat(backgrounds))
                 part.gain.copy_(torch.tensor(gains)[:, None, None])
+
+    def save(self, path: Path | str) -> None:
+        """Writes settings and weights into one file, atomically."""
+        write_model(Path(path), {"format": FORMAT, "settings": asdict(self.settings), "weights": self.state_dict()})
+
+    @classmethod
+    def load(cls, path: Path | str) -> Encoder:
+        """Reads an encoder, frozen and in evaluation mode.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged, no encoder, or its weights do not fit its settings.
+        """
+        path = Path(path)
+        content = read_model(path, FORMAT, kind="encoder", verb="fit")
+        try:
+            encoder = cls(EncoderSettings(**content["settings"]))
+            encoder.load_state_dict(content["weights"])
+        except (TypeError, RuntimeError, ValueError) as error:
+            raise another_architecture(path, error, verb="fit") from error
+        encoder.eval().requires_grad_(False)
+        return encoder

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
+
+from enn.sampling import start_state_of
 
 TRUTH = ("shape", "feeder", "force")  # observations that the targets are read from
 ARC_LENGTHS_MM = (0.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # of the wire points, behind the tip
@@ -174,15 +177,6 @@ class Frontier:
         return cell[int(self.generator.integers(len(cell)))]
 
 
-def _start_state(env: gymnasium.Env[Any, Any]) -> np.ndarray | None:
-    bare = env.unwrapped
-    if hasattr(bare, "start_state"):
-        return np.asarray(bare.start_state())
-    if hasattr(bare, "simulation"):
-        return np.asarray(bare.simulation.state())
-    return None
-
-
 def _boxes(env: gymnasium.Env[Any, Any]) -> dict[str, gymnasium.spaces.Box]:
     space = env.observation_space
     if not isinstance(space, gymnasium.spaces.Dict):
@@ -224,6 +218,9 @@ def scripted_samples(
     generator = np.random.default_rng(seed)
     size = int(np.prod(env.action_space.shape or (0,)))
     moves, frontier = Moves(size, generator), Frontier(generator)
+    state_of: Callable[[], np.ndarray] | None = None
+    with contextlib.suppress(ValueError):  # without states, roll-outs begin where the environment begins
+        state_of = start_state_of(env)
     observations = {name: np.empty((count, *box.shape), box.dtype) for name, box in boxes.items()}
     episode = np.empty(count, np.int32)
     row, number, report = 0, -1, max(count // 100, 1)
@@ -249,8 +246,8 @@ def scripted_samples(
             observation, _, terminated, truncated, _ = env.step(moves.action())
             if terminated or truncated:
                 break
-            if row % KEPT_EVERY == 0 and (state := _start_state(env)) is not None:
-                frontier.add(state, observation["shape"][0])
+            if state_of is not None and row % KEPT_EVERY == 0:
+                frontier.add(state_of(), observation["shape"][0])
     env.close()
     return _with_targets(observations, episode)
 

@@ -95,14 +95,6 @@ def nature_cnn(shape: tuple[int, ...]) -> nn.Sequential:
     return _with_dense(nature_convolutions(shape[0]), shape, (512,))
 
 
-def bc_network(shape: tuple[int, ...], actions: int = 2) -> nn.Sequential:
-    """The thesis's behaviour-cloning network: its CNN and a linear layer to the actions.
-
-    Source: thesis, chapter ENN, table "BC Architecture".
-    """
-    return nn.Sequential(*thesis_cnn(shape), nn.Linear(128, actions))
-
-
 def desk_cnn(shape: tuple[int, ...]) -> nn.Sequential:
     """A light CNN, about a tenth of the thesis's cost, for image and mask as channels of one picture."""
     convolutions = [
@@ -231,6 +223,10 @@ def _network(
     if variant == "thesis":
         return nn.Sequential(nn.Flatten(), *thesis_mlp(inputs)), 128
     return (nn.Sequential(nn.Flatten(), *desk_mlp(inputs)), 64) if variant == "desk" else (nn.Flatten(), inputs)
+
+
+# What `layer_table` tells of a layer.
+LAYER_COLUMNS = ("output_shape", "parameters", "nonlinearity", "kernel", "stride", "padding")
 
 
 def layer_table(module: nn.Module, inputs: tuple[int, ...] | torch.Tensor) -> dict[str, list[Any]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -15,6 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+
+from enn.model_file import write_model
 
 SCHEDULES = ("constant", "one_cycle")
 FORMAT = "enn-fit-1"
@@ -105,7 +106,7 @@ def fit(
     settings: FitSettings,
     *,
     seed: int = 0,
-    folder: Path | None = None,
+    folder: Path | str | None = None,
     progress: Callable[[FitProgress], None] | None = None,
 ) -> FitReport:
     """Fits a module in place and leaves it with the weights of its best epoch.
@@ -138,7 +139,7 @@ def fit(
         "settings": {k: v for k, v in asdict(settings).items() if k != "checkpoint_seconds"},
         "seed": seed,
     }
-    file = None if folder is None else folder / FILE
+    file = None if folder is None else Path(folder) / FILE
     if file is not None and file.is_file():
         best = _resume(file, identity, module, optimiser, generator, report)
     batches = max(1, math.ceil(len(training) / settings.batch_size))
@@ -239,8 +240,6 @@ def _write(
     generator: np.random.Generator,
     report: FitReport,
 ) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     content = {
         "format": FORMAT,
         "identity": identity,
@@ -251,8 +250,7 @@ def _write(
         "torch": torch.get_rng_state(),
         "report": asdict(report),
     }
-    torch.save(content, temporary)
-    os.replace(temporary, file)
+    write_model(file, content)
 
 
 def _resume(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -16,6 +15,8 @@ from torch import Tensor, nn
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.force_samples import ForceSamples
 from enn.image_network import ImageNetwork, ImageSettings
+from enn.model_file import another_architecture, read_model, write_model
+from enn.normalisation import standardised
 
 FORMAT = "enn-force-predictor-1"
 _CLIP = 8.0  # standard deviations: beyond them a vector entry says nothing more
@@ -147,7 +148,7 @@ def fit_force(
     settings: ForceSettings = DESK_FORCE,
     *,
     seed: int = 0,
-    folder: Path | None = None,
+    folder: Path | str | None = None,
     progress: Callable[[FitProgress], None] | None = None,
 ) -> tuple[ForcePredictor, FitReport]:
     """Learns to predict contact forces.
@@ -180,7 +181,7 @@ def fit_force(
         wanted = torch.as_tensor(samples.forces) / network.force_scale
         target = torch.zeros(len(wanted), 0)
         if matched and samples.features is not None:
-            target = torch.as_tensor((samples.features - samples.features.mean(0)) / (samples.features.std(0) + 1e-4))
+            target = torch.as_tensor(standardised(samples.features))
 
         def loss(chosen: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
             index = torch.as_tensor(chosen)
@@ -238,17 +239,13 @@ class ForcePredictor:
 
     def save(self, path: Path | str) -> None:
         """Writes settings and weights into one file, atomically."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         content = {
             "format": FORMAT,
             "settings": asdict(self.network.settings),
             "weights": self.network.state_dict(),
             "metadata": self.metadata,
         }
-        torch.save(content, temporary)
-        os.replace(temporary, path)
+        write_model(Path(path), content)
 
     @classmethod
     def load(cls, path: Path | str) -> ForcePredictor:
@@ -259,20 +256,12 @@ class ForcePredictor:
             ValueError: it is damaged, no predictor, or its weights do not fit its settings.
         """
         path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"there is no force predictor {path}: fit one first")
+        content = read_model(path, FORMAT, kind="force predictor", verb="fit")
         try:
-            content = torch.load(path, weights_only=True)
-        except Exception as error:
-            raise ValueError(f"{path} is damaged or no force predictor: fit it again") from error
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise ValueError(f"{path} is no force predictor of format {FORMAT}: fit it again")
-        try:
-            fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content["settings"].items()}
-            network = ForceNetwork(ForceNetworkSettings(**fields))
+            network = ForceNetwork(ForceNetworkSettings(**content["settings"]))
             network.load_state_dict(content["weights"])
         except (TypeError, RuntimeError, ValueError) as error:
-            raise ValueError(f"{path} is of another architecture than this version builds: fit it again") from error
+            raise another_architecture(path, error, verb="fit") from error
         return cls(network, content["metadata"])
 
 

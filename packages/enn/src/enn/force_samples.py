@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from enn.trajectory import Trajectory, require_same_shapes
+from enn.trajectory import Trajectory, episode_numbers, require_same_shapes
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def force_samples(
         images=np.concatenate(seen),
         vectors=np.concatenate(numbers),
         forces=np.concatenate([trajectory.forces for trajectory in trajectories]).astype(np.float32),
-        episodes=np.repeat(np.arange(len(trajectories)), [len(trajectory) for trajectory in trajectories]),
+        episodes=episode_numbers(trajectories),
         features=np.concatenate(matched) if features is not None else None,
     )
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import gymnasium
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 LIMIT = 10.0  # normalised values are cut here: what hardly varied while fitting may jump later
 SMALLEST_SCALE = 1e-6
+_LEAST_SPREAD = 1e-4
 
 
 class VectorExtractor(BaseFeaturesExtractor):
@@ -73,6 +76,15 @@ def fit_normalisation(network: nn.Module, observations: dict[str, Tensor] | Tens
     for module in network.modules():
         if isinstance(module, VectorExtractor):
             module.fit(observations)
+
+
+def standardised(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Features that are to be matched, each with mean 0 and standard deviation 1; one that does not vary is 0.
+
+    Args:
+        values: (N, features).
+    """
+    return (values - values.mean(0)) / (values.std(0) + _LEAST_SPREAD)
 
 
 def vector_spaces(space: gymnasium.Space, keys: Sequence[str] = ()) -> dict[str, gymnasium.spaces.Box]:

@@ -7,7 +7,6 @@ Source: thesis, chapter CathSim, section RL for Autonomous Cannulation.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -19,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
-from enn.trajectory import Trajectory
+from enn.model_file import another_architecture, read_model, write_model
+from enn.trajectory import Trajectory, episode_numbers
 
 FORMAT = "enn-path-follower-1"
 _PER_METRE = 50.0  # brings offsets of centimetres to about one
@@ -141,19 +141,13 @@ class PathFollower:
 
     def save(self, path: Path | str) -> None:
         """Writes settings and weights into one file, atomically."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        torch.save(
-            {
-                "format": FORMAT,
-                "settings": asdict(self.settings),
-                "actions": self.network[-1].out_features,
-                "weights": self.network.state_dict(),
-            },
-            temporary,
-        )
-        os.replace(temporary, path)
+        content = {
+            "format": FORMAT,
+            "settings": asdict(self.settings),
+            "actions": self.network[-1].out_features,
+            "weights": self.network.state_dict(),
+        }
+        write_model(Path(path), content)
 
     @classmethod
     def load(cls, path: Path | str) -> PathFollower:
@@ -164,21 +158,14 @@ class PathFollower:
             ValueError: it is damaged, no path follower, or its weights do not fit its settings.
         """
         path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"there is no path follower {path}: fit one first")
+        content = read_model(path, FORMAT, kind="path follower", verb="fit")
         try:
-            content = torch.load(path, weights_only=True)
-            if content["format"] != FORMAT:
-                raise KeyError("format")
-        except Exception as error:
-            raise ValueError(f"{path} is damaged or no path follower: fit it again") from error
-        try:
-            fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content["settings"].items()}
-            settings = PathFollowerSettings(**{**fields, "fit": FitSettings(**fields["fit"])})
+            kept = content["settings"]
+            settings = PathFollowerSettings(**{**kept, "fit": FitSettings(**kept["fit"])})
             network = build(settings, content["actions"])
             network.load_state_dict(content["weights"])
         except (TypeError, RuntimeError, ValueError) as error:
-            raise ValueError(f"{path} is of another architecture than this version builds: fit it again") from error
+            raise another_architecture(path, error, verb="fit") from error
         return cls(network, settings)
 
 
@@ -224,7 +211,7 @@ def fit_path_follower(
     settings: PathFollowerSettings | None = None,
     *,
     seed: int = 0,
-    folder: Path | None = None,
+    folder: Path | str | None = None,
     progress: Callable[[FitProgress], None] | None = None,
 ) -> tuple[PathFollower, FitReport]:
     """Learns to follow paths from an expert's episodes.
@@ -258,7 +245,7 @@ def fit_path_follower(
             rows.append(describe(tips[: step + 1], path, along, settings))
     seen = torch.as_tensor(np.stack(rows))
     wanted = torch.as_tensor(np.concatenate([trajectory.actions for trajectory in trajectories]).astype(np.float32))
-    episodes = np.repeat(np.arange(len(trajectories)), [len(trajectory) for trajectory in trajectories])
+    episodes = episode_numbers(trajectories)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         network = build(settings, wanted.shape[1])

@@ -1,4 +1,4 @@
-"""Actor and critic that look at different observations, and the networks of the reinforcement-learning chapter."""
+"""Policies of SAC: actor and critic that look at different observations, and critics that normalise their layers."""
 
 from __future__ import annotations
 
@@ -210,37 +210,3 @@ class AsymmetricSACPolicy(LayerNormSACPolicy):
             "features_trained_by": self.features_trained_by,
             "share_features_extractor": self.share_features_extractor,
         }
-
-
-def baseline_arguments(observation: str, algorithm: str) -> dict[str, Any]:
-    """Arguments of a Dict policy that make the networks of the reinforcement-learning chapter.
-
-    Internal: two layers of 64 with tanh, in actor and critic. Image and sequential: the CNN of 512 units, then the
-    action's linear layer; PPO's value is linear too, while SAC's critic, which the thesis does not describe, gets two
-    layers of 256, since a linear one could not weigh actions against each other.
-
-    Args:
-        observation: "internal", "image" or "sequential".
-        algorithm: "ppo" or "sac".
-
-    Returns:
-        `policy_kwargs` for "MultiInputPolicy".
-
-    Raises:
-        ValueError: an unknown name.
-
-    Source: thesis, chapter CathSim, "Network Architectures".
-    """
-    if observation not in ("internal", "image", "sequential"):
-        raise ValueError(f"unknown observation '{observation}'; the baselines have internal, image, sequential")
-    if algorithm not in ("ppo", "sac"):
-        raise ValueError(f"unknown algorithm '{algorithm}'; there are ppo, sac")
-    value = "vf" if algorithm == "ppo" else "qf"
-    hidden: list[int] = [64, 64] if observation == "internal" else []
-    critic = hidden if hidden or algorithm == "ppo" else [256, 256]
-    return {
-        "features_extractor_class": MultimodalExtractor,
-        "features_extractor_kwargs": {"keys": (observation,), "variant": "baselines"},
-        "net_arch": {"pi": hidden, value: critic},
-        "activation_fn": nn.Tanh if hidden else nn.ReLU,
-    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from torch import Tensor
 
+from enn.model_file import another_architecture, read_model, write_model
 from enn.network import NetworkSettings, action_distribution, actor_features, build_network
 
 if TYPE_CHECKING:
@@ -87,7 +87,8 @@ class Policy:
         """Actions for observations with a leading N. Shape (N, actions).
 
         Raises:
-            ValueError: an observation is missing or has another shape than in training; a draw without a generator.
+            ValueError: an observation is missing, has another shape than in training, or is not finite; a draw
+                without a generator.
         """
         with torch.inference_mode():
             mean, log_std = action_distribution(self.module, self._encoded(observations))
@@ -145,12 +146,13 @@ class Policy:
             raise ValueError(
                 f"the policy was trained with {name} of shape {space.shape}, got {values.shape[1:]}: another {kind}"
             )
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise ValueError(f"{name} is not finite: look at what makes the observations")
         # an encoder lives on the CPU, whatever the network is on
         return torch.as_tensor(values, device=self.module.device if self.encoder is None else "cpu")
 
     def save(self, path: Path | str) -> None:
         """Writes settings, spaces and weights into one file, atomically."""
-        path = Path(path)
         content = {
             "format": FORMAT,
             "network": asdict(self.network),
@@ -167,10 +169,7 @@ class Policy:
             "action_repeat": self.action_repeat,
             "metadata": self.metadata,
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        torch.save(content, temporary)
-        os.replace(temporary, path)
+        write_model(Path(path), content)
 
     @classmethod
     def load(cls, path: Path | str, device: str = "cpu") -> Policy:
@@ -181,20 +180,11 @@ class Policy:
             ValueError: the file is damaged, holds something else, or its weights do not fit its own settings.
         """
         path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"there is no policy {path}: train one first")
-        try:
-            content = torch.load(path, map_location=device, weights_only=True)
-        except Exception as error:
-            raise ValueError(f"{path} is damaged or no policy ({type(error).__name__}): train it again") from error
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            got = content.get("format") if isinstance(content, dict) else type(content).__name__
-            raise ValueError(f"{path} is no policy of format {FORMAT}, but {got}")
-        fields: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in content["network"].items()}
+        content = read_model(path, FORMAT, kind="policy", verb="train", device=device)
         observation_space, action_space = _space(content["observation_space"]), _space(content["action_space"])
         encoder = None
         try:
-            network = NetworkSettings(**fields)
+            network = NetworkSettings(**content["network"])
             if content["encoder"] is not None:
                 from enn.encoder import Encoder, EncoderSettings
 
@@ -207,8 +197,7 @@ class Policy:
                 raise RuntimeError(f"weights {', '.join(odd[:3])} are missing or unexpected")
             module.load_state_dict(content["weights"], strict=False)
         except (RuntimeError, TypeError, KeyError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise ValueError(f"{path} is of another architecture than this version builds ({reason})") from error
+            raise another_architecture(path, error, verb="train") from error
         return cls(
             network,
             module,

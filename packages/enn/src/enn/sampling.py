@@ -138,14 +138,18 @@ class SampledEnvs(VecEnv):
         info["steps"] = taken
         return observation, total, terminated, truncated, info
 
-    def _draw(self, index: int) -> NDArray[Any] | None:
+    def _draw(self, index: int) -> dict[str, Any] | None:
+        """Options of the next episode's reset."""
         start = None if self.bank is None else self.bank.draw()
         self._fresh[index] = start is None
-        return start
+        if start is not None:
+            return {"start": start}
+        case = None if self.bank is None else self.bank.choose()
+        return None if case is None else {"case": case}
 
-    def _begin(self, index: int, start: NDArray[Any] | None, seed: int | None) -> Any:
+    def _begin(self, index: int, options: dict[str, Any] | None, seed: int | None) -> Any:
         self._returns[index], self._lengths[index] = 0.0, 0
-        observation, _ = self.envs[index].reset(seed=seed, options=None if start is None else {"start": start})
+        observation, _ = self.envs[index].reset(seed=seed, options=options)
         self._paths[index] = [] if self.bank is None else [self._start_states[index]()]
         return observation
 
@@ -159,6 +163,8 @@ class SampledEnvs(VecEnv):
             "success": success,
             "fresh": bool(self._fresh[index]),
         }
+        if self.bank is not None and self._fresh[index] and "case" in info:
+            self.bank.judge(info["case"], success=success)
         # episodes from the bank would only crowd it with the end of the way
         if success and self.bank is not None and self._fresh[index]:
             self.bank.add_episode(np.stack(self._paths[index]))

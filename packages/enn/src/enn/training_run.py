@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from enn.bank import ResetBank
+from enn.case_bank import CaseBank
 from enn.checkpoint import CheckpointFolder
 from enn.demonstrations import demonstration_replay, fill_bank
 from enn.judgement import Judge
@@ -99,9 +100,11 @@ class TrainingRun:
             settings = replace(settings, normalise=False)  # the encoder's features are normalised already
         self.training, self.settings, self.progress = training, settings, progress
         torch.set_num_threads(1)
-        bank = (
-            ResetBank(settings.bank_share, settings.bank_capacity, training.seed) if settings.bank_share > 0 else None
-        )
+        bank: ResetBank | None = None
+        if settings.bank_cases:
+            bank = CaseBank(settings.bank_cases, settings.bank_share, settings.bank_capacity, training.seed)
+        elif settings.bank_share > 0:
+            bank = ResetBank(settings.bank_share, settings.bank_capacity, training.seed)
         keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
         self.sampled = SampledEnvs(
             [training.make_env] * settings.n_envs,

@@ -48,7 +48,9 @@ class TrainingSettings:
         gae_lambda: of PPO.
         clip_range: of PPO.
         bank_share: share of the resets that start from the bank; 0: there is no bank.
-        bank_capacity: states in the bank.
+        bank_capacity: states in the bank; with cases, of each of them.
+        bank_cases: how many cases (an anatomy and a target each, say) the environment chooses from; each then has room
+            of its own in the bank, and episodes take place more often where they fail. 0: nothing is known of cases.
         evaluate_every: decisions between evaluations; 0: none, the last policy is kept.
         evaluation_episodes: deterministic episodes, and as many stochastic ones where those were no worse than the best
             so far; when the first three fail, the rest are not played.
@@ -96,6 +98,7 @@ class TrainingSettings:
     clip_range: float = 0.2
     bank_share: float = 0.75
     bank_capacity: int = 4096
+    bank_cases: int = 0
     evaluate_every: int = 1000
     evaluation_episodes: int = 10
     stop_after: int = 0

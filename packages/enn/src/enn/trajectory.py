@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -156,13 +156,6 @@ def join(
     return observations, actions, forces
 
 
-def observation_shapes(observations: Mapping[str, NDArray[Any]]) -> dict[str, tuple[int, ...]]:
-    """Shapes of single observations of a batch.
-
-    Args:
-        observations: name to (N, ...).
-
-    Returns:
-        Name to the shape without N.
-    """
-    return {name: array.shape[1:] for name, array in observations.items()}
+def episode_numbers(trajectories: Sequence[Trajectory]) -> NDArray[np.int64]:
+    """The number of the episode that each sample of `join` is from. Shape (N,)."""
+    return np.repeat(np.arange(len(trajectories)), [len(trajectory) for trajectory in trajectories])

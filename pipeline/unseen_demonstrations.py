@@ -1,0 +1,171 @@
+"""Demonstrations of the sampling expert in some of the training anatomies.
+
+One file a demonstration, ``demonstrations/<target>_<anatomy>.npz`` in the stage's folder, with everything that an
+`enn.trajectory.Trajectory` holds. A demonstration that fails is kept too, without a use, so that it is not tried again.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.atomic import atomic_path
+from pipeline.job_worker import Report
+
+if TYPE_CHECKING:
+    from cathsim.variety import NavigateManyEnv
+    from enn.trajectory import Trajectory
+    from pipeline.unseen_task import UnseenTask
+
+ROLLOUTS = 2000  # of the expert, after which a demonstration counts as failed
+
+
+@dataclass(frozen=True)
+class DemonstrationsJob:
+    """Demonstrations to make.
+
+    Attributes:
+        folder: of all demonstrations.
+        task: of the episodes.
+        anatomies: seeds of all random arches trained on, so that states know their case.
+        shown: those of them with a demonstration each.
+        target: that is demonstrated.
+        hold: steps for which the expert holds an action: those of a decision of the policy.
+        seed: of the starts and of the expert.
+    """
+
+    folder: Path
+    task: UnseenTask
+    anatomies: tuple[int, ...]
+    shown: tuple[int, ...]
+    target: str
+    hold: int
+    seed: int
+
+
+def choose(name: str, anatomies: Sequence[int], count: int) -> list[int]:
+    """Arches to demonstrate: half of them with a common origin of BCA and LCCA, as far as there are so many.
+
+    Out of a common trunk the way turns back into the LCCA, which a policy hardly finds by itself.
+
+    Args:
+        name: "random_wide" or "random".
+        anatomies: seeds of random arches.
+        count: how many are wanted.
+
+    Returns:
+        Seeds, arches with a common origin and others in turns.
+    """
+    from cathsim.anatomy.random_arch import sample_parameters
+
+    kinds: tuple[list[int], list[int]] = [], []
+    for seed in anatomies:
+        if all(len(kind) >= count for kind in kinds):
+            break
+        common = sample_parameters(np.random.default_rng(seed), wide=name == "random_wide").bovine
+        kinds[0 if common else 1].append(seed)
+    turns = [seed for pair in itertools.zip_longest(*kinds) for seed in pair if seed is not None]
+    return turns[:count]
+
+
+def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, Any]:
+    """Plays the episodes whose file is not there yet.
+
+    Returns:
+        How many were played, and how many of them reached their target.
+    """
+    environment = job.task.training_environment(job.anatomies, ("roadmap",))
+    target = job.task.targets.index(job.target)
+    reached = 0
+    for done, seed in enumerate(job.shown):
+        report(done / len(job.shown), f"{job.target} of arch {seed}, {reached}/{done} reached")
+        path = job.folder / f"{job.target}_{seed}.npz"
+        if not path.is_file():
+            case = environment.case_of(job.anatomies.index(seed), target)
+            _write(path, demonstrate(environment, case, hold=job.hold, seed=job.seed))
+        with np.load(path) as arrays:
+            reached += bool(arrays["terminated"])
+    environment.close()
+    return {"shown": len(job.shown), "reached": reached}
+
+
+def demonstrate(environment: NavigateManyEnv, case: int, *, hold: int, seed: int) -> dict[str, np.ndarray]:
+    """One episode of the sampling expert.
+
+    Args:
+        environment: over the training anatomies, with the observation "roadmap".
+        case: that it plays in.
+        hold: steps for which an action is held.
+        seed: of the start and of the expert.
+
+    Returns:
+        The arrays of a trajectory: roadmap, actions, rewards, forces, tips, states, terminated.
+    """
+    from cathsim.planning.sampling import ExpertSettings, SamplingExpert
+
+    observation, _ = environment.reset(seed=seed, options={"case": case})
+    settings = ExpertSettings(horizon=5 * hold, hold=hold, execute=hold)
+    expert = SamplingExpert(environment.current, seed=seed, threads=1, settings=settings)
+    rows: dict[str, list[Any]] = {
+        "roadmap": [observation["roadmap"]],
+        "tips": [environment.simulation.tip.copy()],
+        "states": [environment.start_state()],
+        "actions": [],
+        "rewards": [],
+        "forces": [],
+    }
+    terminated = truncated = False
+    while not (terminated or truncated) and expert.rollouts < ROLLOUTS:
+        action = expert.action()
+        observation, reward, terminated, truncated, info = environment.step(action)
+        rows["roadmap"].append(observation["roadmap"])
+        rows["tips"].append(environment.simulation.tip.copy())
+        rows["states"].append(environment.start_state())
+        rows["actions"].append(action)
+        rows["rewards"].append(reward)
+        rows["forces"].append(info["force"])
+    expert.close()
+    return {**{name: np.array(values) for name, values in rows.items()}, "terminated": np.array(terminated)}
+
+
+def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajectory]:
+    """The demonstrations that reached their target, in some anatomies.
+
+    Args:
+        folder: of all demonstrations.
+        anatomies: seeds of the random arches wanted.
+    """
+    from enn.trajectory import Trajectory
+
+    found = []
+    for path in sorted(folder.glob("*.npz")):
+        target, anatomy = path.stem.split("_")
+        if int(anatomy) not in anatomies:
+            continue
+        with np.load(path) as arrays:
+            if not arrays["terminated"]:
+                continue
+            found.append(
+                Trajectory(
+                    {"roadmap": arrays["roadmap"]},
+                    arrays["actions"],
+                    arrays["rewards"],
+                    True,
+                    arrays["forces"],
+                    arrays["tips"],
+                    arrays["states"],
+                    {"file": str(path), "target": target, "anatomy": int(anatomy)},
+                )
+            )
+    return found
+
+
+def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]

@@ -1,0 +1,67 @@
+"""Demonstrations in training anatomies: what is kept, what reaches the training."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import unseen_demonstrations
+from pipeline.job_worker import Report
+from pipeline.unseen_demonstrations import (
+    DemonstrationsJob,
+    choose,
+    demonstrate,
+    read_demonstrations,
+    record_demonstrations,
+)
+from pipeline.unseen_task import UnseenTask
+
+TASK = UnseenTask(targets=("bca", "lcca"), wire_length=0.312, max_steps=24)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+
+
+def test_common_origins_and_others_take_turns() -> None:
+    from cathsim.anatomy.random_arch import sample_parameters
+
+    chosen = choose("random_wide", range(40), 6)
+    common = [sample_parameters(np.random.default_rng(seed), wide=True).bovine for seed in chosen]
+    assert common == [True, False] * 3
+    assert sorted(choose("random_wide", range(4), 9)) == [0, 1, 2, 3]
+
+
+def test_what_is_demonstrated_is_what_the_training_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    environment = TASK.training_environment((0,), ("roadmap",))
+    made = demonstrate(environment, 1, hold=4, seed=3)
+    assert made["roadmap"].shape == (25, 64)
+    assert made["states"].shape[0] == 25
+    assert (made["states"][:, -1] == 1).all()  # the case comes along
+    held = made["actions"].reshape(6, 4, 2)
+    assert (held == held[:, :1]).all()
+    np.testing.assert_array_equal(made["actions"], demonstrate(environment, 1, hold=4, seed=3)["actions"])
+
+    tries = []
+    monkeypatch.setattr(
+        unseen_demonstrations, "demonstrate", lambda *_, **__: tries.append(1) or {**made, "terminated": np.array(True)}
+    )
+    job = DemonstrationsJob(tmp_path, TASK, (0,), (0,), "lcca", hold=4, seed=3)
+    assert record_demonstrations(job, Report()) == {"shown": 1, "reached": 1}
+    assert record_demonstrations(job, Report()) == {"shown": 1, "reached": 1}
+    assert len(tries) == 1  # what is there is not made again
+    (read,) = read_demonstrations(tmp_path, (0, 7))
+    np.testing.assert_array_equal(read.observations["roadmap"], made["roadmap"])
+    np.testing.assert_array_equal(read.simulation_states, made["states"])
+    assert read_demonstrations(tmp_path, (7,)) == []
+
+
+def test_failures_are_kept_but_not_learnt_from(tmp_path: Path) -> None:
+    job = DemonstrationsJob(tmp_path, replace(TASK, max_steps=8), (0,), (0,), "bca", hold=4, seed=0)
+    assert record_demonstrations(job, Report()) == {"shown": 1, "reached": 0}
+    assert [path.name for path in tmp_path.iterdir()] == ["bca_0.npz"]
+    assert read_demonstrations(tmp_path, (0,)) == []
