@@ -6,9 +6,9 @@ One file a demonstration, ``demonstrations/<target>_<anatomy>.npz`` in the stage
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from enn.trajectory import Trajectory
     from pipeline.unseen_task import UnseenTask
 
-ROLLOUTS = 2000  # of the expert, after which a demonstration counts as failed
+ROLLOUTS = 1200  # of the expert, after which a demonstration counts as failed
 
 
 @dataclass(frozen=True)
@@ -48,31 +48,6 @@ class DemonstrationsJob:
     seed: int
 
 
-def choose(name: str, anatomies: Sequence[int], count: int) -> list[int]:
-    """Arches to demonstrate: half of them with a common origin of BCA and LCCA, as far as there are so many.
-
-    Out of a common trunk the way turns back into the LCCA, which a policy hardly finds by itself.
-
-    Args:
-        name: "random_wide" or "random".
-        anatomies: seeds of random arches.
-        count: how many are wanted.
-
-    Returns:
-        Seeds, arches with a common origin and others in turns.
-    """
-    from cathsim.anatomy.random_arch import sample_parameters
-
-    kinds: tuple[list[int], list[int]] = [], []
-    for seed in anatomies:
-        if all(len(kind) >= count for kind in kinds):
-            break
-        common = sample_parameters(np.random.default_rng(seed), wide=name == "random_wide").bovine
-        kinds[0 if common else 1].append(seed)
-    turns = [seed for pair in itertools.zip_longest(*kinds) for seed in pair if seed is not None]
-    return turns[:count]
-
-
 def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, Any]:
     """Plays the episodes whose file is not there yet.
 
@@ -83,18 +58,21 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
     target = job.task.targets.index(job.target)
     reached = 0
     for done, seed in enumerate(job.shown):
-        report(done / len(job.shown), f"{job.target} of arch {seed}, {reached}/{done} reached")
+        told = f"{job.target} of arch {seed}, {reached}/{done} reached"
         path = job.folder / f"{job.target}_{seed}.npz"
         if not path.is_file():
             case = environment.case_of(job.anatomies.index(seed), target)
-            _write(path, demonstrate(environment, case, hold=job.hold, seed=job.seed))
+            tick = partial(report, done / len(job.shown), told)
+            _write(path, demonstrate(environment, case, hold=job.hold, seed=job.seed, tick=tick))
         with np.load(path) as arrays:
             reached += bool(arrays["terminated"])
     environment.close()
     return {"shown": len(job.shown), "reached": reached}
 
 
-def demonstrate(environment: NavigateManyEnv, case: int, *, hold: int, seed: int) -> dict[str, np.ndarray]:
+def demonstrate(
+    environment: NavigateManyEnv, case: int, *, hold: int, seed: int, tick: Callable[[], None] = lambda: None
+) -> dict[str, np.ndarray]:
     """One episode of the sampling expert.
 
     Args:
@@ -102,6 +80,7 @@ def demonstrate(environment: NavigateManyEnv, case: int, *, hold: int, seed: int
         case: that it plays in.
         hold: steps for which an action is held.
         seed: of the start and of the expert.
+        tick: called after every step.
 
     Returns:
         The arrays of a trajectory: roadmap, actions, rewards, forces, tips, states, terminated.
@@ -129,6 +108,7 @@ def demonstrate(environment: NavigateManyEnv, case: int, *, hold: int, seed: int
         rows["actions"].append(action)
         rows["rewards"].append(reward)
         rows["forces"].append(info["force"])
+        tick()
     expert.close()
     return {**{name: np.array(values) for name, values in rows.items()}, "terminated": np.array(terminated)}
 

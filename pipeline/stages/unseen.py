@@ -19,7 +19,7 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.training_plan import LEARNING_CODE
 from pipeline.trials import Origin
-from pipeline.unseen_demonstrations import DemonstrationsJob, choose, record_demonstrations
+from pipeline.unseen_demonstrations import DemonstrationsJob, record_demonstrations
 from pipeline.unseen_jobs import (
     POLICY,
     PRELOAD,
@@ -145,7 +145,8 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
         )
         weight = settings.decisions * _SECONDS["decision"] + _tests(given.tests, settings)
         jobs.append(Job(row, train_roadmap, given, after=taught, weight=weight))
-    if settings.image:
+    if settings.image:  # the longest chain of jobs: next after its teacher
+        teacher = next(place for place, job in enumerate(jobs) if job.key == ROADMAP)
         student = StudentJob(
             folder=folder / IMAGE / f"seed{run_seed}",
             expert=folder / ROADMAP / f"seed{run_seed}" / POLICY,
@@ -160,22 +161,21 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
             tests=tuple(replace(test, modes=("deterministic",)) for test in main),
         )
         weight = settings.rounds * settings.lessons * _SECONDS["lesson"] + _tests(student.tests, settings)
-        jobs.append(Job(IMAGE, train_student, student, after=(ROADMAP,), weight=weight))
+        jobs.insert(teacher + 1, Job(IMAGE, train_student, student, after=(ROADMAP,), weight=weight))
     return jobs
 
 
 def demonstrations(settings: UnseenSettings, folder: Path, task: UnseenTask, first: int, run_seed: int) -> list[Job]:
-    """The jobs that demonstrate the way in some of the training anatomies."""
+    """The jobs that demonstrate the way in the first training anatomies, so that small policies have some too."""
     anatomies = range(first, first + settings.anatomies)
-    shown = choose(TRAINING_PHANTOM, anatomies, settings.demonstrations)
-    size = -(-len(shown) // _PARTS)  # in one piece, so that arches of either kind are in each
+    shown = anatomies[: settings.demonstrations]
     jobs = []
-    for part in range(-(-len(shown) // max(size, 1))):
+    for part in range(min(_PARTS, len(shown))):
         given = DemonstrationsJob(
             folder=folder / DEMONSTRATIONS,
             task=task,
             anatomies=tuple(anatomies),
-            shown=tuple(shown[part * size : (part + 1) * size]),
+            shown=tuple(shown[part::_PARTS]),
             target=DEMONSTRATED,
             hold=ACTION_REPEAT,
             seed=run_seed,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from enn.bank import ResetBank
+from enn.case_bank import CaseBank
 from enn.sampling import RECORD_EVERY, NotFiniteError, SampledEnvs
 
 
@@ -102,6 +103,34 @@ def test_successes_enter_the_bank_and_episodes_start_there(point_env: Any) -> No
             break
     assert infos[0]["episode"]["fresh"] is False
     assert len(bank) == len(kept)  # a failure leaves nothing
+
+
+def test_episodes_go_where_they_fail(point_env: Any) -> None:
+    asked = []
+
+    class Cases(point_env):  # type: ignore[misc]
+        def reset(
+            self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        ) -> tuple[Any, dict[str, Any]]:
+            self.case = options["case"]  # type: ignore[index]
+            asked.append(self.case)
+            return super().reset(seed=seed)
+
+        def start_state(self) -> np.ndarray:
+            return np.append(self.place, float(self.case))
+
+        def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+            observation, reward, _, truncated, info = super().step(action)
+            won = self.case == 0 and self.steps == 2
+            return observation, reward, won, truncated and not won, info | {"case": self.case, "success": won}
+
+    bank = CaseBank(2, share=0.0, seed=0)
+    envs = SampledEnvs([lambda: Cases(max_steps=4)] * 2, seed=0, bank=bank)
+    envs.reset()
+    _play(envs, 400)
+    assert 0.1 < asked.count(0) / len(asked) < 0.25  # 0.15 of 1.3
+    assert len(bank) > 0  # the successes of case 0 alone
+    assert {float(state[-1]) for state in bank.state()["cases"][0]["states"]} == {0.0}
 
 
 def test_goes_on_exactly_after_a_restore(point_env: Any) -> None:

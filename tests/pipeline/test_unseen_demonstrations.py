@@ -12,7 +12,6 @@ from pipeline import unseen_demonstrations
 from pipeline.job_worker import Report
 from pipeline.unseen_demonstrations import (
     DemonstrationsJob,
-    choose,
     demonstrate,
     read_demonstrations,
     record_demonstrations,
@@ -25,15 +24,6 @@ TASK = UnseenTask(targets=("bca", "lcca"), wire_length=0.312, max_steps=24)
 @pytest.fixture(autouse=True)
 def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
-def test_common_origins_and_others_take_turns() -> None:
-    from cathsim.anatomy.random_arch import sample_parameters
-
-    chosen = choose("random_wide", range(40), 6)
-    common = [sample_parameters(np.random.default_rng(seed), wide=True).bovine for seed in chosen]
-    assert common == [True, False] * 3
-    assert sorted(choose("random_wide", range(4), 9)) == [0, 1, 2, 3]
 
 
 def test_what_is_demonstrated_is_what_the_training_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
