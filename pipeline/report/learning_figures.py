@@ -212,13 +212,14 @@ def _front(material: Material, folder: Path) -> list[Figure]:
     points = []
     for (phantom, target, row), weight in weights.items():
         cells = material.tables.get("enn", {}).get(f"{phantom}/{target}/{row}", {})
-        force, success = _pair(cells.get("force_n")), _pair(cells.get("success_pct"))
-        if force is None or success is None:
+        shown = [_pair(cells.get(name)) for name in ("force_n", "success_pct", "force_max_n", "episode_length_steps")]
+        pairs = [pair for pair in shown if pair is not None]
+        if len(pairs) < len(shown):
             continue
         words = row.removeprefix(EXPERT_ROW).strip()
         named = re.search(r"[0-9.]+$", words)  # a weight in the row's name
         order = float(named.group()) if named else weight
-        points.append(Point(task_words(phantom, target), words or EXPERT_ROW, order, force, success))
+        points.append(Point(task_words(phantom, target), words or EXPERT_ROW, order, *pairs))
     fronts = {point.task for point in points if point.label != EXPERT_ROW}
     points = [point for point in points if point.task in fronts]
     if not points:

@@ -56,6 +56,8 @@ class Point:
         weight: that weight, to order the points of a task; None comes first.
         force_n: mean force, N; mean and standard deviation over seeds.
         success_pct: likewise, %.
+        force_max_n: largest force of an episode, N; likewise.
+        steps: of an episode; likewise.
     """
 
     task: str
@@ -63,6 +65,8 @@ class Point:
     weight: float | None
     force_n: tuple[float, float]
     success_pct: tuple[float, float]
+    force_max_n: tuple[float, float]
+    steps: tuple[float, float]
 
 
 def draw_training(tasks: Grouped, labels: Mapping[str, str], file: Path) -> None:
@@ -210,32 +214,37 @@ def draw_ways(
 
 
 def draw_front(points: Sequence[Point], file: Path) -> None:
-    """Draws success against mean force, a line a task through the weights of the force.
+    """Draws success, and the steps that it takes, against force, a line a task through the weights of the force.
 
     Args:
         points: at least one.
         file: the PNG.
     """
-    figure = new_figure(6.6, 4.4)
-    axes = figure.subplots()
+    figure = new_figure(9.6, 4.2)
+    success, steps = figure.subplots(1, 2)
     for index, task in enumerate(dict.fromkeys(point.task for point in points)):
         of_task = sorted((point for point in points if point.task == task), key=lambda p: p.weight or 0.0)
-        (force, force_spread), (success, success_spread) = (
-            np.array([getattr(point, name) for point in of_task]).T for name in ("force_n", "success_pct")
-        )
-        axes.errorbar(
-            force, success, xerr=force_spread, yerr=success_spread, fmt="o-", color=f"C{index}", linewidth=1.2,
-            elinewidth=0.7, capsize=2, markersize=5, label=task,
-        )  # fmt: skip
-        for point, x, y in zip(of_task, force, success, strict=True):
-            below = -11 if index % 2 == 0 else 5  # so that the names of two tasks' points stay apart
-            axes.annotate(
-                point.label, (x, y), xytext=(5, below), textcoords="offset points", fontsize=8, color=f"C{index}"
+        for axes, across, up in ((success, "force_n", "success_pct"), (steps, "force_max_n", "steps")):
+            (x, x_spread), (y, y_spread) = (
+                np.array([getattr(point, name) for point in of_task]).T for name in (across, up)
             )
-    axes.set(xlabel="mean contact force (N)", ylabel="success (%)", ylim=(-4, 104))
-    axes.set_xlim(left=0.0)
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False, fontsize=8)
+            axes.errorbar(
+                x, y, xerr=x_spread, yerr=y_spread, fmt="o-", color=f"C{index}", linewidth=1.2,
+                elinewidth=0.7, capsize=2, markersize=5, label=task,
+            )  # fmt: skip
+            for number, point in enumerate(of_task):
+                # names of two tasks stay apart, and so do those of neighbours on one line
+                offset = (5, (-12 if index % 2 == 0 else 5) + (-10 if index % 2 == 0 else 10) * (number % 2))
+                axes.annotate(
+                    point.label, (x[number], y[number]), xytext=offset, textcoords="offset points", fontsize=8,
+                    color=f"C{index}",
+                )  # fmt: skip
+            axes.grid(alpha=0.3)
+            axes.margins(x=0.15, y=0.15)
+    success.set(xlabel="mean contact force (N)", ylabel="success (%)", ylim=(-4, 115))
+    success.set_yticks(range(0, 101, 20))
+    steps.set(xlabel="largest contact force of an episode, mean (N)", ylabel="steps to the target")
+    success.legend(frameon=False, fontsize=8, loc="lower left")
     save_figure(figure, file)
 
 

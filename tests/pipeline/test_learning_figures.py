@@ -154,7 +154,10 @@ def test_plots_show_what_they_are_given(tmp_path: Path) -> None:
                      for row, cs in rows.items()}  # fmt: skip
         draw_training({"task": env_steps}, {"I": "Internal"}, tmp_path / f"{name}.png")
     assert (image(tmp_path / "one.png") < 250).sum() < (image(tmp_path / "two.png") < 250).sum()
-    points = [Point("a", "I+V+M", None, (0.2, 0.01), (100.0, 0.0)), Point("a", "safe 1", 1.0, (0.1, 0.01), (95.0, 2.0))]
+    points = [
+        Point("a", "I+V+M", None, (0.2, 0.01), (100.0, 0.0), (0.9, 0.1), (90.0, 3.0)),
+        Point("a", "safe 1", 1.0, (0.1, 0.01), (95.0, 2.0), (0.4, 0.1), (100.0, 2.0)),
+    ]
     draw_front(points[:1], tmp_path / "front_1.png")
     draw_front(points, tmp_path / "front_2.png")
     assert (image(tmp_path / "front_1.png") != 255).sum() < (image(tmp_path / "front_2.png") != 255).sum()
