@@ -131,6 +131,7 @@ import os, signal
 from pathlib import Path
 from pipeline.artifacts import Identity, RunFolder
 from pipeline.interruption import let_ctrl_c_interrupt
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job comes without it
 let_ctrl_c_interrupt()
 folder = RunFolder(Path({str(tmp_path / "stage")!r}), Identity("c", {{}}, "s"))
 with folder.locked():
