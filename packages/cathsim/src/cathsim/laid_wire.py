@@ -1,0 +1,68 @@
+"""A wire laid along a way through the lumen: states beyond a branch's ostium that no steering had to reach."""
+
+from __future__ import annotations
+
+import itertools
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cathsim.arena import FEEDER, PROTRUSION
+from cathsim.simulation import Simulation
+
+REST_STEPS = 10  # control steps in which the wire finds its place between the walls
+
+
+def lay_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, rest_steps: int = REST_STEPS) -> None:
+    """Lays the wire along a way, its tip some distance short of the way's end, and lets it come to rest.
+
+    Each joint turns so that its link points along the way; twist and the pre-shaped tip are what the rest makes of
+    them. The tip may slip back out of a branch while the wire rests: look at where it is.
+
+    Args:
+        simulation: whose wire it is; it ends in the new state.
+        way: points from the entry on, m, world frame, such as `planning.path.plan_path` gives. Shape (n, 3).
+        short_of_end: distance along the way from the tip to its end, m.
+        rest_steps: control steps of 0.1 s without a movement of the feeder.
+
+    Raises:
+        ValueError: the way is too short or too long for the wire.
+    """
+    points = np.asarray(way, float)
+    arcs = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    tip_arc = float(arcs[-1]) - short_of_end
+    insertion = tip_arc - PROTRUSION
+    if not 0 <= insertion <= simulation.max_insertion:
+        raise ValueError(
+            f"the wire can lie 0 to {simulation.max_insertion:.3f} m along a way beyond its start, this one asks for "
+            f"{insertion:.3f} m"
+        )
+    simulation.reset(insertion)
+    links = np.asarray(simulation.wire.links[-simulation.active_links :])
+    behind_tip = np.concatenate((np.cumsum(links[::-1])[::-1], [0.0]))
+    nodes = _points_at(tip_arc - behind_tip, arcs, points, simulation.vessel.direction)
+    model, data = simulation.model, simulation.data
+    axes = data.xmat[model.body(FEEDER).id].reshape(3, 3).copy()
+    bends = np.empty((simulation.active_links - 1, 2))
+    for joint, (start, end) in enumerate(itertools.pairwise(nodes[1:])):
+        along = axes.T @ ((end - start) / np.linalg.norm(end - start))
+        bends[joint] = np.arctan2(-along[1], along[2]), np.arcsin(np.clip(along[0], -1.0, 1.0))
+        axes = axes @ _turned(*bends[joint])
+    data.qpos[2:] = bends.ravel()
+    data.qvel[:] = 0.0
+    mujoco.mj_forward(model, data)
+    for _ in range(rest_steps):
+        simulation.advance(0.0, 0.0)
+
+
+def _points_at(at: np.ndarray, arcs: np.ndarray, points: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Points of the way at distances from its start; before it, on the sheath's axis. Shape (k, 3)."""
+    on_way = np.stack([np.interp(at, arcs, points[:, axis]) for axis in range(3)], axis=1)
+    return on_way + np.minimum(at, 0.0)[:, None] * direction
+
+
+def _turned(about_x: float, about_y: float) -> np.ndarray:
+    """Rotation about x, then about the new y. Shape (3, 3)."""
+    cx, sx, cy, sy = np.cos(about_x), np.sin(about_x), np.cos(about_y), np.sin(about_y)
+    return np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
