@@ -21,7 +21,7 @@ from typing import Any
 
 STAGES = ("phantoms", "expert", "enn")
 EXPERT = "I+V+M"
-COLUMNS = ("success_pct", "success_stochastic_pct", "spl_pct", "safety_pct", "force_p95_n", "force_max_n",
+COLUMNS = ("success_pct", "stochastic_success_pct", "spl_pct", "safety_pct", "force_p95_n", "force_max_n",
            "episode_length_steps", "path_length_cm", "n")  # fmt: skip
 
 
