@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.image_network import ImageNetwork, ImageSettings
-from enn.model_file import another_architecture, read_model, write_model
+from enn.model_file import read_network, write_network
 
 FORMAT = "enn-cloned-policy-1"
 KEYS = ("image", "mask", "sequential")
@@ -181,13 +181,7 @@ class ClonedPolicy:
 
     def save(self, path: Path | str) -> None:
         """Writes settings and weights into one file, atomically."""
-        content = {
-            "format": FORMAT,
-            "settings": asdict(self.network.settings),
-            "weights": self.network.state_dict(),
-            "metadata": self.metadata,
-        }
-        write_model(Path(path), content)
+        write_network(path, FORMAT, self.network, self.metadata)
 
     @classmethod
     def load(cls, path: Path | str) -> ClonedPolicy:
@@ -197,11 +191,12 @@ class ClonedPolicy:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, no student, or its weights do not fit its settings.
         """
-        path = Path(path)
-        content = read_model(path, FORMAT, kind="cloned policy", verb="clone")
-        try:
-            network = CloningNetwork(CloningSettings(**content["settings"]))
-            network.load_state_dict(content["weights"])
-        except (TypeError, RuntimeError, ValueError) as error:
-            raise another_architecture(path, error, verb="clone") from error
-        return cls(network, content["metadata"])
+        return cls(
+            *read_network(
+                path,
+                FORMAT,
+                lambda settings: CloningNetwork(CloningSettings(**settings)),
+                kind="cloned policy",
+                verb="clone",
+            )
+        )

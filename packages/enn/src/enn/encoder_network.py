@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.exploration import ARC_LENGTHS_MM, Samples
-from enn.model_file import another_architecture, read_model, write_model
+from enn.model_file import read_network, write_network
 
 FORMAT = "enn-encoder-1"
 POINTS = len(ARC_LENGTHS_MM)
@@ -232,7 +232,7 @@ class Encoder(nn.Module):
 
     def save(self, path: Path | str) -> None:
         """Writes settings and weights into one file, atomically."""
-        write_model(Path(path), {"format": FORMAT, "settings": asdict(self.settings), "weights": self.state_dict()})
+        write_network(path, FORMAT, self)
 
     @classmethod
     def load(cls, path: Path | str) -> Encoder:
@@ -242,12 +242,8 @@ class Encoder(nn.Module):
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, no encoder, or its weights do not fit its settings.
         """
-        path = Path(path)
-        content = read_model(path, FORMAT, kind="encoder", verb="fit")
-        try:
-            encoder = cls(EncoderSettings(**content["settings"]))
-            encoder.load_state_dict(content["weights"])
-        except (TypeError, RuntimeError, ValueError) as error:
-            raise another_architecture(path, error, verb="fit") from error
+        encoder, _ = read_network(
+            path, FORMAT, lambda settings: cls(EncoderSettings(**settings)), kind="encoder", verb="fit"
+        )
         encoder.eval().requires_grad_(False)
         return encoder

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.force_samples import ForceSamples
 from enn.image_network import ImageNetwork, ImageSettings
-from enn.model_file import another_architecture, read_model, write_model
+from enn.model_file import read_network, write_network
 from enn.normalisation import standardised
 
 FORMAT = "enn-force-predictor-1"
@@ -239,13 +239,7 @@ class ForcePredictor:
 
     def save(self, path: Path | str) -> None:
         """Writes settings and weights into one file, atomically."""
-        content = {
-            "format": FORMAT,
-            "settings": asdict(self.network.settings),
-            "weights": self.network.state_dict(),
-            "metadata": self.metadata,
-        }
-        write_model(Path(path), content)
+        write_network(path, FORMAT, self.network, self.metadata)
 
     @classmethod
     def load(cls, path: Path | str) -> ForcePredictor:
@@ -255,14 +249,15 @@ class ForcePredictor:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, no predictor, or its weights do not fit its settings.
         """
-        path = Path(path)
-        content = read_model(path, FORMAT, kind="force predictor", verb="fit")
-        try:
-            network = ForceNetwork(ForceNetworkSettings(**content["settings"]))
-            network.load_state_dict(content["weights"])
-        except (TypeError, RuntimeError, ValueError) as error:
-            raise another_architecture(path, error, verb="fit") from error
-        return cls(network, content["metadata"])
+        return cls(
+            *read_network(
+                path,
+                FORMAT,
+                lambda settings: ForceNetwork(ForceNetworkSettings(**settings)),
+                kind="force predictor",
+                verb="fit",
+            )
+        )
 
 
 @dataclass(frozen=True)

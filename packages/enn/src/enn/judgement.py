@@ -21,7 +21,7 @@ class Judge:
     """Evaluates a policy now and then and keeps the best weights.
 
     The best has the highest deterministic success, then the highest stochastic success, then the shortest way of
-    the tip.
+    the tip; among those that never arrive, it has the highest reward.
 
     Args:
         episodes: deterministic episodes, and as many stochastic ones where those were no worse than the best so far.
@@ -70,7 +70,7 @@ class Judge:
         shorter = self.best is None or mean.steps < SHORTER * self.best["evaluation"]["steps"]
         perfect = mean.success >= PERFECT and stochastic >= NEARLY
         self.perfect = (1 if shorter else self.perfect + 1) if perfect else 0
-        rank = (mean.success, stochastic, -mean.path_mm)
+        rank = (mean.success, stochastic, -mean.path_mm if mean.success > 0 else mean.reward)
         if self.best is None or rank > self.best["rank"]:
             self.best = {
                 "rank": rank,

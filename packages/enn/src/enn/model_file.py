@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
+from torch import nn
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 def write_model(path: Path, content: dict[str, Any]) -> None:
@@ -58,3 +63,45 @@ def another_architecture(path: Path, error: Exception, *, verb: str) -> ValueErr
     """
     reason = " ".join(str(error).split())[:200]
     return ValueError(f"{path} is of another architecture than this version builds ({reason}): {verb} it again")
+
+
+def write_network(path: Path | str, form: str, network: nn.Module, metadata: dict[str, Any] | None = None) -> None:
+    """Writes a network's settings and weights, and what else is worth keeping.
+
+    Args:
+        path: of the file.
+        form: its `format`.
+        network: with a dataclass `settings` that says how to build it.
+        metadata: numbers, strings, lists and dictionaries.
+    """
+    content = {"format": form, "settings": asdict(network.settings), "weights": network.state_dict()}  # type: ignore[call-overload]
+    write_model(Path(path), {**content, "metadata": dict(metadata or {})})
+
+
+def read_network(
+    path: Path | str, form: str, build: Callable[[dict[str, Any]], Network], *, kind: str, verb: str
+) -> tuple[Network, dict[str, Any]]:
+    """Reads what `write_network` wrote.
+
+    Args:
+        path: of the file.
+        form: that `format` must be.
+        build: makes the network, its weights still to be filled in, from the settings' fields.
+        kind: of model, as messages call it.
+        verb: what makes one.
+
+    Returns:
+        The network, and the metadata.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is damaged, holds something else, or its weights do not fit its settings.
+    """
+    path = Path(path)
+    content = read_model(path, form, kind=kind, verb=verb)
+    try:
+        network = build(content["settings"])
+        network.load_state_dict(content["weights"])
+    except (TypeError, RuntimeError, ValueError) as error:
+        raise another_architecture(path, error, verb=verb) from error
+    return network, content["metadata"]

@@ -50,6 +50,11 @@ class Evaluation:
         return float(np.mean([outcome.steps for outcome in self.outcomes]))
 
     @property
+    def reward(self) -> float:
+        """Mean sum of an episode's rewards."""
+        return float(np.mean([outcome.reward for outcome in self.outcomes]))
+
+    @property
     def path_mm(self) -> float:
         """Mean length of the tip's way, mm."""
         return float(np.mean([outcome.path_mm for outcome in self.outcomes]))
