@@ -17,7 +17,7 @@ GPU ?=
 export OMP_NUM_THREADS ?= 1
 
 # Stages in the order they depend on each other; one whose module is not there yet is left out.
-ALL_STAGES := phantoms expert user_study validate baselines enn imitation force unseen
+ALL_STAGES := phantoms expert user_study validate baselines enn imitation force unseen guide3d shape segmentation splineformer
 STAGES := $(patsubst pipeline/stages/%.py,%,$(wildcard $(ALL_STAGES:%=pipeline/stages/%.py)))
 STAGES := $(filter $(STAGES),$(ALL_STAGES))
 
@@ -92,6 +92,18 @@ force: enn  ## stage: contact forces predicted from what is seen
 
 unseen: setup  ## stage: policies for anatomies never seen, by a roadmap and by images alone
 	@$(RUN) stage=unseen budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+guide3d: setup  ## stage: bi-planar data set (or ARGS='guide3d.root=PATH'), wires reconstructed in space
+	@$(RUN) stage=guide3d budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+shape: guide3d  ## stage: networks that tell the wire in space from one camera
+	@$(RUN) stage=shape budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+segmentation: guide3d  ## stage: UNet, TransUnet and SwinUnet find the wire's pixels
+	@$(RUN) stage=segmentation budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+splineformer: segmentation  ## stage: wires as B-splines, beside the traced segmentation
+	@$(RUN) stage=splineformer budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 report: setup  ## stage: the page, from whatever has run
 	@$(RUN) stage=report budget=$(BUDGET) name=$(NAME)

@@ -27,9 +27,10 @@ from cathsim.anatomy.random_arch import sample_parameters
 from cathsim.variety import NavigateManyEnv
 from enn.lumen_segmentation import LumenSegmenter
 from enn.student import ImageStudent, StudentSettings
+from pipeline.unseen_starts import laid_states
 
 FORWARD = np.array([1.0, 0.3])
-RESOLUTION = 1.5e-3  # m, that of the training anatomies
+RESOLUTION = 1e-3  # m, that of the training anatomies
 
 
 def cpu_ms(work: Callable[[], Any], repeats: int) -> float:
@@ -44,7 +45,7 @@ def cpu_ms(work: Callable[[], Any], repeats: int) -> float:
 def costs(repeats: int) -> dict[str, float]:
     """What each part costs, ms."""
     wire = load_guidewire("default").scaled(0.312)
-    keys = ("image", "mask", "goal_image", "roadmap")
+    keys = ("image", "mask", "goal_image", "roadmap", "history")
     env = NavigateManyEnv((0, 1), wires=(wire,), resolution=RESOLUTION, observation=keys, image_size=192)
     student = ImageStudent(StudentSettings(), LumenSegmenter())
     observation, _ = env.reset(seed=0, options={"case": 0})
@@ -60,10 +61,21 @@ def costs(repeats: int) -> dict[str, float]:
         for target in ("bca", "lcca"):
             phantom.geodesic_field(target)
 
+    history = env.current.history
+    assert history is not None
+
+    def remember() -> None:
+        history.advance(*FORWARD)
+        history.read()
+
+    laid = NavigateManyEnv((0,), ("lcca",), (wire,), resolution=RESOLUTION, observation="tip").current
+    generator = np.random.default_rng(0)
     return {
         "build an anatomy with two geodesic fields": cpu_ms(build, max(repeats // 100, 2)),
+        "plan a way and lay the wire, 24 starts": cpu_ms(lambda: laid_states(laid, generator), max(repeats // 200, 1)),
         "reset into another anatomy": cpu_ms(lambda: env.reset(options={"case": 2 * (next(cases) % 2)}), repeats),
         "roadmap": cpu_ms(env.current.roadmap.read, 5 * repeats),
+        "history, a step": cpu_ms(remember, 5 * repeats),
         "first image: segmentation and map": cpu_ms(lambda: student.begin(first), max(repeats // 10, 3)),
         "egocentric view": cpu_ms(lambda: view.look(observation["image"], observation["mask"], FORWARD), repeats),
         "student's network": cpu_ms(lambda: student.act(seen[None], None), repeats),

@@ -17,6 +17,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from pipeline.errors import ConfigurationError
+from pipeline.guide3d_settings import Guide3dSettings, Guide3dSource
 from pipeline.learning_settings import (
     BaselinesSettings,
     EnnSettings,
@@ -24,6 +25,8 @@ from pipeline.learning_settings import (
     ImitationSettings,
     UnseenSettings,
 )
+from pipeline.network_settings import SegmentationSettings, ShapeSettings
+from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stage_settings import (
     ExpertSettings,
     PhantomsSettings,
@@ -48,6 +51,10 @@ STAGE_SETTINGS: dict[str, type] = {
     "imitation": ImitationSettings,
     "force": ForceSettings,
     "unseen": UnseenSettings,
+    "guide3d": Guide3dSettings,
+    "shape": ShapeSettings,
+    "segmentation": SegmentationSettings,
+    "splineformer": SplineformerSettings,
     "report": ReportSettings,
 }
 
@@ -68,6 +75,7 @@ class RunConfig:
 
     stage: Any = MISSING  # one of the settings above
     phantom: OwnPhantom = field(default_factory=OwnPhantom)
+    guide3d: Guide3dSource = field(default_factory=Guide3dSource)  # a bi-planar data set of one's own
     target: str | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
     modality: str | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
     budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml: sizes that the stages refer to

@@ -194,8 +194,11 @@ class UnseenSettings:
     anatomies: int = 32  # random arches that the roadmap policy is trained on
     curve: list[int] = field(default_factory=list)  # further numbers of arches, a policy each
     demonstrations: int = 12  # that the sampling expert tries, in as many arches
-    decisions: int = 16_000  # of a roadmap policy's training
-    validation_episodes: int = 16  # in training anatomies, to keep the best policy
+    decisions: int = 16_000  # of the roadmap policy's training
+    curve_decisions: int = 8_000  # of those trained on fewer arches
+    hidden: int = 256  # units of each of their two layers
+    validation_anatomies: int = 16  # random arches, neither trained on nor tested, to keep the best policy by
+    validation_episodes: int = 48  # in them
     image: bool = True  # also the student that sees images alone
     image_anatomies: int = 64  # arches that it is trained on
     segmenter_epochs: int = 50
@@ -219,9 +222,10 @@ class UnseenSettings:
     def __post_init__(self) -> None:
         """Checks counts and sizes."""
         require_unique("stage.targets", self.targets)
-        for key in ("anatomies", "decisions", "validation_episodes", "image_anatomies", "segmenter_epochs", "rounds",
-                    "lessons", "epochs", "test_anatomies", "named_episodes", "mesh_episodes", "wire_anatomies",
-                    "wire_length_mm", "image_size_px", "max_steps", "success_radius_mm"):  # fmt: skip
+        for key in ("anatomies", "decisions", "curve_decisions", "hidden", "validation_anatomies",
+                    "validation_episodes", "image_anatomies", "segmenter_epochs", "rounds", "lessons", "epochs",
+                    "test_anatomies", "named_episodes", "mesh_episodes", "wire_anatomies", "wire_length_mm",
+                    "image_size_px", "max_steps", "success_radius_mm"):  # fmt: skip
             require_positive(f"stage.{key}", getattr(self, key))
         for key in ("curve", "phantoms", "wires"):
             if getattr(self, key):

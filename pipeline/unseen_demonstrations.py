@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.atomic import atomic_path
 from pipeline.job_worker import Report
+from pipeline.unseen_task import ROADMAP_KEYS
 
 if TYPE_CHECKING:
     from cathsim.variety import NavigateManyEnv
@@ -54,7 +55,7 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
     Returns:
         How many were played, and how many of them reached their target.
     """
-    environment = job.task.training_environment(job.anatomies, ("roadmap",))
+    environment = job.task.training_environment(job.anatomies, ROADMAP_KEYS)
     target = job.task.targets.index(job.target)
     reached = 0
     for done, seed in enumerate(job.shown):
@@ -76,14 +77,14 @@ def demonstrate(
     """One episode of the sampling expert.
 
     Args:
-        environment: over the training anatomies, with the observation "roadmap".
+        environment: over the training anatomies, with the observations of a roadmap policy.
         case: that it plays in.
         hold: steps for which an action is held.
         seed: of the start and of the expert.
         tick: called after every step.
 
     Returns:
-        The arrays of a trajectory: roadmap, actions, rewards, forces, tips, states, terminated.
+        The arrays of a trajectory: observations by their names, actions, rewards, forces, tips, states, terminated.
     """
     from cathsim.planning.sampling import ExpertSettings, SamplingExpert
 
@@ -91,7 +92,7 @@ def demonstrate(
     settings = ExpertSettings(horizon=5 * hold, hold=hold, execute=hold)
     expert = SamplingExpert(environment.current, seed=seed, threads=1, settings=settings)
     rows: dict[str, list[Any]] = {
-        "roadmap": [observation["roadmap"]],
+        **{key: [observation[key]] for key in ROADMAP_KEYS},
         "tips": [environment.simulation.tip.copy()],
         "states": [environment.start_state()],
         "actions": [],
@@ -102,7 +103,8 @@ def demonstrate(
     while not (terminated or truncated) and expert.rollouts < ROLLOUTS:
         action = expert.action()
         observation, reward, terminated, truncated, info = environment.step(action)
-        rows["roadmap"].append(observation["roadmap"])
+        for key in ROADMAP_KEYS:
+            rows[key].append(observation[key])
         rows["tips"].append(environment.simulation.tip.copy())
         rows["states"].append(environment.start_state())
         rows["actions"].append(action)
@@ -132,7 +134,7 @@ def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajecto
                 continue
             found.append(
                 Trajectory(
-                    {"roadmap": arrays["roadmap"]},
+                    {key: arrays[key] for key in ROADMAP_KEYS},
                     arrays["actions"],
                     arrays["rewards"],
                     True,

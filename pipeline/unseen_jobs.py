@@ -27,7 +27,8 @@ from pipeline.job_worker import Report
 from pipeline.learning_task import held_out_seeds
 from pipeline.trials import Controller, Origin, run_trials, summary
 from pipeline.unseen_demonstrations import read_demonstrations
-from pipeline.unseen_task import TRAINING_PHANTOM, TRAINING_RESOLUTION, UnseenTask
+from pipeline.unseen_starts import read_starts
+from pipeline.unseen_task import RESOLUTION, ROADMAP_KEYS, UnseenTask, training_arch
 
 if TYPE_CHECKING:
     from cathsim.metrics import EpisodeMetrics
@@ -64,11 +65,15 @@ class HeldOutSet:
 
 @dataclass(frozen=True)
 class AnatomiesJob:
-    """Random arches to build into the cache."""
+    """Random arches to build into the cache.
 
-    name: str
-    seeds: tuple[int, ...]
-    resolution: float
+    Attributes:
+        arches: kind and seed of each.
+        targets: whose ways are laid out in them.
+    """
+
+    arches: tuple[tuple[str, int], ...]
+    targets: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,8 @@ class RoadmapJob:
         origin: kept in the logs.
         tests: that it is put to.
         demonstrations: folder of demonstrations; those in its anatomies are learnt from.
+        starts: folder of laid starts; those in its anatomies go into the bank.
+        validated: seeds of random arches that the best policy is chosen by; none: those trained on.
     """
 
     folder: Path
@@ -94,6 +101,8 @@ class RoadmapJob:
     origin: Origin
     tests: tuple[HeldOutSet, ...]
     demonstrations: Path | None = None
+    starts: Path | None = None
+    validated: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -131,10 +140,12 @@ def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
     """Builds random arches into the cache of phantoms."""
     from cathsim.anatomy import load_phantom
 
-    for done, seed in enumerate(job.seeds):
-        report(done / len(job.seeds), f"arch {seed}")
-        load_phantom(job.name, seed=seed, resolution=job.resolution)
-    return {"anatomies": len(job.seeds)}
+    for done, (kind, seed) in enumerate(job.arches):
+        report(done / len(job.arches), f"arch {seed}")
+        phantom = load_phantom(kind, seed=seed, resolution=RESOLUTION)
+        for target in job.targets:
+            phantom.geodesic_field(target)
+    return {"anatomies": len(job.arches)}
 
 
 def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
@@ -143,24 +154,29 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     Returns:
         ``training_s`` and a summary for each test set, target and mode.
     """
+    from cathsim.variety import SHELF
     from enn.reinforcement import Training
 
     for leftover in job.folder.glob(".*.tmp"):
         leftover.unlink()
+    validated = partial(job.task.training_environment, job.validated, ROADMAP_KEYS, "accurate")
+    SHELF.capacity = max(SHELF.capacity, len(job.anatomies) + len(job.validated))  # all take turns
     training = Training(
         job.settings,
-        partial(job.task.training_environment, job.anatomies, ("roadmap",)),
+        partial(job.task.training_environment, job.anatomies, ROADMAP_KEYS),
         job.folder,
         seed=job.seed,
         demonstrations=[] if job.demonstrations is None else read_demonstrations(job.demonstrations, job.anatomies),
         metadata=job.origin.configuration("training"),
+        starts=[] if job.starts is None else read_starts(job.starts, job.anatomies, job.task.targets),
+        make_validation_env=validated if job.validated else None,
     )
     result = training.run(lambda p: report(0.7 * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"))
 
     def controllers(mode: str) -> Callable[[int], Controller]:
         return lambda seed: result.policy.controller(deterministic=mode == "deterministic", seed=seed)
 
-    tested = run_tests(job, controllers, ("roadmap",), report.part(0.7, 1.0, "tests"))
+    tested = run_tests(job, controllers, ROADMAP_KEYS, report.part(0.7, 1.0, "tests"))
     return {"training_s": result.timings["wall_s"], "tests": tested}
 
 
@@ -264,7 +280,7 @@ def train_segmenter(job: StudentJob, report: Callable[[float, str], None]) -> tu
     images, lumens = [], []
     for number, seed in enumerate(job.anatomies):
         report(0.1 * number / len(job.anatomies) / job.rounds, "images")
-        phantom = SHELF.take((TRAINING_PHANTOM, seed), TRAINING_RESOLUTION)
+        phantom = SHELF.take(training_arch(seed), RESOLUTION)
         projector = Projector.frontal(phantom.bounds, job.task.image_size)
         images.append(background_image(phantom.grid, projector, key=phantom.hash))
         lumens.append(lumen_path_length(phantom.grid, projector) > LUMEN_DEPTH)

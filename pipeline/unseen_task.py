@@ -14,8 +14,14 @@ if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
     from cathsim.variety import NavigateManyEnv
 
-TRAINING_PHANTOM, TEST_PHANTOM = "random_wide", "random"  # rare shapes are trained on as often as common ones
-TRAINING_RESOLUTION = 1.5e-3  # m: coarser than the tests', for the sake of memory and time
+TEST_PHANTOM, WIDE_PHANTOM = "random", "random_wide"
+ROADMAP_KEYS = ("roadmap", "history")  # what a policy with a roadmap sees
+RESOLUTION = 1e-3  # m: at 1.5 mm thin walls open, and ways become short cuts
+
+
+def training_arch(seed: int) -> tuple[str, int]:
+    """The training anatomy of a seed: by turns one like those of the tests, and one of rare shapes as often as not."""
+    return (WIDE_PHANTOM if seed % 2 else TEST_PHANTOM), seed
 
 
 @dataclass(frozen=True)
@@ -66,16 +72,18 @@ class UnseenTask:
             "start_rotation": self.start_rotation,
         }
 
-    def training_environment(self, anatomies: Sequence[int], observation: tuple[str, ...]) -> NavigateManyEnv:
+    def training_environment(
+        self, anatomies: Sequence[int], observation: tuple[str, ...], accuracy: str | None = None
+    ) -> NavigateManyEnv:
         """An environment over random arches with the shaped reward."""
         from cathsim.variety import NavigateManyEnv
 
         return NavigateManyEnv(
-            [(TRAINING_PHANTOM, seed) for seed in anatomies],
+            [training_arch(seed) for seed in anatomies],
             self.targets,
             (self.wire("default"),),
-            resolution=TRAINING_RESOLUTION,
-            accuracy=self.accuracy,
+            resolution=RESOLUTION,
+            accuracy=accuracy or self.accuracy,
             observation=observation,
             contact_info=False,
             reward=REWARD_OF_TRAINING,

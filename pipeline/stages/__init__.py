@@ -17,7 +17,8 @@ from pipeline.artifacts import RunFolder
 from pipeline.errors import ConfigurationError, StageError
 
 STAGE_NAMES = (
-    "phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "unseen", "report",
+    "phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "unseen", "guide3d",
+    "shape", "segmentation", "splineformer", "report",
 )  # fmt: skip
 
 

@@ -31,23 +31,26 @@ from pipeline.unseen_jobs import (
     train_roadmap,
     train_student,
 )
-from pipeline.unseen_task import TEST_PHANTOM, TRAINING_PHANTOM, TRAINING_RESOLUTION, UnseenTask
+from pipeline.unseen_starts import StartsJob, lay_starts
+from pipeline.unseen_task import ROADMAP_KEYS, TEST_PHANTOM, UnseenTask, training_arch
 
 if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
 
-ROADMAP, IMAGE, DEMONSTRATIONS = "roadmap", "image", "demonstrations"
+ROADMAP, IMAGE, DEMONSTRATIONS, STARTS = "roadmap", "image", "demonstrations", "starts"
+ROADMAP_TESTS = "roadmap tests"
 UNSEEN, REAL_MESH = "unseen", "real_mesh"
-FIRST_TEST_ANATOMY = 30_000  # random arches from this seed on are never trained on
-TEST_RESOLUTION = 1e-3  # m
+FIRST_TEST_ANATOMY = 31_000  # random arches from this seed on are never trained on
+FIRST_VALIDATION_ANATOMY = 32_000  # ... and from this one on neither trained on nor tested: they choose the best policy
 TARGETS = ("bca", "lcca", "lsa")
-ACTION_REPEAT = 4  # steps of a decision
+ACTION_REPEAT = 3  # steps of a decision
 STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
 _ANATOMIES_A_JOB = 16
 _PARTS = 2  # jobs that demonstrate beside each other
 DEMONSTRATED = "lcca"  # the target that is hard to find without
 BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
-_SECONDS = {"anatomy": 0.8, "decision": 10e-3, "demonstration": 10.0, "lesson": 0.6, "test": 0.4}  # guesses
+# guesses
+_SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 10.0, "lesson": 0.6, "test": 0.4}
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -108,30 +111,39 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
     )
     first = 1000 * run_seed
     if first + max(*settings.curve, settings.anatomies, settings.image_anatomies) > FIRST_TEST_ANATOMY:
-        raise ConfigurationError(f"seed={run_seed} would train on anatomies of the test: choose a seed below 29")
+        raise ConfigurationError(f"seed={run_seed} would train on anatomies of the test: choose a seed below 30")
     trained = range(first, first + max(settings.anatomies, settings.image_anatomies if settings.image else 0))
     tested = range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + settings.test_anatomies)
-    jobs = [
-        Job(
-            f"{name}/{part[0]}",
-            build_anatomies,
-            AnatomiesJob(name, tuple(part), resolution),
-            weight=len(part) * _SECONDS["anatomy"],
-        )
-        for name, seeds, resolution in (
-            (TRAINING_PHANTOM, trained, TRAINING_RESOLUTION),
-            (TEST_PHANTOM, tested, TEST_RESOLUTION),
-        )
-        for part in (seeds[k : k + _ANATOMIES_A_JOB] for k in range(0, len(seeds), _ANATOMIES_A_JOB))
-    ]
+    # of even seeds: those are of the kind that is tested
+    validated = range(FIRST_VALIDATION_ANATOMY, FIRST_VALIDATION_ANATOMY + 2 * settings.validation_anatomies, 2)
+    jobs = []
+    for name, arches in (
+        ("training", [training_arch(seed) for seed in trained]),
+        ("validation", [training_arch(seed) for seed in validated]),
+        ("test", [(TEST_PHANTOM, seed) for seed in tested]),
+    ):
+        for part in _parts(arches):
+            building = AnatomiesJob(tuple(part), task.targets)
+            weight = len(part) * _SECONDS["anatomy"]
+            jobs.append(Job(f"{name}/{part[0][1]}", build_anatomies, building, weight=weight))
     built = tuple(job.key for job in jobs)
+    laid = [
+        Job(
+            f"{STARTS}/{part[0]}",
+            lay_starts,
+            StartsJob(folder / STARTS, task, tuple(part), run_seed),
+            after=(f"training/{part[0]}",),
+            weight=len(part) * _SECONDS["starts"],
+        )
+        for part in _parts(trained[: max(counts_of(settings))])
+    ]
+    jobs += laid
     shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, first, run_seed)
     jobs += [replace(job, after=built) for job in shown]
-    taught = (*built, *(job.key for job in shown))
+    taught = (*built, *(job.key for job in (*laid, *shown)))
     main, curve_only = test_sets(settings), test_sets(settings)[:1]
     plain = tuple(replace(test, modes=("deterministic",)) for test in curve_only)
-    counts = [settings.anatomies, *(count for count in settings.curve if count != settings.anatomies)]
-    for count in counts:
+    for count in counts_of(settings):
         row = ROADMAP if count == settings.anatomies else f"{ROADMAP} {count}"
         given = RoadmapJob(
             folder=folder / row / f"seed{run_seed}",
@@ -142,9 +154,15 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
             origin=Origin("unseen", row, run_seed, "desk"),
             tests=main if row == ROADMAP else plain,
             demonstrations=folder / DEMONSTRATIONS if shown else None,
+            starts=folder / STARTS,
+            validated=tuple(validated),
         )
-        weight = settings.decisions * _SECONDS["decision"] + _tests(given.tests, settings)
-        jobs.append(Job(row, train_roadmap, given, after=taught, weight=weight))
+        tests, weight = _tests(given.tests, settings), given.settings.decisions * _SECONDS["decision"]
+        if row == ROADMAP:  # its tests are a job of their own, so that the student need not wait for them
+            jobs.append(Job(row, train_roadmap, replace(given, tests=()), after=taught, weight=weight))
+            jobs.append(Job(ROADMAP_TESTS, train_roadmap, given, after=(row,), weight=tests))
+        else:
+            jobs.append(Job(row, train_roadmap, given, after=taught, weight=weight + tests))
     if settings.image:  # the longest chain of jobs: next after its teacher
         teacher = next(place for place, job in enumerate(jobs) if job.key == ROADMAP)
         student = StudentJob(
@@ -163,6 +181,15 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
         weight = settings.rounds * settings.lessons * _SECONDS["lesson"] + _tests(student.tests, settings)
         jobs.insert(teacher + 1, Job(IMAGE, train_student, student, after=(ROADMAP,), weight=weight))
     return jobs
+
+
+def counts_of(settings: UnseenSettings) -> list[int]:
+    """Numbers of training anatomies of the roadmap policies, the main one's first."""
+    return [settings.anatomies, *(count for count in settings.curve if count != settings.anatomies)]
+
+
+def _parts(whole: Sequence[Any]) -> list[Any]:
+    return [whole[k : k + _ANATOMIES_A_JOB] for k in range(0, len(whole), _ANATOMIES_A_JOB)]
 
 
 def demonstrations(settings: UnseenSettings, folder: Path, task: UnseenTask, first: int, run_seed: int) -> list[Job]:
@@ -191,7 +218,9 @@ def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
 
 
 def training_settings(settings: UnseenSettings, anatomies: int) -> TrainingSettings:
-    """Those of the roadmap policies: each action held for four steps, and a bank that knows of its cases.
+    """Those of the roadmap policies: a wider network than for one anatomy, and a bank that knows of its cases.
+
+    The policies of the curve have decisions of their own: few anatomies are soon learnt.
 
     Args:
         settings: of the stage.
@@ -199,17 +228,22 @@ def training_settings(settings: UnseenSettings, anatomies: int) -> TrainingSetti
     """
     from enn.reinforcement import DESK_SAC
 
+    decisions = settings.decisions if anatomies == settings.anatomies else settings.curve_decisions
     return replace(
         DESK_SAC,
-        keys=("roadmap",),
-        decisions=settings.decisions,
-        learning_starts=min(DESK_SAC.learning_starts, settings.decisions // 4),
+        keys=ROADMAP_KEYS,
+        hidden=(settings.hidden, settings.hidden),
+        batch_size=256,
+        gradient_steps=0.5,
+        n_envs=16,
+        decisions=decisions,
+        buffer_size=max(decisions, 1000),
+        learning_starts=min(DESK_SAC.learning_starts, decisions // 4),
         action_repeat=ACTION_REPEAT,
-        gamma=0.98,
         bank_share=BANK_SHARE,
         bank_capacity=BANK_CAPACITY,
         bank_cases=anatomies * len(settings.targets),
-        evaluate_every=max(settings.decisions // 6, 1),
+        evaluate_every=max(decisions // 5, 1),
         evaluation_episodes=settings.validation_episodes,
         stop_after=STOP_AFTER,
         tensorboard=settings.tensorboard,
@@ -249,7 +283,7 @@ def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, 
     """
     table: dict[str, dict[str, Any]] = {}
     for job in jobs:
-        if isinstance(job.given, AnatomiesJob | DemonstrationsJob):
+        if not isinstance(job.given, RoadmapJob | StudentJob) or not job.given.tests:
             continue
         rows = [
             row for row in outcomes[job.key]["tests"] if row["test_set"] == UNSEEN and row["mode"] == "deterministic"
@@ -265,6 +299,7 @@ STAGE = Stage(
     name="unseen",
     run=run_unseen,
     writes=(
+        "starts/<arch>.npz",
         "demonstrations/<target>_<arch>.npz",
         "<row>/seed<k>/{policy.pt or student.pt, training.csv, training.json}",
         "<row>/seed<k>/evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap",
@@ -278,6 +313,7 @@ STAGE = Stage(
         "enn.student",
         "pipeline.unseen_demonstrations",
         "pipeline.unseen_jobs",
+        "pipeline.unseen_starts",
         "pipeline.unseen_task",
     ),
     check=check_unseen,

@@ -260,3 +260,40 @@ def test_learning_rate_falls_evenly_to_its_share(point_env: Any, preset: Trainin
 def optimizer_of(run: TrainingRun) -> Any:
     model = run.learner.model
     return model.critic.optimizer if isinstance(run.learner, SacLearner) else model.policy.optimizer
+
+
+def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env: Any) -> None:
+    made: list[str] = []
+
+    def named(name: str) -> Any:
+        def make() -> Any:
+            made.append(name)
+            return point_env()
+
+        return make
+
+    starts = [np.full((4, 2), 0.5), np.full((2, 2), -0.5)]
+    settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, n_envs=2, bank_share=0.5)
+    training = Training(settings, named("training"), seed=0, starts=starts, make_validation_env=named("validation"))
+    run = TrainingRun(training, None)
+    assert run.sampled.bank is not None
+    assert len(run.sampled.bank) == 6
+    run.close()
+    made.clear()
+    training.run()
+    assert made == ["training", "training", "validation", "validation"]
+
+
+def test_a_few_hard_episodes_do_not_end_an_evaluation(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    played: list[int] = []
+
+    def hard_first(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> Evaluation:
+        played.append(len(seeds))
+        return Evaluation(tuple(Outcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
+
+    monkeypatch.setattr("enn.judgement.evaluate", hard_first)
+    settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, evaluation_episodes=24)
+    result = Training(settings, point_env, seed=0).run()
+    assert played == [6, 18, 24]
+    assert result.evaluation is not None
+    assert result.evaluation["success"] == pytest.approx(20 / 24)

@@ -13,7 +13,14 @@ from pipeline.errors import ConfigurationError
 from pipeline.job_worker import Report
 from pipeline.learning_settings import UnseenSettings
 from pipeline.report.learning_tables import tables_from_logs
-from pipeline.stages.unseen import FIRST_TEST_ANATOMY, check_unseen, curve, plan, training_settings
+from pipeline.stages.unseen import (
+    FIRST_TEST_ANATOMY,
+    FIRST_VALIDATION_ANATOMY,
+    check_unseen,
+    curve,
+    plan,
+    training_settings,
+)
 from pipeline.trials import Origin
 from pipeline.unseen_jobs import (
     AnatomiesJob,
@@ -24,7 +31,8 @@ from pipeline.unseen_jobs import (
     train_roadmap,
     train_student,
 )
-from pipeline.unseen_task import UnseenTask
+from pipeline.unseen_starts import StartsJob, lay_starts, read_starts
+from pipeline.unseen_task import UnseenTask, training_arch
 
 TASK = UnseenTask(targets=("lcca",), wire_length=0.312, image_size=96, max_steps=16)
 TESTS = (HeldOutSet("unseen", (1,)),)
@@ -43,8 +51,9 @@ def settings(**changed) -> UnseenSettings:
 def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     jobs = {job.key: job for job in plan(settings(), tmp_path, run_seed=3)}
     policies = ["roadmap", "image", "roadmap 1", "roadmap 4"]
-    assert [key for key in jobs if not key.startswith(("random", "demonstrations"))] == policies
-    for key in policies:
+    assert [key for key in jobs if "/" not in key] == ["roadmap", "image", "roadmap tests", "roadmap 1", "roadmap 4"]
+    assert jobs["roadmap tests"].given == replace(jobs["roadmap"].given, tests=jobs["roadmap tests"].given.tests)
+    for key in (*policies, "roadmap tests"):
         given = jobs[key].given
         assert given.anatomies == tuple(range(3000, 3000 + len(given.anatomies)))
         tested = {phantom for test in given.tests for phantom in test.phantoms}
@@ -53,8 +62,12 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     assert [test.name for test in jobs["image"].given.tests] == ["unseen", "type_1", "unseen softer"]
     assert [test.name for test in jobs["roadmap 4"].given.tests] == ["unseen"]
     assert jobs["image"].after == ("roadmap",)
-    built = {seed for job in jobs.values() if isinstance(job.given, AnatomiesJob) for seed in job.given.seeds}
-    assert built == {*range(3000, 3020), *range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + 50)}
+    built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
+    tested = [("random", seed) for seed in range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + 50)]
+    validated = [("random", FIRST_VALIDATION_ANATOMY + 2 * number) for number in range(16)]
+    trained = [(("random", "random_wide")[seed % 2], seed) for seed in range(3000, 3020)]
+    assert built == [*trained, *validated, *tested]
+    assert jobs["roadmap"].given.validated == tuple(seed for _, seed in validated)
     assert "image" not in {job.key for job in plan(settings(image=False), tmp_path, run_seed=3)}
 
 
@@ -67,6 +80,42 @@ def test_plan_demonstrates_in_training_anatomies(tmp_path: Path) -> None:
     none = plan(settings(demonstrations=0), tmp_path, run_seed=1)
     assert not [job.key for job in none if job.key.startswith("demonstrations")]
     assert jobs["roadmap"].given.demonstrations == tmp_path / "demonstrations"
+
+
+def test_plan_lays_starts_in_every_training_anatomy(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(settings(anatomies=20), tmp_path, run_seed=1)}
+    laid = [job for job in jobs.values() if isinstance(job.given, StartsJob)]
+    assert [seed for job in laid for seed in job.given.anatomies] == list(range(1000, 1020))
+    assert {job.key for job in laid} <= set(jobs["roadmap 1"].after)
+    assert [job.after for job in laid] == [("training/1000",), ("training/1016",)]
+    assert jobs["roadmap"].given.starts == tmp_path / "starts"
+    sizes = {key: jobs[key].given.settings.decisions for key in ("roadmap", "roadmap 1", "roadmap 4")}
+    assert sizes == {"roadmap": 16_000, "roadmap 1": 8_000, "roadmap 4": 8_000}
+
+
+def test_laid_starts_lie_before_the_target_and_are_laid_once(tmp_path: Path) -> None:
+    job = StartsJob(tmp_path / "starts", TASK, (4,), seed=0)
+    told = lay_starts(job, Report())
+    assert told["anatomies"] == 1
+    assert told["states"] >= 8
+    written = (job.folder / "4.npz").stat().st_mtime_ns
+    assert lay_starts(job, Report()) == told
+    assert (job.folder / "4.npz").stat().st_mtime_ns == written
+
+    (starts,) = read_starts(job.folder, (4,), TASK.targets)
+    assert len(starts) == told["states"]
+    assert (starts[:, -1] == 0).all()
+    environment = TASK.training_environment((4,), ("tip",))
+    begun = environment.start_state()
+    remaining = []
+    for start in starts:
+        environment.reset(options={"start": start})
+        remaining.append(environment.task.remaining(environment.phantom, environment.simulation.tip))
+    environment.reset(seed=0)
+    whole = environment.task.remaining(environment.phantom, environment.simulation.tip)
+    assert starts.shape[1] == len(begun)
+    assert TASK.success_radius < min(remaining) < 0.03
+    assert max(remaining) < 0.7 * whole
 
 
 def test_wires_of_the_tests() -> None:
@@ -94,8 +143,8 @@ def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"stage\.lessons must be above zero, got 0"):
         settings(lessons=0)
-    with pytest.raises(ConfigurationError, match="seed=30 would train on anatomies of the test"):
-        plan(settings(), tmp_path, run_seed=30)
+    with pytest.raises(ConfigurationError, match="seed=31 would train on anatomies of the test"):
+        plan(settings(), tmp_path, run_seed=31)
 
 
 def test_a_missing_mesh_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -124,9 +173,10 @@ def student_job(folder: Path, rounds: int) -> StudentJob:
 
 
 def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
-    assert build_anatomies(AnatomiesJob("random_wide", (0,), 1.5e-3), Report()) == {"anatomies": 1}
+    assert build_anatomies(AnatomiesJob((training_arch(0),), ("lcca",)), Report()) == {"anatomies": 1}
+    assert lay_starts(StartsJob(tmp_path / "starts", TASK, (0,), seed=0), Report())["states"] > 0
     tiny = replace(
-        training_settings(settings(targets=["lcca"], decisions=160, validation_episodes=1), 1),
+        training_settings(settings(targets=["lcca"], anatomies=1, decisions=160, validation_episodes=1, hidden=16), 1),
         learning_starts=32,
         n_envs=4,
     )
@@ -138,6 +188,8 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
         seed=0,
         origin=Origin("unseen", "roadmap", 0, "desk"),
         tests=TESTS,
+        starts=tmp_path / "starts",
+        validated=(2,),
     )
     told = train_roadmap(teacher, Report())
     assert told["tests"][0]["n"] == 1
@@ -171,8 +223,10 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
 
     tables = tables_from_logs(tmp_path / "unseen")
     assert set(tables["generalisation"]) == {"roadmap/lcca/unseen", "image/lcca/unseen"}
-    jobs = [job for job in plan(settings(targets=["lcca"], curve=[]), tmp_path, 0) if job.key in ("roadmap", "image")]
-    rows = curve(jobs, {"roadmap": told, "image": outcome})
+    jobs = [
+        job for job in plan(settings(targets=["lcca"], curve=[]), tmp_path, 0) if job.key in ("roadmap tests", "image")
+    ]
+    rows = curve(jobs, {"roadmap tests": told, "image": outcome})
     assert rows["roadmap/8"]["success_lcca_pct"] == told["tests"][0]["success_pct"]
     assert list(rows) == ["roadmap/8", "image/20"]
 

@@ -13,6 +13,7 @@ from cathsim.blood import BloodFlow, blood_flow
 from cathsim.contact.hulls import Decomposition
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.history import History
 from cathsim.navigation import NavigationTask, navigation_task, require_reach
 from cathsim.observables import BiplaneView, Fluoroscope, make_observable
 from cathsim.presets import Accuracy, accuracy
@@ -60,6 +61,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
     | feeder | insertion, cosine and sine of the rotation | (3,) | m, 1 |
     | force | resultant contact force | (3,) | N, world |
     | roadmap | the way to the target, walls, wire and force in the tip's frame (`Roadmap.read`) | (64,) | about 1 |
+    | history | what was tried lately and how long without progress (`History.read`) | (11,) | about 1 |
     | goal | position of the target | (3,) | m, world |
     | goal_image | the target's dot in the frontal view | (1, size, size) uint8 | 0 to 255 |
 
@@ -164,6 +166,9 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             cameras = BiplaneFluoroscope.of(self.phantom, cameras, size=image_size, material=material)
         self.biplane = None if cameras is None else BiplaneView(self.simulation, cameras)
         self.roadmap = Roadmap(self.simulation, self.task.target, registration_noise)
+        names = [observation] if isinstance(observation, str) else list(observation)
+        # its way through the geodesic field costs something: only where it is wanted
+        self.history = History(self.simulation, self._way_left) if "history" in names else None
         self._view: Any = None
         self.steps = 0
         self.ended = True
@@ -172,11 +177,11 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         self._motors = self.simulation.motors
         self._action_shape = (self._motors + 1,) if self._motors else (2,)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._action_shape, np.float32)
-        names = [observation] if isinstance(observation, str) else list(observation)
         if not names:
             raise ValueError("observation must name at least one observable")
         self._observables = {
-            name: make_observable(name, self.simulation, self.fluoroscope, self.biplane, self.roadmap) for name in names
+            name: make_observable(name, self.simulation, self.fluoroscope, self.biplane, self.roadmap, self.history)
+            for name in names
         }
         self._single = names[0] if isinstance(observation, str) else None
         spaces: dict[str, gymnasium.Space[Any]] = {name: entry_.space for name, entry_ in self._observables.items()}
@@ -206,6 +211,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         if self.biplane is not None:
             self.biplane.update(seed=int(self.np_random.integers(2**32)))
         self.roadmap.reset(self.np_random)
+        if self.history is not None:
+            self.history.begin()
         self.steps = 0
         self.ended = False
         if self.task.reward == "geodesic":
@@ -244,6 +251,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         invalid = not simulation.valid
         if invalid:
             simulation.reset()  # so that the last observation is at least finite
+        if self.history is not None:
+            self.history.advance(translation / TRANSLATION_STEP, rotation / ROTATION_STEP)
         tip = simulation.tip
         distance = _distance(tip, self._goal)
         success = distance <= task.success_radius and not invalid
@@ -273,6 +282,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             "remaining": self._remaining,
             "fluoroscope": self.fluoroscope.state(),
             "registration": self.roadmap.offset.copy(),
+            "history": None if self.history is None else self.history.state(),
             "biplane": None if self.biplane is None else self.biplane.state(),
         }
 
@@ -294,6 +304,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         self.steps, self.ended, self._remaining = state["steps"], state["ended"], state["remaining"]
         self.fluoroscope.restore(state["fluoroscope"])
         self.roadmap.offset = state["registration"].copy()
+        if self.history is not None:
+            self.history.restore(state["history"])
         if self.biplane is not None:
             self.biplane.restore(state["biplane"])
         return self.observe()
@@ -305,6 +317,9 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         force = float(self.simulation.summary.force_max)
         moved = _distance(tip, before_step) if task.path_penalty else 0.0
         return task.step_reward(distance, before - self._remaining, force, moved, success=success)
+
+    def _way_left(self) -> float:
+        return self.task.remaining(self.phantom, self.simulation.tip)
 
     def observe(self) -> Any:
         """The observation of the moment."""

@@ -13,6 +13,7 @@ from cathsim.anatomy import Phantom
 from cathsim.contact.sdf import Vessel
 from cathsim.feed import pass_on
 from cathsim.fluoroscopy import BiplaneFluoroscope, FluoroscopyRenderer, Frame, Projector, background_image
+from cathsim.history import HISTORY_SIZE, History
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.roadmap import ROADMAP_SIZE, Roadmap, target_image
 from cathsim.simulation import Simulation
@@ -187,7 +188,7 @@ def internal(simulation: Simulation) -> np.ndarray:
     return np.concatenate((joints(simulation), actuator.astype(np.float32), per_body.ravel()))
 
 
-GUIDANCE = ("roadmap", "goal", "goal_image")  # those that know where the target is
+GUIDANCE = ("roadmap", "history", "goal", "goal_image")  # those that know where the target is
 OBSERVABLES = ("internal", "joints", "image", "mask", "sequential", "shape", "tip", "feeder", "force", *GUIDANCE)
 
 
@@ -197,6 +198,7 @@ def make_observable(
     fluoroscope: Fluoroscope,
     biplane: BiplaneView | None = None,
     roadmap: Roadmap | None = None,
+    history: History | None = None,
 ) -> Observable:
     """The observable of a name; "image_a", "mask_a" and so on are those of a bi-planar fluoroscope's cameras.
 
@@ -204,7 +206,7 @@ def make_observable(
         ValueError: there is none.
     """
     if name in GUIDANCE:
-        return _guidance(name, fluoroscope, roadmap)
+        return _guidance(name, fluoroscope, roadmap, history)
     kind, _, view = name.partition("_")
     if kind in ("image", "mask") and view:
         return _camera_observable(name, kind, view, biplane)
@@ -239,9 +241,11 @@ def make_observable(
     raise ValueError(f"unknown observation '{name}'; there are {', '.join(OBSERVABLES)}")
 
 
-def _guidance(name: str, fluoroscope: Fluoroscope, roadmap: Roadmap | None) -> Observable:
-    if roadmap is None:
+def _guidance(name: str, fluoroscope: Fluoroscope, roadmap: Roadmap | None, history: History | None) -> Observable:
+    if roadmap is None or (name == "history" and history is None):
         raise ValueError(f"observation '{name}' needs a target: use it in a navigation environment")
+    if history is not None and name == "history":
+        return Observable(_box(HISTORY_SIZE), history.read)
     if name == "roadmap":
         return Observable(_box(ROADMAP_SIZE), roadmap.read)
     goal = roadmap.simulation.phantom.target(roadmap.target).position

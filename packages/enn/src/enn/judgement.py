@@ -12,7 +12,7 @@ from enn.policy import Policy
 from enn.rollouts import Evaluation, evaluate
 
 EVALUATION_SEEDS = 500_000  # the seeds from 1,000,000 on are held out for the tables
-SCOUTS = 3  # evaluation episodes of which one has to succeed for the others to be played
+SCOUTS, SCOUT_SHARE = 3, 0.25  # evaluation episodes, at least so many, of which one has to succeed for the others
 SHORTER = 0.98  # an evaluation is shorter than the best when its length is below this share
 PERFECT, NEARLY = 0.999, 0.95
 
@@ -59,9 +59,10 @@ class Judge:
             What the training's curve says about it.
         """
         # failures last longest: a policy that fails a few times in a row is not worth the rest
-        mean = evaluate(policy, envs, self.seeds[:SCOUTS], deterministic=True, tick=tick)
-        if mean.success > 0 and len(self.seeds) > SCOUTS:
-            rest = evaluate(policy, envs, self.seeds[SCOUTS:], deterministic=True, tick=tick)
+        scouts = max(SCOUTS, round(SCOUT_SHARE * len(self.seeds)))  # over many anatomies three can be hard ones
+        mean = evaluate(policy, envs, self.seeds[:scouts], deterministic=True, tick=tick)
+        if mean.success > 0 and len(self.seeds) > scouts:
+            rest = evaluate(policy, envs, self.seeds[scouts:], deterministic=True, tick=tick)
             mean = Evaluation((*mean.outcomes, *rest.outcomes))
         drawn: Evaluation | None = None
         if mean.success > 0 and mean.success >= (self.success or 0.0):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+from numpy.typing import NDArray
 
 from enn.policy import Policy
 from enn.training_curve import read_curve
@@ -42,6 +43,8 @@ class Training:
         demonstrations: their states enter the bank; their steps the replay buffer, if the settings say so.
         encoder: frozen, turns observations into features.
         metadata: kept in the policy's file.
+        starts: further states of the bank, an array for each case or way. Shapes (k, n).
+        make_validation_env: makes the environments of the evaluations that choose the best policy; None: `make_env`.
     """
 
     def __init__(
@@ -53,7 +56,10 @@ class Training:
         demonstrations: Sequence[Trajectory] = (),
         encoder: Any = None,
         metadata: dict[str, Any] | None = None,
+        starts: Sequence[NDArray[Any]] = (),
+        make_validation_env: Callable[[], gymnasium.Env[Any, Any]] | None = None,
     ) -> None:
+        self.starts, self.make_validation_env = tuple(starts), make_validation_env or make_env
         self.settings, self.make_env, self.seed = settings, make_env, seed
         self.folder = None if folder is None else Path(folder)
         self.demonstrations, self.encoder = tuple(demonstrations), encoder

@@ -167,6 +167,8 @@ class TrainingRun:
         else:
             if bank is not None:
                 fill_bank(bank, training.demonstrations)
+                for states in training.starts:
+                    bank.add_episode(states)
             self.observations = self.envs.reset()
         self.saved = time.perf_counter()
         if settings.tensorboard and training.folder is not None:
@@ -238,7 +240,7 @@ class TrainingRun:
     def _evaluate(self) -> None:
         clock = time.perf_counter()
         while len(self._arenas) < min(self.settings.evaluation_episodes, self.settings.n_envs):
-            self._arenas.append(without_checks(self.training.make_env()))
+            self._arenas.append(without_checks(self.training.make_validation_env()))
         self.policy.module.set_training_mode(False)
         self.latest = self.judge.judge(self.policy, self._arenas, self.decisions, self._tick)
         self.spent["evaluation_s"] += time.perf_counter() - clock

@@ -1,0 +1,91 @@
+"""The history of an episode: what was tried lately, and how long it has led no nearer to the target."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from cathsim.simulation import CONTROL_STEP, Simulation
+
+MEMORIES = np.array([1.0, 4.0])  # s: time constants of the running means
+PATIENCE = 8.0  # s without progress that count as long
+BACK_SCALE, GAIN_SCALE, INSERTION_SCALE = 0.02, 0.01, 0.03  # m, m/s, m
+PROGRESS = 1e-3  # m: a smaller gain does not count as progress
+HISTORY_SIZE = 3 * len(MEMORIES) + 5
+
+
+class History:
+    """What an episode has tried so far, in a few numbers.
+
+    What is seen at one moment does not tell a first try at an ostium from the tenth: a policy that is given this can
+    try something else.
+
+    Args:
+        simulation: whose wire is steered.
+        remaining: gives the way that remains from the tip to the target, m.
+    """
+
+    def __init__(self, simulation: Simulation, remaining: Callable[[], float]) -> None:
+        self.simulation, self._remaining_way = simulation, remaining
+        self._forget = np.exp(-CONTROL_STEP / MEMORIES)
+        self.begin()
+
+    def begin(self) -> None:
+        """Starts anew at the moment."""
+        self._moves, self._gain = np.zeros((len(MEMORIES), 2)), np.zeros(len(MEMORIES))
+        self._remaining = self._best = self._remaining_way()
+        self._waited = 0.0
+        self._insertion, self._rotation = self.simulation.insertion, self.simulation.rotation
+
+    def advance(self, translation: float, rotation: float) -> None:
+        """Takes note of a control step that was made.
+
+        Args:
+            translation: of the feeder, as a share of the largest in a step, -1 to 1.
+            rotation: likewise.
+        """
+        keep, now = self._forget, self._remaining_way()
+        self._moves = keep[:, None] * self._moves + (1 - keep)[:, None] * (translation, rotation)
+        self._gain = keep * self._gain + (1 - keep) * (self._remaining - now) / CONTROL_STEP
+        self._remaining = now
+        self._waited += CONTROL_STEP
+        if now < self._best - PROGRESS:
+            self._best, self._waited = now, 0.0
+            self._insertion, self._rotation = self.simulation.insertion, self.simulation.rotation
+
+    def read(self) -> np.ndarray:
+        """The history so far, all of the order of 1.
+
+        Running means over 1 and 4 s of the feeder's translation and rotation as shares of the largest (4) and of the
+        gain g on the target over 10 mm/s + |g| (2); then, since the tip was nearest to the target along the lumen: the
+        time t over 8 s + t, the hyperbolic tangent of the way lost over 20 mm, that of the insertion since over
+        30 mm, cosine and sine of the feeder's rotation since (5).
+
+        Returns:
+            Shape (11,), float32.
+        """
+        turned = self.simulation.rotation - self._rotation
+        fed = self.simulation.insertion - self._insertion
+        return np.concatenate(
+            (
+                self._moves.ravel(),
+                self._gain / (GAIN_SCALE + np.abs(self._gain)),
+                (self._waited / (PATIENCE + self._waited), np.tanh((self._remaining - self._best) / BACK_SCALE)),
+                (np.tanh(fed / INSERTION_SCALE), np.cos(turned), np.sin(turned)),
+            )
+        ).astype(np.float32)
+
+    def state(self) -> dict[str, Any]:
+        """All of it, to be pickled; for `restore`."""
+        return {
+            "moves": self._moves.copy(),
+            "gain": self._gain.copy(),
+            "at": (self._remaining, self._best, self._waited, self._insertion, self._rotation),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Returns to a saved moment."""
+        self._moves, self._gain = state["moves"].copy(), state["gain"].copy()
+        self._remaining, self._best, self._waited, self._insertion, self._rotation = state["at"]

@@ -1,0 +1,261 @@
+"""Beads of a calibration cube in a raw X-ray image: found at any size, and measured below a pixel.
+
+Steel beads are dark discs. Their centres come from fitting blurred ellipses to the transmitted share of the light: the
+detector blurs light, so an edge is symmetric in it, and what overlaps multiplies. Beads that touch are fitted together;
+wire marks beside a bead count as outliers.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+
+__all__ = ["Attenuation", "Beads", "attenuation", "find_beads", "measure_beads"]
+
+logger = logging.getLogger(__name__)
+
+_RADII_PX = (3.5, 22.0)  # of beads looked for
+_MOST_CANDIDATES = 400
+_LEAST_SHARE = 0.35  # of a bead, inside image and field, that its centre can be measured from
+
+
+@dataclass(frozen=True, eq=False)
+class Attenuation:
+    """What darkens an image over its slowly varying background.
+
+    dark: (h, w) natural logarithm of background over image, zero outside the field
+    field: (h, w) bool, where the detector is lit
+    """
+
+    dark: np.ndarray
+    field: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Beads:
+    """Dark discs of one image.
+
+    centres_px: (n, 2) raw px
+    radii_px: (n, 2) half axes of the fitted ellipses, the longer first
+    contrast: (n,) share of the light that they take away
+    misfit: (n,) RMS residual of the fit over the contrast
+    share: (n,) of the disc inside the image and the lit field
+    """
+
+    centres_px: np.ndarray
+    radii_px: np.ndarray
+    contrast: np.ndarray
+    misfit: np.ndarray
+    share: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.centres_px)
+
+    def __getitem__(self, chosen: np.ndarray) -> Beads:
+        return Beads(
+            self.centres_px[chosen], self.radii_px[chosen], self.contrast[chosen], self.misfit[chosen], self.share[chosen]
+        )
+
+
+def find_beads(image: np.ndarray | Attenuation) -> Beads:
+    """Find the beads of a cube image; a few letters or knots of wire may come along.
+
+    Args:
+        image: (h, w), grey, raw, beads darker than their surroundings; or its attenuation, to spare making it again.
+
+    Returns:
+        The beads, from left to right.
+
+    Raises:
+        ValueError: The image is not a grey image.
+    """
+    light = image if isinstance(image, Attenuation) else attenuation(image)
+    starts, radii = _candidates(light.dark, light.field)
+    beads = measure_beads(light, starts, radii)
+    likely = (beads.misfit < 0.16) & (beads.radii_px[:, 0] < 1.7 * beads.radii_px[:, 1]) & (beads.share > 0.6)
+    if likely.sum() < 4:
+        return beads[np.zeros(len(beads), bool)]
+    # the beads of a cube are alike: at one energy in contrast, and in size up to their distance from the source
+    contrast = np.median(beads.contrast[likely])
+    radius = np.median(beads.radii_px[likely].mean(axis=1))
+    size = beads.radii_px.mean(axis=1) / radius
+    alike = likely & (beads.contrast > 0.45 * contrast) & (size > 0.62) & (size < 1.7)
+    kept = beads[np.flatnonzero(alike)]
+    kept = kept[np.argsort(kept.centres_px[:, 0], kind="stable")]
+    logger.debug("%d candidates, %d likely, %d beads of %.1f px", len(starts), likely.sum(), len(kept), radius)
+    return kept
+
+
+def attenuation(image: np.ndarray) -> Attenuation:
+    """What darkens the image over its slowly varying background, and where the field is lit.
+
+    Args:
+        image: (h, w), grey, raw.
+
+    Returns:
+        Attenuation and field.
+
+    Raises:
+        ValueError: The image is not a grey image.
+    """
+    image = np.asarray(image)
+    if image.ndim != 2 or min(image.shape) < 64:
+        raise ValueError(f"expected a grey image (h, w) of at least 64 x 64 pixels, found shape {image.shape}")
+    grey = ndimage.gaussian_filter(image.astype(float), 0.7)
+    full = np.percentile(grey, 99)
+    filled = ndimage.grey_closing(grey[::2, ::2], 25)  # beads filled up
+    lit = ndimage.binary_opening(filled > 0.15 * full, iterations=3)
+    field = np.kron(lit, np.ones((2, 2), bool))[: image.shape[0], : image.shape[1]]
+    logarithm = np.log(np.maximum(grey, 0.0) + 0.02 * max(full, 1.0))
+    coarse = ndimage.median_filter(logarithm[::4, ::4], 15)  # beads of up to 20 px radius vanish in it
+    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]] / 4.0
+    background = ndimage.map_coordinates(coarse, [rows, columns], order=1, mode="nearest")
+    return Attenuation(np.where(field, background - logarithm, 0.0), field)
+
+
+def _candidates(dark: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, 2) and radii (n,) of dark discs: maxima over place and scale of the Laplacian's response."""
+    radii = np.geomspace(*_RADII_PX, 9)
+    # a Laplacian of Gaussian answers a disc most strongly where its width is the radius over the square root of two
+    stack = np.stack([-(r**2) / 2 * ndimage.gaussian_laplace(dark, r / np.sqrt(2)) for r in radii])
+    best = stack.max(axis=0)
+    peak = (best == ndimage.maximum_filter(best, 7)) & field
+    strong = np.sort(best[peak])[::-1]
+    if not len(strong):
+        return np.empty((0, 2)), np.empty(0)
+    peak &= best > 0.25 * np.median(strong[:16])
+    rows, columns = np.nonzero(peak)
+    order = np.argsort(best[rows, columns])[::-1][:_MOST_CANDIDATES]
+    rows, columns = rows[order], columns[order]
+    scale = radii[stack[:, rows, columns].argmax(axis=0)]
+    places = np.column_stack([columns, rows]).astype(float)
+    kept: list[int] = []  # of two within one disc, the stronger
+    for number in range(len(places)):
+        near = [k for k in kept if np.hypot(*(places[k] - places[number])) < 0.8 * max(scale[k], scale[number])]
+        if not near:
+            kept.append(number)
+    return places[kept], scale[kept]
+
+
+def measure_beads(
+    image: np.ndarray | Attenuation, starts: np.ndarray, radii: np.ndarray, shapes: np.ndarray | None = None
+) -> Beads:
+    """Fit blurred ellipses to beads whose places are roughly known.
+
+    Args:
+        image: (h, w), grey, raw; or its attenuation.
+        starts: (n, 2) px, within about half a radius.
+        radii: (n,) px, rough.
+        shapes: (n, 2, 2) what the detector makes of a small circle: holds each bead to the ellipse `radii` times that, for
+            beads half hidden by a letter or a border; None fits the ellipse, too.
+
+    Returns:
+        One bead a start, in their order; what cannot be measured has an infinite misfit.
+    """
+    light = image if isinstance(image, Attenuation) else attenuation(image)
+    starts, radii = np.asarray(starts, float).reshape(-1, 2), np.asarray(radii, float)
+    centres, axes = starts.copy(), np.column_stack([radii, radii])
+    contrast, misfit, share = np.zeros(len(starts)), np.full(len(starts), np.inf), np.zeros(len(starts))
+    if len(starts):
+        for group in _touching(starts, radii):
+            held = None if shapes is None else np.linalg.inv(np.asarray(shapes, float)[group])
+            fitted = _fit(light, starts[group], radii[group], held)
+            centres[group], axes[group], contrast[group], misfit[group], share[group] = fitted
+    return Beads(centres, axes, contrast, misfit, share)
+
+
+def _touching(starts: np.ndarray, radii: np.ndarray) -> list[list[int]]:
+    """Groups of beads whose rims come within a few pixels of each other."""
+    group = np.arange(len(starts))
+    for i, j in cKDTree(starts).query_pairs(2 * radii.max() + 6):
+        if np.hypot(*(starts[i] - starts[j])) < radii[i] + radii[j] + 6:
+            group[group == group[j]] = group[i]
+    groups = [np.flatnonzero(group == number).tolist() for number in np.unique(group)]
+    # a fit of more than four together is a letter, not beads: each of those on its own
+    return [part for g in groups for part in ([g] if len(g) <= 4 else [[k] for k in g])]
+
+
+def _fit(
+    light: Attenuation, starts: np.ndarray, radii: np.ndarray, held: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Blurred ellipses on a plane: a centre, a 2 x 2 shape, a contrast and a blur each."""
+    dark, field, k = light.dark, light.field, len(starts)
+    reach = 1.9 * radii.max() + 3
+    low = np.maximum(np.floor(starts.min(axis=0) - reach).astype(int), 0)
+    high = np.minimum(np.ceil(starts.max(axis=0) + reach).astype(int) + 1, dark.shape[::-1])
+    failed = starts, np.column_stack([radii, radii]), np.zeros(k), np.full(k, np.inf), np.zeros(k)
+    if (high - low < 6).any():
+        return failed
+    y, x = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    near = np.hypot(x[..., None] - starts[:, 0], y[..., None] - starts[:, 1]).min(axis=2) < reach
+    near &= field[low[1] : high[1], low[0] : high[0]]
+    if near.sum() < 40:
+        return failed
+    x, y = x[near].astype(float), y[near].astype(float)
+    values = 1 - np.exp(-dark[low[1] : high[1], low[0] : high[0]][near])
+    height = max(float(np.percentile(values, 90)), 1e-3)
+    middle = starts.mean(axis=0)
+
+    fixed = None if held is None else _symmetric(held) / radii[:, None]
+
+    def beads_of(parameters: np.ndarray) -> np.ndarray:
+        own = parameters[3:].reshape(k, 7).copy()
+        if fixed is not None:
+            own[:, 2:5] = fixed
+        return own
+
+    def residual(parameters: np.ndarray) -> np.ndarray:
+        plane = parameters[0] + (parameters[1] * (x - middle[0]) + parameters[2] * (y - middle[1])) / radii.max()
+        own = beads_of(parameters)
+        through = np.prod([1 - p[6] * _disc(p, x, y) for p in own], axis=0)
+        return (values - 1 + (1 - plane) * through) / height
+
+    first = np.concatenate(
+        [np.zeros(3), *([*c, 1 / r, 0.0, 1 / r, 0.25, height] for c, r in zip(starts, radii, strict=True))]
+    )
+    # order of a bead's seven: x, y, shape 11, 12, 22, blur, contrast
+    solver = {"f_scale": 0.05, "max_nfev": 60, "x_scale": _scales(first, radii)}
+    try:
+        fit = least_squares(residual, first, loss="soft_l1" if held is None else "cauchy", **solver)
+    except (np.linalg.LinAlgError, ValueError):
+        return failed
+    own, off = beads_of(fit.x), residual(fit.x)
+    centres, axes, contrast = own[:, :2], np.empty((k, 2)), own[:, 6]
+    misfit, share = np.empty(k), np.empty(k)
+    for number, p in enumerate(own):
+        shape = np.array([[p[2], p[3]], [p[3], p[4]]])
+        axes[number] = np.sort(1 / np.maximum(np.abs(np.linalg.eigvalsh(shape)), 1e-3))[::-1]
+        rho = np.hypot(*(shape @ (np.array([x, y]) - p[:2, None])))
+        inner = rho < 1.15
+        # the median forgives a wire that crosses the bead, a mean would not
+        typical = 1.48 * np.median(np.abs(off[inner])) if inner.sum() > 9 else np.inf
+        misfit[number] = typical * height / max(contrast[number], 1e-6)
+        share[number] = min((rho < 1).sum() / (np.pi * axes[number].prod()), 1.0)
+    far = np.linalg.norm(centres - starts, axis=1) > np.maximum(0.8 * radii, 3)
+    lost = far | (contrast <= 0) | (share < _LEAST_SHARE)
+    return centres, axes, contrast, np.where(lost, np.inf, misfit), share
+
+
+def _symmetric(shapes: np.ndarray) -> np.ndarray:
+    """Entries 11, 12, 22 (n, 3) of the symmetric matrices that measure lengths as shapes (n, 2, 2) do."""
+    values, axes = np.linalg.eigh(shapes.transpose(0, 2, 1) @ shapes)
+    root = (axes * np.sqrt(values)[:, None]) @ axes.transpose(0, 2, 1)
+    return np.column_stack([root[:, 0, 0], root[:, 0, 1], root[:, 1, 1]])
+
+
+def _disc(p: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    dx, dy = x - p[0], y - p[1]
+    rho = np.hypot(p[2] * dx + p[3] * dy, p[3] * dx + p[4] * dy)
+    return 0.5 * (1 - np.tanh((rho - 1) / max(abs(p[5]), 0.02)))
+
+
+def _scales(first: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Typical sizes of the parameters, so that the solver's steps are fair."""
+    height = first[9]
+    own = [[1.0, 1.0, 0.1 / r, 0.1 / r, 0.1 / r, 0.1, height] for r in radii]
+    return np.concatenate([np.full(3, 0.1 * height), np.array(own).ravel()])

@@ -1,0 +1,152 @@
+"""Sizes of the networks: `thesis` as published, `desk` for a processor in minutes, `smoke` to prove the plumbing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from guide3d.modeling.fgrn import FGRN
+from guide3d.modeling.pretrained import load_pretrained
+from guide3d.modeling.shape_network import ImageFeatures, ShapeNetwork
+from guide3d.modeling.spherical import SphericalForm
+from guide3d.modeling.swinunet import SwinUnet
+from guide3d.modeling.transunet import TransUnet
+from guide3d.modeling.unet import UNet
+from guide3d.modeling.vision_transformer import VisionTransformer
+
+SIZES = ("thesis", "desk", "smoke")
+SEGMENTERS = ("unet", "transunet", "swinunet")
+
+
+@dataclass(frozen=True)
+class ShapeSize:
+    """Sizes of the shape network; `thesis` is ViT-B/16 and what the thesis says of the rest."""
+
+    image_px: int = 224
+    patch_px: int = 16
+    width: int = 768
+    depth: int = 12
+    heads: int = 12
+    hidden: int = 3072
+    stem: tuple[int, ...] = ()
+    pooling: str = "class"
+    features: int = 512
+    state: int = 512
+    head: int = 256
+    frames: int = 3
+    dropout: float = 0.1
+
+
+SHAPE_SIZES: dict[str, ShapeSize] = {
+    "thesis": ShapeSize(),
+    "desk": ShapeSize(
+        image_px=128, width=96, depth=3, heads=4, hidden=192, stem=(16, 24, 32, 64), pooling="tokens", features=256,
+        state=256, head=256, dropout=0.05,
+    ),
+    "smoke": ShapeSize(
+        image_px=64, width=32, depth=1, heads=2, hidden=64, stem=(8, 8, 16, 16), pooling="tokens", features=32,
+        state=32, head=32,
+    ),
+}  # fmt: skip
+
+FGRN_SIZES: dict[str, dict[str, Any]] = {
+    "thesis": {"image_px": 80, "filters": (32, 64, 128), "hidden": (256, 128), "dropout": 0.3},
+    "desk": {"image_px": 80, "filters": (32, 64, 128), "hidden": (256, 128), "dropout": 0.3},
+    "smoke": {"image_px": 80, "filters": (8, 8, 16), "hidden": (32, 32), "dropout": 0.3},
+}
+
+SEGMENTER_SIZES: dict[str, dict[str, dict[str, Any]]] = {
+    "unet": {
+        "thesis": {"widths": (64, 128, 256, 512, 1024), "kind": "none"},
+        "desk": {"widths": (8, 16, 32, 64), "kind": "batch"},
+        "smoke": {"widths": (4, 8), "kind": "batch"},
+    },
+    "transunet": {
+        "thesis": {},
+        "desk": {
+            "residual_width": 16, "residual_units": (1, 1, 1), "width": 128, "depth": 2, "heads": 4, "hidden": 256,
+            "dropout": 0.0, "neck": 64, "decoder": (48, 32, 16, 8),
+        },
+        "smoke": {
+            "residual_width": 4, "residual_units": (1, 1, 1), "width": 16, "depth": 1, "heads": 2, "hidden": 16,
+            "neck": 8, "decoder": (8, 8, 4, 4),
+        },
+    },
+    "swinunet": {
+        "thesis": {},
+        "desk": {"patch_px": 4, "width": 48, "depths": (2, 2, 2), "heads": (2, 4, 8), "window": 8},
+        "smoke": {"patch_px": 4, "width": 8, "depths": (1, 1), "heads": (1, 2), "window": 8},
+    },
+}  # fmt: skip
+
+
+def build_shape_network(
+    size: ShapeSize, form: SphericalForm | None, positions: int, *, pretrained: Path | str | None = None
+) -> ShapeNetwork:
+    """Builds the shape network.
+
+    Args:
+        size: of its parts.
+        form: of the curve; None: the Cartesian twin.
+        positions: M, points of the longest curve.
+        pretrained: weights of the vision transformer, if there are any.
+
+    Raises:
+        FileNotFoundError, ValueError: the pretrained weights are missing or do not fit.
+    """
+    transformer = VisionTransformer(
+        image_px=size.image_px, patch_px=size.patch_px, channels=1, width=size.width, depth=size.depth,
+        heads=size.heads, hidden=size.hidden, dropout=size.dropout, stem=tuple(size.stem),
+    )  # fmt: skip
+    if pretrained is not None:
+        load_pretrained(transformer, pretrained)
+    features = ImageFeatures(transformer, size.width, size.features, size.pooling, size.dropout)
+    return ShapeNetwork(
+        features, form, positions=positions, size=size.features, frames=size.frames, state=size.state,
+        hidden=size.head, dropout=size.dropout,
+    )  # fmt: skip
+
+
+def build_segmenter(name: str, image_px: int, **sizes: Any) -> nn.Module:
+    """Builds a segmentation network of one channel in and one logit a pixel out.
+
+    Args:
+        name: "unet", "transunet" or "swinunet".
+        image_px: side of the images it will see.
+        sizes: of its parts, see `SEGMENTER_SIZES`.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    if name == "unet":
+        return UNet(**sizes)
+    if name == "transunet":
+        return TransUnet(image_px=image_px, **sizes)
+    if name == "swinunet":
+        return SwinUnet(image_px=image_px, **sizes)
+    raise ValueError(f"unknown segmentation network '{name}'; there are {', '.join(SEGMENTERS)}")
+
+
+def described(size: ShapeSize, form: SphericalForm | None, positions: int) -> dict[str, Any]:
+    """What a model file keeps to build a shape network again: see `rebuilt`."""
+    return {"size": asdict(size), "form": None if form is None else asdict(form), "positions": positions}
+
+
+def rebuilt(told: Mapping[str, Any]) -> ShapeNetwork:
+    """Builds a shape network from what `described` told."""
+    form = None if told["form"] is None else SphericalForm(**told["form"])
+    return build_shape_network(ShapeSize(**told["size"]), form, told["positions"])
+
+
+def build_fgrn(points: int, **sizes: Any) -> FGRN:
+    """Builds 3D-FGRN.
+
+    Args:
+        points: that it predicts.
+        sizes: of its parts, see `FGRN_SIZES`.
+    """
+    return FGRN(points=points, **sizes)

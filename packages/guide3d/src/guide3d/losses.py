@@ -1,0 +1,120 @@
+"""Losses: of the shape network (tip, offsets, stop, and the curve itself), of 3D-FGRN, and of segmentation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from guide3d.modeling.shape_network import PredictedShapes
+
+_SMALLEST = 1e-6
+_MM_PER_CM, _MM_PER_M = 10.0, 1000.0
+
+
+@dataclass(frozen=True)
+class ShapeLoss:
+    """Weights of the shape network's loss; lengths count in cm, angles in rad.
+
+    Attributes:
+        tip: of the tip's squared error.
+        offset: of the offsets' mean squared error; Cartesian offsets are points, in cm.
+        stop: of the binary cross-entropy of each position's stop.
+        curve: of the mean squared distance of the decoded curve from the true one; 0 as in the thesis.
+    """
+
+    tip: float = 1.0
+    offset: float = 1.0
+    stop: float = 1.0
+    curve: float = 0.0
+
+    def __call__(self, predicted: PredictedShapes, points_mm: Tensor, offsets: Tensor, last: Tensor) -> Tensor:
+        """Compares predicted with true curves.
+
+        Args:
+            predicted: n of them.
+            points_mm: (n, M, 3), padded.
+            offsets: (n, M - 1, 2 or 3), padded likewise.
+            last: (n,) index of each curve's last point.
+
+        Returns:
+            (n,) a loss a curve.
+        """
+        positions = torch.arange(points_mm.shape[1], device=last.device)
+        inside = (positions <= last[:, None]).float()
+        steps = inside[:, 1:]
+        cm = 1.0 if predicted.offsets.shape[-1] == 2 else 1.0 / _MM_PER_CM
+        tip = ((predicted.tip_mm - points_mm[:, 0]) / _MM_PER_CM).square().sum(-1)
+        offset = (cm * (predicted.offsets - offsets)).square().sum(-1)
+        total = self.tip * tip + self.offset * (offset * steps).sum(1) / steps.sum(1)
+        if self.curve:
+            apart = ((predicted.points_mm - points_mm) / _MM_PER_CM).square().sum(-1)
+            total = total + self.curve * (apart * inside).sum(1) / inside.sum(1)
+        return total + self.stop * stop_loss(predicted.stop_logits, last)
+
+
+def stop_loss(logits: Tensor, last: Tensor) -> Tensor:
+    """Binary cross-entropy of the softmax over positions against the one where the curve ends.
+
+    Args:
+        logits: (n, M).
+        last: (n,) index of the end.
+
+    Returns:
+        (n,) summed over positions.
+    """
+    chance = logits.softmax(-1).clamp(max=1.0 - _SMALLEST)
+    others = torch.log1p(-chance)
+    here = last[:, None]
+    right = logits.log_softmax(-1).gather(1, here).squeeze(1)
+    return -(right + others.sum(1) - others.gather(1, here).squeeze(1))
+
+
+def fgrn_loss(
+    predicted_mm: Tensor,
+    points_mm: Tensor,
+    last: Tensor,
+    *,
+    alpha: float = 1000.0,
+    beta: float = 1.0,
+    spacing_mm: float = 2.0,
+) -> Tensor:
+    """Huber loss of the points and the deviation of their spacing, both in metres, as 3D-FGRN is trained with.
+
+    Args:
+        predicted_mm: (n, points, 3).
+        points_mm: likewise, padded.
+        last: (n,) index of each curve's last point: those beyond do not count.
+        alpha: weight of the Huber loss (threshold 1 m: it is quadratic throughout).
+        beta: weight of the spacing.
+        spacing_mm: that neighbours should have.
+
+    Returns:
+        (n,) a loss a curve.
+    """
+    inside = (torch.arange(points_mm.shape[1], device=last.device) <= last[:, None]).float()
+    huber = functional.huber_loss(predicted_mm / _MM_PER_M, points_mm / _MM_PER_M, reduction="none", delta=1.0).mean(-1)
+    gaps = (predicted_mm[:, 1:] - predicted_mm[:, :-1]).norm(dim=-1)
+    spacing = (gaps - spacing_mm).abs() / _MM_PER_M
+    steps = inside[:, 1:]
+    return alpha * (huber * inside).sum(1) / inside.sum(1) + beta * (spacing * steps).sum(1) / steps.sum(1).clamp(min=1)
+
+
+def segmentation_loss(logits: Tensor, masks: Tensor, *, dice: float = 0.5) -> Tensor:
+    """Binary cross-entropy and the complement of the soft Dice coefficient over the batch.
+
+    Args:
+        logits: (batch, 1, h, w).
+        masks: likewise, 0 or 1.
+        dice: share of the second.
+
+    Returns:
+        The loss.
+    """
+    logits = logits.float()
+    entropy = functional.binary_cross_entropy_with_logits(logits, masks)
+    chance = logits.sigmoid()
+    overlap = (2.0 * (chance * masks).sum() + 1.0) / (chance.sum() + masks.sum() + 1.0)
+    return (1.0 - dice) * entropy + dice * (1.0 - overlap)

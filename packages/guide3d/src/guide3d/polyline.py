@@ -1,0 +1,123 @@
+"""Polylines: checked arrays of points along a curve, their arc length and their resampling.
+
+A polyline is an (n, d) array, tip first, in pixels (d = 2) or millimetres (d = 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def checked(points: ArrayLike, dimension: int | None = None, what: str = "polyline", minimum: int = 2) -> Array:
+    """Returns the points of a polyline as a float array, or says what is wrong with them.
+
+    Args:
+        points: (n, d) points, tip first.
+        dimension: d that is expected, any where None.
+        what: the polyline's name in messages, such as "annotation of camera A".
+        minimum: fewest different points.
+
+    Returns:
+        (m, d) points without repeated neighbours.
+
+    Raises:
+        ValueError: not (n, d), not finite, or fewer than `minimum` different points.
+    """
+    array = np.asarray(points, dtype=float)
+    expected = f"(n, {'d' if dimension is None else dimension})"
+    if array.ndim != 2 or (dimension is not None and array.shape[1] != dimension):
+        raise ValueError(f"{what}: expected points of shape {expected}, got {array.shape}; give one point a row")
+    if not np.isfinite(array).all():
+        bad = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
+        raise ValueError(f"{what}: point {bad} is not finite; drop it before going on")
+    kept = array[np.concatenate([[True], (np.diff(array, axis=0) != 0).any(axis=1)])] if len(array) else array
+    if len(kept) < minimum:
+        raise ValueError(
+            f"{what}: expected at least {minimum} different points, got {len(kept)}; no curve goes through that"
+        )
+    return kept
+
+
+def arc_length(points: ArrayLike) -> Array:
+    """Returns the length of the polyline up to each of its points.
+
+    Args:
+        points: (n, d) points.
+
+    Returns:
+        (n,) lengths in the unit of the points, from 0.
+    """
+    array = np.asarray(points, dtype=float)
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(array, axis=0), axis=1))])
+
+
+def at_length(points: ArrayLike, lengths: ArrayLike) -> Array:
+    """Returns the points that lie at given lengths along a polyline, by linear interpolation.
+
+    Args:
+        points: (n, d) points.
+        lengths: (m,) lengths from the first point; those beyond an end give that end.
+
+    Returns:
+        (m, d) points.
+    """
+    array = np.asarray(points, dtype=float)
+    along = arc_length(array)
+    wanted = np.asarray(lengths, dtype=float)
+    return np.stack([np.interp(wanted, along, column) for column in array.T], axis=-1)
+
+
+def resample(points: ArrayLike, spacing: float | None = None, count: int | None = None) -> Array:
+    """Resamples a polyline at equal arc length.
+
+    Args:
+        points: (n, d) points.
+        spacing: distance of the new points; the last one lies less than this before the end, which is left out.
+        count: number of new points, both ends among them; give this or `spacing`.
+
+    Returns:
+        (m, d) points, the first of them the first of `points`.
+
+    Raises:
+        ValueError: neither or both of spacing and count, or values that make no polyline.
+    """
+    if (spacing is None) == (count is None):
+        raise ValueError("resample: expected either spacing or count")
+    array = checked(points)
+    length = arc_length(array)[-1]
+    if spacing is not None:
+        if not spacing > 0:
+            raise ValueError(f"resample: expected a spacing above 0, got {spacing}")
+        # a hair more, so that a length of exactly n spacings keeps its last point
+        lengths = spacing * np.arange(int(length / spacing + 1e-9) + 1)
+    else:
+        if count is None or count < 2:
+            raise ValueError(f"resample: expected a count of at least 2, got {count}")
+        lengths = np.linspace(0.0, length, count)
+    return at_length(array, lengths)
+
+
+def thinned(points: ArrayLike, closest: float) -> Array:
+    """Drops points that lie closer than a distance to the last point kept; both ends stay.
+
+    Args:
+        points: (n, d) points.
+        closest: smallest distance of neighbours, in the unit of the points.
+
+    Returns:
+        (m, d) points.
+    """
+    array = np.asarray(points, dtype=float)
+    kept = [0]
+    for i in range(1, len(array)):
+        if np.linalg.norm(array[i] - array[kept[-1]]) >= closest:
+            kept.append(i)
+    if kept[-1] != len(array) - 1:
+        if len(kept) > 1:
+            kept[-1] = len(array) - 1
+        else:
+            kept.append(len(array) - 1)
+    return array[kept]

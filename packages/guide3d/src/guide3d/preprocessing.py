@@ -1,0 +1,87 @@
+"""Preprocessing: a camera's image to the small picture that a network sees, the same in training and prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+Picture = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Preprocessing:
+    """How pictures are made.
+
+    Attributes:
+        size_px: side of the picture.
+        source_px: side of the camera's image, which positions and masks belong to.
+        line_px: width, in px of the camera's image, below which dark lines are kept and all else is taken away (closing
+            minus image); 0: the grey values as they are.
+        gain: of the lines.
+    """
+
+    size_px: int
+    source_px: int = 1024
+    line_px: int = 0
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuses sizes that make no picture."""
+        if self.size_px < 1 or self.source_px < self.size_px:
+            raise ValueError(f"expected pictures of 1 to {self.source_px} px, got {self.size_px}")
+        if self.line_px < 0 or not self.gain > 0:
+            raise ValueError(f"line_px must not be negative and gain above 0, got {self.line_px} and {self.gain}")
+
+    def __call__(self, image: NDArray[np.uint8]) -> Picture:
+        """Makes a picture.
+
+        Args:
+            image: (source_px, source_px) uint8.
+
+        Returns:
+            (size_px, size_px) uint8, area-averaged.
+
+        Raises:
+            ValueError: an image of another size or type.
+        """
+        expected = (self.source_px, self.source_px)
+        if image.shape != expected or image.dtype != np.uint8:
+            raise ValueError(
+                f"expected an image of {expected[1]} x {expected[0]} px, uint8, got {image.shape}, {image.dtype}: "
+                "the network was trained on that size, and its camera belongs to it"
+            )
+        if not self.line_px:
+            return averaged(image, self.size_px)
+        lines = dark_lines(image, self.line_px)
+        return np.clip(self.gain * averaged(lines, self.size_px).astype(np.float32), 0, 255).astype(np.uint8)
+
+
+def averaged(image: NDArray[np.uint8], size_px: int) -> Picture:
+    """Reduces a square image by averaging areas.
+
+    Args:
+        image: (h, h) uint8.
+        size_px: side of the result.
+    """
+    if image.shape == (size_px, size_px):
+        return image
+    return np.asarray(Image.fromarray(image).resize((size_px, size_px), Image.Resampling.BOX))
+
+
+def dark_lines(image: NDArray[np.uint8], width_px: int) -> Picture:
+    """Keeps what is darker than its surroundings and narrower than a square of some width.
+
+    Args:
+        image: (h, w) uint8.
+        width_px: of the square.
+
+    Returns:
+        (h, w) uint8, how much darker.
+    """
+    smooth = ndimage.uniform_filter(image, 3, mode="nearest")  # one bright pixel must not open a line
+    closed = ndimage.minimum_filter(ndimage.maximum_filter(smooth, width_px, mode="nearest"), width_px, mode="nearest")
+    return closed - smooth

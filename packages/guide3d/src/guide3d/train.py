@@ -1,0 +1,126 @@
+"""Command line of training: a data set to a network's file, on one process or, under torchrun, on many.
+
+::
+
+    python -m guide3d.train DATASET --network spherical --size desk --output FOLDER
+    torchrun --nproc-per-node 4 -m guide3d.train DATASET --network transunet --size thesis --output FOLDER
+
+The folder gets ``predictor.pt`` and ``training.json``; the same command goes on after an interruption.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from guide3d.atomic_file import whole_file
+from guide3d.build import SEGMENTERS, SIZES
+from guide3d.dataset import Dataset, split
+from guide3d.distributed import Ranks
+from guide3d.network_training import train_fgrn, train_segmenter, train_shape
+from guide3d.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
+from guide3d.training import FitProgress, finished
+
+ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
+NETWORKS = (*FORMS, ANGLES_ALONE, "fgrn", *SEGMENTERS)
+PREDICTOR, TABLE = "predictor.pt", "training.json"
+
+_LOGGER = logging.getLogger("guide3d.train")
+
+
+def arguments(words: list[str]) -> argparse.Namespace:
+    """Understands the command line."""
+    parser = argparse.ArgumentParser(prog="python -m guide3d.train", description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path, help="folder of the data set")
+    parser.add_argument("--network", choices=NETWORKS, required=True)
+    parser.add_argument("--size", choices=SIZES, default="desk")
+    parser.add_argument("--output", type=Path, required=True, help="folder of the network")
+    parser.add_argument("--pictures", type=Path, help="folder that keeps prepared pictures")
+    parser.add_argument("--pretrained", type=Path, help="weights of a vision transformer, of timm or torchvision")
+    parser.add_argument("--epochs", type=int, help="instead of the recipe's")
+    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    parser.add_argument("--images", type=Path, help="folder of the images, where they lie elsewhere")
+    parser.add_argument("--calibration", type=Path, help="folder of the camera files, where they lie elsewhere")
+    parser.add_argument("--curves", type=Path, help="file of fitted curves and curves in space, like sphere.json")
+    parser.add_argument("--split-seed", type=int, default=0, help="of the split by acquisition")
+    parser.add_argument("--seed", type=int, default=0, help="of the training")
+    return parser.parse_args(words)
+
+
+def train(given: argparse.Namespace, progress: Callable[[FitProgress], None] | None = None) -> dict[str, Any]:
+    """Trains what the command line asks for.
+
+    Args:
+        given: as `arguments` understood it.
+        progress: called after every epoch; None: the log is told.
+
+    Returns:
+        What ``training.json`` holds.
+    """
+    ranks = Ranks.join(given.device)
+    try:
+        data = Dataset.open(given.data, images=given.images, calibration=given.calibration, curves=given.curves)
+        parts = split(data, seed=given.split_seed)
+        fold = given.output / "fit"
+
+        def tell(now: FitProgress) -> None:
+            if ranks.rank == 0:
+                _LOGGER.info(
+                    "epoch %d of %d: loss %.4f, validation %s", now.epoch, now.epochs, now.loss, now.validation
+                )
+
+        common: dict[str, Any] = {
+            "folder": fold, "pictures": given.pictures, "seed": given.seed, "ranks": ranks,
+            "progress": progress or tell,
+        }  # fmt: skip
+        angles_alone = given.network == ANGLES_ALONE
+        form = "spherical" if angles_alone else given.network
+        if given.pretrained is not None and form not in FORMS:
+            raise ValueError("--pretrained fills the vision transformer of the shape network only")
+        predictor: Any
+        if form in FORMS:
+            shape = _with_epochs(shape_recipe(given.size), given.epochs)
+            if angles_alone:
+                shape = replace(shape, loss=replace(shape.loss, curve=0.0))
+            predictor, report = train_shape(data, parts, shape, form, pretrained=given.pretrained, **common)
+        elif given.network == "fgrn":
+            predictor, report = train_fgrn(data, parts, _with_epochs(fgrn_recipe(given.size), given.epochs), **common)
+        else:
+            recipe = _with_epochs(segmentation_recipe(given.network, given.size), given.epochs)
+            predictor, report = train_segmenter(data, parts, recipe, **common)
+        told = {"network": given.network, "size": given.size, "processes": ranks.count, **asdict(report)}
+        if ranks.rank == 0:
+            predictor.save(given.output / PREDICTOR)
+            with whole_file(given.output / TABLE, "w") as file:
+                json.dump(told, file, indent=1)
+            finished(fold)
+        ranks.wait()
+        return told
+    finally:
+        ranks.leave()
+
+
+def _with_epochs(recipe: Any, epochs: int | None) -> Any:
+    return recipe if epochs is None else replace(recipe, fit=replace(recipe.fit, epochs=epochs))
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs the command line; returns its exit code."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    given = arguments(sys.argv[1:] if words is None else words)
+    try:
+        train(given)
+    except (ValueError, OSError) as error:
+        _LOGGER.error("%s", error)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

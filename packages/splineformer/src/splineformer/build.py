@@ -1,0 +1,87 @@
+"""Sizes of the networks: `thesis` as published, `desk` for a processor in minutes, `smoke` to prove the plumbing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from splineformer.modeling.ordered import OrderedSettings, OrderedSplineFormer
+from splineformer.modeling.splineformer import SplineFormer, SplineFormerSettings
+
+VARIANTS = ("published", "ordered")
+LAYOUT = 1  # of what model files keep; a change of the networks that old weights do not fit raises it
+
+Network = SplineFormer | OrderedSplineFormer
+
+SIZES: dict[str, dict[str, SplineFormerSettings | OrderedSettings]] = {
+    "published": {
+        "thesis": SplineFormerSettings(),
+        "thesis_large": SplineFormerSettings(width=512, encoder_layers=10, decoder_layers=10),
+        "desk": SplineFormerSettings(
+            image_px=192, patch_px=12, width=96, heads=4, encoder_layers=4, decoder_layers=3, dropout=0.0
+        ),
+        "smoke": SplineFormerSettings(
+            image_px=64, patch_px=16, width=32, heads=2, encoder_layers=1, decoder_layers=1, dropout=0.0
+        ),
+    },
+    "ordered": {
+        "thesis": OrderedSettings(
+            image_px=512, channels=(32, 64, 128, 256), blocks=(1, 2, 2, 1), width=256, heads=8, encoder_layers=6,
+            decoder_layers=3, key_width=64, fine_stride=4, refinements=3, refinement_width=192,
+        ),
+        "desk": OrderedSettings(image_px=192),
+        "smoke": OrderedSettings(
+            image_px=64, channels=(4, 8, 8, 16), blocks=(0, 0, 0, 0), width=16, heads=2, encoder_layers=1,
+            key_width=8, queries=16, control_points=10, refinements=1, refinement_width=16,
+        ),
+    },
+}  # fmt: skip
+
+
+def size_of(variant: str, size: str) -> SplineFormerSettings | OrderedSettings:
+    """The settings of a variant at a size.
+
+    Raises:
+        ValueError: an unknown variant or size; the message lists the valid ones.
+    """
+    if variant not in SIZES:
+        raise ValueError(f"unknown variant '{variant}'; there are {', '.join(VARIANTS)}")
+    if size not in SIZES[variant]:
+        raise ValueError(f"unknown size '{size}' of variant {variant}; there are {', '.join(SIZES[variant])}")
+    return SIZES[variant][size]
+
+
+def build(settings: SplineFormerSettings | OrderedSettings) -> Network:
+    """Builds the network that settings describe."""
+    return SplineFormer(settings) if isinstance(settings, SplineFormerSettings) else OrderedSplineFormer(settings)
+
+
+def described(network: Network) -> dict[str, Any]:
+    """What a model file keeps to build the network again: see `rebuilt`."""
+    variant = "published" if isinstance(network, SplineFormer) else "ordered"
+    settings = {
+        key: list(value) if isinstance(value, tuple) else value for key, value in asdict(network.settings).items()
+    }
+    return {"layout": LAYOUT, "variant": variant, "settings": settings}
+
+
+def rebuilt(told: Mapping[str, Any]) -> Network:
+    """Builds a network, its weights still to be filled in, from what `described` told.
+
+    Raises:
+        ValueError: another layout or variant, or settings of another version.
+    """
+    if told.get("layout") != LAYOUT:
+        raise ValueError(
+            f"the network has layout {told.get('layout')}, this version reads {LAYOUT}: train it again, or take the "
+            "version that wrote it"
+        )
+    kinds = {"published": SplineFormerSettings, "ordered": OrderedSettings}
+    if told.get("variant") not in kinds:
+        raise ValueError(f"unknown variant '{told.get('variant')}'; there are {', '.join(VARIANTS)}")
+    settings = {key: tuple(value) if isinstance(value, list) else value for key, value in told["settings"].items()}
+    try:
+        return build(kinds[told["variant"]](**settings))
+    except TypeError as error:
+        raise ValueError(f"the network's settings are of another version ({error}): train it again") from error

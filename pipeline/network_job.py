@@ -1,0 +1,114 @@
+"""Network jobs: one training, in this process or by torchrun in several, through the package's own command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.errors import StageError
+from pipeline.guide3d_folder import read_source
+from pipeline.job_worker import Report
+
+if TYPE_CHECKING:
+    from guide3d.training import FitProgress
+
+PREDICTOR, TRAINING = "predictor.pt", "training.json"
+_SECONDS_BETWEEN_LOOKS = 1.0
+
+
+@dataclass(frozen=True)
+class NetworkJob:
+    """A network to train and to judge.
+
+    Attributes:
+        folder: of the network.
+        guide3d: folder of the stage guide3d, which knows the data set.
+        pictures: folder of prepared pictures, which trainings share.
+        network: as `guide3d.train` calls it.
+        size: of its recipe.
+        epochs: 0: the recipe's own.
+        split_seed: of the split.
+        seed: of the training.
+        processes: that train together.
+        device: of the training.
+        pretrained: weights of a vision transformer.
+        test_images: that it is judged by; 0: all.
+    """
+
+    folder: Path
+    guide3d: Path
+    pictures: Path
+    network: str
+    size: str
+    epochs: int
+    split_seed: int
+    seed: int
+    processes: int = 1
+    device: str = "auto"
+    pretrained: str | None = None
+    test_images: int = 0
+
+
+def train_network(job: NetworkJob, report: Report) -> dict[str, Any]:
+    """Trains a network, or goes on with its training.
+
+    Args:
+        job: what to train.
+        report: takes the progress.
+
+    Returns:
+        The table of the training, as ``training.json`` has it.
+    """
+    told = job.folder / TRAINING
+    if told.is_file() and (job.folder / PREDICTOR).is_file():
+        return dict(json.loads(told.read_text(encoding="utf-8")))
+    source = read_source(job.guide3d)
+    words = [
+        str(job.guide3d / source.root), "--network", job.network, "--size", job.size, "--output", str(job.folder),
+        "--pictures", str(job.pictures), "--device", job.device, "--seed", str(job.seed),
+        "--split-seed", str(job.split_seed),
+    ]  # fmt: skip
+    for name in ("images", "calibration", "curves"):
+        path = source.place(job.guide3d, name)
+        if path is not None:
+            words += [f"--{name}", str(path)]
+    if job.epochs:
+        words += ["--epochs", str(job.epochs)]
+    if job.pretrained is not None:
+        words += ["--pretrained", job.pretrained]
+    if job.processes > 1:
+        _train_together(words, job.processes, report)
+        return dict(json.loads(told.read_text(encoding="utf-8")))
+    from guide3d.train import arguments, train
+
+    def tell(now: FitProgress) -> None:
+        loss = now.loss if now.validation is None else now.validation
+        report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
+
+    return train(arguments(words), progress=tell)
+
+
+def _train_together(words: list[str], processes: int, report: Report) -> None:
+    """Starts torchrun; stopping it leaves the checkpoint of the last epoch."""
+    command = [
+        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes),
+        "-m", "guide3d.train", *words,
+    ]  # fmt: skip
+    running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ})
+    try:
+        while running.poll() is None:
+            time.sleep(_SECONDS_BETWEEN_LOOKS)
+            report(0.5, f"{processes} processes")
+    finally:
+        if running.poll() is None:
+            running.terminate()
+        errors = running.communicate()[1]
+    if running.returncode:
+        lines = [line for line in errors.splitlines() if line.strip()]
+        raise StageError(f"torchrun ended with code {running.returncode}: {lines[0] if lines else 'no word of why'}")

@@ -1,0 +1,227 @@
+"""Training jobs of SplineFormer: one variant, in this process or by torchrun in several, and what it is like alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.atomic import write_json
+from pipeline.errors import StageError
+from pipeline.guide3d_folder import open_dataset, read_source
+from pipeline.job_worker import Report
+
+if TYPE_CHECKING:
+    from guide3d.dataset import Dataset
+    from guide3d.training import FitProgress
+    from splineformer.predictor import Predictor
+
+PRELOAD = ("splineformer.train", "splineformer.skeleton", "guide3d.predictor", "guide3d.segmentation_metrics")
+PREDICTOR, TRAINING, RECORD = "predictor.pt", "training.json", "variant.json"
+_SECONDS_BETWEEN_LOOKS = 1.0
+_BATCH = 8
+_TIMED = 5  # calls, after one that is not counted
+_KINDS_OF = 48  # test images whose kind is asked for, in each of the four forms
+_TRIPS = 400  # curves that go to tokens and back
+
+
+@dataclass(frozen=True)
+class VariantJob:
+    """A variant to train.
+
+    Attributes:
+        folder: of the network.
+        guide3d: folder of the stage guide3d, which knows the data set.
+        pictures: folder of small pictures, which trainings share.
+        variant: "published" or "ordered".
+        size: of its recipe.
+        epochs: 0: the recipe's own.
+        split_seed: of the split.
+        seed: of the training.
+        processes: that train together.
+        device: of the training.
+        tensorboard: write the losses for it, too.
+    """
+
+    folder: Path
+    guide3d: Path
+    pictures: Path
+    variant: str
+    size: str
+    epochs: int
+    split_seed: int
+    seed: int
+    processes: int = 1
+    device: str = "auto"
+    tensorboard: bool = False
+
+
+def learn_variant(job: VariantJob, report: Report) -> dict[str, Any]:
+    """Trains a variant and measures what needs no rival.
+
+    Args:
+        job: what to train.
+        report: takes the progress.
+
+    Returns:
+        Size, cost and speed of the network, its losses, how curves survive as tokens, and whether the kind of an image
+        is told.
+    """
+    file = job.folder / RECORD
+    if file.is_file():
+        return dict(json.loads(file.read_text(encoding="utf-8")))
+    training = _train(job, report)
+    from splineformer.predictor import Predictor
+
+    data = open_dataset(job.guide3d)
+    predictor = Predictor.load(job.folder / PREDICTOR)
+    report(0.92, "speed")
+    outcome = {
+        "variant": job.variant,
+        "parameters": sum(weight.numel() for weight in predictor.network.parameters()),
+        "image_px": predictor.network.settings.image_px,
+        "epochs": len(training["rows"]),
+        "best_epoch": training["best_epoch"],
+        "cpu_min": training["rows"][-1]["cpu_s"] / 60,
+        "curve": [[row["epoch"], row["loss"], row["validation"]] for row in training["rows"]],
+        **speed(predictor, data),
+        **round_trips(predictor, data, job.seed),
+        **kinds_told(predictor, data, job, report),
+    }
+    write_json(file, outcome)
+    return outcome
+
+
+def _train(job: VariantJob, report: Report) -> dict[str, Any]:
+    told = job.folder / TRAINING
+    if told.is_file() and (job.folder / PREDICTOR).is_file():
+        return dict(json.loads(told.read_text(encoding="utf-8")))
+    source = read_source(job.guide3d)
+    words = [
+        str(job.guide3d / source.root), "--variant", job.variant, "--size", job.size, "--output", str(job.folder),
+        "--pictures", str(job.pictures), "--device", job.device, "--seed", str(job.seed),
+        "--split-seed", str(job.split_seed),
+    ]  # fmt: skip
+    for name in ("images", "calibration"):
+        path = source.place(job.guide3d, name)
+        if path is not None:
+            words += [f"--{name}", str(path)]
+    if job.epochs:
+        words += ["--epochs", str(job.epochs)]
+    if job.tensorboard:
+        words.append("--tensorboard")
+    if job.processes > 1:
+        _train_together(words, job.processes, report)
+        return dict(json.loads(told.read_text(encoding="utf-8")))
+    from splineformer.train import arguments, train_as_told
+
+    def tell(now: FitProgress) -> None:
+        loss = now.loss if now.validation is None else now.validation
+        report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
+
+    return train_as_told(arguments(words), progress=tell)
+
+
+def _train_together(words: list[str], processes: int, report: Report) -> None:
+    """Starts torchrun; stopping it leaves the checkpoint of the last epoch."""
+    command = [
+        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes),
+        "-m", "splineformer.train", *words,
+    ]  # fmt: skip
+    running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ})
+    try:
+        while running.poll() is None:
+            time.sleep(_SECONDS_BETWEEN_LOOKS)
+            report(0.5, f"{processes} processes")
+    finally:
+        if running.poll() is None:
+            running.terminate()
+        errors = running.communicate()[1]
+    if running.returncode:
+        lines = [line for line in errors.splitlines() if line.strip()]
+        raise StageError(f"torchrun ended with code {running.returncode}: {lines[0] if lines else 'no word of why'}")
+
+
+def speed(predictor: Predictor, data: Dataset) -> dict[str, float]:
+    """Processor time of one image, and images a second in batches of eight, from the camera's image to the curve."""
+    image = data.frames[0].image("a")
+    told = {}
+    for name, images in (("latency_ms", [image]), ("batch_ms", [image] * _BATCH)):
+        predictor.batch(images)
+        began = time.process_time()
+        for _ in range(_TIMED):
+            predictor.batch(images)
+        told[name] = 1e3 * (time.process_time() - began) / _TIMED
+    return {"latency_ms": told["latency_ms"], "images_per_s": 1e3 * _BATCH / told["batch_ms"]}
+
+
+def round_trips(predictor: Predictor, data: Dataset, seed: int) -> dict[str, float]:
+    """Mean error of annotated curves that become tokens of the variant's form and curves again; number of tokens."""
+    from splineformer.modeling.ordered import OrderedSplineFormer
+    from splineformer.tokens import round_trip_px, tokens_of_polyline, tokens_on_knots
+
+    network = predictor.network
+
+    draws = np.random.default_rng(seed).permutation(len(data.frames))[:_TRIPS]
+    errors, counts = [], []
+    for number, index in enumerate(draws.tolist()):
+        points = data.frames[index].polyline("ab"[number % 2])
+        if isinstance(network, OrderedSplineFormer):
+            tokens = tokens_on_knots(points, network.knots.double().numpy())
+        else:
+            tokens = tokens_of_polyline(points)
+        errors.append(round_trip_px(points, tokens))
+        counts.append(len(tokens))
+    return {"round_trip_px": float(np.mean(errors)), "tokens_mean": float(np.mean(counts)), "tokens_max": max(counts)}
+
+
+def kinds_told(predictor: Predictor, data: Dataset, job: VariantJob, report: Report) -> dict[str, float]:
+    """Shares (%) of test images whose kind is told: one wire, none (taken away), two (one added), inverted levels."""
+    from guide3d.dataset import split
+    from splineformer.intake import picture_of
+    from splineformer.samples import CAMERAS, images_of, shares_of_pixels
+
+    items = images_of(data, split(data, seed=job.split_seed).test, _KINDS_OF)
+    generator = np.random.default_rng(job.seed)
+    right = {"one": 0, "none": 0, "several": 0, "inverted": 0}
+    former = None
+    for number, item in enumerate(items.tolist()):
+        report(0.94 + 0.05 * number / len(items), "kinds of image")
+        camera, index = divmod(item, len(data.frames))
+        frame = data.frames[index]
+        image = frame.image(CAMERAS[camera])
+        small = picture_of(image, predictor.network.settings.image_px, len(image)).pixels
+        wire = shares_of_pixels(frame.polyline(CAMERAS[camera]), (image.shape[1], image.shape[0]))
+        empty, former = _without_and_with(small, wire, generator, former)
+        plain, none, several, inverted = predictor.batch([small, empty[0], empty[1], 255 - small])
+        right["one"] += plain.wires == "one" and not plain.inverted
+        right["none"] += none.wires == "none"
+        right["several"] += several.wires == "several"
+        right["inverted"] += inverted.inverted
+    return {f"told_{name}_pct": 100.0 * count / len(items) for name, count in right.items()}
+
+
+def _without_and_with(
+    small: np.ndarray, wire: np.ndarray, generator: np.random.Generator, former: Any
+) -> tuple[tuple[np.ndarray, np.ndarray], Any]:
+    """The picture without its wire, and with the mirrored wire of the picture before (its own for the first)."""
+    import torch
+
+    from splineformer.augmentation import shadow, without_wire
+
+    image = torch.from_numpy(small.astype(np.float32))[None]
+    empty = without_wire(image, wire, generator)
+    own = shadow(image, empty).flip(1)
+    double = image * (own if former is None else former)
+    return (_levels(empty), _levels(double)), own
+
+
+def _levels(image: Any) -> np.ndarray:
+    return np.asarray(image[0].clamp(0, 255).round().numpy().astype(np.uint8))

@@ -1,0 +1,130 @@
+"""The segmentation stage: UNet, TransUnet and SwinUnet find the wire's pixels, judged on unseen acquisitions."""
+
+from __future__ import annotations
+
+import shutil
+from typing import Any
+
+from pipeline.jobs import Job, run_jobs
+from pipeline.network_job import NetworkJob
+from pipeline.network_settings import SegmentationSettings
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.report.segmentation_plots import draw_examples, draw_kinds
+from pipeline.report.shape_plots import draw_training
+from pipeline.segmentation_job import PRELOAD, learn_segmentation
+from pipeline.stages import Stage, StageContext
+
+GROUP = "Segmentation"
+PICTURES = "pictures"
+LABELS = {"unet": "UNet", "transunet": "TransUnet", "swinunet": "SwinUnet"}
+
+
+def run_segmentation(settings: SegmentationSettings, context: StageContext) -> None:
+    """Trains every network and compares them.
+
+    Args:
+        settings: of the stage.
+        context: where the data set lies and where to write.
+    """
+    jobs = plan(settings, context)
+    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="segmenters", preload=PRELOAD)
+    write_results(context.path, tables(settings.rows, outcomes))
+    write_figures(context.path, figures(settings.rows, outcomes, context))
+    shutil.rmtree(context.path / PICTURES, ignore_errors=True)  # made again from the data set when needed
+
+
+def plan(settings: SegmentationSettings, context: StageContext) -> list[Job]:
+    """A training a row.
+
+    Args:
+        settings: of the stage.
+        context: likewise.
+    """
+    return [
+        Job(
+            row,
+            learn_segmentation,
+            NetworkJob(
+                folder=context.path / row,
+                guide3d=context.inputs["guide3d"],
+                pictures=context.path / PICTURES,
+                network=row,
+                size=settings.size,
+                epochs=settings.epochs,
+                split_seed=settings.split_seed,
+                seed=context.seed,
+                processes=settings.processes,
+                device=settings.device,
+                test_images=settings.test_images,
+            ),
+        )
+        for row in settings.rows
+    ]
+
+
+def tables(rows: list[str], outcomes: dict[str, Any]) -> dict[str, Any]:
+    """The thesis's table, and one with every metric, at both resolutions.
+
+    Args:
+        rows: networks.
+        outcomes: of their jobs.
+
+    Returns:
+        Table to row to column to cell.
+    """
+    thesis, own = {}, {}
+    for row in rows:
+        told = outcomes[row]
+        thesis[row] = {name: told[name] for name in ("dice", "miou", "jaccard")} | {"n": told["images"]}
+        own[row] = {
+            **{name: told[name] for name in ("dice", "iou_foreground", "miou", "centreline_dice", "dice_small")},
+            "size_px": told["size_px"],
+            "parameters_m": told["parameters"] / 1e6,
+            "epochs": told["epochs"],
+            "cpu_min": told["cpu_min"],
+            "ms_an_image": told["ms_an_image"],
+            "n": told["images"],
+        }
+    return {"segmentation": thesis, "segmentation_networks": own}
+
+
+def figures(rows: list[str], outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
+    """Draws examples, Dice by kind of image, and the trainings.
+
+    Args:
+        rows: networks.
+        outcomes: of their jobs.
+        context: of the stage.
+    """
+    folder = context.path
+    named = {LABELS[row]: outcomes[row] for row in rows}
+    told = outcomes[rows[0]]
+    unseen = f"{told['images']} images of {told['acquisitions']} acquisitions that no network has seen"
+    draw_examples({LABELS[row]: folder / row for row in rows}, folder / "examples.png")
+    draw_kinds(named, folder / "kinds.png")
+    draw_training(named, folder / "training.png", "loss")
+    return [
+        Figure(
+            "Segmentation examples",
+            f"An image whose Dice is at the 5th, the 50th and the 95th percentile of each network; {unseen}. A wire is "
+            f"{told['mask_px']:g} px wide in images of {told['source_px']} px.",
+            "examples.png",
+            GROUP,
+        ),
+        Figure("Dice by wire and fluid", f"Mean and standard deviation; {unseen}.", "kinds.png", GROUP),
+        Figure("Training of the segmentation networks", "Loss by epoch.", "training.png", GROUP),
+    ]
+
+
+STAGE = Stage(
+    name="segmentation",
+    run=run_segmentation,
+    reads=("guide3d",),
+    writes=(
+        "<network>/{predictor.pt, training.json, segmentation.json, examples.npz}",
+        "examples.png, kinds.png, training.png",
+        "results.json",
+        "figures.json",
+    ),
+    code=("guide3d", "pipeline.network_job", "pipeline.segmentation_job", "pipeline.report.segmentation_plots"),
+)

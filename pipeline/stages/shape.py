@@ -1,0 +1,163 @@
+"""The shape stage: networks that tell the wire in space from frames of one camera, judged on unseen acquisitions."""
+
+from __future__ import annotations
+
+import shutil
+from typing import Any
+
+from pipeline.jobs import Job, run_jobs
+from pipeline.network_job import NetworkJob
+from pipeline.network_settings import ShapeSettings
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.report.shape_plots import draw_along, draw_in_space, draw_reprojections, draw_training
+from pipeline.shape_job import METRICS, PRELOAD, learn_shape
+from pipeline.stages import Stage, StageContext
+
+GROUP = "Shape prediction"
+PICTURES = "pictures"
+THESIS_ROWS = ("cartesian", "spherical")
+LABELS = {
+    "spherical": "spherical",
+    "cartesian": "Cartesian",
+    "spherical_angles": "spherical, loss on angles alone",
+    "fgrn": "3D-FGRN",
+}
+
+
+def run_shape(settings: ShapeSettings, context: StageContext) -> None:
+    """Trains every network and compares them.
+
+    Args:
+        settings: of the stage.
+        context: where the data set lies and where to write.
+    """
+    jobs = plan(settings, context)
+    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="shape networks", preload=PRELOAD)
+    write_results(context.path, tables(settings.rows, outcomes))
+    write_figures(context.path, figures(settings.rows, outcomes, context))
+    shutil.rmtree(context.path / PICTURES, ignore_errors=True)  # made again from the data set when needed
+
+
+def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
+    """A training a row.
+
+    Args:
+        settings: of the stage.
+        context: likewise.
+    """
+    return [
+        Job(
+            row,
+            learn_shape,
+            NetworkJob(
+                folder=context.path / row,
+                guide3d=context.inputs["guide3d"],
+                pictures=context.path / PICTURES,
+                network=row,
+                size=settings.size,
+                epochs=settings.epochs,
+                split_seed=settings.split_seed,
+                seed=context.seed,
+                processes=settings.processes,
+                device=settings.device,
+                pretrained=None if row == "fgrn" else settings.pretrained,
+            ),
+            weight=0.2 if row == "fgrn" else 1.0,
+        )
+        for row in settings.rows
+    ]
+
+
+def tables(rows: list[str], outcomes: dict[str, Any]) -> dict[str, Any]:
+    """The thesis's table, and one with every network and every distance.
+
+    Args:
+        rows: networks.
+        outcomes: of their jobs.
+
+    Returns:
+        Table to row to column to cell.
+    """
+    thesis = {
+        row: {name: outcomes[row][name] for name in METRICS if name != "chamfer"} | {"n": outcomes[row]["frames"]}
+        for row in THESIS_ROWS
+        if row in rows
+    }
+    own = {}
+    for row in rows:
+        told = outcomes[row]
+        own[row] = {name: told[name] for name in (*METRICS, "length_error_mm", "reprojection_px")}
+        own[row] |= {
+            "parameters_m": told["parameters"] / 1e6,
+            "epochs": told["epochs"],
+            "cpu_min": told["cpu_min"],
+            "ms_a_frame": told["ms_a_frame"],
+            "n": told["frames"],
+        }
+    return {"shape_prediction_mm": thesis, "shape_networks": own}
+
+
+def figures(rows: list[str], outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
+    """Draws curves in space, their projections, the error along the wire and the trainings.
+
+    Args:
+        rows: networks.
+        outcomes: of their jobs.
+        context: of the stage.
+    """
+    folder = context.path
+    named = {LABELS[row]: outcomes[row] for row in rows}
+    told = outcomes[rows[0]]
+    unseen = f"{told['frames']} frames of {told['acquisitions']} acquisitions that no network has seen"
+    drawn = []
+    for row in rows:
+        if row not in ("spherical", "cartesian"):
+            continue
+        draw_in_space(folder / row, folder / f"{row}_space.png")
+        draw_reprojections(folder / row, context.inputs["guide3d"], folder / f"{row}_reprojection.png")
+        drawn += [
+            Figure(
+                f"Predicted wires in space, {LABELS[row]}",
+                f"From two angles: a frame whose MaxED is at the 10th, the 50th and the 90th percentile; {unseen}.",
+                f"{row}_space.png",
+                GROUP,
+            ),
+            Figure(
+                f"The same wires projected into camera A, {LABELS[row]}",
+                "Annotated (blue) and predicted (orange) line over the image that was seen.",
+                f"{row}_reprojection.png",
+                GROUP,
+            ),
+        ]
+    draw_along(named, folder / "error_along.png")
+    draw_training(named, folder / "training.png", "loss")
+    return [
+        *drawn,
+        Figure(
+            "Error along the wire",
+            f"Mean distance at equal arc length from the tip; {unseen}. Lengths that fewer than five wires have are "
+            "left out; 3D-FGRN, which has no stop, is cut at the true length.",
+            "error_along.png",
+            GROUP,
+        ),
+        Figure(
+            "Training of the shape networks",
+            "Loss of the validation acquisitions by epoch; losses of different networks are not comparable.",
+            "training.png",
+            GROUP,
+        ),
+    ]
+
+
+STAGE = Stage(
+    name="shape",
+    run=run_shape,
+    reads=("guide3d",),
+    writes=(
+        "<network>/{predictor.pt, training.json, shape.json, examples.npz}",
+        "<network>_space.png, <network>_reprojection.png, error_along.png, training.png",
+        "results.json",
+        "figures.json",
+    ),
+    code=("guide3d", "pipeline.network_job", "pipeline.shape_job", "pipeline.report.shape_plots"),
+)

@@ -1,0 +1,39 @@
+"""Curves and images of wires with known truth, for the tests of splineformer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from guide3d.masks import strip_mask
+from guide3d.polyline import resample
+
+SIDE = 256
+
+
+def wavy_wire(seed: int = 0, side: int = SIDE, count: int = 200) -> np.ndarray:
+    """A smooth wire that comes in from the left border and ends inside, tip first."""
+    generator = np.random.default_rng(seed)
+    x = np.linspace(0.0, generator.uniform(0.4, 0.8) * side, 100)
+    phase, height = generator.uniform(0, 6.28), generator.uniform(0.3, 0.7) * side
+    y = height + 0.08 * side * np.sin(x / (0.1 * side) + phase)
+    return resample(np.column_stack([x, y])[::-1], count=count)
+
+
+def loop(side: int = SIDE) -> np.ndarray:
+    """A wire that crosses itself."""
+    t = np.linspace(0.0, 1.0, 400)
+    angle = 2.2 * np.pi * t
+    x = (0.15 + 0.6 * t) * side + 0.12 * side * np.sin(angle)
+    y = 0.5 * side + 0.16 * side * (1 - np.cos(angle))
+    return np.column_stack([x, y])[::-1]
+
+
+def image_of(
+    points: np.ndarray, side: int = SIDE, seed: int = 0, ground: float = 150.0, depth: float = 70.0
+) -> np.ndarray:
+    """A grey image of a dark wire on an uneven ground, uint8."""
+    generator = np.random.default_rng(seed)
+    slope = np.linspace(-15, 15, side)[None] + np.linspace(-10, 10, side)[:, None]
+    wire = strip_mask(points, side, side, 4.0) > 0
+    image = ground + slope - depth * wire + generator.normal(0, 2.0, (side, side))
+    return np.clip(image, 0, 255).astype(np.uint8)
