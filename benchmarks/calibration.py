@@ -3,8 +3,8 @@
     python benchmarks/calibration.py DIR
     python benchmarks/calibration.py --quick
 
-DIR holds undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv and, if beads are marked, a .ref file. Without DIR (--quick), a
-synthetic sheet and cube are drawn and calibrated. Prints a table, and one JSON object as the last line.
+DIR holds undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv and, if beads are marked, a .ref file. Without
+DIR (--quick), a synthetic sheet and cube are drawn and calibrated. Prints a table, and one JSON object last.
 """
 
 from __future__ import annotations
@@ -71,7 +71,9 @@ def main() -> int:
             f"{detector:10} {own['holes']:6d} {own['leave_out_px']:10.3f} {own['spline_leave_out_px']:8.3f} "
             f"{own['swirl_px']:8.2f}"
         )
-    print(f"\n{'image':24} {'beads':>6} {'used':>5} {'unseen':>7} {'mean':>7} {'rms':>7} {'max':>7} {'alone':>7}   (px)")
+    print(
+        f"\n{'image':24} {'beads':>6} {'used':>5} {'unseen':>7} {'mean':>7} {'rms':>7} {'max':>7} {'alone':>7}   (px)"
+    )
     for detector, own in result.items():
         for name, image in own["images"].items():
             print(

@@ -12,7 +12,8 @@ from guide3d.polyline import arc_length, at_length
 Array = NDArray[np.float64]
 
 SPACING_PX, TURNING = 8.0, 0.2  # rad, of an exact annotation: within 0.05 px of the wire
-CLICKS_PX = (15.0, 30.0)  # between the clicks of a person
+CLICKS_PX = (15.0, 30.0)  # between the clicks of a person on a straight stretch
+TURN_PX = 30.0  # a turn of 1 rad asks for clicks like so much more length
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +65,13 @@ def annotated(points: Array, noise_px: float, size_px: int, generator: np.random
     Returns:
         (m, 2) px, both ends of the wire among them.
     """
-    length = arc_length(points)[-1]
     if noise_px == 0:
         return thinned_by_turning(points, SPACING_PX, TURNING)
-    places = [0.0]
-    while places[-1] < length - CLICKS_PX[0]:
-        places.append(places[-1] + generator.uniform(*CLICKS_PX))
-    places[-1 if len(places) > 1 and places[-1] > length else len(places) :] = [length]
-    clicks = at_length(points, places)
+    along = arc_length(points)
+    measure = along + TURN_PX * _turned(points)
+    places = np.cumsum(generator.uniform(*CLICKS_PX, int(measure[-1] / CLICKS_PX[0]) + 1))
+    inner = places[places < measure[-1] - CLICKS_PX[0] / 2]
+    clicks = at_length(points, np.interp([0.0, *inner, measure[-1]], measure, along))
     return np.clip(clicks + noise_px * generator.standard_normal(clicks.shape), 0.0, size_px - 1.0)
 
 
@@ -86,11 +86,15 @@ def thinned_by_turning(points: Array, spacing: float, turning: float) -> Array:
     Returns:
         (m, d) of the points, both ends among them.
     """
-    steps = np.diff(points, axis=0)
-    steps = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
-    bends = 2 * np.arcsin(np.minimum(np.linalg.norm(np.diff(steps, axis=0), axis=1) / 2, 1.0))
-    turned = np.concatenate([[0.0], np.cumsum(bends), [bends.sum()]])
-    measure = arc_length(points) / spacing + turned / turning
+    measure = arc_length(points) / spacing + _turned(points) / turning
     count = max(2, int(np.ceil(measure[-1])) + 1)
     kept = np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, len(points) - 1)
     return points[np.unique(np.concatenate([[0], kept, [len(points) - 1]]))]
+
+
+def _turned(points: Array) -> Array:
+    """How far a dense curve has turned up to each of its points, rad, whichever way. Shape (n,)."""
+    steps = np.diff(points, axis=0)
+    steps = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
+    bends = 2 * np.arcsin(np.minimum(np.linalg.norm(np.diff(steps, axis=0), axis=1) / 2, 1.0))
+    return np.concatenate([[0.0], np.cumsum(bends), [bends.sum()]])

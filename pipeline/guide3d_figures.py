@@ -80,8 +80,9 @@ def reconstruction_figures(data: Dataset, records: Sequence[Record], folder: Pat
         )
     ]
     figures.append(_segments(by_way, folder))
-    compared = {record["index"] for record in greedy}
-    chosen = _chosen([record for record in ours if record["index"] in compared] or ours)
+    by_index = {record["index"]: record for record in ours}
+    # where the thesis's way does well, and where it does not: ours hardly tells pairs apart
+    chosen = [by_index[record["index"]] for record in _chosen(greedy or ours) if record["index"] in by_index]
     draw_overlays([_overlays(data, record) for record in chosen], folder / "overlays.png")
     draw_in_space([_wires(data, record) for record in chosen], folder / "space.png")
     shares = ", ".join(f"{share:.0%}" for share in _SHOWN)
@@ -89,7 +90,8 @@ def reconstruction_figures(data: Dataset, records: Sequence[Record], folder: Pat
         *figures,
         Figure(
             "Reconstructed wires over their images",
-            f"Pairs at {shares} of the reprojection error; annotation, and the curves in space drawn back.",
+            f"Pairs at {shares} of the greedy way's reprojection error: annotation, and curves in space drawn back. "
+            "The figure above each is the global way's.",
             "overlays.png",
             GROUP,
         ),

@@ -40,7 +40,7 @@ _TIP_MARGIN_PX = 10.0  # a tip nearer to the border than this is drawn back
 # The shafts of six published pairs run 6 degrees out of the plane of both optical axes, so the patient lies askew by as
 # much. In that plane a whole shaft would lie on one epiline, and its depth would be anyone's guess.
 _ASKEW = np.radians(6.0)
-_SHEET_PITCH_PX = 14.5  # of the holes that stand for a data set's known distortion
+_SHEET_PITCH = 0.0142  # of the image's side, of the holes that stand for a data set's known distortion
 _SPLINE_PX = 0.05  # b_spline.json's curves keep this near to exact annotations, and to clicks as near as their noise
 
 
@@ -249,13 +249,13 @@ def assemble(folder: Path, acquisitions: Sequence[Acquisition], studio: Studio) 
 
 def _map(camera: XRayCamera, size: int) -> Distortion:
     """The camera's distortion as a perforated sheet in front of it would show it, without error."""
-    reach = int(1.2 * size / _SHEET_PITCH_PX)
+    pitch, reach = _SHEET_PITCH * size, int(1.2 / _SHEET_PITCH)
     q, r = (index.ravel() for index in np.mgrid[-reach : reach + 1, -reach : reach + 1])
-    ideal = _SHEET_PITCH_PX * lattice_points(np.column_stack([q, r])) + (size - 1) / 2
+    ideal = pitch * lattice_points(np.column_stack([q, r])) + (size - 1) / 2
     raw = np.full_like(ideal, np.inf)
     near = np.abs(ideal - (size - 1) / 2).max(axis=1) < 0.6 * size
     raw[near] = camera.distortion.distort(ideal[near])
-    kept = (np.abs(raw - (size - 1) / 2) <= size / 2 + _SHEET_PITCH_PX).all(axis=1)
+    kept = (np.abs(raw - (size - 1) / 2) <= size / 2 + pitch).all(axis=1)
     return Distortion(raw[kept], ideal[kept], size, size)
 
 

@@ -7,10 +7,12 @@ spread over the data.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import logging
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,19 +77,32 @@ def reconstruct_pairs(job: ReconstructionJob, report: Report) -> dict[str, Any]:
         ``pairs``.
     """
     data = job.source.open(job.folder)
-    entries = []
-    for place, index in enumerate(job.frames):
-        frame = data.frames[index]
-        drawn = {view: frame.polyline(view) for view in VIEWS}
-        ways = WAYS[:1] if index not in job.compared else ON_ANNOTATION if frame.truth is None else WAYS
-        entries += [_entry(data, index, way, drawn) for way in ways if way in ON_ANNOTATION]
-        if len(ways) == len(WAYS):
-            generator = np.random.default_rng((job.seed, index))
-            clicks = {view: _clicked(drawn[view], job, frame, view, generator) for view in VIEWS}
-            entries += [_entry(data, index, way, clicks) for way in ON_CLICKS]
-        report(place / len(job.frames), f"{place} of {len(job.frames)} pairs")
+    entries: list[Record] = []
+    with _quiet():
+        for place, index in enumerate(job.frames):
+            frame = data.frames[index]
+            drawn = {view: frame.polyline(view) for view in VIEWS}
+            ways = WAYS[:1] if index not in job.compared else ON_ANNOTATION if frame.truth is None else WAYS
+            entries += [_entry(data, index, way, drawn) for way in ways if way in ON_ANNOTATION]
+            if len(ways) == len(WAYS):
+                generator = np.random.default_rng((job.seed, index))
+                clicks = {view: _clicked(drawn[view], job, frame, view, generator) for view in VIEWS}
+                entries += [_entry(data, index, way, clicks) for way in ON_CLICKS]
+            report(place / len(job.frames), f"{place} of {len(job.frames)} pairs")
     write_text(part_file(job.folder, job.part), json.dumps(entries))
     return {"pairs": len(job.frames)}
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps what single pairs warn of out of the log: the records hold it, and the stage has judged the cameras."""
+    logger = logging.getLogger(reconstruct.__module__)
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def part_file(folder: Path, part: int) -> Path:

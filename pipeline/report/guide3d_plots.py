@@ -123,6 +123,7 @@ def draw_in_space(wires: Sequence[tuple[str, Mapping[str, Array]]], file: Path) 
                 axes.plot(*curve.T, label=name, alpha=0.8, **style)
                 axes.plot(*curve[:1].T, marker="o", markersize=3, color=style["color"])
             axes.view_init(elevation, azimuth)
+            axes.set_box_aspect(None, zoom=0.88)  # room for the labels
             for axis, centre in zip("xyz", middle, strict=True):
                 getattr(axes, f"set_{axis}lim")(centre - reach, centre + reach)
                 getattr(axes, f"set_{axis}label")(f"{axis}, mm", fontsize=7)

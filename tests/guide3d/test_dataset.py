@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from guide3d.dataset import Dataset, split
 from guide3d.frame import ImageError
@@ -127,12 +128,8 @@ def test_images_that_cannot_be_used_say_so(root: Path) -> None:
     path = frame.image_path("a")
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ImageError, match="0-bca-angle-2-2/000.png cannot be read"):
+    with pytest.raises(ImageError, match=r"0-bca-angle-2-2/000\.png cannot be read"):
         frame.image("a")
-    shutil.copy(frame.image_path("b"), path)
-    Dataset.open(root)
-    from PIL import Image
-
     Image.new("L", (64, 64)).save(path)
     with pytest.raises(ImageError, match="expected 128 x 128 px, got 64 x 64"):
         frame.image("a")

@@ -66,8 +66,8 @@ def test_spline_goes_through_its_points_by_chord_length() -> None:
 def test_smoothing_takes_noise_out() -> None:
     exact = circle(100.0, 200)
     noisy = exact + np.random.default_rng(0).normal(0.0, 1.0, exact.shape)
-    smooth = fit_bspline(noisy, smoothing=2.0 * len(noisy))
-    assert np.sqrt(np.mean((np.linalg.norm(smooth.sample(500), axis=1) - 100.0) ** 2)) < 0.4
+    smooth = fit_bspline(noisy, smoothing=1.0 * len(noisy))
+    assert np.sqrt(np.mean((np.linalg.norm(smooth.sample(500), axis=1) - 100.0) ** 2)) < 0.5  # of the noise of 1
     with pytest.raises(ValueError, match="smoothing: expected 0 or more"):
         fit_bspline(noisy, smoothing=-1.0)
 
@@ -92,5 +92,5 @@ def test_the_public_layout_round_trips() -> None:
     assert np.array_equal(BSplineCurve.from_tck(padded).at(u), curve.at(u))
     with pytest.raises(ValueError, match=r"\['k'\] missing"):
         BSplineCurve.from_tck({"tck": {"t": [], "c": []}})
-    with pytest.raises(ValueError, match="expected .n, d. coefficients and n"):
+    with pytest.raises(ValueError, match=r"expected \(n, d\) coefficients and n"):
         BSplineCurve(np.arange(5.0), np.zeros((3, 2)))

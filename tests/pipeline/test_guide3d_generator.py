@@ -65,11 +65,13 @@ def test_clicks_are_apart_noisy_and_reach_both_ends() -> None:
     wire = np.column_stack([np.linspace(10.0, 240.0, 4000), np.full(4000, 100.0)])
     drawn = [annotated(wire, 1.0, SIZE, np.random.default_rng(seed)) for seed in range(200)]
     assert np.array_equal(drawn[3], annotated(wire, 1.0, SIZE, np.random.default_rng(3)))
-    assert all(7 <= len(points) <= 17 for points in drawn)
+    assert all(8 <= len(points) <= 17 for points in drawn)
     off = np.concatenate([points[:, 1] - 100.0 for points in drawn])
     assert off.std() == pytest.approx(1.0, abs=0.06)
     ends = np.array([points[[0, -1], 0] for points in drawn])
     assert np.abs(ends.mean(axis=0) - [10.0, 240.0]).max() < 0.25
+    bent = hook() + np.array([40.0, 0.0])
+    assert distances_to(annotated(bent, 1e-9, SIZE, np.random.default_rng(0)), bent).max() < 1.5  # closer in a bend
 
 
 def test_a_curve_is_cut_where_it_leaves_the_image() -> None:
@@ -79,7 +81,7 @@ def test_a_curve_is_cut_where_it_leaves_the_image() -> None:
     assert view.points[-1] == pytest.approx([0.0, 28.0])
     assert view.visible == pytest.approx(12 * np.pi + 50, abs=1e-3)
     assert in_view(wire[::-1], arc_length(wire), SIZE) is None
-    whole = in_view(wire + [40.0, 0.0], arc_length(wire), SIZE)
+    whole = in_view(wire + np.array([40.0, 0.0]), arc_length(wire), SIZE)
     assert whole is not None
     assert len(whole.points) == len(wire)
 
@@ -112,9 +114,9 @@ def studio(**changed) -> Studio:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two pairs of either wire with fluid, one of either without."""
+    """A data set with an acquisition of each kind."""
     folder = tmp_path_factory.mktemp("stage")
-    plan = [one for one in plan_acquisitions(24, 2, ["type_1"], ["bca", "lcca"], 4, 0)]
+    plan = plan_acquisitions(24, 2, ["type_1"], ["bca"], 4, 0)
     kinds = {(one.fluid, one.script.wire): one for one in plan}
     chosen = tuple(kinds.values())
     result = generate(GenerationJob(folder, chosen, studio()), Report())
@@ -141,10 +143,8 @@ def test_truth_annotation_and_cameras_agree(made: Path) -> None:
             assert camera is not None
             seen = camera.project(frame.visible_curve_mm(view))
             points = frame.polyline(view)
-            # the map that comes with the data set is as good as the perforated sheet it stands for
-            assert np.abs(data.undistort(view, points[:3]) - seen[:1]).min() < 0.6
-            assert distances_to(data.undistort(view, points), seen).max() < 0.35
-            assert distances_to(points, data.distort(view, seen)).max() < 0.35
+            assert distances_to(seen, data.undistort(view, points)).max() < 0.1
+            assert distances_to(points, data.distort(view, seen)).max() < 0.1
             exact = {one.name: one for one in cameras_of(studio()).values()}[view]
             assert distances_to(points, exact.pixels(1e-3 * frame.visible_curve_mm(view))).max() < 0.1
 
@@ -174,7 +174,7 @@ def test_other_files_hold_the_same(made: Path) -> None:
     for frame in data.frames:
         assert np.array_equal(exported[frame.label].points_b, frame.polyline("b"))
         fitted = curves[frame.acquisition, frame.number].b.sample(300)
-        assert distances_to(frame.polyline("b"), fitted).max() < 1.0
+        assert distances_to(frame.polyline("b"), fitted).max() < 2.0  # clicks closer than 2 px are one
 
 
 def test_undistorted_cameras_differ_only_in_distortion() -> None:

@@ -16,7 +16,7 @@ from pipeline.unseen_demonstrations import (
     read_demonstrations,
     record_demonstrations,
 )
-from pipeline.unseen_task import UnseenTask
+from pipeline.unseen_task import ROADMAP_KEYS, UnseenTask
 
 TASK = UnseenTask(targets=("bca", "lcca"), wire_length=0.312, max_steps=24)
 
@@ -27,7 +27,7 @@ def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_is_demonstrated_is_what_the_training_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    environment = TASK.training_environment((0,), ("roadmap",))
+    environment = TASK.training_environment((0,), ROADMAP_KEYS)
     made = demonstrate(environment, 1, hold=4, seed=3)
     assert made["roadmap"].shape == (25, 64)
     assert made["states"].shape[0] == 25

@@ -16,7 +16,7 @@ from guide3d.training import finished
 from splineformer.augmentation import Augmentation, inside, moved, shadow, warped, without_wire
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.intake import picture_of
-from splineformer.losses import attention_loss
+from splineformer.losses import attention_loss, nearest_on_curve, wire_loss
 from splineformer.predictor import Predictor, tokens_px
 from splineformer.recipes import recipe_of
 from splineformer.samples import SplineObjective, curves_of, images_of, pixels_of_shares, shares_of_pixels
@@ -212,6 +212,24 @@ def test_attention_loss_is_least_at_the_true_place() -> None:
     right, wrong = -(distance**2), -((distance - 3) ** 2)
     assert attention_loss(right[None, None], points) < attention_loss(wrong[None, None], points)
     assert attention_loss(torch.zeros(1, 1, side**2), points).item() == pytest.approx(np.log(side**2), rel=1e-5)
+
+
+def test_nearest_places_on_a_curve() -> None:
+    curve = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]])
+    points = torch.tensor([[[0.3, 0.2], [2.0, 0.4], [-1.0, -1.0]]])
+    assert torch.allclose(nearest_on_curve(points, curve), torch.tensor([[[0.3, 0.0], [1.0, 0.4], [0.0, 0.0]]]))
+
+
+def test_wire_loss_wants_wire_where_it_is_and_nowhere_else() -> None:
+    side = 8
+    curve = torch.stack([torch.linspace(0.05, 0.95, 30), torch.full((30,), 0.3)], -1)[None]
+    right = torch.full((1, side, side), -4.0)
+    right[0, int(0.3 * side)] = 4.0
+    none, one, several = (torch.tensor([wires]) for wires in (0, 1, 2))
+    flat = right.flatten(1)
+    assert wire_loss(flat, curve, one) < wire_loss(-flat, curve, one)
+    assert wire_loss(torch.full_like(flat, -4.0), curve, none) < wire_loss(flat, curve, none)
+    assert wire_loss(flat, curve, several) == 0  # the second wire is not annotated
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

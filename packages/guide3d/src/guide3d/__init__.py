@@ -1,8 +1,52 @@
 """Guide3D: from two X-ray images to the shape of a guidewire in space, with plain arrays in and out.
 
-Only this public front exists so far; README.md lists what will live here.
+World millimetres; pixels with (0, 0) in the centre of the top-left one; curves run tip first. `guide3d.reconstruct` is
+the usual way in. Names are imported at first use, so that `import guide3d` stays light; the geometry never needs torch.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from guide3d.bspline import BSplineCurve, fit_bspline
+    from guide3d.camera import Camera, read_camera
+    from guide3d.dataset import Dataset
+    from guide3d.distortion import Distortion
+    from guide3d.reconstruction import Reconstruction, ReconstructionSettings, reconstruct, reconstruct_greedy
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__"]
+_HOME = {
+    "BSplineCurve": "bspline",
+    "fit_bspline": "bspline",
+    "Camera": "camera",
+    "read_camera": "camera",
+    "Dataset": "dataset",
+    "Distortion": "distortion",
+    "Reconstruction": "reconstruction",
+    "ReconstructionSettings": "reconstruction",
+    "reconstruct": "reconstruction",
+    "reconstruct_greedy": "reconstruction",
+}
+
+__all__ = [
+    "BSplineCurve",
+    "Camera",
+    "Dataset",
+    "Distortion",
+    "Reconstruction",
+    "ReconstructionSettings",
+    "__version__",
+    "fit_bspline",
+    "read_camera",
+    "reconstruct",
+    "reconstruct_greedy",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f"guide3d.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'guide3d' has no attribute '{name}'")

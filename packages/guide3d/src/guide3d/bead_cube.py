@@ -58,7 +58,11 @@ class Beads:
 
     def __getitem__(self, chosen: np.ndarray) -> Beads:
         return Beads(
-            self.centres_px[chosen], self.radii_px[chosen], self.contrast[chosen], self.misfit[chosen], self.share[chosen]
+            self.centres_px[chosen],
+            self.radii_px[chosen],
+            self.contrast[chosen],
+            self.misfit[chosen],
+            self.share[chosen],
         )
 
 
@@ -122,9 +126,12 @@ def _candidates(dark: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.nda
     """Places (n, 2) and radii (n,) of dark discs: maxima over place and scale of the Laplacian's response."""
     radii = np.geomspace(*_RADII_PX, 9)
     # a Laplacian of Gaussian answers a disc most strongly where its width is the radius over the square root of two
-    stack = np.stack([-(r**2) / 2 * ndimage.gaussian_laplace(dark, r / np.sqrt(2)) for r in radii])
+    # (at half the resolution, which is plenty for a start)
+    h, w = (side // 2 for side in dark.shape)
+    half = dark[: 2 * h, : 2 * w].reshape(h, 2, w, 2).mean(axis=(1, 3))
+    stack = np.stack([-(r**2) / 8 * ndimage.gaussian_laplace(half, r / np.sqrt(8)) for r in radii])
     best = stack.max(axis=0)
-    peak = (best == ndimage.maximum_filter(best, 7)) & field
+    peak = (best == ndimage.maximum_filter(best, 5)) & field[: 2 * h : 2, : 2 * w : 2]
     strong = np.sort(best[peak])[::-1]
     if not len(strong):
         return np.empty((0, 2)), np.empty(0)
@@ -133,7 +140,7 @@ def _candidates(dark: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.nda
     order = np.argsort(best[rows, columns])[::-1][:_MOST_CANDIDATES]
     rows, columns = rows[order], columns[order]
     scale = radii[stack[:, rows, columns].argmax(axis=0)]
-    places = np.column_stack([columns, rows]).astype(float)
+    places = 2.0 * np.column_stack([columns, rows]) + 0.5
     kept: list[int] = []  # of two within one disc, the stronger
     for number in range(len(places)):
         near = [k for k in kept if np.hypot(*(places[k] - places[number])) < 0.8 * max(scale[k], scale[number])]
@@ -151,8 +158,8 @@ def measure_beads(
         image: (h, w), grey, raw; or its attenuation.
         starts: (n, 2) px, within about half a radius.
         radii: (n,) px, rough.
-        shapes: (n, 2, 2) what the detector makes of a small circle: holds each bead to the ellipse `radii` times that, for
-            beads half hidden by a letter or a border; None fits the ellipse, too.
+        shapes: (n, 2, 2) what the detector makes of a small circle: holds each bead to the ellipse `radii` times that,
+            for beads half hidden by a letter or a border; None fits the ellipse, too.
 
     Returns:
         One bead a start, in their order; what cannot be measured has an infinite misfit.
@@ -209,11 +216,25 @@ def _fit(
             own[:, 2:5] = fixed
         return own
 
+    ramp = np.stack([np.ones_like(x), (x - middle[0]) / radii.max(), (y - middle[1]) / radii.max()])
+
     def residual(parameters: np.ndarray) -> np.ndarray:
-        plane = parameters[0] + (parameters[1] * (x - middle[0]) + parameters[2] * (y - middle[1])) / radii.max()
+        through = np.prod([1 - p[6] * _disc(p, x, y)[0] for p in beads_of(parameters)], axis=0)
+        return (values - 1 + (1 - parameters[:3] @ ramp) * through) / height
+
+    def jacobian(parameters: np.ndarray) -> np.ndarray:
         own = beads_of(parameters)
-        through = np.prod([1 - p[6] * _disc(p, x, y) for p in own], axis=0)
-        return (values - 1 + (1 - plane) * through) / height
+        discs = [_disc(p, x, y) for p in own]
+        light = 1 - parameters[:3] @ ramp
+        through = np.array([1 - p[6] * disc for p, (disc, _) in zip(own, discs, strict=True)])
+        rows = [*(-ramp * through.prod(axis=0))]
+        for number, (p, (disc, slopes)) in enumerate(zip(own, discs, strict=True)):
+            rest = -light * np.delete(through, number, axis=0).prod(axis=0)
+            rows += [*(rest * p[6] * slopes), rest * disc]
+            if fixed is not None:
+                for column in (-5, -4, -3):
+                    rows[column] = np.zeros_like(x)
+        return np.array(rows).T / height
 
     first = np.concatenate(
         [np.zeros(3), *([*c, 1 / r, 0.0, 1 / r, 0.25, height] for c, r in zip(starts, radii, strict=True))]
@@ -221,7 +242,7 @@ def _fit(
     # order of a bead's seven: x, y, shape 11, 12, 22, blur, contrast
     solver = {"f_scale": 0.05, "max_nfev": 60, "x_scale": _scales(first, radii)}
     try:
-        fit = least_squares(residual, first, loss="soft_l1" if held is None else "cauchy", **solver)
+        fit = least_squares(residual, first, jac=jacobian, loss="soft_l1" if held is None else "cauchy", **solver)
     except (np.linalg.LinAlgError, ValueError):
         return failed
     own, off = beads_of(fit.x), residual(fit.x)
@@ -248,10 +269,17 @@ def _symmetric(shapes: np.ndarray) -> np.ndarray:
     return np.column_stack([root[:, 0, 0], root[:, 0, 1], root[:, 1, 1]])
 
 
-def _disc(p: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _disc(p: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A blurred ellipse (n,) at pixels, and its slopes (6, n) by x, y, shape 11, 12, 22 and blur."""
     dx, dy = x - p[0], y - p[1]
-    rho = np.hypot(p[2] * dx + p[3] * dy, p[3] * dx + p[4] * dy)
-    return 0.5 * (1 - np.tanh((rho - 1) / max(abs(p[5]), 0.02)))
+    u, v = p[2] * dx + p[3] * dy, p[3] * dx + p[4] * dy
+    rho = np.maximum(np.hypot(u, v), 1e-9)
+    blur = max(abs(p[5]), 0.02)
+    edge = np.tanh((rho - 1) / blur)
+    steep = -0.5 * (1 - edge**2) / blur
+    u, v = u / rho, v / rho
+    along = np.array([-u * p[2] - v * p[3], -u * p[3] - v * p[4], u * dx, u * dy + v * dx, v * dy, -(rho - 1) / blur])
+    return 0.5 * (1 - edge), steep * along
 
 
 def _scales(first: np.ndarray, radii: np.ndarray) -> np.ndarray:

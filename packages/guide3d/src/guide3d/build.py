@@ -44,8 +44,8 @@ class ShapeSize:
 SHAPE_SIZES: dict[str, ShapeSize] = {
     "thesis": ShapeSize(),
     "desk": ShapeSize(
-        image_px=128, width=96, depth=3, heads=4, hidden=192, stem=(16, 24, 32, 64), pooling="tokens", features=256,
-        state=256, head=256, dropout=0.05,
+        image_px=128, width=96, depth=2, heads=4, hidden=192, stem=(16, 24, 32, 64), pooling="tokens", features=256,
+        state=256, head=256, dropout=0.0,
     ),
     "smoke": ShapeSize(
         image_px=64, width=32, depth=1, heads=2, hidden=64, stem=(8, 8, 16, 16), pooling="tokens", features=32,

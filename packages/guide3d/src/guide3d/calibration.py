@@ -1,8 +1,8 @@
 """Calibration of a rig of detectors from the beads of a cube in one or several poses, all refined together.
 
-World: the cube's frame in the first pose, millimetres. The detectors stay where they are, the cube moves. Every detector has all
-five intrinsics and, where the beads ask for it, a swirl: the part of an image intensifier's distortion that turns with the magnetic field
-and need not be that of the sheet's image any more.
+World: the cube's frame in the first pose, millimetres. The detectors stay where they are, the cube moves. A detector
+has all five intrinsics and, where the beads ask for it, a swirl: the part of an image intensifier's distortion that
+follows the magnetic field and need not be that of the sheet's image any more.
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ def calibrate_rig(
     for seen in sightings:
         if len(seen.numbers) < _LEAST_BEADS:
             raise ValueError(
-                f"{seen.pose}, detector {seen.detector}: expected {_LEAST_BEADS} beads or more, found {len(seen.numbers)}"
+                f"{seen.pose}, detector {seen.detector}: expected {_LEAST_BEADS} beads or more, "
+                f"found {len(seen.numbers)}"
             )
         width, height = sizes[seen.detector]
         try:
@@ -145,7 +146,7 @@ def calibrate_rig(
 
 
 class _Bundle:
-    """All parameters of a rig: twelve a detector (five intrinsics, swirl, rotation, translation), six a further pose."""
+    """All parameters of a rig: twelve a detector (intrinsics, swirl, rotation, translation), six a further pose."""
 
     def __init__(
         self,
@@ -219,7 +220,9 @@ class _Bundle:
                 place = own[:, :, 8:] @ camera.R
                 a, b, c = moved.T
                 zero = np.zeros_like(a)
-                cross = np.stack([np.stack([zero, c, -b], -1), np.stack([-c, zero, a], -1), np.stack([b, -a, zero], -1)], 1)
+                cross = np.stack(
+                    [np.stack([zero, c, -b], -1), np.stack([-c, zero, a], -1), np.stack([b, -a, zero], -1)], 1
+                )
                 J[:, :, at : at + 3], J[:, :, at + 3 : at + 6] = place @ cross, place
             size = np.linalg.norm(residual, axis=1)
             weight = agree.astype(float)

@@ -1,4 +1,4 @@
-"""Pictures of a calibration: the holes of a sheet, the displacement of its lattice, and a cube's beads with labels and residuals."""
+"""Pictures of a calibration: the holes of a sheet, the displacement of its lattice, a cube's beads and residuals."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def draw_holes(image: np.ndarray, holes: SheetHoles) -> Image.Image:
 
 
 def draw_displacement(holes: SheetHoles, distortion: Distortion) -> Image.Image:
-    """The lattice as the detector sees it (bright) over the lattice undistorted (blue), with the displacement of every tenth hole.
+    """The lattice as the detector sees it (grey) over the lattice undistorted (blue), and some displacements.
 
     Args:
         holes: Of the sheet.
@@ -61,7 +61,7 @@ def draw_displacement(holes: SheetHoles, distortion: Distortion) -> Image.Image:
 
 
 def draw_beads(calibration: CubeCalibration, view: CubeView) -> Image.Image:
-    """A cube image with its beads' numbers (from 1) and residuals, wire marks, and where beads were expected and not measured.
+    """A cube image with its beads' numbers (from 1) and residuals, its wire marks, and beads expected but not measured.
 
     Args:
         calibration: Of the rig.
@@ -75,14 +75,14 @@ def draw_beads(calibration: CubeCalibration, view: CubeView) -> Image.Image:
     for mark in view.marks:
         for x, y in mark.pixels[::3]:
             _cross(draw, x, y, 1, _BLUE)
-        _text(draw, mark.pixels.mean(axis=0) + [10, 14], mark.kind, _BLUE)
+        _text(draw, mark.pixels.mean(axis=0) + np.array([10, 14]), mark.kind, _BLUE)
     numbered = np.flatnonzero(view.numbers >= 0)
     residuals, used = calibration.rig.residuals_px.get(key), calibration.rig.used.get(key)
     for order, disc in enumerate(numbered):
         centre, radius = view.beads.centres_px[disc], view.beads.radii_px[disc].mean()
         counted = used is None or bool(used[order])
         _circle(draw, centre, radius + 1.5, _GREEN if counted else _RED)
-        _text(draw, centre + [radius + 3, -radius - 9], str(view.numbers[disc] + 1), _WHITE)
+        _text(draw, centre + np.array([radius + 3, -radius - 9]), str(view.numbers[disc] + 1), _WHITE)
         if residuals is not None:
             _line(draw, centre, centre + RESIDUAL_SCALE * residuals[order], _YELLOW if counted else _RED, 2)
     for disc in np.flatnonzero(view.numbers < 0):
@@ -90,9 +90,11 @@ def draw_beads(calibration: CubeCalibration, view: CubeView) -> Image.Image:
     if view.detector in calibration.rig.cameras and view.pose in calibration.rig.poses and len(view.unseen):
         Q, s = calibration.rig.poses[view.pose]
         places = calibration.rig.cameras[view.detector].project(calibration.points_mm[view.unseen] @ Q.T + s)
-        for number, place in zip(view.unseen, calibration.distortions[view.detector].distort_points(places), strict=True):
+        for number, place in zip(
+            view.unseen, calibration.distortions[view.detector].distort_points(places), strict=True
+        ):
             _circle(draw, place, 12, _BLUE)
-            _text(draw, place + [10, 6], f"{number + 1}?", _BLUE)
+            _text(draw, place + np.array([10, 6]), f"{number + 1}?", _BLUE)
     _caption(draw, f"{view.pose}, detector {view.detector}: {len(numbered)} beads, residuals x {RESIDUAL_SCALE}")
     return picture
 
@@ -100,7 +102,9 @@ def draw_beads(calibration: CubeCalibration, view: CubeView) -> Image.Image:
 def _ground(image: np.ndarray, enlarged: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
     top = max(float(np.percentile(image, 99.5)), 1.0)
     grey = Image.fromarray(np.clip(image * (215 / top), 0, 255).astype(np.uint8))
-    picture = grey.convert("RGB").resize((image.shape[1] * enlarged, image.shape[0] * enlarged), Image.Resampling.BICUBIC)
+    picture = grey.convert("RGB").resize(
+        (image.shape[1] * enlarged, image.shape[0] * enlarged), Image.Resampling.BICUBIC
+    )
     return picture, ImageDraw.Draw(picture)
 
 
@@ -109,7 +113,9 @@ def _at(place: np.ndarray) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _line(draw: ImageDraw.ImageDraw, start: np.ndarray, end: np.ndarray, colour: tuple[int, int, int], width: int) -> None:
+def _line(
+    draw: ImageDraw.ImageDraw, start: np.ndarray, end: np.ndarray, colour: tuple[int, int, int], width: int
+) -> None:
     draw.line([_at(start), _at(end)], fill=colour, width=width)
 
 

@@ -38,9 +38,9 @@ def figures(calibration: CubeCalibration) -> dict:
         calibration: Of a folder.
 
     Returns:
-        By detector: holes, leave_out_px (mean), leave_out_rms_px, spline_leave_out_px, swirl_px, and images: by name of the pose:
-        beads (labelled), used, unseen, mean_px and rms_px over all labelled beads, alone_mean_px (a camera of that
-        image alone, over the beads used), max_px.
+        By detector: holes, leave_out_px (mean), leave_out_rms_px, spline_leave_out_px, swirl_px, and images: by pose:
+        beads (labelled), used, unseen, mean_px, rms_px and max_px over all labelled beads, alone_mean_px (a
+        camera of that image alone, over the beads used).
     """
     rig, result = calibration.rig, {}
     for detector, holes in calibration.holes.items():
@@ -88,7 +88,13 @@ def write_report(calibration: CubeCalibration, source: str | Path, folder: str |
     calibration.write(folder)
     parts = ["<h1>Calibration</h1>", f"<p>From the images in {html.escape(Path(source).name)}.</p>"]
     parts += [f'<p class="warning">{html.escape(warning)}.</p>' for warning in calibration.warnings]
-    parts += ["<h2>Figures</h2>", _distortion_table(numbers), _cube_table(numbers), "<h2>Cameras</h2>", _camera_table(calibration)]
+    parts += [
+        "<h2>Figures</h2>",
+        _distortion_table(numbers),
+        _cube_table(numbers),
+        "<h2>Cameras</h2>",
+        _camera_table(calibration),
+    ]
     for detector, holes in calibration.holes.items():
         parts.append(f"<h2>Detector {html.escape(detector)}</h2>")
         distortion = calibration.distortions[detector]
@@ -128,7 +134,14 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _distortion_table(numbers: dict) -> str:
     rows = [
-        [d, str(n["holes"]), f"{n['leave_out_px']:.3f}", f"{n['leave_out_rms_px']:.3f}", f"{n['spline_leave_out_px']:.3f}", f"{n['swirl_px']:.2f}"]
+        [
+            d,
+            str(n["holes"]),
+            f"{n['leave_out_px']:.3f}",
+            f"{n['leave_out_rms_px']:.3f}",
+            f"{n['spline_leave_out_px']:.3f}",
+            f"{n['swirl_px']:.2f}",
+        ]
         for d, n in numbers.items()
     ]
     return _table(["detector", "holes", "leave-out mean, px", "RMS, px", "smooth spline, mean, px", "swirl, px"], rows)
@@ -136,11 +149,29 @@ def _distortion_table(numbers: dict) -> str:
 
 def _cube_table(numbers: dict) -> str:
     rows = [
-        [name, d, str(i["beads"]), str(i["used"]), f"{i['mean_px']:.3f}", f"{i['rms_px']:.3f}", f"{i['max_px']:.2f}", f"{i['alone_mean_px']:.3f}"]
+        [
+            name,
+            d,
+            str(i["beads"]),
+            str(i["used"]),
+            f"{i['mean_px']:.3f}",
+            f"{i['rms_px']:.3f}",
+            f"{i['max_px']:.2f}",
+            f"{i['alone_mean_px']:.3f}",
+        ]
         for d, n in numbers.items()
         for name, i in n["images"].items()
     ]
-    header = ["pose", "detector", "beads labelled", "used", "mean, px", "RMS, px", "largest, px", "camera of this image alone, px"]
+    header = [
+        "pose",
+        "detector",
+        "beads labelled",
+        "used",
+        "mean, px",
+        "RMS, px",
+        "largest, px",
+        "camera of this image alone, px",
+    ]
     return _table(header, rows)
 
 
@@ -158,9 +189,12 @@ def _camera_table(calibration: CubeCalibration) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m guide3d.calibration_report", description="Calibrate detectors from images of a sheet and a bead cube."
+        prog="python -m guide3d.calibration_report",
+        description="Calibrate detectors from images of a sheet and a bead cube.",
     )
-    parser.add_argument("folder", help="with undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv and, if any, *.ref")
+    parser.add_argument(
+        "folder", help="with undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv and, if any, *.ref"
+    )
     parser.add_argument("--output", required=True, help="folder for the report, the cameras and the distortion maps")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="of the distortion map")
     parser.add_argument("--swirl", choices=("auto", "never", "always"), default="auto", help="correct a turned field")
@@ -176,7 +210,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for detector, own in figures(calibration).items():
         for pose, image in own["images"].items():
             sys.stdout.write(
-                f"{pose}, detector {detector}: {own['holes']} holes, {image['beads']} beads, mean {image['mean_px']:.2f} px\n"
+                f"{pose}, detector {detector}: {own['holes']} holes, {image['beads']} beads, "
+                f"mean {image['mean_px']:.2f} px\n"
             )
     for warning in calibration.warnings:
         sys.stdout.write(f"{warning}\n")

@@ -1,7 +1,7 @@
 """From the images of a sheet and a cube to calibrated detectors, without a click.
 
-Distortion maps of the sheets; beads found, undistorted, recognised, numbered; a rig calibrated; then a second look, with the
-cameras known, at beads that letters or borders had hidden.
+Distortion maps of the sheets; beads found, undistorted, recognised, numbered; a rig calibrated; then a second look,
+with the cameras known, at beads that letters or borders had hidden.
 """
 
 from __future__ import annotations
@@ -75,9 +75,16 @@ class CubeCalibration:
     warnings: list[str]
 
     def write(self, folder: str | Path) -> list[Path]:
-        """Write camera_<detector>.txt (XMALab, cm), opencv/camera_<detector>.yaml (mm, covariance) and distortion_<detector>.npz."""
+        """Write camera_<detector>.txt (XMALab, cm), opencv/camera_<detector>.yaml (mm) and distortion_<detector>.npz.
+
+        Args:
+            folder: Where to; made if missing.
+
+        Returns:
+            The files.
+        """
         folder = Path(folder)
-        written = []
+        written: list[Path] = []
         for detector, camera in self.rig.cameras.items():
             paths = folder / f"camera_{detector}.txt", folder / "opencv" / f"camera_{detector}.yaml"
             write_camera(camera, paths[0])
@@ -216,7 +223,9 @@ def _attitude_warnings(poses: Sequence[str], certain: Sequence[bool], marked: di
         return []
     which = ", ".join(pose for pose, sure in zip(poses, certain, strict=True) if not sure)
     why = "its marks are not seen well enough" if marked else "no file names its marked beads"
-    return [f"pose {which}: the attitude of the cube is one of several that fit ({why}); the world's axes are arbitrary"]
+    return [
+        f"pose {which}: the attitude of the cube is one of several that fit ({why}); the world's axes are arbitrary"
+    ]
 
 
 def _sightings(views: object) -> list[Sighting]:

@@ -1,4 +1,4 @@
-"""The files of a calibration: images, bead coordinates and reference beads, with errors that name file, expected and found."""
+"""The files of a calibration: images, bead coordinates and marked beads, with errors that name the file."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def find_files(folder: str | Path) -> CubeFiles:
     """Sort the files of a folder by their names.
 
     Args:
-        folder: With undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv (or _mm, _m) and, if marked, a .ref file.
+        folder: With undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv (or _mm) and, if marked, a .ref file.
 
     Returns:
         The files.
@@ -52,10 +52,14 @@ def find_files(folder: str | Path) -> CubeFiles:
     named = {tuple(path.stem.rsplit("_", 1)): path for path in images}
     sheets = {detector: path for (name, detector), path in named.items() if name == _SHEET}
     if not sheets:
-        raise FileNotFoundError(f"{folder}: expected an image of a perforated sheet, undistort_<detector>.png, found none")
+        raise FileNotFoundError(
+            f"{folder}: expected an image of a perforated sheet, undistort_<detector>.png, found none"
+        )
     beads = sorted(path for path in folder.glob("framespec_*.csv"))
     if not beads:
-        raise FileNotFoundError(f"{folder}: expected a bead file, framespec_cm.csv (x, y, z with a header row), found none")
+        raise FileNotFoundError(
+            f"{folder}: expected a bead file, framespec_cm.csv (x, y, z with a header row), found none"
+        )
     cubes = {(name, detector): path for (name, detector), path in named.items() if name != _SHEET}
     for (_, detector), path in cubes.items():
         if detector not in sheets:

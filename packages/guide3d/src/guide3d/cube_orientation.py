@@ -1,4 +1,4 @@
-"""Which of the cube's 24 attitudes, and which of the layers: decided by its marked beads and by detectors that stay where they are.
+"""Which of the cube's 24 attitudes and which layers: decided by its marked beads and by detectors that stand still.
 
 A lattice looks the same after a rotation, and, where a layer lies outside the image, after a shift by one layer.
 """
@@ -35,7 +35,11 @@ class SeenMark:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way to number the beads of an image: bead numbers (m,) of the discs, -1 for clutter, and the camera that goes with it."""
+    """One way to number the beads of an image.
+
+    numbers: (m,) bead of each disc, -1 for clutter
+    camera: that goes with it
+    """
 
     numbers: np.ndarray
     camera: Camera
@@ -74,9 +78,7 @@ def candidates(lattice: CubeLattice, fit: LatticeFit, field: np.ndarray) -> list
             U, _, V = np.linalg.svd(centre.T @ centre[symmetry])
             R = camera.R @ U @ V
             middle = lattice.points_mm.mean(axis=0)
-            turned = Camera(
-                camera.K, R, camera.t_mm + camera.R @ middle - R @ middle, camera.width, camera.height
-            )
+            turned = Camera(camera.K, R, camera.t_mm + camera.R @ middle - R @ middle, camera.width, camera.height)
             renumbered = np.where(numbers >= 0, symmetry[numbers], -1)
             found.append(Candidate(renumbered, turned))
     return found
@@ -95,7 +97,7 @@ def decide(
         marked: Bead number (from 0) of each kind of mark; other kinds are ignored.
 
     Returns:
-        For each pose the chosen candidate by detector, and whether marks decided the cube's attitude (else it is arbitrary).
+        For each pose the chosen candidate by detector, and whether the marks decided the cube's attitude.
     """
     evidence = [
         {
@@ -198,7 +200,9 @@ def _rigs(
     rigs = {}
     pairs = {(next(iter(pose)), other) for pose in poses for other in list(pose)[1:]}
     for pair in sorted(pairs):
-        seen = [(pose, scores) for pose, scores in zip(poses, evidence, strict=True) if pair[0] in pose and pair[1] in pose]
+        seen = [
+            (pose, scores) for pose, scores in zip(poses, evidence, strict=True) if pair[0] in pose and pair[1] in pose
+        ]
         if len(seen) < 2:
             continue
         relatives = []
@@ -207,9 +211,11 @@ def _rigs(
             own = scores[pair[0]][:, None] + _pair_scores(pose[pair[0]], pose[pair[1]], scores[pair[1]], marked)
             relatives.append((R.reshape(-1, 3, 3), t.reshape(-1, 3), own.ravel()))
         best = (-np.inf, np.eye(3), np.zeros(3))
-        for R, t, own in relatives:
+        for R, t, _ in relatives:
             # rotations of the cube change nothing between the detectors: one of each kind is enough
-            _, distinct = np.unique(np.round(np.column_stack([R.reshape(-1, 9), t / 100]), 2), axis=0, return_index=True)
+            _, distinct = np.unique(
+                np.round(np.column_stack([R.reshape(-1, 9), t / 100]), 2), axis=0, return_index=True
+            )
             for k in distinct:
                 support = sum(float((o + 4 * _closeness(R[k], t[k], S, s)).max()) for S, s, o in relatives)
                 if support > best[0]:
@@ -224,7 +230,9 @@ def _closeness(R: np.ndarray, t: np.ndarray, rotations: np.ndarray, shifts: np.n
     return np.exp(-0.5 * (turn / _RIG_DEG) ** 2 - 0.5 * (np.linalg.norm(shifts - t, axis=1) / _RIG_MM) ** 2)
 
 
-def _rig_scores(first: Sequence[Candidate], other: Sequence[Candidate], rig: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def _rig_scores(
+    first: Sequence[Candidate], other: Sequence[Candidate], rig: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
     R, t = _relative(first, other)
     shape = R.shape[:2]
     return 4 * _closeness(rig[0], rig[1], R.reshape(-1, 3, 3), t.reshape(-1, 3)).reshape(shape)

@@ -1,4 +1,4 @@
-"""A smooth displacement of the plane through scattered control points: local weighted mean, or one cubic B-spline surface.
+"""A smooth displacement of the plane through scattered control points: local weighted mean, or a cubic B-spline.
 
 Both take points to points. Beyond their control points they continue almost linearly, which is a guess.
 """

@@ -1,7 +1,7 @@
 """Image-intensifier distortion: from the raw image to where a flat lattice would have been, and back.
 
-The map stands on the holes of a perforated sheet. Undistorted pixels live in a frame of the same size: the hexagonal lattice is
-scaled, turned and shifted to fit all holes by least squares, so that it does not hang on a few at the border.
+The map stands on the holes of a perforated sheet. Undistorted pixels live in a frame of the same size: the hexagonal
+lattice is scaled, turned and shifted to fit all holes by least squares, so that it does not hang on a few border holes.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def ideal_lattice(holes: SheetHoles, frame: str = "least squares") -> np.ndarray
     Args:
         holes: Of a sheet.
         frame: "least squares": scale, angle and shift that fit all holes best. "bounding box": turned as the lattice in
-            the middle of the image, then scaled along x and along y to the box around the holes, as XMALab does it; needed
-            only to go with projections that were calibrated there.
+            the middle of the image, then scaled along x and along y to the box around the holes, as XMALab does it;
+            needed only to go with projections that were calibrated there.
 
     Returns:
         (n, 2) undistorted px.
@@ -144,7 +144,7 @@ class Distortion:
         return self._forward(_checked(raw_points))
 
     def distort_points(self, points: np.ndarray) -> np.ndarray:
-        """Undistorted pixels (..., 2) to raw ones (..., 2): the inverse of `undistort_points`, to 1e-6 px among the holes."""
+        """Undistorted pixels (..., 2) to raw ones (..., 2): the inverse of `undistort_points`, to 1e-6 px."""
         points = _checked(points)
         raw = self._backward(points)
         # the two fits miss each other by hundredths of a pixel; the map is near enough to a shift for plain iteration
@@ -227,7 +227,7 @@ class Distortion:
                 neighbours, spans = (int(number) for number in data["fit"])
                 return cls(data["raw_px"], data["ideal_px"], width, height, str(data["method"]), neighbours, spans)
         except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{path}: expected a distortion map as Distortion.save writes it, found {error}") from None
+            raise ValueError(f"{path}: expected a map as Distortion.save writes it, found {error}") from None
 
 
 def leave_out_errors(
@@ -259,7 +259,7 @@ def leave_out_errors(
 def swirl_pattern(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
     """Shift of undistorted pixels by a swirl of one pixel.
 
-    The part of an image intensifier's distortion that turns the image the more the farther from its middle; it follows the
+    The part of an image intensifier's distortion that turns the image more the farther from its middle; it follows the
     magnetic field, so it need not be the same when the cube is imaged as when the sheet was.
 
     Args:

@@ -1,13 +1,14 @@
-"""Beads of a cube recognised as a 4 x 4 x 4 lattice: which bead is which, up to the symmetries of the lattice, and a first camera.
+"""Beads of a cube recognised as a lattice: which bead is which, up to the lattice's symmetries, and a first camera.
 
-Three beads taken for a corner and its two neighbours give up to four poses each; every window of the lattice around is scored
-by the beads it explains, the best ones grow and are refined.
+Three beads taken for a corner and its two neighbours give up to four poses; every window of the lattice around is
+scored by the beads it explains, the best ones grow and are refined.
 """
 
 from __future__ import annotations
 
 import itertools
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ logger = logging.getLogger(__name__)
 
 _NEIGHBOURS = 26  # beads around a corner that its lattice neighbours are looked for among
 _MOST_TRIPLES = 30_000
+_PROMISING = 1500  # poses at least that are scored on the whole lattice
 _GROWN = 60  # best hypotheses that are refined
 _FIRST_TOLERANCE_PX = 7.0  # beside the corner; as much again for every lattice step away
 _GATES_PX = (40.0, 25.0, 16.0, 10.0, 7.0, 5.0, 4.0, 4.0)
@@ -36,7 +38,7 @@ class CubeLattice:
     points_mm: (n, 3) in the cube's frame
     sites: (n, 3) whole numbers, their place on the lattice, from 0
     pitch_mm: of the lattice
-    symmetries: (g, n) each a renumbering of the beads by a rotation that maps the lattice onto itself: bead k goes where
+    symmetries: (g, n) each a renumbering by a rotation that maps the lattice onto itself: bead k goes where
         bead symmetries[i, k] was
     """
 
@@ -67,8 +69,8 @@ class CubeLattice:
         size = sites.max(axis=0) + 1
         if off > 0.05 * pitch or len(np.unique(sites, axis=0)) != len(sites) or np.prod(size) != len(sites):
             raise ValueError(
-                f"expected beads on a full lattice of one pitch, found {len(sites)} beads on {' x '.join(map(str, size))} "
-                f"sites, up to {off:.1f} mm off a pitch of {pitch:.1f} mm"
+                f"expected beads on a full lattice of one pitch, found {len(sites)} beads on "
+                f"{' x '.join(map(str, size))} sites, up to {off:.1f} mm off a pitch of {pitch:.1f} mm"
             )
         number = {tuple(site): k for k, site in enumerate(sites.tolist())}
         doubled = 2 * sites - (size - 1)  # centred
@@ -132,18 +134,24 @@ def recognise_lattice(
     search = _Search(lattice, pixels, K, field)
     best: tuple[float, LatticeFit] | None = None
     enough = max(_LEAST_BEADS, 0.9 * len(pixels))
-    for R, t, window in search.hypotheses(np.random.default_rng(seed)):
-        grown = _grown(lattice, pixels, Camera(K, R, t, width, height), window, field, prior)
-        if grown is not None and (best is None or grown[0] > best[0]):
-            best = grown
-            if (grown[1].numbers >= 0).sum() >= enough and grown[1].missing <= 2:
-                break  # nothing better is to come
+    for hypotheses in search.rounds(np.random.default_rng(seed)):
+        for R, t, window in hypotheses:
+            grown = _grown(lattice, pixels, Camera(K, R, t, width, height), window, field, prior)
+            if grown is not None and (best is None or grown[0] > best[0]):
+                best = grown
+                if (grown[1].numbers >= 0).sum() >= enough and grown[1].missing <= 2:
+                    break  # nothing better is to come
+        if best is not None and (best[1].numbers >= 0).sum() >= enough and best[1].missing <= 2:
+            break
     if best is None or (best[1].numbers >= 0).sum() < _LEAST_BEADS:
         found = 0 if best is None else int((best[1].numbers >= 0).sum())
         raise ValueError(
-            f"expected a lattice that explains {_LEAST_BEADS} of the {len(pixels)} discs or more, found one that explains {found}"
+            f"expected a lattice that explains {_LEAST_BEADS} of the {len(pixels)} discs or more, "
+            f"found one that explains {found}"
         )
-    logger.debug("%d of %d discs on the lattice, %d missing", (best[1].numbers >= 0).sum(), len(pixels), best[1].missing)
+    logger.debug(
+        "%d of %d discs on the lattice, %d missing", (best[1].numbers >= 0).sum(), len(pixels), best[1].missing
+    )
     return best[1]
 
 
@@ -164,52 +172,57 @@ class _Search:
         self.nearest = cKDTree(pixels).query(np.stack([x, y], axis=-1))[0]
         self.lit = np.pad(field, self.margin)[::2, ::2]
 
-    def hypotheses(self, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """The best (R, t, lowest site of the window relative to the corner), best first."""
-        O, A, B = self._triples(rng)
-        poses = _right_corners(self._rays(O), self._rays(A), self._rays(B), self.lattice.pitch_mm)
-        scores, windows = [], []
-        for start in range(0, len(poses), 2000):
-            score, window = self._scored(poses[start : start + 2000])
-            scores.append(score)
-            windows.append(window)
-        score = np.concatenate(scores)
-        window = np.concatenate(windows)
-        order = np.argsort(-score, kind="stable")[:_GROWN]
-        return [(poses[k, :, :3], poses[k, :, 3], window[k]) for k in order]
+    def rounds(self, rng: np.random.Generator) -> Iterator[list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        """The best (R, t, lowest site of the window from the corner), best first: of some triples, then of the rest."""
+        corner, a, b = self._triples(rng)
+        order = rng.permutation(len(corner))
+        for part in np.split(order, [len(order) // 5]):
+            poses = _right_corners(
+                self._rays(corner[part]), self._rays(a[part]), self._rays(b[part]), self.lattice.pitch_mm
+            )
+            if not len(poses):
+                continue
+            poses = self._promising(poses)
+            scored = [self._scored(poses[start : start + 2000]) for start in range(0, len(poses), 2000)]
+            score = np.concatenate([own for own, _ in scored])
+            window = np.concatenate([own for _, own in scored])
+            best = np.argsort(-score, kind="stable")[:_GROWN]
+            yield [(poses[k, :, :3], poses[k, :, 3], window[k]) for k in best]
 
     def _triples(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         count = min(_NEIGHBOURS + 1, len(self.pixels))
         around = cKDTree(self.pixels).query(self.pixels, k=count)[1][:, 1:]
         first, second = np.triu_indices(count - 1, 1)
         corner = np.repeat(np.arange(len(self.pixels)), len(first))
-        A, B = around[:, first].ravel(), around[:, second].ravel()
+        a, b = around[:, first].ravel(), around[:, second].ravel()
         if len(corner) > _MOST_TRIPLES:
             drawn = rng.choice(len(corner), _MOST_TRIPLES, replace=False)
-            corner, A, B = corner[drawn], A[drawn], B[drawn]
-        return corner, A, B
+            corner, a, b = corner[drawn], a[drawn], b[drawn]
+        return corner, a, b
 
     def _rays(self, which: np.ndarray) -> np.ndarray:
         rays = np.column_stack([self.pixels, np.ones(len(self.pixels))]) @ np.linalg.inv(self.K).T
         return (rays / np.linalg.norm(rays, axis=1, keepdims=True))[which]
 
+    def _promising(self, poses: np.ndarray) -> np.ndarray:
+        """The poses that explain most discs right around their corner."""
+        beside = np.flatnonzero(np.abs(self.around).max(axis=1) <= 1)
+        count = max(_PROMISING, len(poses) // 6)
+        if len(poses) <= count:
+            return poses
+        worth = np.concatenate(
+            [self._worth(poses[start : start + 4000], beside) for start in range(0, len(poses), 4000)]
+        )
+        # a corner of the cube has beads on one side only: the octant that fits best counts
+        steps = self.around[beside]
+        octants = [(steps * signs >= 0).all(axis=1) for signs in itertools.product((1, -1), repeat=3)]
+        score = np.max([worth[:, octant].sum(axis=1) for octant in octants], axis=0)
+        return poses[np.argsort(-score, kind="stable")[:count]]
+
     def _scored(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        place = self.around * self.lattice.pitch_mm
-        seen = np.einsum("nij,kj->nki", poses[:, :, :3], place) + poses[:, None, :, 3]
-        seen = seen @ self.K.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            xy = seen[..., :2] / seen[..., 2:]
-        cell = np.nan_to_num((xy + self.margin) / 2, nan=-1, posinf=-1, neginf=-1)
-        column, row = np.rint(np.clip(cell, -1, 1e6)).astype(int).transpose(2, 0, 1)
-        inside = (row >= 0) & (row < self.nearest.shape[0]) & (column >= 0) & (column < self.nearest.shape[1])
-        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-        tolerance = _FIRST_TOLERANCE_PX * (1 + np.abs(self.around).max(axis=1))
-        distance = np.where(inside, self.nearest[row, column], np.inf)
-        hit = distance < tolerance
-        # a hit is worth what chance would not give it: the wider the tolerance, the less
-        worth = np.where(hit, 1.0 - 0.5 * distance / tolerance, -0.5 * (inside & self.lit[row, column]))
-        grid = worth.reshape(-1, self.span, self.span, self.span)
-        sums = grid
+        """The best window's score (n,) and lowest site (n, 3) of each pose."""
+        worth = self._worth(poses, np.arange(len(self.around)))
+        sums = worth.reshape(-1, self.span, self.span, self.span)
         for axis in range(3):
             total = np.cumsum(sums, axis=axis + 1)
             total = np.concatenate([np.zeros_like(total.take([0], axis + 1)), total], axis=axis + 1)
@@ -221,12 +234,30 @@ class _Search:
         lowest = np.stack(np.unravel_index(best, sums.shape[1:]), axis=1) - (self.span // 2)
         return flat[np.arange(len(poses)), best], lowest
 
+    def _worth(self, poses: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """What the lattice sites `which` (k,) speak for each pose: (n, k)."""
+        place = self.around[which] * self.lattice.pitch_mm
+        seen = np.einsum("nij,kj->nki", poses[:, :, :3], place) + poses[:, None, :, 3]
+        seen = seen @ self.K.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = seen[..., :2] / seen[..., 2:]
+        cell = np.nan_to_num((xy + self.margin) / 2, nan=-1, posinf=-1, neginf=-1)
+        column, row = np.rint(np.clip(cell, -1, 1e6)).astype(int).transpose(2, 0, 1)
+        inside = (row >= 0) & (row < self.nearest.shape[0]) & (column >= 0) & (column < self.nearest.shape[1])
+        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+        tolerance = _FIRST_TOLERANCE_PX * (1 + np.abs(self.around[which]).max(axis=1))
+        distance = np.where(inside, self.nearest[row, column], np.inf)
+        # a hit is worth what chance would not give it: the wider the tolerance, the less
+        return np.where(
+            distance < tolerance, 1.0 - 0.5 * distance / tolerance, -0.3 * (inside & self.lit[row, column])
+        )
+
 
 def _right_corners(o: np.ndarray, a: np.ndarray, b: np.ndarray, side_mm: float) -> np.ndarray:
     """Poses (m, 3, 4) of corners with two perpendicular sides of one length, seen along unit rays (n, 3)."""
     ca, cb, cab = (o * a).sum(axis=1), (o * b).sum(axis=1), (a * b).sum(axis=1)
-    # with depths in units of the corner's: v = (u ca - 1) / (u cab - cb) for the right angle, u² - 2 u ca = v² - 2 v cb for the
-    # equal sides; together a quartic in u
+    # with depths in units of the corner's: v = (u ca - 1) / (u cab - cb) for the right angle, u² - 2 u ca = v² - 2 v cb
+    # for the equal sides; together a quartic in u
     N, D = np.stack([-np.ones_like(ca), ca]), np.stack([-cb, cab])  # of increasing powers
     DD = np.stack([D[0] ** 2, 2 * D[0] * D[1], D[1] ** 2])
     NN = np.stack([N[0] ** 2, 2 * N[0] * N[1], N[1] ** 2])
@@ -262,7 +293,12 @@ def _right_corners(o: np.ndarray, a: np.ndarray, b: np.ndarray, side_mm: float) 
 
 
 def _grown(
-    lattice: CubeLattice, pixels: np.ndarray, start: Camera, window: np.ndarray, field: np.ndarray, prior: IntrinsicPrior
+    lattice: CubeLattice,
+    pixels: np.ndarray,
+    start: Camera,
+    window: np.ndarray,
+    field: np.ndarray,
+    prior: IntrinsicPrior,
 ) -> tuple[float, LatticeFit] | None:
     """Assign, refine, and again with narrower gates; returns score and fit, or None when it dies out."""
     ideal = lattice.sites * lattice.pitch_mm
@@ -294,7 +330,7 @@ def _grown(
     camera = Camera(camera.K, camera.R, camera.t_mm - shift, camera.width, camera.height)
     # residuals and the prior's pull tell a true fit from one that bends to reach as many
     pull = float((prior.rows(camera)[0] ** 2).sum())
-    score = len(number) - 0.7 * lost - 0.1 * residual.mean() * len(number) / _GATES_PX[-1] - 0.3 * pull
+    score = len(number) - 0.3 * lost - 0.1 * residual.mean() * len(number) / _GATES_PX[-1] - 0.3 * pull
     return score, LatticeFit(numbers, camera, lost)
 
 

@@ -107,7 +107,7 @@ def segmentation_loss(logits: Tensor, masks: Tensor, *, dice: float = 0.5) -> Te
 
     Args:
         logits: (batch, 1, h, w).
-        masks: likewise, 0 or 1.
+        masks: likewise, the share of each pixel that is wire, 0 to 1.
         dice: share of the second.
 
     Returns:

@@ -12,7 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from guide3d.camera import Camera
 
-__all__ = ["IntrinsicPrior", "direct_linear_transformation", "projection_jacobian", "ransac_camera", "refine_camera", "turned"]
+__all__ = [
+    "IntrinsicPrior",
+    "direct_linear_transformation",
+    "projection_jacobian",
+    "ransac_camera",
+    "refine_camera",
+    "turned",
+]
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,7 @@ class IntrinsicPrior:
     centre_sd: float = 200.0
 
     def rows(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (5,) and their Jacobian (5, 11) by the parameters of `projection_jacobian`, in standard deviations."""
+        """Residuals (5,) in standard deviations, their slopes (5, 11) by the parameters of `projection_jacobian`."""
         K = camera.K
         residual = np.array(
             [
@@ -56,7 +63,9 @@ def turned(R: np.ndarray, rotation_vector: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(rotation_vector).as_matrix() @ R
 
 
-def projection_jacobian(K: np.ndarray, R: np.ndarray, t_mm: np.ndarray, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def projection_jacobian(
+    K: np.ndarray, R: np.ndarray, t_mm: np.ndarray, points_mm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of points, and how they move with the eleven parameters of a camera.
 
     Args:
@@ -163,14 +172,20 @@ def ransac_camera(
         for _ in range(3):
             if agree.sum() < 8:
                 break
-            agree = _off(direct_linear_transformation(points_mm[agree], pixels[agree]), points_mm, pixels) < tolerance_px
+            agree = (
+                _off(direct_linear_transformation(points_mm[agree], pixels[agree]), points_mm, pixels) < tolerance_px
+            )
         if agree.sum() > best.sum():
             best = agree
         if best.sum() >= 0.95 * n:
             break
     if best.sum() < 8:
-        raise ValueError(f"expected a camera that most of {n} points agree with, found one that {best.sum()} agree with")
-    return Camera.from_P(_in_front(direct_linear_transformation(points_mm[best], pixels[best]), points_mm), width, height), best
+        raise ValueError(
+            f"expected a camera that most of {n} points agree with, found one that {best.sum()} agree with"
+        )
+    return Camera.from_P(
+        _in_front(direct_linear_transformation(points_mm[best], pixels[best]), points_mm), width, height
+    ), best
 
 
 def _off(P: np.ndarray, points_mm: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -215,8 +230,14 @@ def refine_camera(
         off = (seen - pixels) / noise_px
         size = np.linalg.norm(off, axis=1)
         limit = np.inf if robust_px is None else robust_px / noise_px
-        weight = np.where(size > limit, limit / np.maximum(size, 1e-12), 1.0) if np.isfinite(limit) else np.ones_like(size)
-        cost = float(np.where(size > limit, 2 * limit * size - limit**2, size**2).sum()) if np.isfinite(limit) else float((size**2).sum())
+        weight = (
+            np.where(size > limit, limit / np.maximum(size, 1e-12), 1.0) if np.isfinite(limit) else np.ones_like(size)
+        )
+        cost = (
+            float(np.where(size > limit, 2 * limit * size - limit**2, size**2).sum())
+            if np.isfinite(limit)
+            else float((size**2).sum())
+        )
         J = J / noise_px
         gradient = np.einsum("n,nij,ni->j", weight, J, off)
         normal = np.einsum("n,nij,nik->jk", weight, J, J)

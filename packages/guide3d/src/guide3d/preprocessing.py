@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from PIL import Image
 from scipy import ndimage
 
 Picture = NDArray[np.uint8]
+_MIDDLE = 128.0
 
 
 @dataclass(frozen=True)
@@ -21,20 +23,26 @@ class Preprocessing:
         source_px: side of the camera's image, which positions and masks belong to.
         line_px: width, in px of the camera's image, below which dark lines are kept and all else is taken away (closing
             minus image); 0: the grey values as they are.
-        gain: of the lines.
+        flat_px: side, in px of the picture, of the square whose mean is taken away from each pixel: slow shades of body
+            and detector become 128; 0: they stay.
+        gain: of the lines, or of what is left of the grey values.
     """
 
     size_px: int
     source_px: int = 1024
     line_px: int = 0
+    flat_px: int = 0
     gain: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuses sizes that make no picture."""
         if self.size_px < 1 or self.source_px < self.size_px:
             raise ValueError(f"expected pictures of 1 to {self.source_px} px, got {self.size_px}")
-        if self.line_px < 0 or not self.gain > 0:
-            raise ValueError(f"line_px must not be negative and gain above 0, got {self.line_px} and {self.gain}")
+        if min(self.line_px, self.flat_px) < 0 or not self.gain > 0:
+            told = f"{self.line_px}, {self.flat_px} and {self.gain}"
+            raise ValueError(f"line_px and flat_px must not be negative and gain above 0, got {told}")
+        if self.line_px and self.flat_px:
+            raise ValueError("give line_px or flat_px: lines have no shades to take away")
 
     def __call__(self, image: NDArray[np.uint8]) -> Picture:
         """Makes a picture.
@@ -54,10 +62,14 @@ class Preprocessing:
                 f"expected an image of {expected[1]} x {expected[0]} px, uint8, got {image.shape}, {image.dtype}: "
                 "the network was trained on that size, and its camera belongs to it"
             )
-        if not self.line_px:
-            return averaged(image, self.size_px)
-        lines = dark_lines(image, self.line_px)
-        return np.clip(self.gain * averaged(lines, self.size_px).astype(np.float32), 0, 255).astype(np.uint8)
+        if self.line_px:
+            lines = dark_lines(image, self.line_px).astype(np.float32)
+            return np.clip(self.gain * _averaged(lines, self.size_px), 0, 255).astype(np.uint8)
+        if self.flat_px:
+            grey = _averaged(image.astype(np.float32), self.size_px)
+            left = grey - ndimage.uniform_filter(grey, self.flat_px, mode="nearest")
+            return np.clip(_MIDDLE + self.gain * left, 0, 255).astype(np.uint8)
+        return averaged(image, self.size_px)
 
 
 def averaged(image: NDArray[np.uint8], size_px: int) -> Picture:
@@ -67,6 +79,10 @@ def averaged(image: NDArray[np.uint8], size_px: int) -> Picture:
         image: (h, h) uint8.
         size_px: side of the result.
     """
+    return np.asarray(_averaged(image, size_px))
+
+
+def _averaged(image: NDArray[Any], size_px: int) -> NDArray[Any]:
     if image.shape == (size_px, size_px):
         return image
     return np.asarray(Image.fromarray(image).resize((size_px, size_px), Image.Resampling.BOX))

@@ -101,12 +101,12 @@ def shape_recipe(size: str) -> ShapeRecipe:
         return ShapeRecipe(network, Preprocessing(network.image_px, PUBLIC_PX), FitSettings())
     lines = Preprocessing(network.image_px, PUBLIC_PX, line_px=13, gain=8.0)
     fit = FitSettings(
-        epochs=30 if size == "desk" else 1, batch_size=8, optimiser="adamw", learning_rate=1e-3, weight_decay=0.02,
-        schedule="one_cycle", patience=0, clip=5.0,
+        epochs=40 if size == "desk" else 1, batch_size=4, optimiser="adamw", learning_rate=1e-3, weight_decay=0.02,
+        schedule="one_cycle", patience=0,
     )  # fmt: skip
     return ShapeRecipe(
-        network, lines, fit, ShapeLoss(tip=1.0, offset=1.0, stop=0.2, curve=1.0), cumulative=False, targets=4,
-        augmentation=ShapeAugmentation(),
+        network, lines, fit, ShapeLoss(tip=1.0, offset=0.1, stop=0.2, curve=1.0), cumulative=False, targets=4,
+        augmentation=ShapeAugmentation(gain=0.15, noise=2.0),
     )  # fmt: skip
 
 
@@ -156,14 +156,14 @@ def segmentation_recipe(network: str, size: str) -> SegmentationRecipe:
         # whole images, as the thesis feeds them
         return SegmentationRecipe(network, sizes, Preprocessing(side, PUBLIC_PX), fit, crop_px=side)
     desk = size == "desk"
-    side, crop = (512, 256) if desk else (128, 64)
+    side, crop = (512, 128) if desk else (128, 64)
     fit = FitSettings(
-        epochs=6 if desk else 1, batch_size=8, optimiser="adamw", learning_rate=2e-3, weight_decay=0.01,
+        epochs=8 if desk else 1, batch_size=8, optimiser="adamw", learning_rate=3e-3, weight_decay=0.01,
         schedule="one_cycle", patience=0, clip=5.0,
     )  # fmt: skip
     return SegmentationRecipe(
-        network, sizes, Preprocessing(side, PUBLIC_PX), fit, crop_px=crop, images=600 if desk else 16,
-        validation_images=48 if desk else 4,
+        network, sizes, Preprocessing(side, PUBLIC_PX, flat_px=25, gain=4.0), fit, crop_px=crop,
+        images=600 if desk else 16, validation_images=48 if desk else 4,
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ _log = logging.getLogger(__name__)
 REJECTION_PX = 25.0  # of a mean reprojection error, as in the thesis
 TIPS_PX = 8.0  # epipolar distance of the tips above which something is wrong with cameras or annotation
 LEAST_COVERAGE = 0.8  # below this, likewise
+OPEN_SHARE = 0.8  # of the wire along the epilines in both views, above which depth is open
 START_STIFFNESS_PX = 20.0  # length over which triangulated pairs are smoothed for a start
 NEAR_PX = 4.0  # before the start of the match, annotated points still belong to it
 BEYOND_PX = 40.0  # beyond its end
@@ -248,6 +249,11 @@ def _result(
     means = [float(residual.mean()) for residual in residuals]
     accepted = max(means) <= settings.rejection_px
     warnings = _warnings(geometry, match, curves, means, settings)
+    if min(shares) > OPEN_SHARE:
+        warnings.append(
+            f"depth is hardly seen: {min(shares):.0%} of the wire runs along the epilines in both views; "
+            "its shape towards the cameras is a guess, and less certain than its standard deviation says"
+        )
     for warning in warnings:
         _log.info(warning)
     return Reconstruction(

@@ -13,12 +13,14 @@ from scipy.spatial import cKDTree
 
 from guide3d.atomic_file import whole_file
 from guide3d.camera import Camera
+from guide3d.polyline import arc_length, at_length
 
 if TYPE_CHECKING:
     from guide3d.reconstruction import Reconstruction
 
 Array = NDArray[np.float64]
 
+FINE = 1000
 PANEL_PX = 512
 CHART_PX = 220
 ANNOTATION, CURVE = (230, 60, 50), (30, 110, 220)
@@ -27,6 +29,9 @@ ANNOTATION, CURVE = (230, 60, 50), (30, 110, 220)
 def distances_to(polyline: ArrayLike, points: ArrayLike) -> Array:
     """Returns the distances (m,) of points (m, d) from a polyline (n, d)."""
     line, wanted = np.asarray(polyline, dtype=float), np.asarray(points, dtype=float)
+    # the nearest vertex belongs to the nearest segment only where vertices are dense
+    along = arc_length(line)
+    line = at_length(line, np.union1d(along, np.linspace(0.0, along[-1], FINE)))
     near = np.atleast_1d(cKDTree(line).query(wanted)[1])
     best = np.full(len(wanted), np.inf)
     for first in (np.clip(near - 1, 0, len(line) - 2), np.clip(near, 0, len(line) - 2)):

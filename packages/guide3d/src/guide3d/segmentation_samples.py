@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 CAMERAS = ("a", "b")
 _DRAWS = 50
-_HALF = 128  # of 255: a pixel that the wire covers by half belongs to it
 
 
 def images_of(data: Dataset, acquisitions: Sequence[str], at_most: int = 0) -> NDArray[np.int64]:
@@ -86,18 +86,22 @@ class SegmentationObjective:
         self.stores, self.training_items, self.validation_items = stores, training, validation
         self.crop_px, self.mask_px, self.dice = crop_px, mask_px, dice
         self.augmentation = augmentation or SegmentationAugmentation()
-        self._masks: dict[int, NDArray[np.uint8]] = {}
+        self._masks: dict[int, bytes] = {}
         if not len(training):
             raise ValueError("there is no image to learn from: the data set's training part is empty")
 
-    def mask(self, item: int) -> NDArray[np.bool_]:
-        """The wire at the pictures' size."""
+    def mask(self, item: int) -> NDArray[np.uint8]:
+        """How much of each pixel of the picture is wire, 0 to 255.
+
+        Shares instead of yes and no tell where between two pixels the wire ends, so that a mask predicted on a small
+        picture is sharp on the camera's image.
+        """
         size = self.stores[0].preprocessing.size_px
         if item not in self._masks:
             camera, index = divmod(item, len(self.stores[0].frames))
             drawn = self.stores[camera].frames[index].mask(CAMERAS[camera], self.mask_px)
-            self._masks[item] = np.packbits(averaged(drawn, size) >= _HALF, axis=1)
-        return np.unpackbits(self._masks[item], axis=1, count=size).astype(bool)
+            self._masks[item] = zlib.compress(averaged(drawn, size).tobytes(), 1)
+        return np.frombuffer(zlib.decompress(self._masks[item]), np.uint8).reshape(size, size)
 
     def healthy(self, item: int) -> bool:
         """Whether the image can be read."""
@@ -121,14 +125,14 @@ class SegmentationObjective:
             masks.append(mask)
         return {
             "pictures": torch.from_numpy(np.stack(pictures))[:, None],
-            "masks": torch.from_numpy(np.stack(masks).astype(np.float32))[:, None],
+            "masks": torch.from_numpy(np.stack(masks).astype(np.float32) / 255)[:, None],
         }
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Loss of a batch."""
         return segmentation_loss(module(batch["pictures"]), batch["masks"], dice=self.dice)
 
-    def _crop(self, mask: NDArray[np.bool_], generator: np.random.Generator | None) -> tuple[slice, slice]:
+    def _crop(self, mask: NDArray[np.uint8], generator: np.random.Generator | None) -> tuple[slice, slice]:
         room = mask.shape[0] - self.crop_px
         on_wire = generator is None or generator.uniform() < self.augmentation.on_wire
         places = np.argwhere(mask) if on_wire and room else np.zeros((0, 2), int)
@@ -143,8 +147,8 @@ class SegmentationObjective:
         return slice(corner[0], corner[0] + self.crop_px), slice(corner[1], corner[1] + self.crop_px)
 
     def _varied(
-        self, picture: NDArray[np.float32], mask: NDArray[np.bool_], generator: np.random.Generator
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        self, picture: NDArray[np.float32], mask: NDArray[np.uint8], generator: np.random.Generator
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         with_ = self.augmentation
         if with_.flips:
             for axis in (0, 1):

@@ -1,11 +1,12 @@
 """X-ray images of a perforated sheet and of a bead cube, drawn with known truth: to rehearse and to test a calibration.
 
-The detector is an image intensifier: a pincushion and a swirl between the ideal and the raw image, a round field, falling light
-towards its rim, Poisson-like noise.
+The detector is an image intensifier: a pincushion and a swirl between the ideal and the raw image, a round field, less
+light towards its rim, noise that grows with the light.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -72,7 +73,11 @@ class SyntheticDetector:
 
 
 def draw_sheet(
-    detector: SyntheticDetector, rng: np.random.Generator, pitch_px: float = 14.5, angle: float = 0.3, irregular: float = 0.0
+    detector: SyntheticDetector,
+    rng: np.random.Generator,
+    pitch_px: float = 14.5,
+    angle: float = 0.3,
+    irregular: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """An image of a perforated sheet.
 
@@ -140,7 +145,7 @@ def draw_cube(
         bead_mm: Diameter.
 
     Returns:
-        (h, w) uint8; the numbers (m,) of the beads drawn whose centres lie in the lit image; their true raw centres (m, 2).
+        (h, w) uint8; numbers (m,) of the beads drawn with their centres in the lit image; those raw centres (m, 2).
     """
     place = detector.undistort(detector.pixels())
     through = np.ones(place.shape[:2])
@@ -174,7 +179,7 @@ def _darken(through: np.ndarray, place: np.ndarray, line: np.ndarray, radius: fl
         distance = np.linalg.norm(own - line[0], axis=-1)
     else:
         distance = np.full(own.shape[:2], np.inf)
-        for a, b in zip(line[:-1], line[1:], strict=True):
+        for a, b in itertools.pairwise(line):
             along = np.clip(((own - a) @ (b - a)) / max(float((b - a) @ (b - a)), 1e-9), 0, 1)
             distance = np.minimum(distance, np.linalg.norm(own - a - along[..., None] * (b - a), axis=-1))
     through[rows, columns] *= 1 - share * 0.5 * (1 - np.tanh((distance - radius) / 1.2))

@@ -23,6 +23,7 @@ from guide3d.atomic_file import whole_file
 from guide3d.build import SEGMENTERS, SIZES
 from guide3d.dataset import Dataset, split
 from guide3d.distributed import Ranks
+from guide3d.losses import ShapeLoss
 from guide3d.network_training import train_fgrn, train_segmenter, train_shape
 from guide3d.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.training import FitProgress, finished
@@ -87,7 +88,7 @@ def train(given: argparse.Namespace, progress: Callable[[FitProgress], None] | N
         if form in FORMS:
             shape = _with_epochs(shape_recipe(given.size), given.epochs)
             if angles_alone:
-                shape = replace(shape, loss=replace(shape.loss, curve=0.0))
+                shape = replace(shape, loss=ShapeLoss())
             predictor, report = train_shape(data, parts, shape, form, pretrained=given.pretrained, **common)
         elif given.network == "fgrn":
             predictor, report = train_fgrn(data, parts, _with_epochs(fgrn_recipe(given.size), given.epochs), **common)

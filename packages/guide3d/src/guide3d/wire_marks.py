@@ -1,7 +1,7 @@
 """Wires that mark single beads of a calibration cube: thin lines found in the image, told apart by their form.
 
-A single straight wire, two parallel ones and a bent one are the marks that a reference file calls single, double and circle.
-Lead letters are as dark as the beads and are left out; so is the rim of the field.
+A single straight wire, two parallel ones and a bent one are the marks that a reference file calls single, double and
+circle. Lead letters are as dark as the beads and are left out; so is the rim of the field.
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ def find_marks(image: np.ndarray | Attenuation, beads: Beads) -> list[WireMark]:
     lines = [_Line.of(pixels) for pixels in _thin(light, beads)]
     lines = [line for line in lines if line.length >= _SHORTEST_PX]
     lines = _joined(lines, beads)
-    marks, paired = [], set()
+    marks: list[WireMark] = []
+    paired: set[int] = set()
     for i, a in enumerate(lines):
         if not a.straight:
             marks.append(WireMark("circle", a.pixels))
@@ -130,7 +131,11 @@ def _joined(lines: list[_Line], beads: Beads) -> list[_Line]:
             gaps = np.linalg.norm(a.pixels[:, None] - b.pixels[None], axis=2)
             ends = np.unravel_index(gaps.argmin(), gaps.shape)
             middle = (a.pixels[ends[0]] + b.pixels[ends[1]]) / 2
-            off = np.linalg.norm(beads.centres_px - middle, axis=1) - beads.radii_px[:, 0] if len(beads) else np.array([np.inf])
+            off = (
+                np.linalg.norm(beads.centres_px - middle, axis=1) - beads.radii_px[:, 0]
+                if len(beads)
+                else np.array([np.inf])
+            )
             both = _Line.of(np.concatenate([a.pixels, b.pixels]))
             if gaps.min() < 35 and off.min() < 8 and both.straight and both.length > 0.9 * (a.length + b.length):
                 lines[i] = both

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,6 +16,8 @@ from splineformer.modeling.ordered import Ordered
 from splineformer.modeling.splineformer import Taught
 
 _ONE_WIRE = 1
+_WIRE_CELLS = 4.0  # so much more does a cell with wire count
+_WIRE_SCALE = 10.0  # brings the mean over mostly empty cells to the size of the other terms
 
 
 @dataclass(frozen=True)
@@ -46,17 +49,21 @@ class OrderedWeights:
 
     Attributes:
         attention: of the cross-entropy of each query's attention with the cells round its true place.
+        tip: of the tip's query in that, beside 1 of every other.
+        wire: of the cross-entropy of where wire lies at all.
         points: of the distance of the points after the attention, in hundredths of the image's side.
-        refined: of the distance of the points after each refinement.
+        refined: of the distance of the refined points from the wire.
         curve: of the distance of the curve of the control points.
         spread: of the likelihood of the distances under their predicted spread.
         kind: of the kind of image.
     """
 
-    attention: float = 0.5
-    points: float = 1.0
+    attention: float = 1.0
+    tip: float = 8.0
+    wire: float = 2.0
+    points: float = 0.5
     refined: float = 2.0
-    curve: float = 1.0
+    curve: float = 0.1
     spread: float = 0.1
     kind: float = 0.2
 
@@ -126,8 +133,39 @@ def attention_loss(logits: Tensor, points: Tensor) -> Tensor:
     return logits.logsumexp(-1) - upper.sum(-1) - lower.sum(-1)
 
 
-def ordered_loss(said: Ordered, batch: Mapping[str, Tensor], weights: OrderedWeights, bases: Tensor) -> Tensor:
-    """The parallel variant's loss; images without exactly one wire count only for the kind of image.
+def nearest_on_curve(points: Tensor, curve: Tensor) -> Tensor:
+    """The (B, n, 2) places of (B, S, 2) polylines that lie nearest to (B, n, 2) points."""
+    start, step = curve[:, None, :-1], (curve[:, 1:] - curve[:, :-1])[:, None]
+    along = ((points[:, :, None] - start) * step).sum(-1) / step.square().sum(-1).clamp_min(1e-12)
+    places = start + along.clamp(0.0, 1.0)[..., None] * step
+    best = (places - points[:, :, None]).square().sum(-1).argmin(-1)
+    return places.gather(2, best[..., None, None].expand(-1, -1, 1, 2))[:, :, 0]
+
+
+def wire_loss(logits: Tensor, curve: Tensor, wires: Tensor) -> Tensor:
+    """Cross-entropy of the cells that wire lies in; images with several wires do not count, for one is not annotated.
+
+    Args:
+        logits: (B, side²), row by row.
+        curve: (B, S, 2) dense, shares of the side.
+        wires: (B,) 0, 1 or 2.
+    """
+    side = round(logits.shape[-1] ** 0.5)
+    column, row = (curve * side).long().clamp(0, side - 1).unbind(-1)
+    true = torch.zeros_like(logits).scatter_(1, row * side + column, 1.0) * (wires == _ONE_WIRE)[:, None]
+    # few cells hold wire: those that do count for more
+    every = F.binary_cross_entropy_with_logits(logits, true, reduction="none") * (1.0 + _WIRE_CELLS * true)
+    known = (wires <= _ONE_WIRE).to(logits.dtype)
+    return (every.mean(-1) * known).sum() / known.sum().clamp_min(1.0) * _WIRE_SCALE
+
+
+def ordered_loss(
+    said: Ordered, batch: Mapping[str, Tensor], weights: OrderedWeights, bases: Tensor, reach: float
+) -> Tensor:
+    """The parallel variant's loss; images without exactly one wire count only for their kind and for the cells of wire.
+
+    What a refinement is to learn is the way from a point to the wire, wherever along it: a point that slid along the
+    wire cannot see by how much. Tip and end are to reach their own places. Points out of its sight do not count.
 
     Args:
         said: by the network.
@@ -135,20 +173,29 @@ def ordered_loss(said: Ordered, batch: Mapping[str, Tensor], weights: OrderedWei
             "wires" and "inverted" (B,).
         weights: of the terms.
         bases: (S, control points), takes control points to curve points.
+        reach: of a refinement, share of the side.
     """
-    points = batch["points"]
+    points, curve = batch["points"], batch["curve"]
     one = (batch["wires"] == _ONE_WIRE).to(points.dtype)
     share = one / one.sum().clamp_min(1.0)
 
     def distance(a: Tensor, b: Tensor) -> Tensor:
         # in hundredths of the side; linear far away, so that one lost curve does not drown the others
-        return (F.smooth_l1_loss(100 * a, 100 * b, reduction="none", beta=0.1).sum(-1).mean(-1) * share).sum()
+        return F.smooth_l1_loss(100 * a, 100 * b, reduction="none", beta=0.1).sum(-1)
 
-    total = weights.attention * (attention_loss(said.attention, points).mean(-1) * share).sum()
-    total = total + weights.points * distance(said.stages[0], points)
-    for stage in said.stages[1:]:
-        total = total + weights.refined * distance(stage, points)
-    total = total + weights.curve * distance(bases @ said.control, batch["curve"])
+    query = torch.ones_like(points[0, :, 0])
+    query[0] = weights.tip
+    attended = (attention_loss(said.attention, points) * query).sum(-1) / query.sum()
+    total = weights.attention * (attended * share).sum()
+    total = total + weights.points * (distance(said.stages[0], points).mean(-1) * share).sum()
+    for former, stage in itertools.pairwise(said.stages):
+        former = former.detach()
+        target = nearest_on_curve(former, curve)
+        target = torch.cat([points[:, :1], target[:, 1:-1], points[:, -1:]], 1)
+        seen = ((target - former).norm(dim=-1) < reach) * one[:, None]
+        total = total + weights.refined * (distance(stage, target) * seen).sum() / seen.sum().clamp_min(1.0)
+    total = total + weights.curve * (distance(bases @ said.control, curve).mean(-1) * share).sum()
+    total = total + weights.wire * wire_loss(said.wire, curve, batch["wires"])
     off = 100 * (said.stages[-1] - points).detach().norm(dim=-1)
     likelihood = off * torch.exp(-said.spread) + said.spread
     total = total + weights.spread * (likelihood.mean(-1) * share).sum()

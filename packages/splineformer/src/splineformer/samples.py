@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 CAMERAS = ("a", "b")
 _DENSE = 240  # points of a curve that is kept
-_CURVE_SAMPLES = 64  # of the parallel variant's curve loss
+_CURVE_SAMPLES = 128  # of the parallel variant's curve loss
 _NONE, _ONE, _SEVERAL = range(len(WIRES))
 
 Indices = NDArray[np.int64]
@@ -127,8 +127,9 @@ class SplineObjective:
             self.curve_shares = parameters.numpy()
             self.bases = collocation(network.knots.double(), parameters).float()
             self.targets = self._point_targets
+            reach = network.refine_reach
             self._loss = lambda module, batch: ordered_loss(
-                module(batch["images"]), batch, ordered, self.bases.to(batch["images"].device)
+                module(batch["images"]), batch, ordered, self.bases.to(batch["images"].device), reach
             )
 
     def _with_curves(self, items: Indices) -> Indices:

@@ -15,7 +15,6 @@ from guide3d.modeling.spherical import SphericalForm
 from guide3d.modeling.vision_transformer import VisionTransformer
 
 POOLINGS = ("class", "tokens")
-_TOKEN_SHARE = 16  # features that a token is reduced to before all tokens are joined
 
 
 class ImageFeatures(nn.Module):
@@ -35,8 +34,7 @@ class ImageFeatures(nn.Module):
         self.transformer, self.pooling = transformer, pooling
         joined = width
         if pooling == "tokens":
-            self.reduction = nn.Linear(width, _TOKEN_SHARE)
-            joined = _TOKEN_SHARE * transformer.grid**2
+            joined = width * transformer.grid**2
         self.projection = nn.Sequential(
             nn.Linear(joined, features), nn.GELU(), nn.Dropout(dropout), nn.Linear(features, features)
         )
@@ -44,7 +42,7 @@ class ImageFeatures(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         """(batch, channels, h, w) to (batch, features)."""
         tokens = self.transformer(images)
-        seen = tokens[:, 0] if self.pooling == "class" else self.reduction(tokens[:, 1:]).flatten(1)
+        seen = tokens[:, 0] if self.pooling == "class" else tokens[:, 1:].flatten(1)
         result: Tensor = self.projection(seen)
         return result
 

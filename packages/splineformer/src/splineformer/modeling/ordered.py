@@ -65,6 +65,7 @@ class Ordered(NamedTuple):
     """What the parallel network says of images."""
 
     attention: Tensor  # (B, queries, cells) logits over the fine map, row by row
+    wire: Tensor  # (B, cells) logits that wire lies in the cell
     stages: list[Tensor]  # (B, queries, 2) points after the attention and after each refinement, shares of the side
     control: Tensor  # (B, control_points, 2)
     spread: Tensor  # (B, queries) logarithm of the expected distance of each point, shares of the side
@@ -104,6 +105,7 @@ class OrderedSplineFormer(nn.Module):
         self.ascent = Ascent(s.width, [s.channels[level] for level in finer])
         narrow = s.channels[finer[-1]]
         self.keys = nn.Sequential(convolution(narrow, s.key_width), nn.Conv2d(s.key_width, s.key_width, 1))
+        self.wire = nn.Conv2d(s.key_width, 1, 1)
         self.queries = nn.Parameter(torch.randn(s.queries, s.width) * 0.5)
         self.decoder = nn.ModuleList(DecoderLayer(s.width, s.heads) for _ in range(s.decoder_layers))
         self.to_query = nn.Sequential(nn.LayerNorm(s.width), nn.Linear(s.width, s.key_width))
@@ -112,6 +114,7 @@ class OrderedSplineFormer(nn.Module):
         self.refine = nn.ModuleList(
             Refinement(fine, 2 / s.image_px, s.reach, s.refinement_width, s.key_width) for _ in range(s.refinements)
         )
+        self.refine_reach = (s.reach + 1) * 2 / s.image_px  # share of the side: further off nothing of the wire is seen
         self.kind = ImageHead(s.width)
         centres = (torch.arange(self.fine_side) + 0.5) / self.fine_side
         rows, columns = torch.meshgrid(centres, centres, indexing="ij")
@@ -154,7 +157,14 @@ class OrderedSplineFormer(nn.Module):
         )
         for step in self.refine:
             stages.append(step(detail, stages[-1].detach(), query))
-        return Ordered(attention, stages, self.to_control @ stages[-1], self.to_spread(x)[..., 0], self.kind(memory))
+        return Ordered(
+            attention,
+            self.wire(keys).flatten(1),
+            stages,
+            self.to_control @ stages[-1],
+            self.to_spread(x)[..., 0],
+            self.kind(memory),
+        )
 
     def memory_attention(self, image: Tensor) -> Tensor:
         """(B, heads, queries, N) weights of the last decoder layer over the memory, for pictures of attention."""

@@ -1,0 +1,273 @@
+"""The navigator's eye: a trained SplineFormer, trained a little further on wires under the navigation's own cameras.
+
+The data set shows wires deep in one phantom. A navigation begins with a short wire, and in other anatomies. So shapes
+are laid out along the ways of random arches, a few moves are made from there, and the simulator knows where the wire
+is. After this the network's weights stay as they are, for every navigator.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.atomic import atomic_path, write_json
+from pipeline.errors import StageError
+from pipeline.job_worker import Report
+from pipeline.navigation_scene import Rig, fluoroscope_of, images_of_shape, with_shaft
+
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
+    from splineformer.predictor import Predictor
+
+PREDICTOR, RECORD, FRAMES = "predictor.pt", "reader.json", "frames.npz"
+_PROTRUSION = 3e-3  # m: ways begin so far inside the vessel
+_SHALLOWEST = 0.01  # m of wire inside the vessel
+_MOVES = 8  # of 0.1 s, before each picture
+_PICTURES = 3  # from one laid wire
+_FORWARD, _TURN = 0.4, 0.7  # spread of the moves, of the most in a step
+_CURVE_M = 0.5e-3  # between the points of a true curve
+_VALIDATION = 0.1  # share of the anatomies
+_RATE = 6e-4
+_PREPARING = 0.3  # of the job's time
+
+
+@dataclass(frozen=True)
+class ReaderJob:
+    """The training that goes on.
+
+    Attributes:
+        folder: of the reader.
+        splineformer: model file of the stage splineformer.
+        variant: its variant, and
+        size: its size, whose recipe is followed.
+        rig: of the images.
+        anatomies: kind and seed of each random arch; ("type_1", -1) is a named phantom.
+        frames: in each anatomy.
+        epochs: over them; 0: the network stays as it is.
+        targets: whose ways wires are laid along.
+        seed: of everything.
+    """
+
+    folder: Path
+    splineformer: Path
+    variant: str
+    size: str
+    rig: Rig
+    anatomies: tuple[tuple[str, int], ...]
+    frames: int
+    epochs: int
+    targets: tuple[str, ...]
+    seed: int
+
+
+def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:
+    """Trains the SplineFormer further, and tells how far it was and is off.
+
+    Returns:
+        ``images``, and before and after the tip's and the curve's mean error on anatomies kept apart, px of 1,024.
+    """
+    from guide3d.training import FitProgress, finished, fit
+    from splineformer.predictor import Predictor
+    from splineformer.recipes import recipe_of
+    from splineformer.samples import SplineObjective
+
+    if (job.folder / RECORD).is_file():
+        return dict(json.loads((job.folder / RECORD).read_text(encoding="utf-8")))
+    predictor = _taken_over(job.splineformer)
+    outcome: dict[str, Any] = {"images": 0, "epochs": job.epochs}
+    if job.epochs:
+        pictures, curves, apart = _frames(job, predictor, report.part(0.0, _PREPARING, "frames"))
+        count = len(curves) // len(job.rig.cameras)
+        stores = [_Kept(pictures[n * count : (n + 1) * count]) for n in range(len(job.rig.cameras))]
+        items = np.arange(len(curves))
+        recipe = recipe_of(job.variant, job.size)
+        settings = replace(recipe.fit, epochs=job.epochs, learning_rate=_RATE)
+        objective = SplineObjective(
+            stores, curves, items[~apart], items[apart], predictor.network,
+            augmentation=recipe.augmentation, weights=recipe.weights, source_px=predictor.source_px,
+        )  # fmt: skip
+        outcome |= {f"{name}_before": value for name, value in errors(predictor, pictures, curves, apart).items()}
+
+        def tell(now: FitProgress) -> None:
+            report(_PREPARING + (1 - _PREPARING) * now.epoch / now.epochs, f"epoch {now.epoch}, loss {now.loss:.3g}")
+
+        fitted = fit(predictor.network, objective, settings, folder=job.folder / "fit", seed=job.seed, progress=tell)
+        predictor = Predictor(predictor.network, source_px=predictor.source_px)
+        outcome |= {"images": len(curves), "cpu_min": fitted.cpu_s / 60}
+        outcome |= {f"{name}_after": value for name, value in errors(predictor, pictures, curves, apart).items()}
+    predictor.save(job.folder / PREDICTOR, navigation_epochs=job.epochs)
+    write_json(job.folder / RECORD, outcome)
+    finished(job.folder / "fit")
+    (job.folder / FRAMES).unlink(missing_ok=True)
+    return outcome
+
+
+def load_reader(folder: Path) -> Any:
+    """The reader of a finished job.
+
+    Args:
+        folder: of the job.
+    """
+    import torch
+    from splineformer.navigator_reading import Reader
+    from splineformer.predictor import Predictor
+
+    torch.set_num_threads(1)
+    return Reader(Predictor.load(folder / PREDICTOR))
+
+
+def _taken_over(path: Path) -> Predictor:
+    from splineformer.predictor import Predictor
+
+    try:
+        return Predictor.load(path)
+    except (FileNotFoundError, ValueError) as error:
+        raise StageError(f"{error}; run stage=splineformer again") from error
+
+
+def errors(
+    predictor: Predictor, pictures: np.ndarray, curves: Sequence[np.ndarray], chosen: np.ndarray
+) -> dict[str, float]:
+    """Mean error of tip and curve of the chosen pictures, in px of an image of 1,024."""
+    from splineformer.curve_errors import curve_errors
+    from splineformer.navigator_reading import Reader
+
+    if not chosen.any():
+        return {}
+    reader, told = Reader(predictor), []
+    places = np.flatnonzero(chosen)
+    for place, reading in zip(places, reader(list(pictures[places])), strict=True):
+        told.append(curve_errors(1024.0 * reading.points.astype(float), 1024.0 * curves[place]))
+    return {name: float(np.mean([one[name] for one in told])) for name in ("tip_px", "mean_px")}
+
+
+class _Kept:
+    """Pictures in memory, as training takes them."""
+
+    def __init__(self, pictures: np.ndarray) -> None:
+        self._pictures = pictures
+
+    def healthy(self, indices: np.ndarray) -> np.ndarray:
+        return np.ones(len(indices), bool)
+
+    def pictures(self, indices: np.ndarray) -> np.ndarray:
+        return self._pictures[indices]
+
+
+def _frames(job: ReaderJob, predictor: Predictor, report: Any) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    """Pictures (N, size, size) of the first camera, then the second; their curves; those to validate with."""
+    file = job.folder / FRAMES
+    if not file.is_file():
+        pictures, curves, apart = [], [], []
+        held = max(1, round(_VALIDATION * len(job.anatomies)))
+        for number, (kind, seed) in enumerate(job.anatomies):
+            report(number / len(job.anatomies), f"frames in {kind} {max(seed, 0)}")
+            for images, lines in frames_in(_phantom(kind, seed), job, predictor.network.settings.image_px):
+                pictures.append(images)
+                curves.append(lines)
+                apart.append(number >= len(job.anatomies) - held and len(job.anatomies) > 1)
+        if not pictures:
+            raise StageError("no wire could be laid in any anatomy: choose others")
+        # camera by camera
+        arrays = {
+            "pictures": np.stack(pictures, axis=1).reshape(-1, *pictures[0].shape[1:]),
+            "curves": np.stack(curves, axis=1).reshape(-1, *curves[0].shape[1:]),
+            "apart": np.tile(np.array(apart), len(job.rig.cameras)),
+        }
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_path(file) as temporary, temporary.open("wb") as stream:
+            np.savez(stream, **arrays)  # type: ignore[arg-type]
+    with np.load(file) as kept:
+        return kept["pictures"], list(kept["curves"]), kept["apart"]
+
+
+def _phantom(kind: str, seed: int) -> Phantom:
+    from cathsim import load_phantom
+
+    return load_phantom(kind) if seed < 0 else load_phantom(kind, seed=seed)
+
+
+def frames_in(phantom: Phantom, job: ReaderJob, size_px: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pictures of wires in an anatomy.
+
+    Args:
+        phantom: the anatomy.
+        job: with targets, rig, number of frames and seed.
+        size_px: of the pictures.
+
+    Returns:
+        A (cameras, size, size) stack of pictures and (cameras, 240, 2) curves as shares of the sides, each.
+    """
+    from cathsim import ACCURACY, Simulation, load_guidewire
+    from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
+    from cathsim.laid_wire import lay_wire
+
+    generator = np.random.default_rng((job.seed, int(phantom.hash[:8], 16)))
+    wire = load_guidewire(job.rig.wire)
+    simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"])
+    ways = _ways(phantom, job.targets, simulation)
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for _ in range(4 * job.frames):
+        if len(found) >= job.frames or not ways:
+            break
+        way = ways[int(generator.integers(len(ways)))]
+        length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+        try:
+            lay_wire(simulation, way, generator.uniform(0.005, length - _SHALLOWEST))
+        except ValueError:  # too short a wire for this one
+            continue
+        turn, lean = generator.uniform(-1, 1), generator.uniform(-0.3, 0.5)
+        for _ in range(_PICTURES):
+            for _ in range(_MOVES):
+                push = np.clip(lean + _FORWARD * generator.standard_normal(), -1, 1)
+                twist = np.clip(turn + _TURN * generator.standard_normal(), -1, 1)
+                simulation.advance(TRANSLATION_STEP * float(push), ROTATION_STEP * float(twist))
+            if not simulation.valid:
+                break
+            nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
+            frame = _frame(phantom, job.rig, nodes, size_px, int(generator.integers(2**31)))
+            if frame is not None:
+                found.append(frame)
+    return found[: job.frames]
+
+
+def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:
+    from cathsim.planning.path import UnreachableError, plan_path
+
+    start = simulation.vessel.entry + _PROTRUSION * simulation.vessel.direction
+    ways = []
+    for target in targets:
+        place = phantom.target(target).position
+        try:
+            way = plan_path(phantom.grid, start, place, clearance=1e-3, preferred_clearance=3e-3)
+        except UnreachableError:
+            continue
+        ways.append(way.points)
+    return ways
+
+
+def _frame(
+    phantom: Phantom, rig: Rig, nodes: np.ndarray, size_px: int, seed: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Pictures and curves of one moment; None where a camera does not see enough of the wire."""
+    from cathsim.fluoroscopy.curve import smooth_curve
+    from guide3d.polyline import resample
+    from splineformer.augmentation import inside
+    from splineformer.intake import picture_of
+
+    curve, _ = smooth_curve(nodes, _CURVE_M)
+    cameras = fluoroscope_of(phantom, rig, rig.filling).cameras
+    lines = []
+    for name in rig.cameras:
+        seen = inside((cameras[name].pixels(curve) + 0.5) / rig.image_size_px)
+        if seen is None:
+            return None
+        lines.append(resample(seen, count=240))
+    images = images_of_shape(phantom, rig, nodes, seed)
+    pictures = [picture_of(image, size_px, rig.image_size_px).pixels for image in images]
+    return np.stack(pictures), np.stack(lines)
