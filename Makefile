@@ -17,7 +17,7 @@ GPU ?=
 export OMP_NUM_THREADS ?= 1
 
 # Stages in the order they depend on each other; one whose module is not there yet is left out.
-ALL_STAGES := phantoms expert user_study validate baselines enn imitation force unseen guide3d shape segmentation splineformer
+ALL_STAGES := phantoms expert user_study validate baselines enn imitation force unseen guide3d shape segmentation splineformer navigation
 STAGES := $(patsubst pipeline/stages/%.py,%,$(wildcard $(ALL_STAGES:%=pipeline/stages/%.py)))
 STAGES := $(filter $(STAGES),$(ALL_STAGES))
 
@@ -104,6 +104,9 @@ segmentation: guide3d  ## stage: UNet, TransUnet and SwinUnet find the wire's pi
 
 splineformer: segmentation  ## stage: wires as B-splines, beside the traced segmentation
 	@$(RUN) stage=splineformer budget=$(BUDGET) name=$(NAME) $(ARGS)
+
+navigation: expert unseen splineformer  ## stage: navigators on SplineFormer, from images alone, beside their rivals
+	@$(RUN) stage=navigation budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 report: setup  ## stage: the page, from whatever has run
 	@$(RUN) stage=report budget=$(BUDGET) name=$(NAME)

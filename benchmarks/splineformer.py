@@ -11,7 +11,7 @@ thread, from the 1,024 px image to the curve:
     images_per_s                       in batches of eight
     published_latency_ms, published_images_per_s   the published variant, without --model
     compiled_latency_ms, compiled_difference_px    with --exports: by torch.compile
-    onnx_latency_ms, onnx_difference_px            with --exports: by onnxruntime
+    onnx_latency_ms, onnx_difference_px            with --exports: by onnxruntime, without the walk
     tip_px, mean_px, max_px, chamfer_px            with --data and --model: on the test acquisitions
 """
 
@@ -39,7 +39,7 @@ from guide3d.masks import strip_mask
 from guide3d.synthetic import scenes
 from splineformer.build import build, size_of
 from splineformer.curve_errors import curve_errors
-from splineformer.export import INPUT, ORDERED_OUTPUTS, export_onnx, onnx_difference
+from splineformer.export import export_onnx, graphs, onnx_difference
 from splineformer.modeling.ordered import OrderedSplineFormer
 from splineformer.predictor import SOURCE_PX, Predictor
 from splineformer.samples import CAMERAS, images_of
@@ -110,16 +110,15 @@ def exports(predictor: Predictor, times: int) -> dict[str, float]:
     plain, other = predictor(image), compiled(image)
     if plain.tokens is not None and other.tokens is not None:
         told["compiled_difference_px"] = float(np.abs(plain.tokens - other.tokens).max())
-    size = network.settings.image_px
-    levels = 255 * torch.rand(1, 1, size, size, generator=torch.Generator().manual_seed(1))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.onnx"
         export_onnx(network, file)
-        told["onnx_difference_px"] = SOURCE_PX * onnx_difference(network, file, levels)["control"]
+        told["onnx_difference_px"] = SOURCE_PX * onnx_difference(network, file)["control"]
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-        told["onnx_latency_ms"] = cpu_ms(lambda: session.run(list(ORDERED_OUTPUTS), {INPUT: levels.numpy()}), times)
+        seen = {name: value.numpy() for name, value in graphs(network)[".onnx"].inputs.items()}
+        told["onnx_latency_ms"] = cpu_ms(lambda: session.run(["control"], seen), times)
     return told
 
 

@@ -25,6 +25,7 @@ from pipeline.learning_settings import (
     ImitationSettings,
     UnseenSettings,
 )
+from pipeline.navigation_settings import NavigationSettings
 from pipeline.network_settings import SegmentationSettings, ShapeSettings
 from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stage_settings import (
@@ -55,6 +56,7 @@ STAGE_SETTINGS: dict[str, type] = {
     "shape": ShapeSettings,
     "segmentation": SegmentationSettings,
     "splineformer": SplineformerSettings,
+    "navigation": NavigationSettings,
     "report": ReportSettings,
 }
 

@@ -13,11 +13,12 @@ from pipeline.episodes import EpisodeReader
 from pipeline.navigation_scene import Rig, Scene, images_of_shape, marks_of, vessels_of, with_shaft
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from enn.policy import Policy
     from splineformer.navigator import Navigator, NavigatorSettings
     from splineformer.navigator_reading import Reader
     from splineformer.navigator_training import Episode
-    from torch import Tensor
 
 SIDE_BY_SIDE = 12  # episodes played together, so that images are read in batches
 
@@ -79,7 +80,7 @@ def play(
     Args:
         scenes: a scene and the seed of its reset for each episode, made when its turn comes; its environment observes
             what the teacher sees, and is closed afterwards.
-        teacher: a policy on other observations, with the navigator's action repeat.
+        teacher: a policy on other observations; its advice is held as long as the navigator's own actions.
         navigator: steers the episodes that the teacher does not.
         teacher_share: share of the episodes that the teacher steers.
         noise: standard deviation of what is added to the actions that are carried out, never to those learnt.
@@ -89,15 +90,7 @@ def play(
 
     Returns:
         The episodes, in the order in which they ended.
-
-    Raises:
-        ValueError: teacher and navigator hold their actions for different numbers of steps.
     """
-    if teacher.action_repeat != navigator.settings.action_repeat:
-        raise ValueError(
-            f"teacher and navigator must hold actions equally long, got {teacher.action_repeat} and "
-            f"{navigator.settings.action_repeat} steps"
-        )
     waiting = iter(scenes)
     episodes: list[Episode] = []
 
@@ -130,9 +123,7 @@ def _looks(pupils: Sequence[_Pupil], navigator: Navigator) -> np.ndarray:
     several = [one.scene.images() for one in pupils]
     readings = navigator.reader([image for images in several for image in images])
     count = len(several[0])
-    return np.stack(
-        [one.sight.look(readings[n * count : (n + 1) * count]) for n, one in enumerate(pupils)]
-    )
+    return np.stack([one.sight.look(readings[n * count : (n + 1) * count]) for n, one in enumerate(pupils)])
 
 
 def _joined(recalled: Sequence[Tensor | None], navigator: Navigator) -> Tensor:

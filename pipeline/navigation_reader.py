@@ -43,8 +43,7 @@ class ReaderJob:
     Attributes:
         folder: of the reader.
         splineformer: model file of the stage splineformer.
-        variant: its variant, and
-        size: its size, whose recipe is followed.
+        variant: its variant, whose recipe for a desk is followed.
         rig: of the images.
         anatomies: kind and seed of each random arch; ("type_1", -1) is a named phantom.
         frames: in each anatomy.
@@ -56,7 +55,6 @@ class ReaderJob:
     folder: Path
     splineformer: Path
     variant: str
-    size: str
     rig: Rig
     anatomies: tuple[tuple[str, int], ...]
     frames: int
@@ -85,7 +83,7 @@ def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:
         count = len(curves) // len(job.rig.cameras)
         stores = [_Kept(pictures[n * count : (n + 1) * count]) for n in range(len(job.rig.cameras))]
         items = np.arange(len(curves))
-        recipe = recipe_of(job.variant, job.size)
+        recipe = recipe_of(job.variant, "desk")
         settings = replace(recipe.fit, epochs=job.epochs, learning_rate=_RATE)
         objective = SplineObjective(
             stores, curves, items[~apart], items[apart], predictor.network,
@@ -114,6 +112,7 @@ def load_reader(folder: Path) -> Any:
         folder: of the job.
     """
     import torch
+
     from splineformer.navigator_reading import Reader
     from splineformer.predictor import Predictor
 

@@ -20,6 +20,15 @@ if TYPE_CHECKING:
 
 PREDICTOR, TRAINING = "predictor.pt", "training.json"
 _SECONDS_BETWEEN_LOOKS = 1.0
+# What a trained network depends on: not the whole package, whose calibration and matching it never meets.
+CODE = tuple(
+    f"guide3d.{name}"
+    for name in (
+        "build", "dataset", "dataset_split", "frame", "losses", "masks", "metrics", "modeling", "model_file",
+        "network_training", "picture_store", "polyline", "predictor", "preprocessing", "recipes",
+        "segmentation_metrics", "segmentation_samples", "shape_samples", "train", "training",
+    )
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

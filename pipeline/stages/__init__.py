@@ -18,7 +18,7 @@ from pipeline.errors import ConfigurationError, StageError
 
 STAGE_NAMES = (
     "phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "unseen", "guide3d",
-    "shape", "segmentation", "splineformer", "report",
+    "shape", "segmentation", "splineformer", "navigation", "report",
 )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import shutil
 from typing import Any
 
 from pipeline.jobs import Job, run_jobs
-from pipeline.network_job import NetworkJob
+from pipeline.network_job import CODE, NetworkJob
 from pipeline.network_settings import SegmentationSettings
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.report.segmentation_plots import draw_examples, draw_kinds
@@ -126,5 +126,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=("guide3d", "pipeline.network_job", "pipeline.segmentation_job", "pipeline.report.segmentation_plots"),
+    code=(*CODE, "pipeline.network_job", "pipeline.segmentation_job", "pipeline.report.segmentation_plots"),
 )

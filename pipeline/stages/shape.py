@@ -6,7 +6,7 @@ import shutil
 from typing import Any
 
 from pipeline.jobs import Job, run_jobs
-from pipeline.network_job import NetworkJob
+from pipeline.network_job import CODE, NetworkJob
 from pipeline.network_settings import ShapeSettings
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.report.shape_plots import draw_along, draw_in_space, draw_reprojections, draw_training
@@ -159,5 +159,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=("guide3d", "pipeline.network_job", "pipeline.shape_job", "pipeline.report.shape_plots"),
+    code=(*CODE, "pipeline.network_job", "pipeline.shape_job", "pipeline.report.shape_plots"),
 )

@@ -43,7 +43,9 @@ def drawn_sheet(detector: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return draw_sheet(DETECTORS[detector], rng, pitch_px=13.0, angle=0.3 if detector == "A" else -0.8)
 
 
-def drawn_cube_image(detector: str, camera: Camera, seed: int = 0, **wishes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def drawn_cube_image(
+    detector: str, camera: Camera, seed: int = 0, **wishes
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     return draw_cube(DETECTORS[detector], camera, POINTS_MM, rng, MARKED, bead_mm=5.0, **wishes)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.guide3d.drawn_cube import POINTS_MM, looking_camera, turned_cube
 from scipy.spatial.transform import Rotation
 
 from guide3d.calibration import Sighting, calibrate_rig
@@ -17,6 +16,7 @@ from guide3d.pinhole_fit import (
     refine_camera,
     turned,
 )
+from tests.guide3d.drawn_cube import POINTS_MM, looking_camera, turned_cube
 
 RIG = {"A": looking_camera(0.4, 5100.0, 1150.0, 1024), "B": looking_camera(1.99, 4450.0, 900.0, 1024)}
 SIZES = {"A": (1024, 1024), "B": (1024, 1024)}
@@ -28,7 +28,9 @@ def sightings(seed: int, noise_px: float, poses: int = 3, swirl_px: float = 0.0)
     seen = []
     for pose, turn in enumerate(TURNS[:poses]):
         for detector, camera in RIG.items():
-            placed = turned_cube(camera, Rotation.from_euler("xyz", turn).as_matrix(), 20.0 * np.array([pose, -pose, 0]))
+            placed = turned_cube(
+                camera, Rotation.from_euler("xyz", turn).as_matrix(), 20.0 * np.array([pose, -pose, 0])
+            )
             pixels = placed.project(POINTS_MM)
             inside = np.flatnonzero(placed.contains(pixels))
             pixels = pixels[inside] - swirl_px * swirl_pattern(pixels[inside], 1024, 1024)
@@ -86,7 +88,7 @@ def test_a_rig_is_found_again_without_noise():
         assert np.allclose(camera.K, RIG[detector].K, atol=0.02)
         assert np.allclose(camera.centre_mm, RIG[detector].centre_mm, atol=0.02)
     assert result.noise_px < 2e-4
-    Q, s = result.poses["pose1"]
+    Q, _ = result.poses["pose1"]
     assert np.allclose(Q, Rotation.from_euler("xyz", TURNS[1]).as_matrix(), atol=1e-5)
     assert all(used.all() for used in result.used.values())
 

@@ -57,7 +57,12 @@ def test_xmalab_files_keep_everything_but_the_covariance(camera, tmp_path, unit)
     assert np.allclose(again.P, camera.P, rtol=1e-12)
     assert (again.width, again.height, again.covariance) == (1024, 1000, None)
     lines = path.read_text().splitlines()
-    assert [line for line in lines if line and line[0].isalpha()] == ["image size", "camera matrix", "rotation", "translation"]
+    assert [line for line in lines if line and line[0].isalpha()] == [
+        "image size",
+        "camera matrix",
+        "rotation",
+        "translation",
+    ]
     assert list(tmp_path.glob("new/.*")) == []  # nothing half-written is left
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.guide3d.drawn_cube import CAMERAS, DETECTORS, POINTS_MM, write_folder
 from PIL import Image
 
 from guide3d.calibration_report import figures, main
@@ -15,6 +14,7 @@ from guide3d.camera import read_camera, read_opencv_yaml
 from guide3d.cube_calibration import calibrate_folder
 from guide3d.cube_files import read_beads, read_references
 from guide3d.distortion import Distortion
+from tests.guide3d.drawn_cube import CAMERAS, DETECTORS, POINTS_MM, write_folder
 
 REAL = Path(__file__).parents[3] / "shared" / "real" / "xray_calibration"
 
@@ -36,8 +36,10 @@ def test_the_written_cameras_see_what_the_true_ones_see(report):
         camera = read_camera(report / f"camera_{detector}.txt")
         distortion = Distortion.load(report / f"distortion_{detector}.npz")
         assert np.linalg.norm(camera.centre_mm - truth.centre_mm) < 12.0
-        points = POINTS_MM[truth.contains(truth.project(POINTS_MM), -20.0)]
-        raw = DETECTORS[detector].distort(truth.project(points))
+        raw = DETECTORS[detector].distort(truth.project(POINTS_MM))
+        measured = truth.contains(raw, -20.0) & distortion.covers(raw)
+        points, raw = POINTS_MM[measured], raw[measured]
+        assert len(points) > 30
         assert np.abs(distortion.distort_points(camera.project(points)) - raw).max() < 0.5
         again = read_opencv_yaml(report / "opencv" / f"camera_{detector}.yaml")
         assert np.allclose(again.P, camera.P)
@@ -69,8 +71,8 @@ def test_the_report_shows_every_picture(report):
         ("text", "undistort_A.png: expected a readable image"),
         ("flat", "undistort_A.png: expected a grey X-ray image, found one value everywhere"),
         ("photograph", "undistort_A.png: expected an X-ray of a perforated sheet"),
-        ("no cube in it", r"pose1_A.png: expected 12 beads of the cube or more in the image, found \d"),
-        ("few beads", r"pose1_A.png: expected 12 beads of the cube or more in the image, found \d"),
+        ("no cube in it", r"pose1_A.png: expected (12 beads of the cube|a lattice that explains 12)"),
+        ("few beads", r"pose1_A.png: expected 12 beads of the cube or more in the image, found \d\b"),
         ("bead row", "framespec_cm.csv, line 3: expected three numbers x,y,z, found '6.5,zero,0'"),
         ("missing folder", "is missing: expected one with sheet and cube images"),
     ],
@@ -101,7 +103,7 @@ def test_bad_input_gives_one_clear_sentence(folder, tmp_path, capsys, spoil, mes
         Image.fromarray((120 + 3 * rng.normal(size=(512, 512))).astype(np.uint8)).save(cube)
     elif spoil == "few beads":
         image = np.asarray(Image.open(cube)).copy()
-        image[:, 150:] = np.median(image)
+        image[:, 90:] = np.median(image)
         Image.fromarray(image).save(cube)
     elif spoil == "bead row":
         text = (bad / "framespec_cm.csv").read_text()
@@ -145,7 +147,9 @@ def test_the_real_images():
     A, B = (read_camera(REAL / f"projection_2024-01-18_{detector}.txt") for detector in ("16710", "16709"))
     turn = (b.R @ a.R.T) @ (B.R @ A.R.T).T
     assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 8.0
-    assert np.linalg.norm(a.centre_mm - b.centre_mm) == pytest.approx(np.linalg.norm(A.centre_mm - B.centre_mm), rel=0.05)
+    assert np.linalg.norm(a.centre_mm - b.centre_mm) == pytest.approx(
+        np.linalg.norm(A.centre_mm - B.centre_mm), rel=0.05
+    )
     # the wire marks lie beside the beads that bear them
     marks = {mark.kind: mark for mark in calibration.views["calibration1", "16710"].marks}
     for kind, bead in (("circle", 21), ("double", 25), ("single", 38)):

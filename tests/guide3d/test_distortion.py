@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.guide3d.drawn_cube import DETECTORS, drawn_sheet
 from scipy.spatial import cKDTree
 
 from guide3d.displacement_field import LocalWeightedMean, SplineField
 from guide3d.distortion import METHODS, Distortion, ideal_lattice, leave_out_errors, swirl_pattern
 from guide3d.hexagonal_lattice import lattice_points
 from guide3d.perforated_sheet import SheetHoles, find_holes
+from tests.guide3d.drawn_cube import DETECTORS, drawn_sheet
 
 
 @pytest.fixture(scope="module")
@@ -33,11 +33,11 @@ def test_every_hole_is_found_where_it_is(sheet):
 
 def test_indices_are_those_of_the_lattice(sheet):
     _, _, holes = sheet
-    ideal = DETECTORS["A"].undistort(holes.centres_px)
-    places = lattice_points(holes.indices)
+    ideal = DETECTORS["A"].undistort(holes.centres_px[~holes.partial])
+    places = lattice_points(holes.indices[~holes.partial])
     A = np.column_stack([places, np.ones(len(places))])
     fit, *_ = np.linalg.lstsq(A, ideal, rcond=None)
-    assert np.abs(A @ fit - ideal).max() < 0.5  # one wrong index would be off by a whole pitch
+    assert np.abs(A @ fit - ideal).max() < 1.0  # one wrong index would be off by a whole pitch
     assert np.linalg.det(fit[:2]) > 0  # not mirrored
     assert holes.pitch_px == pytest.approx(13.0, rel=0.08)
 
@@ -46,7 +46,7 @@ def test_indices_are_those_of_the_lattice(sheet):
 def test_the_map_undoes_the_distortion(sheet, method):
     _, _, holes = sheet
     distortion = Distortion.from_holes(holes, method, spans=12)
-    raw = np.random.default_rng(3).uniform(10, 501, size=(400, 2))
+    raw = np.random.default_rng(3).uniform(30, 481, size=(400, 2))
     raw = raw[distortion.covers(raw)]
     ours, truth = distortion.undistort_points(raw), DETECTORS["A"].undistort(raw)
     # the frames may differ by a similarity, which any camera takes up
@@ -99,7 +99,9 @@ def test_saved_maps_and_swirls(sheet, tmp_path):
     distortion = Distortion.from_holes(sheet[2], "spline", spans=10)
     distortion.save(tmp_path / "map.npz")
     points = np.array([[100.0, 200.0], [400.0, 50.0]])
-    assert np.array_equal(Distortion.load(tmp_path / "map.npz").undistort_points(points), distortion.undistort_points(points))
+    assert np.array_equal(
+        Distortion.load(tmp_path / "map.npz").undistort_points(points), distortion.undistort_points(points)
+    )
     moved = distortion.swirled(2.0).undistort_points(points) - distortion.undistort_points(points)
     assert np.abs(moved - 2.0 * swirl_pattern(distortion.undistort_points(points), 512, 512)).max() < 0.02
     assert np.allclose(swirl_pattern(np.array([511.5, 255.5]), 512, 512), [0.0, 1.0])
@@ -134,7 +136,7 @@ def test_what_is_no_sheet_is_refused(kind):
         "tiny": np.zeros((10, 10)),
         "colour": np.zeros((256, 256, 3)),
     }
-    with pytest.raises(ValueError, match="expected (an X-ray of a perforated sheet|a grey image)"):
+    with pytest.raises(ValueError, match=r"expected (an X-ray of a perforated sheet|a grey image)"):
         find_holes(images[kind].astype(np.uint8))
 
 

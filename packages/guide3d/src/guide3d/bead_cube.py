@@ -20,6 +20,7 @@ __all__ = ["Attenuation", "Beads", "attenuation", "find_beads", "measure_beads"]
 logger = logging.getLogger(__name__)
 
 _RADII_PX = (3.5, 22.0)  # of beads looked for
+_FAINTEST = 0.12  # share of the light that a bead takes away at least
 _MOST_CANDIDATES = 400
 _LEAST_SHARE = 0.35  # of a bead, inside image and field, that its centre can be measured from
 
@@ -79,20 +80,48 @@ def find_beads(image: np.ndarray | Attenuation) -> Beads:
         ValueError: The image is not a grey image.
     """
     light = image if isinstance(image, Attenuation) else attenuation(image)
-    starts, radii = _candidates(light.dark, light.field)
+    starts, radii = _candidates(light, np.geomspace(*_RADII_PX, 9))
     beads = measure_beads(light, starts, radii)
-    likely = (beads.misfit < 0.16) & (beads.radii_px[:, 0] < 1.7 * beads.radii_px[:, 1]) & (beads.share > 0.6)
+    likely = _likely(beads)
     if likely.sum() < 4:
         return beads[np.zeros(len(beads), bool)]
-    # the beads of a cube are alike: at one energy in contrast, and in size up to their distance from the source
-    contrast = np.median(beads.contrast[likely])
-    radius = np.median(beads.radii_px[likely].mean(axis=1))
-    size = beads.radii_px.mean(axis=1) / radius
-    alike = likely & (beads.contrast > 0.45 * contrast) & (size > 0.62) & (size < 1.7)
-    kept = beads[np.flatnonzero(alike)]
-    kept = kept[np.argsort(kept.centres_px[:, 0], kind="stable")]
-    logger.debug("%d candidates, %d likely, %d beads of %.1f px", len(starts), likely.sum(), len(kept), radius)
-    return kept
+    # a pair of beads in line looks like one large disc: now that their size is known, look for its halves
+    radius = float(np.median(beads.radii_px[likely].mean(axis=1)))
+    kept = beads[np.flatnonzero(likely & _alike(beads, beads[likely]))]
+    starts, radii = _candidates(light, np.array([0.6, 0.75]) * radius)
+    fresh = cKDTree(kept.centres_px).query(starts)[0] > 0.8 * radius
+    beads = measure_beads(light, starts[fresh], np.full(int(fresh.sum()), radius))
+    more = beads[np.flatnonzero(_likely(beads) & _alike(beads, kept))]
+    together = _joined(kept, more)
+    logger.debug("%d beads of %.1f px, %d of them close to others", len(together), radius, len(more))
+    return together[np.argsort(together.centres_px[:, 0], kind="stable")]
+
+
+def _likely(beads: Beads) -> np.ndarray:
+    """Which (n,) are dark discs of their own."""
+    round_ = beads.radii_px[:, 0] < 1.7 * beads.radii_px[:, 1]
+    return (beads.misfit < 0.16) & round_ & (beads.share > 0.6) & (beads.contrast > _FAINTEST)
+
+
+def _alike(beads: Beads, sure: Beads) -> np.ndarray:
+    """Which (n,) are like those of a cube: of one contrast, and of one size up to their distance from the source."""
+    contrast = np.median(sure.contrast)
+    size = beads.radii_px.mean(axis=1) / np.median(sure.radii_px.mean(axis=1))
+    return (beads.contrast > 0.45 * contrast) & (size > 0.62) & (size < 1.7)
+
+
+def _joined(first: Beads, more: Beads) -> Beads:
+    """Both, the second without those that the first, or they themselves, hold twice."""
+    kept = []
+    centres = list(first.centres_px)
+    for k in np.argsort(more.misfit):
+        reach = 0.7 * more.radii_px[k].mean()
+        if min((np.hypot(*(c - more.centres_px[k])) for c in centres), default=np.inf) > reach:
+            kept.append(int(k))
+            centres.append(more.centres_px[k])
+    rest = more[np.array(kept, int)]
+    names = ("centres_px", "radii_px", "contrast", "misfit", "share")
+    return Beads(*(np.concatenate([getattr(first, name), getattr(rest, name)]) for name in names))
 
 
 def attenuation(image: np.ndarray) -> Attenuation:
@@ -122,9 +151,9 @@ def attenuation(image: np.ndarray) -> Attenuation:
     return Attenuation(np.where(field, background - logarithm, 0.0), field)
 
 
-def _candidates(dark: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _candidates(light: Attenuation, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places (n, 2) and radii (n,) of dark discs: maxima over place and scale of the Laplacian's response."""
-    radii = np.geomspace(*_RADII_PX, 9)
+    dark, field = light.dark, light.field
     # a Laplacian of Gaussian answers a disc most strongly where its width is the radius over the square root of two
     # (at half the resolution, which is plenty for a start)
     h, w = (side // 2 for side in dark.shape)
@@ -135,7 +164,7 @@ def _candidates(dark: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.nda
     strong = np.sort(best[peak])[::-1]
     if not len(strong):
         return np.empty((0, 2)), np.empty(0)
-    peak &= best > 0.25 * np.median(strong[:16])
+    peak &= best > max(0.25 * np.median(strong[:16]), _FAINTEST / 2)
     rows, columns = np.nonzero(peak)
     order = np.argsort(best[rows, columns])[::-1][:_MOST_CANDIDATES]
     rows, columns = rows[order], columns[order]

@@ -114,21 +114,21 @@ def calibrate_folder(folder: str | Path, swirl: str = "auto", method: str = "loc
     files = find_files(folder)
     points_mm = read_beads(files.beads)
     marked = read_references(files.references, len(points_mm)) if files.references else {}
-    holes = {}
-    for detector, path in files.sheets.items():
-        try:
-            holes[detector] = find_holes(read_grey(path))
-        except ValueError as error:
-            raise ValueError(_named(path, error)) from None
-    images = {}
-    for key, path in files.cubes.items():
-        images[key] = read_grey(path)
-        sheet = holes[key[1]]
-        if images[key].shape != (sheet.height, sheet.width):
+    sheets = {detector: read_grey(path) for detector, path in files.sheets.items()}
+    images = {key: read_grey(path) for key, path in files.cubes.items()}
+    for key, image in images.items():
+        wanted, found = sheets[key[1]].shape, image.shape
+        if found != wanted:
             raise ValueError(
-                f"{path}: expected an image of {sheet.width} x {sheet.height} px, as the sheet's, found "
-                f"{images[key].shape[1]} x {images[key].shape[0]}"
+                f"{files.cubes[key]}: expected an image of {wanted[1]} x {wanted[0]} px, as the sheet's, "
+                f"found {found[1]} x {found[0]}"
             )
+    holes = {}
+    for detector, sheet in sheets.items():
+        try:
+            holes[detector] = find_holes(sheet)
+        except ValueError as error:
+            raise ValueError(_named(files.sheets[detector], error)) from None
     names = {key: str(path) for key, path in files.cubes.items()}
     return calibrate_cube(holes, images, points_mm, marked, swirl, method, names)
 
@@ -256,7 +256,11 @@ def _second_look(view: CubeView, rig: RigCalibration, distortion: Distortion, po
     doubtful = (view.beads.misfit[on] > 0.06) | (long > 1.35) | (off > _FAR_PX)
     missed = np.setdiff1d(np.arange(len(points_mm)), view.numbers[on])
     visible = _visible(view.light.field, places, radii) >= _LEAST_SHARE
-    again = np.concatenate([view.numbers[on][doubtful], missed[visible[missed]]])
+    hidden = missed[visible[missed]]
+    if len(hidden):  # what touches a bead that was not found is measured again with it
+        apart = np.linalg.norm(places[view.numbers[on]][:, None] - places[hidden], axis=2)
+        doubtful |= (apart < (expected[:, None] + radii[hidden]) * 1.1).any(axis=1)
+    again = np.concatenate([view.numbers[on][doubtful], hidden])
     measured = measure_beads(view.light, places[again], radii[again], _local_shapes(distortion, camera, world[again]))
     near = np.linalg.norm(measured.centres_px - places[again], axis=1) < _FAR_PX
     typical = float(np.median(view.beads.contrast[on]))

@@ -116,7 +116,8 @@ def recognise_lattice(
         width: Of the image, px.
         height: Of the image, px.
         in_field: (h, w) bool in undistorted pixels, where a bead could be seen; None for the whole image.
-        prior: Rough knowledge of the detector.
+        prior: Rough knowledge of the detector; None guesses a focal length of 4.7 times the image's longer side, which
+            may be a quarter off.
         seed: Of the draw, when there are too many triples to try.
 
     Returns:
@@ -128,7 +129,7 @@ def recognise_lattice(
     pixels = np.asarray(pixels, float).reshape(-1, 2)
     if len(pixels) < _LEAST_BEADS:
         raise ValueError(f"expected {_LEAST_BEADS} beads of the cube or more in the image, found {len(pixels)}")
-    prior = prior or IntrinsicPrior()
+    prior = prior or IntrinsicPrior(4.7 * max(width, height), centre_sd=0.2 * max(width, height))
     K = np.array([[prior.focal_px, 0, (width - 1) / 2], [0, prior.focal_px, (height - 1) / 2], [0, 0, 1.0]])
     field = np.ones((height, width), bool) if in_field is None else np.asarray(in_field, bool)
     search = _Search(lattice, pixels, K, field)
@@ -248,9 +249,7 @@ class _Search:
         tolerance = _FIRST_TOLERANCE_PX * (1 + np.abs(self.around[which]).max(axis=1))
         distance = np.where(inside, self.nearest[row, column], np.inf)
         # a hit is worth what chance would not give it: the wider the tolerance, the less
-        return np.where(
-            distance < tolerance, 1.0 - 0.5 * distance / tolerance, -0.3 * (inside & self.lit[row, column])
-        )
+        return np.where(distance < tolerance, 1.0 - 0.5 * distance / tolerance, -0.3 * (inside & self.lit[row, column]))
 
 
 def _right_corners(o: np.ndarray, a: np.ndarray, b: np.ndarray, side_mm: float) -> np.ndarray:

@@ -28,12 +28,14 @@ SIZES: dict[str, dict[str, SplineFormerSettings | OrderedSettings]] = {
     "ordered": {
         "thesis": OrderedSettings(
             image_px=512, channels=(32, 64, 128, 256), blocks=(1, 2, 2, 1), width=256, heads=8, encoder_layers=6,
-            decoder_layers=3, key_width=64, fine_stride=4, refinements=3, refinement_width=192,
+            decoder_layers=3, key_width=64, fine_stride=4, refinements=3, refinement_width=192, detail=32,
+            walker_width=256, most_steps=300,
         ),
         "desk": OrderedSettings(image_px=192),
         "smoke": OrderedSettings(
             image_px=64, channels=(4, 8, 8, 16), blocks=(0, 0, 0, 0), width=16, heads=2, encoder_layers=1,
-            key_width=8, queries=16, control_points=10, refinements=1, refinement_width=16,
+            key_width=8, queries=16, control_points=10, refinements=1, refinement_width=16, detail=8,
+            walker_width=16, most_steps=40,
         ),
     },
 }  # fmt: skip

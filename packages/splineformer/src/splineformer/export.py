@@ -1,7 +1,14 @@
-"""Export to ONNX: the networks as graphs without loops, checked against torch."""
+"""Export to ONNX: the networks as graphs without loops, checked against torch.
+
+The published variant is one graph with every token unrolled. The ordered one is two: what an image shows
+(``model.onnx``), and one step of the walker at some places (``model.walker.onnx``), which whoever uses them repeats as
+`Walker.walk` does.
+"""
 
 from __future__ import annotations
 
+import importlib.util
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,24 +17,39 @@ from torch import Tensor, nn
 
 from guide3d.atomic_file import whole_file
 from splineformer.build import Network
+from splineformer.modeling.ordered import OrderedSplineFormer
 from splineformer.modeling.splineformer import SplineFormer
 
-INPUT = "levels"
-ORDERED_OUTPUTS = ("control", "spread", "wires", "inverted")
-PUBLISHED_OUTPUTS = ("tokens", "end", "wires", "inverted")
+WALKER = ".walker.onnx"
+_GREYEST = 255.0
 
 
-class _OrderedGraph(nn.Module):
-    def __init__(self, network: nn.Module) -> None:
+@dataclass(frozen=True)
+class Graph:
+    """A part of a network with tensors in and tensors out.
+
+    Attributes:
+        module: that computes it.
+        inputs: names and examples.
+        outputs: names.
+    """
+
+    module: nn.Module
+    inputs: dict[str, Tensor]
+    outputs: tuple[str, ...]
+
+
+class _Ordered(nn.Module):
+    def __init__(self, network: OrderedSplineFormer) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, levels: Tensor) -> tuple[Tensor, ...]:
-        said = self.network(levels)
-        return said.control, said.spread, said.kind.wires, said.kind.inverted
+        said, detail = self.network.seen_and_said(levels)
+        return said.control, said.stages[-1], said.spread, said.kind.wires, said.kind.inverted, detail
 
 
-class _PublishedGraph(nn.Module):
+class _Published(nn.Module):
     """Every step up to the limit; where the sequence ends is read off the end probabilities afterwards."""
 
     def __init__(self, network: SplineFormer) -> None:
@@ -50,44 +72,73 @@ class _PublishedGraph(nn.Module):
         return torch.cat(tokens, 1), torch.cat(ends, 1), kind.wires, kind.inverted
 
 
-def graph(network: Network) -> tuple[nn.Module, tuple[str, ...]]:
-    """The network as a module of tensors in and tensors out, and the names of what comes out."""
+def graphs(network: Network, batch: int = 1, seed: int = 0) -> dict[str, Graph]:
+    """The network in graphs: ending of the file to the graph, with random examples.
+
+    Args:
+        network: either variant.
+        batch: images at once.
+        seed: of the examples.
+    """
+    size = network.settings.image_px
+    generator = torch.Generator().manual_seed(seed)
+    levels = {"levels": _GREYEST * torch.rand(batch, 1, size, size, generator=generator)}
     if isinstance(network, SplineFormer):
-        return _PublishedGraph(network).eval(), PUBLISHED_OUTPUTS
-    return _OrderedGraph(network).eval(), ORDERED_OUTPUTS
+        return {".onnx": Graph(_Published(network).eval(), levels, ("tokens", "end", "wires", "inverted"))}
+    directions = torch.randn(batch, 1, 2, generator=generator)
+    places = {
+        "detail": torch.randn(batch, network.settings.detail, size // 2, size // 2, generator=generator),
+        "places": torch.rand(batch, 1, 2, generator=generator),
+        "directions": directions / directions.norm(dim=-1, keepdim=True),
+    }
+    outputs = ("control", "points", "spread", "wires", "inverted", "detail")
+    return {
+        ".onnx": Graph(_Ordered(network).eval(), levels, outputs),
+        WALKER: Graph(network.walker.eval(), places, ("offsets", "end")),
+    }
 
 
-def export_onnx(network: Network, path: Path | str, batch: int = 1) -> None:
+def export_onnx(network: Network, path: Path | str, batch: int = 1) -> list[Path]:
     """Writes a network as ONNX, for a fixed number of images.
 
     Args:
         network: either variant.
-        path: of the file; it appears whole or not at all.
+        path: of the file, ``model.onnx``; each file appears whole or not at all.
         batch: images at once.
+
+    Returns:
+        The files that were written.
 
     Raises:
         ModuleNotFoundError: the extra `splineformer[onnx]` is not installed.
     """
     _require("onnx", "onnxscript")
-    module, outputs = graph(network)
-    size = network.settings.image_px
-    levels = torch.rand(batch, 1, size, size, generator=torch.Generator().manual_seed(0)) * 255
-    program = torch.onnx.export(
-        module, (levels,), input_names=[INPUT], output_names=list(outputs), dynamo=True, verbose=False
-    )
-    assert program is not None
-    content = program.model_proto.SerializeToString()
-    with whole_file(path) as file:
-        file.write(content)
+    written = []
+    for ending, graph in graphs(network, batch).items():
+        program = torch.onnx.export(
+            graph.module,
+            tuple(graph.inputs.values()),
+            input_names=list(graph.inputs),
+            output_names=list(graph.outputs),
+            dynamo=True,
+            verbose=False,
+        )
+        assert program is not None
+        file = Path(path).with_suffix(ending)
+        with whole_file(file) as stream:
+            stream.write(program.model_proto.SerializeToString())
+        written.append(file)
+    return written
 
 
-def onnx_difference(network: Network, path: Path | str, levels: Tensor) -> dict[str, float]:
-    """Compares an ONNX file with the network it was made of.
+def onnx_difference(network: Network, path: Path | str, batch: int = 1, seed: int = 1) -> dict[str, float]:
+    """Compares ONNX files with the network they were made of, on random inputs.
 
     Args:
         network: that was exported.
-        path: of the file.
-        levels: (batch, 1, image_px, image_px) grey levels of 0 to 255.
+        path: of the file, as `export_onnx` got it.
+        batch: likewise.
+        seed: of the inputs.
 
     Returns:
         The largest absolute difference of each output.
@@ -98,19 +149,21 @@ def onnx_difference(network: Network, path: Path | str, levels: Tensor) -> dict[
     _require("onnxruntime")
     import onnxruntime  # type: ignore[import-untyped]
 
-    module, outputs = graph(network)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    theirs = session.run(list(outputs), {INPUT: levels.numpy()})
-    with torch.no_grad():
-        ours = module(levels)
-    return {name: float(np.abs(a - b.numpy()).max()) for name, a, b in zip(outputs, theirs, ours, strict=True)}
+    told = {}
+    for ending, graph in graphs(network, batch, seed).items():
+        file = str(Path(path).with_suffix(ending))
+        session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+        theirs = session.run(list(graph.outputs), {name: value.numpy() for name, value in graph.inputs.items()})
+        with torch.no_grad():
+            ours = graph.module(*graph.inputs.values())
+        for name, a, b in zip(graph.outputs, theirs, ours, strict=True):
+            told[name] = float(np.abs(a - b.numpy()).max())
+    return told
 
 
 def _require(*modules: str) -> None:
-    import importlib.util
-
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     if missing:
         raise ModuleNotFoundError(f"ONNX needs {', '.join(missing)}: pip install 'endonav-splineformer[onnx]'")

@@ -54,6 +54,8 @@ class OrderedWeights:
         points: of the distance of the points after the attention, in hundredths of the image's side.
         refined: of the distance of the refined points from the wire.
         curve: of the distance of the curve of the control points.
+        step: of the distance of the walker's steps, in cells.
+        end: of the cross-entropy of whether the tip lies within a step.
         spread: of the likelihood of the distances under their predicted spread.
         kind: of the kind of image.
     """
@@ -64,6 +66,8 @@ class OrderedWeights:
     points: float = 0.5
     refined: float = 2.0
     curve: float = 0.1
+    step: float = 2.0
+    end: float = 2.0
     spread: float = 0.1
     kind: float = 0.2
 
@@ -170,7 +174,7 @@ def ordered_loss(
     Args:
         said: by the network.
         batch: "points" (B, queries, 2) true places, "curve" (B, S, 2) the true curve at the rows of `bases`,
-            "wires" and "inverted" (B,).
+            "ways" (B, K, 2) and "ends" (B, K) of the walker, in cells, "wires" and "inverted" (B,).
         weights: of the terms.
         bases: (S, control points), takes control points to curve points.
         reach: of a refinement, share of the side.
@@ -196,6 +200,10 @@ def ordered_loss(
         total = total + weights.refined * (distance(stage, target) * seen).sum() / seen.sum().clamp_min(1.0)
     total = total + weights.curve * (distance(bases @ said.control, curve).mean(-1) * share).sum()
     total = total + weights.wire * wire_loss(said.wire, curve, batch["wires"])
+    if said.steps is not None:
+        steps = F.smooth_l1_loss(said.steps.offsets, batch["ways"], reduction="none", beta=0.2).sum(-1).mean(-1)
+        ends = F.binary_cross_entropy_with_logits(said.steps.end, batch["ends"], reduction="none").mean(-1)
+        total = total + ((weights.step * steps + weights.end * ends) * share).sum()
     off = 100 * (said.stages[-1] - points).detach().norm(dim=-1)
     likelihood = off * torch.exp(-said.spread) + said.spread
     total = total + weights.spread * (likelihood.mean(-1) * share).sum()

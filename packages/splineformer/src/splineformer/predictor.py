@@ -25,9 +25,7 @@ from splineformer.tokens import FEWEST_TOKENS, curve_of_tokens, sampled
 KIND = "splineformer"
 SOURCE_PX = 1024
 _BATCH = 8
-REFERENCE_PX = 1024  # side in which confidence is meant
 _LENGTH_SAMPLES = 400
-_GOOD_PX = 8.0  # expected distance, in px of a 1,024 px image, at which half of the confidence is lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +36,7 @@ class Prediction:
         wires: "none", "one" or "several": what the image seems to show.
         tokens: (n, 3) knot (px along the wire from the tip), x, y (px); None where there seems to be no wire.
         confidence: 0 to 1.
-        error_px: expected mean distance of the curve from the wire; None where the variant does not tell.
+        error_px: expected mean distance of the curve from the wire, of parallel readings; else None.
         inverted: the wire is brighter than its surroundings; the image was read with its grey levels turned over.
         remarks: sentences about what is odd.
     """
@@ -103,9 +101,11 @@ class Predictor:
         self.network = network.to(device).eval()
         self.source_px = source_px
         self.device = torch.device(device)
-        self._forward: Any = network.decode if isinstance(network, SplineFormer) else network
+        self._forward: Any = network.decode if isinstance(network, SplineFormer) else network.read
         if compiled:
-            self._forward = torch.compile(self._forward, backend=backend)
+            # part by part: the sequences that both variants unroll end where the image says
+            for part in network.children():
+                part.compile(backend=backend)
 
     @classmethod
     def load(cls, path: Path | str, **options: Any) -> Predictor:
@@ -203,17 +203,20 @@ class Predictor:
             tokens = [row[: max(int(n), FEWEST_TOKENS)] for row, n in zip(rows, decoded.lengths, strict=True)]
             ends = [float(end[int(n) - 1]) for end, n in zip(decoded.end, decoded.lengths, strict=True)]
             return tokens, decoded.kind.wires, decoded.kind.inverted, ends, [None] * len(tokens)
-        said = self._forward(levels)
+        reading = self._forward(levels)
+        said = reading.said
         knots = network.knots.double().cpu().numpy()[FEWEST_TOKENS:]
-        control = said.control.double().cpu().numpy()
+        control = reading.control.double().cpu().numpy()
         errors = said.spread.exp().mean(1).cpu().numpy() / 100
-        quality = [float(1 / (1 + error * REFERENCE_PX / _GOOD_PX)) for error in errors]
+        walked, arrived = reading.walked.cpu().numpy(), reading.arrived.cpu().numpy()
+        # a way without a tip is worth half of what wire lies under it
+        quality = [float(value) * (1.0 if seen else 0.5) for value, seen in zip(reading.support, arrived, strict=True)]
         return (
             [np.column_stack([knots, points]) for points in control],
             said.kind.wires,
             said.kind.inverted,
             quality,
-            [float(error) for error in errors],
+            [None if own else float(error) for own, error in zip(walked, errors, strict=True)],
         )
 
 

@@ -17,6 +17,7 @@ from splineformer.losses import OrderedWeights, PublishedWeights, ordered_loss, 
 from splineformer.modeling.image_head import WIRES
 from splineformer.modeling.ordered import OrderedSplineFormer
 from splineformer.modeling.splineformer import SplineFormer
+from splineformer.steps import steps_along
 from splineformer.tokens import TokenSettings, tokens_of_polyline
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 CAMERAS = ("a", "b")
 _DENSE = 240  # points of a curve that is kept
 _CURVE_SAMPLES = 128  # of the parallel variant's curve loss
+_VALIDATION = 0  # seed of what is drawn for validation
 _NONE, _ONE, _SEVERAL = range(len(WIRES))
 
 Indices = NDArray[np.int64]
@@ -112,7 +114,7 @@ class SplineObjective:
         self.augmentation = augmentation or Augmentation()
         if not len(self.training_items):
             raise ValueError("there is no image to learn from: the data set's training part is empty")
-        self.targets: Callable[[list[NDArray[np.float64]]], dict[str, Tensor]]
+        self.targets: Callable[[list[NDArray[np.float64]], np.random.Generator], dict[str, Tensor]]
         if isinstance(network, SplineFormer):
             published = weights if isinstance(weights, PublishedWeights) else PublishedWeights()
             self.tokens = TokenSettings(limit=network.settings.limit)
@@ -127,9 +129,13 @@ class SplineObjective:
             self.curve_shares = parameters.numpy()
             self.bases = collocation(network.knots.double(), parameters).float()
             self.targets = self._point_targets
-            reach = network.refine_reach
+            reach, self.cell = network.refine_reach, network.walker.cell
             self._loss = lambda module, batch: ordered_loss(
-                module(batch["images"]), batch, ordered, self.bases.to(batch["images"].device), reach
+                module(batch["images"], batch["places"], batch["directions"]),
+                batch,
+                ordered,
+                self.bases.to(batch["images"].device),
+                reach,
             )
 
     def _with_curves(self, items: Indices) -> Indices:
@@ -151,7 +157,7 @@ class SplineObjective:
             "images": images,
             "wires": torch.from_numpy(wires),
             "inverted": torch.from_numpy(inverted),
-            **self.targets(curves),
+            **self.targets(curves, generator or np.random.default_rng(_VALIDATION)),
         }
 
     def _images(self, items: Indices) -> Tensor:
@@ -189,7 +195,7 @@ class SplineObjective:
         curve = np.asarray(self.curves[int(other[0])])
         return shadow(image, without_wire(image, curve, generator)).flip(1 if generator.uniform() < 0.7 else 2)
 
-    def _token_targets(self, curves: list[NDArray[np.float64]]) -> dict[str, Tensor]:
+    def _token_targets(self, curves: list[NDArray[np.float64]], unused: np.random.Generator) -> dict[str, Tensor]:
         sequences = []
         for curve in curves:
             fitted = tokens_of_polyline(curve * self.source_px, self.tokens)
@@ -198,11 +204,16 @@ class SplineObjective:
         tokens, lengths = padded(sequences, self.tokens.limit)
         return {"tokens": tokens, "lengths": lengths}
 
-    def _point_targets(self, curves: list[NDArray[np.float64]]) -> dict[str, Tensor]:
+    def _point_targets(self, curves: list[NDArray[np.float64]], generator: np.random.Generator) -> dict[str, Tensor]:
         def at(shares: NDArray[np.float64]) -> Tensor:
             return torch.from_numpy(np.stack([at_shares(curve, shares) for curve in curves]).astype(np.float32))
 
-        return {"points": at(self.shares), "curve": at(self.curve_shares)}
+        steps = [steps_along(curve, self.cell, generator) for curve in curves]
+        walks = {
+            name: torch.from_numpy(np.stack(values).astype(np.float32))
+            for name, values in zip(("places", "directions", "ways", "ends"), zip(*steps, strict=True), strict=True)
+        }
+        return {"points": at(self.shares), "curve": at(self.curve_shares), **walks}
 
     def _readable(self, items: Indices, generator: np.random.Generator | None) -> Indices:
         """The items, each damaged one replaced by the next readable one of the same part."""

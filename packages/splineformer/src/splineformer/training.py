@@ -87,7 +87,9 @@ def start_at_mean(network: Network, objective: SplineObjective) -> None:
     if isinstance(network, SplineFormer):
         items = objective.training_items
         chosen = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
-        tokens = objective.targets([np.asarray(objective.curves[item]) for item in chosen])["tokens"]
+        tokens = objective.targets([np.asarray(objective.curves[item]) for item in chosen], np.random.default_rng(0))[
+            "tokens"
+        ]
         network.tip.start_at(tokens[:, 0].mean(0))
 
 

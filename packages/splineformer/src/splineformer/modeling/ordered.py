@@ -1,8 +1,9 @@
-"""The parallel variant: ordered queries find their places along the wire at once, and a refinement moves them onto it.
+"""The variant of our own: ordered queries find their places along the wire at once, then a walker follows the wire.
 
-Each query stands for a share of the wire's length, from the tip to the end. It attends to a feature map, and its place
-is the mean of the map's cells weighted by the attention. The points then are refined by the features round them and
-turned into control points by a fixed linear map, least squares on fixed knots. No token waits for another.
+Each query stands for a share of the wire's length, from the tip to the end. It attends to a feature map, and its
+place is the mean of the map's cells weighted by the attention. Refinements move the points onto the wire. That is the
+parallel reading. Where the wire comes in it is exact, and there the walker starts; what it follows is refined likewise.
+A fixed linear map, least squares on fixed knots, turns points into control points.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ from splineformer.modeling.image_head import ImageHead, ImageKind
 from splineformer.modeling.positions import grid_positions
 from splineformer.modeling.refinement import Refinement
 from splineformer.modeling.transformer import DecoderLayer, EncoderLayer, decoder_layers
+from splineformer.modeling.walker import Steps, Walker, at_shares_of_length
 
+FEWEST_STEPS = 3  # points of a way that counts
+ROUNDS = 1  # of all refinements, of the way that was walked
 _DENSER_AT_TIP = 0.5  # first span of the knots over the mean span: the tip bends most
 _STEM_LEVELS = 4
 
@@ -43,6 +47,10 @@ class OrderedSettings:
         refinements: steps, each with its own weights.
         reach: cells of 1/2 of the resolution that a refinement sees to each side.
         refinement_width: of its hidden layers.
+        detail: channels of the map at 1/2 of the side that refinements and walker look at.
+        walker_reach: cells of that map that the walker sees to each side.
+        walker_width: of its hidden layers.
+        most_steps: of the walker.
     """
 
     image_px: int = 256
@@ -59,6 +67,10 @@ class OrderedSettings:
     refinements: int = 2
     reach: int = 3
     refinement_width: int = 96
+    detail: int = 24
+    walker_reach: int = 4
+    walker_width: int = 128
+    most_steps: int = 110
 
 
 class Ordered(NamedTuple):
@@ -70,6 +82,18 @@ class Ordered(NamedTuple):
     control: Tensor  # (B, control_points, 2)
     spread: Tensor  # (B, queries) logarithm of the expected distance of each point, shares of the side
     kind: ImageKind
+    steps: Steps | None  # of the walker, where it was asked
+
+
+class Reading(NamedTuple):
+    """Curves that were read."""
+
+    control: Tensor  # (B, control_points, 2) of the curve that was chosen
+    walked: Tensor  # (B,) whether that is the walker's
+    arrived: Tensor  # (B,) whether the walker saw the tip
+    support: Tensor  # (B,) mean probability that wire lies under the curve
+    said: Ordered
+    memory: Tensor  # (B, N, width) of the encoder
 
 
 class OrderedSplineFormer(nn.Module):
@@ -110,10 +134,14 @@ class OrderedSplineFormer(nn.Module):
         self.decoder = nn.ModuleList(DecoderLayer(s.width, s.heads) for _ in range(s.decoder_layers))
         self.to_query = nn.Sequential(nn.LayerNorm(s.width), nn.Linear(s.width, s.key_width))
         self.to_spread = nn.Sequential(nn.LayerNorm(s.width), nn.Linear(s.width, 1))
-        fine = s.channels[0] + s.key_width
-        self.refine = nn.ModuleList(
-            Refinement(fine, 2 / s.image_px, s.reach, s.refinement_width, s.key_width) for _ in range(s.refinements)
+        self.detail = nn.Sequential(
+            convolution(s.channels[0] + s.key_width, s.detail, kernel=1), convolution(s.detail, s.detail)
         )
+        cell = 2 / s.image_px
+        self.refine = nn.ModuleList(
+            Refinement(s.detail, cell, s.reach, s.refinement_width) for _ in range(s.refinements)
+        )
+        self.walker = Walker(s.detail, cell, s.walker_reach, s.walker_width, s.most_steps)
         self.refine_reach = (s.reach + 1) * 2 / s.image_px  # share of the side: further off nothing of the wire is seen
         self.kind = ImageHead(s.width)
         centres = (torch.arange(self.fine_side) + 0.5) / self.fine_side
@@ -140,23 +168,30 @@ class OrderedSplineFormer(nn.Module):
             x = layer(x)
         return self.norm(x), maps
 
-    def forward(self, image: Tensor) -> Ordered:
-        """Reads (B, 1, image_px, image_px) images with grey levels of 0 to 255."""
+    def _seen(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The memory, the queries' features, the keys, and the detailed map."""
         memory, maps = self.encode(image)
         coarse = memory.transpose(1, 2).unflatten(2, maps[-1].shape[2:])
-        fine = self.ascent(coarse, [maps[level] for level in self.finer])[-1]
-        keys = self.keys(fine)
+        keys = self.keys(self.ascent(coarse, [maps[level] for level in self.finer])[-1])
         x = self.queries.expand(len(image), -1, -1)
         for layer in decoder_layers(self.decoder):
             x = layer(x, layer.cross_attention.keys_values(memory), causal=False)
-        query = self.to_query(x)
-        attention = query @ keys.flatten(2)  # scaled by what the linear map learns
-        stages = [torch.softmax(attention, -1) @ self.cells]
-        detail = torch.cat(
-            [maps[0], nn.functional.interpolate(keys, scale_factor=self.settings.fine_stride / 2, mode="nearest")], 1
-        )
+        large = nn.functional.interpolate(keys, scale_factor=self.settings.fine_stride / 2, mode="nearest")
+        return memory, x, keys, self.detail(torch.cat([maps[0], large], 1))
+
+    def refined(self, detail: Tensor, points: Tensor) -> list[Tensor]:
+        """The points after each refinement."""
+        stages = []
         for step in self.refine:
-            stages.append(step(detail, stages[-1].detach(), query))
+            points = step(detail, points.detach())
+            stages.append(points)
+        return stages
+
+    def _said(self, seen: tuple[Tensor, Tensor, Tensor, Tensor], steps: Steps | None) -> Ordered:
+        memory, x, keys, detail = seen
+        attention = self.to_query(x) @ keys.flatten(2)  # scaled by what the linear map learns
+        points = torch.softmax(attention, -1) @ self.cells
+        stages = [points, *self.refined(detail, points)]
         return Ordered(
             attention,
             self.wire(keys).flatten(1),
@@ -164,7 +199,42 @@ class OrderedSplineFormer(nn.Module):
             self.to_control @ stages[-1],
             self.to_spread(x)[..., 0],
             self.kind(memory),
+            steps,
         )
+
+    def forward(self, image: Tensor, places: Tensor | None = None, directions: Tensor | None = None) -> Ordered:
+        """Reads images in parallel, and asks the walker at places.
+
+        Args:
+            image: (B, 1, image_px, image_px) grey levels of 0 to 255.
+            places: (B, K, 2) shares of the side.
+            directions: (B, K, 2) unit vectors.
+        """
+        seen = self._seen(image)
+        steps = None if places is None or directions is None else self.walker(seen[-1], places, directions)
+        return self._said(seen, steps)
+
+    def seen_and_said(self, image: Tensor) -> tuple[Ordered, Tensor]:
+        """What `forward` says, and the detailed map that the walker looks at."""
+        seen = self._seen(image)
+        return self._said(seen, None), seen[-1]
+
+    @torch.no_grad()
+    def read(self, image: Tensor) -> Reading:
+        """Reads images, and follows the wire from its end; where that leads nowhere, the parallel points stay."""
+        seen = self._seen(image)
+        said = self._said(seen, None)
+        points = said.stages[-1]
+        direction = nn.functional.normalize(points[:, -3] - points[:, -1], dim=-1, eps=1e-9)
+        walk = self.walker.walk(seen[-1], points[:, -1], direction)
+        long = walk.lengths >= FEWEST_STEPS
+        walked = at_shares_of_length(walk.points, walk.lengths, 1.0 - self.shares)
+        for _ in range(ROUNDS):
+            walked = self.refined(seen[-1], walked)[-1]
+        chosen = torch.where(long[:, None, None], walked, points)
+        wire = torch.sigmoid(said.wire).unflatten(1, (1, self.fine_side, self.fine_side))
+        under = nn.functional.grid_sample(wire, 2 * chosen[:, None] - 1, align_corners=False, padding_mode="border")
+        return Reading(self.to_control @ chosen, long, walk.arrived, under.mean((1, 2, 3)), said, seen[0])
 
     def memory_attention(self, image: Tensor) -> Tensor:
         """(B, heads, queries, N) weights of the last decoder layer over the memory, for pictures of attention."""

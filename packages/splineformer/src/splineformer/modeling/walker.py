@@ -1,8 +1,8 @@
 """The walker: from where the wire comes in, step by step along it to its tip, each step from what is seen nearby.
 
-A step sees the feature map round the last point, turned into the direction of the last step. It tells the way to the next
-point, and whether that is the tip. What is learnt holds anywhere and in any direction, so wires that run as none did in
-training, and loops, are followed all the same: at a crossing the direction decides.
+A step sees the feature map round the last point, turned into the direction of the last step. It tells the way to the
+next point, and whether that is the tip. What is learnt holds anywhere and in any direction, so wires that run as none
+did in training, and loops, are followed all the same: at a crossing the direction decides.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Walk(NamedTuple):
     """Ways that were walked."""
 
     points: Tensor  # (B, most + 1, 2) shares of the side, from the start on; after the tip it repeats
-    lengths: Tensor  # (B,) points of each
+    lengths: Tensor  # (B,) points of each: up to the tip, or to where it seemed likeliest
     arrived: Tensor  # (B,) whether the tip was seen
 
 
@@ -51,7 +51,9 @@ class Walker(nn.Module):
         along, across = torch.meshgrid(line, line, indexing="ij")
         # a little ahead of the point: what lies behind is known
         self.register_buffer("grid", torch.stack([along + 1, across], -1).flatten(0, 1), persistent=False)
-        self.read = nn.Sequential(nn.Linear(channels * len(self.grid), width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.read = nn.Sequential(
+            nn.Linear(channels * len(self.grid), width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
+        )
         self.offset, self.end = nn.Linear(width, 2), nn.Linear(width, 1)
 
     def forward(self, features: Tensor, places: Tensor, directions: Tensor) -> Steps:
@@ -73,6 +75,7 @@ class Walker(nn.Module):
         place, direction = start[:, None], direction[:, None]
         points, arrived = [place], torch.zeros(len(start), dtype=torch.bool, device=start.device)
         lengths = torch.ones(len(start), dtype=torch.long, device=start.device)
+        likeliest, likely_length = torch.full_like(start[:, 0], -torch.inf), lengths
         for _ in range(self.most):
             steps = self(features, place, direction)
             way = self.cell * (steps.offsets[..., None, :] @ frames(direction))[..., 0, :]
@@ -81,14 +84,40 @@ class Walker(nn.Module):
             lengths = lengths + going
             direction = F.normalize(direction + F.normalize(way, dim=-1, eps=1e-9), dim=-1, eps=1e-9)
             points.append(place)
+            better = going & (steps.end[:, 0] > likeliest)
+            likeliest = torch.where(better, steps.end[:, 0], likeliest)
+            likely_length = torch.where(better, lengths, likely_length)
             arrived = arrived | (torch.sigmoid(steps.end[:, 0]) > STOP)
             if bool(arrived.all()):
                 break
         every = torch.cat(points, 1)
         every = torch.cat([every, every[:, -1:].expand(-1, self.most + 1 - every.shape[1], -1)], 1)
-        return Walk(every, lengths, arrived)
+        return Walk(every, torch.where(arrived, lengths, likely_length), arrived)
 
 
 def frames(directions: Tensor) -> Tensor:
     """(..., 2, 2) axes along and across (..., 2) directions."""
     return torch.stack([directions, torch.stack([-directions[..., 1], directions[..., 0]], -1)], -2)
+
+
+def at_shares_of_length(points: Tensor, lengths: Tensor, shares: Tensor) -> Tensor:
+    """(B, n, 2) points at shares of the length of polylines.
+
+    Args:
+        points: (B, m, 2); what lies beyond the lengths repeats the last point.
+        lengths: (B,) points of each.
+        shares: (n,) in 0 to 1, in any order.
+    """
+    step = (points[:, 1:] - points[:, :-1]).norm(dim=-1)
+    counted = torch.arange(step.shape[1], device=step.device)[None] < (lengths - 1)[:, None]
+    step = torch.where(counted, step, 0.0)
+    along = torch.cat([torch.zeros_like(step[:, :1]), step.cumsum(1)], 1)
+    wanted = shares[None] * along[:, -1:]
+    after = torch.searchsorted(along.contiguous(), wanted.contiguous()).clamp(1, along.shape[1] - 1)
+    low, high = along.gather(1, after - 1), along.gather(1, after)
+    part = ((wanted - low) / (high - low).clamp_min(1e-9)).clamp(0.0, 1.0)[..., None]
+
+    def at(index: Tensor) -> Tensor:
+        return points.gather(1, index[..., None].expand(-1, -1, 2))
+
+    return at(after - 1) * (1 - part) + at(after) * part

@@ -1,0 +1,294 @@
+"""Jobs of the navigation: experts' episodes seen anew, navigators cloned and taught, and their logged trials.
+
+A navigator's folder, ``<row>/``, draws as::
+
+    navigator.pt  training.json
+    lessons/round<k>.npz  round<k>.pt      until it is finished
+    evaluation/<test>/<target>/<phantom>/NNN.mcap
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.atomic import write_json
+from pipeline.episodes.errors import EpisodeReadError
+from pipeline.job_worker import Report
+from pipeline.learning_task import held_out_seeds
+from pipeline.navigation_lessons import episode_of_log, play, read_lessons, write_episodes
+from pipeline.navigation_reader import load_reader
+from pipeline.navigation_scene import Rig
+from pipeline.navigation_task import Anatomy, Rules, TrialSet, room_for, scenes_of
+from pipeline.navigation_trials import run_tests
+from pipeline.trials import Origin
+
+if TYPE_CHECKING:
+    from splineformer.navigator import Navigator
+    from splineformer.navigator_reading import Reader
+    from splineformer.navigator_training import Episode
+
+NAVIGATOR, RECORD = "navigator.pt", "training.json"
+PRELOAD = ("cathsim", "enn.policy", "splineformer.navigator_training", "skimage.graph", "pipeline.recording")
+HINT_KEY = "roadmap"
+_LESSON_SEED = 3_000_000  # of lessons' starts: no test's, no expert episode's
+_TRAINING = 0.7  # of a job's time
+
+
+@dataclass(frozen=True)
+class LogsJob:
+    """An expert's episodes of one task to be seen through the rig.
+
+    Attributes:
+        file: for the episodes, in the order of the logs.
+        reader: folder of the navigator's eye.
+        rig: of the images.
+        logs: of the expert's episodes; damaged ones are left out.
+        count: episodes wanted; where there are fewer logs, the expert plays on.
+        expert: file of its policy.
+        anatomy: of the task.
+        target: likewise.
+        rules: likewise.
+        guided: whether the navigator has a contrast run.
+        hidden: units of the navigator, for its settings.
+        action_repeat: steps for which it holds an action.
+    """
+
+    file: Path
+    reader: Path
+    rig: Rig
+    logs: tuple[Path, ...]
+    count: int
+    expert: Path
+    anatomy: Anatomy
+    target: str
+    rules: Rules
+    guided: bool
+    hidden: int
+    action_repeat: int
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a teacher teaches.
+
+    Attributes:
+        teacher: file of its policy.
+        anatomies: in which it knows the way.
+        targets: likewise.
+        rules: of the episodes.
+        hints: whether the navigator learns to tell the teacher's roadmap.
+    """
+
+    teacher: Path
+    anatomies: tuple[Anatomy, ...]
+    targets: tuple[str, ...]
+    rules: Rules
+    hints: bool = False
+
+
+@dataclass(frozen=True)
+class NavigatorJob:
+    """A navigator to train and to test.
+
+    Attributes:
+        folder: of the navigator.
+        reader: folder of its eye.
+        rig: of the images.
+        guided: whether it has a contrast run, or the target's mark alone.
+        hidden: units.
+        action_repeat: steps for which it holds an action.
+        logs: files of experts' episodes to clone.
+        episodes: of each file.
+        epochs: of the cloning; of every round of lessons.
+        courses: of the lessons.
+        rounds: of lessons.
+        lessons: episodes a round, shared among the courses.
+        teacher_first: the teacher steers the first round, where there is nothing cloned before.
+        targets: of the trials.
+        tests: trials.
+        seed: of everything.
+        origin: kept in the logs.
+    """
+
+    folder: Path
+    reader: Path
+    rig: Rig
+    guided: bool
+    hidden: int
+    action_repeat: int
+    logs: tuple[Path, ...]
+    episodes: int
+    epochs: int
+    courses: tuple[Course, ...]
+    rounds: int
+    lessons: int
+    targets: tuple[str, ...]
+    tests: tuple[TrialSet, ...]
+    seed: int
+    origin: Origin
+
+
+def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
+    """Reads the images of an expert's episodes once, for every navigator that is cloned from them."""
+    from enn.policy import Policy
+    from splineformer.navigator import Navigator
+
+    if not job.file.is_file():
+        reader = load_reader(job.reader)
+        teacher = Policy.load(job.expert)
+        settings = settings_of(reader, job.rig, guided=job.guided, hidden=job.hidden, repeat=job.action_repeat)
+        episodes: list[Episode] = []
+        for log in job.logs:
+            if len(episodes) == job.count:
+                break
+            report(len(episodes) / job.count, f"{len(episodes)} of {job.count} episodes")
+            try:
+                seen = episode_of_log(log, job.rig, reader, settings)
+            except EpisodeReadError:
+                continue
+            episodes.append(seen)
+        missing, begun = job.count - len(episodes), len(episodes)
+        if missing:  # the expert plays on
+            environments = scenes_of(
+                job.rules, [(job.anatomy, job.target)] * missing, job.rig, teacher.keys,
+                held_out_seeds(0, missing, first=_LESSON_SEED),
+            )  # fmt: skip
+            more = play(
+                environments, teacher, Navigator(settings, reader), teacher_share=1.0, noise=0.0,
+                generator=np.random.default_rng(0), tick=lambda done: report((begun + done) / job.count, "played on"),
+            )  # fmt: skip
+            episodes += more
+        write_episodes(job.file, episodes)
+    return {"episodes": len(read_lessons(job.file))}
+
+
+def settings_of(reader: Reader, rig: Rig, *, guided: bool, hidden: int, repeat: int, hints: int = 0) -> Any:
+    """The settings of a navigator that sees with a reader."""
+    from splineformer.navigator import NavigatorSettings
+
+    return NavigatorSettings(
+        cameras=rig.cameras, tokens=reader.tokens, memory=reader.memory, guided=guided, hidden=hidden, hints=hints,
+        action_repeat=repeat,
+    )  # fmt: skip
+
+
+def navigate(job: NavigatorJob, report: Report) -> dict[str, Any]:
+    """Trains a navigator and tests it; each part only where it lacks.
+
+    Returns:
+        How it was trained, and ``tests``: a row for each set of trials and target.
+    """
+    reader = load_reader(job.reader)
+    told = job.folder / RECORD
+    if told.is_file():
+        from splineformer.navigator import Navigator
+
+        outcome, navigator = (
+            json.loads(told.read_text(encoding="utf-8")),
+            Navigator.load(job.folder / NAVIGATOR, reader),
+        )
+    else:
+        navigator, outcome = train(job, reader, report.part(0.0, _TRAINING, "training"))
+        navigator.save(job.folder / NAVIGATOR, **{key: outcome[key] for key in ("episodes", "decisions")})
+        write_json(told, outcome)
+        shutil.rmtree(job.folder / "lessons", ignore_errors=True)
+    outcome["tests"] = run_tests(
+        navigator, job.tests, job.targets, job.rig, job.folder, seed=job.seed, origin=job.origin,
+        report=report.part(_TRAINING, 1.0, "trials"),
+    )  # fmt: skip
+    return dict(outcome)
+
+
+def train(job: NavigatorJob, reader: Reader, report: Callable[..., None]) -> tuple[Navigator, dict[str, Any]]:
+    """Clones the experts' episodes, then gives lessons round by round, going on after the last finished one."""
+    from enn.policy import Policy
+    from splineformer.navigator import Navigator
+    from splineformer.navigator_training import CloningSettings, clone
+
+    began, worked = time.monotonic(), time.process_time()
+    teachers = [Policy.load(course.teacher) for course in job.courses]
+    room_for([anatomy for course in job.courses for anatomy in course.anatomies])
+    hints = max((_hints(course, teacher) for course, teacher in zip(job.courses, teachers, strict=True)), default=0)
+    settings = settings_of(reader, job.rig, guided=job.guided, hidden=job.hidden, repeat=job.action_repeat, hints=hints)
+    navigator = Navigator(settings, reader, job.seed)
+    episodes = [one for file in job.logs for one in read_lessons(file)[: job.episodes]]
+    parts = job.rounds + bool(episodes)
+    losses: list[float] = []
+    if episodes:
+        first = CloningSettings(epochs=job.epochs)
+        losses = clone(
+            navigator, episodes, first, seed=job.seed,
+            progress=lambda epoch, loss: report(epoch / job.epochs / parts, f"cloning, loss {loss:.3f}"),
+        )  # fmt: skip
+    cloned, rounds = len(episodes), []
+    for number in range(job.rounds):
+        done = (number + bool(cloned)) / parts
+        file = job.folder / "lessons" / f"round{number}.npz"
+        kept = file.with_suffix(".pt")
+        steered_by_teacher = 1.0 if number == 0 and not cloned else 0.1
+        if not (file.is_file() and kept.is_file()):
+            new = _round(job, number, teachers, navigator, steered_by_teacher, lambda text, d=done: report(d, text))
+            write_episodes(file, new)
+            episodes += new
+            epochs = job.epochs * (2 if number == job.rounds - 1 else 1)
+            losses = clone(
+                navigator, episodes, CloningSettings(epochs=epochs, batch_size=16), seed=job.seed * 1000 + number,
+                progress=lambda epoch, loss, d=done, e=epochs: report(
+                    d + (0.5 + 0.5 * epoch / e) / parts, f"loss {loss:.3f}"
+                ),
+            )  # fmt: skip
+            navigator.save(kept)
+        else:
+            new = read_lessons(file)
+            episodes += new
+            navigator = Navigator.load(kept, reader)
+        success = 100 * float(np.mean([one.success for one in new]))
+        rounds.append({"episodes": len(episodes), "success_pct": success})
+    outcome = {
+        "episodes": len(episodes),
+        "decisions": sum(len(one.looks) for one in episodes),
+        "rounds": rounds,
+        "loss": losses[-1] if losses else None,
+        "wall_s": time.monotonic() - began,
+        "cpu_s": time.process_time() - worked,
+    }
+    return navigator, outcome
+
+
+def _hints(course: Course, teacher: Any) -> int:
+    return int(np.prod(teacher.observation_space[HINT_KEY].shape)) if course.hints else 0
+
+
+def _round(
+    job: NavigatorJob,
+    number: int,
+    teachers: Sequence[Any],
+    navigator: Navigator,
+    teacher_share: float,
+    tell: Callable[[str], None],
+) -> list[Episode]:
+    episodes: list[Episode] = []
+    for index, (course, teacher) in enumerate(zip(job.courses, teachers, strict=True)):
+        generator = np.random.default_rng((job.seed, number, index))
+        count = len(range(index, job.lessons, len(job.courses)))
+        cases = [(anatomy, target) for anatomy in course.anatomies for target in course.targets]
+        chosen: list[tuple[Anatomy, str]] = []
+        while len(chosen) < count:
+            chosen += [cases[k] for k in generator.permutation(len(cases))]
+        before = len(episodes)
+        first = _LESSON_SEED + 1_000_000 + (job.seed * 100 + number) * 10_000 + index * 1000
+        scenes = scenes_of(course.rules, chosen[:count], job.rig, teacher.keys, range(first, first + count))
+        episodes += play(
+            scenes, teacher, navigator, teacher_share=teacher_share, noise=0.3 if teacher_share == 1.0 else 0.1,
+            generator=generator, hint_key=HINT_KEY if course.hints else None,
+            tick=lambda done, before=before: tell(f"round {number + 1}, {before + done} of {job.lessons} episodes"),
+        )  # fmt: skip
+    return episodes

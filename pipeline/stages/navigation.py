@@ -1,0 +1,261 @@
+"""The navigation stage: navigators on SplineFormer's memory and tokens, from images alone, beside their rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import ConfigurationError, StageError
+from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes
+from pipeline.human import FOLDER as HUMAN
+from pipeline.human import SUFFIX
+from pipeline.imitation_job import ImitationJob, imitate
+from pipeline.jobs import Job, run_jobs
+from pipeline.navigation_film import FilmJob, film_trials
+from pipeline.navigation_jobs import PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
+from pipeline.navigation_reader import ReaderJob, train_reader
+from pipeline.navigation_scene import Rig
+from pipeline.navigation_settings import NavigationSettings
+from pipeline.navigation_summary import ARCHES, DAGGER, FILMS, LOGS, PIXELS, READER, figures, row_of, tables
+from pipeline.navigation_task import Anatomy, Rules, TrialSet
+from pipeline.provenance import hash_file
+from pipeline.report.results import write_figures, write_results
+from pipeline.splineformer_job import PREDICTOR
+from pipeline.stages import Stage, StageContext
+from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.stages.unseen import FIRST_TEST_ANATOMY
+from pipeline.training_job import POLICY
+from pipeline.trials import Origin
+from pipeline.unseen_task import TEST_PHANTOM, training_arch
+
+UNSEEN = "unseen_arches"
+FIRST_READER_ARCH = (
+    20_000  # random arches from this seed on show the SplineFormer their wires; no navigator learns there
+)
+_RESERVED = 1_000  # seeds of arches a run seed
+NAMED = -1  # seed of an anatomy that has a name of its own
+_SECONDS = {"frame": 0.06, "episode": 0.5, "lesson": 0.8, "trial": 1.0}  # guesses, for the estimate of the end
+
+
+def check_navigation(settings: NavigationSettings) -> None:
+    """Refuses unknown phantoms and targets.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    require_known_phantoms([*settings.phantoms, *settings.transfer_phantoms])
+    unknown = [name for name in settings.targets if name not in ("bca", "lcca", "lsa")]
+    if unknown:
+        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from bca, lcca, lsa")
+
+
+def run_navigation(settings: NavigationSettings, context: StageContext) -> None:
+    """Trains and tests every navigator and sums them up.
+
+    Args:
+        settings: of the stage.
+        context: where experts, teachers and the SplineFormer lie, and where to write.
+    """
+    jobs = plan(settings, context)
+    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD)
+    write_results(context.path, tables(settings, context, outcomes))
+    write_figures(context.path, figures(settings, context.path, outcomes))
+
+
+def rig_of(settings: NavigationSettings) -> Rig:
+    """The cameras of the settings."""
+    return Rig(tuple(settings.cameras), settings.image_size_px)
+
+
+def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
+    """The jobs: the eye, the experts' episodes seen through it, navigators, rivals, films.
+
+    Args:
+        settings: of the stage.
+        context: likewise.
+
+    Raises:
+        StageError: an earlier stage left no expert, no episodes or no teacher.
+    """
+    path, rig, seed = context.path, rig_of(settings), context.seed
+    rules = Rules()
+    jobs = [_reader(settings, context, rig)]
+    seen: list[Job] = []
+    courses: list[Course] = []
+    rivals: list[Job] = []
+    for phantom in settings.phantoms:
+        for target in settings.targets:
+            task = f"{phantom}/{target}"
+            expert = expert_folder(context.inputs["enn"], task, settings.expert)
+            logs = expert_logs(expert)
+            read_episodes(logs, 1)  # an empty folder is told before any work
+            given = LogsJob(
+                file=path / LOGS / phantom / f"{target}.npz", reader=path / READER, rig=rig, logs=tuple(logs),
+                count=settings.episodes[-1], expert=expert / POLICY, anatomy=(phantom, NAMED), target=target,
+                rules=rules, guided=settings.guided, hidden=settings.hidden, action_repeat=settings.action_repeat,
+            )  # fmt: skip
+            weight = settings.episodes[-1] * _SECONDS["episode"]
+            seen.append(Job(f"{LOGS}/{task}", see_logs, given, after=(READER,), weight=weight))
+            courses.append(Course(expert / POLICY, ((phantom, NAMED),), (target,), rules))
+            if settings.pixel_cloning:
+                rivals.append(_rival(settings, context, task, expert))
+    jobs += seen
+    files, after = tuple(job.given.file for job in seen), tuple(job.key for job in seen)
+    tests = trial_sets(settings)
+    navigators: list[Job] = []
+
+    def navigator(row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], **given: Any) -> None:
+        job = NavigatorJob(
+            folder=path / row, reader=path / READER, rig=rig, guided=settings.guided, hidden=settings.hidden,
+            action_repeat=settings.action_repeat, targets=tuple(settings.targets), tests=tests, seed=seed,
+            origin=Origin("navigation", row, seed, "desk"),
+            **{"logs": (), "episodes": 0, "courses": (), "rounds": 0, "lessons": 0, **given},
+        )  # fmt: skip
+        trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)
+        navigators.append(Job(row, navigate, job, after=after, weight=weight + trials * _SECONDS["trial"]))
+
+    named = tuple(test for test in tests if test.name in settings.phantoms)
+    for number, count in enumerate(settings.episodes):
+        navigator(
+            row_of(settings, count),
+            after,
+            count,
+            named if number else tests,
+            logs=files,
+            episodes=count,
+            epochs=settings.epochs,
+        )
+    if settings.dagger_rounds:
+        weight = settings.dagger_rounds * settings.dagger_lessons * _SECONDS["lesson"]
+        navigator(
+            DAGGER, after, weight, tests, logs=files, episodes=settings.episodes[0], epochs=settings.dagger_epochs,
+            courses=tuple(courses), rounds=settings.dagger_rounds, lessons=settings.dagger_lessons,
+        )  # fmt: skip
+    if settings.arches:
+        weight = settings.arch_rounds * settings.arch_lessons * _SECONDS["lesson"]
+        navigator(
+            ARCHES, (READER,), weight, tests, epochs=settings.arch_epochs, courses=(_arches(settings, context),),
+            rounds=settings.arch_rounds, lessons=settings.arch_lessons,
+        )  # fmt: skip
+        navigators.insert(0, navigators.pop())  # the longest goes first
+    jobs += [*navigators, *rivals]
+    if settings.film:
+        order = [ARCHES, DAGGER, *(row_of(settings, count) for count in reversed(settings.episodes))]
+        rows = [job.key for job in navigators]
+        shown = tuple(path / row for row in order if row in rows)
+        filmed = FilmJob(path / FILMS, path / READER, rig, shown, tests, tuple(settings.targets))
+        jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0))
+    return jobs
+
+
+def _reader(settings: NavigationSettings, context: StageContext, rig: Rig) -> Job:
+    first = FIRST_READER_ARCH + context.seed * settings.reader_arches
+    arches = [training_arch(seed) for seed in range(first, first + settings.reader_arches)]
+    variant = settings.splineformer
+    given = ReaderJob(
+        folder=context.path / READER,
+        splineformer=context.inputs["splineformer"] / variant / PREDICTOR,
+        variant=variant,
+        rig=rig,
+        anatomies=(*((name, NAMED) for name in settings.phantoms), *arches),
+        frames=settings.reader_frames,
+        epochs=settings.reader_epochs,
+        targets=("bca", "lcca", "lsa"),
+        seed=context.seed,
+    )
+    frames = len(given.anatomies) * settings.reader_frames
+    return Job(READER, train_reader, given, weight=frames * (1 + settings.reader_epochs) * _SECONDS["frame"])
+
+
+def _rival(settings: NavigationSettings, context: StageContext, task: str, expert: Path) -> Job:
+    """Behaviour cloning from pixels, from as many expert trials as the first navigator has."""
+    given = ImitationJob(
+        folder=context.path / PIXELS / task,
+        expert=expert,
+        seed=context.seed,
+        origin=Origin("navigation", PIXELS, context.seed, "desk"),
+        observations=("image",),
+        episodes=settings.episodes[0],
+        variant="desk",
+        feature_matching=0.0,
+        evaluation_episodes=settings.trials,
+    )
+    return Job(f"{PIXELS}/{task}", imitate, given, weight=20.0)
+
+
+def _arches(settings: NavigationSettings, context: StageContext) -> Course:
+    first = _RESERVED * context.seed
+    if first + settings.arches > FIRST_READER_ARCH:
+        raise ConfigurationError(f"seed={context.seed} would learn in arches kept for others: choose a seed below 19")
+    teacher = context.inputs["unseen"] / "roadmap" / f"seed{context.seed}" / POLICY
+    if not teacher.is_file():
+        raise StageError(f"there is no teacher {teacher}: run stage=unseen with this seed, or set stage.arches=0")
+    anatomies = tuple(training_arch(seed) for seed in range(first, first + settings.arches))
+    return Course(teacher, anatomies, tuple(settings.targets), _long(settings), hints=True)
+
+
+def _long(settings: NavigationSettings) -> Rules:
+    return Rules(wire_length=settings.wire_length_mm / 1e3)
+
+
+def trial_sets(settings: NavigationSettings) -> tuple[TrialSet, ...]:
+    """The trials: in the phantoms learnt in, in others, in random arches that nothing was trained in.
+
+    Args:
+        settings: of the stage.
+    """
+    tests = [
+        TrialSet(name, ((name, NAMED),), settings.trials, Rules())
+        for name in (*settings.phantoms, *settings.transfer_phantoms)
+    ]
+    unseen: tuple[Anatomy, ...] = tuple((TEST_PHANTOM, FIRST_TEST_ANATOMY + k) for k in range(settings.test_arches))
+    return (*tests, *([TrialSet(UNSEEN, unseen, 1, _long(settings))] if unseen else []))
+
+
+def _recordings(run_path: Path) -> dict[str, str]:
+    logs: Sequence[Path] = sorted((run_path / HUMAN).rglob(f"*{SUFFIX}"))
+    return {f"{HUMAN}/{path.relative_to(run_path).as_posix()}": hash_file(path) for path in logs}
+
+
+STAGE = Stage(
+    name="navigation",
+    run=run_navigation,
+    reads=("expert", "enn", "unseen", "splineformer"),
+    writes=(
+        "reader/{predictor.pt, reader.json}",
+        "episodes/<phantom>/<target>.npz",
+        "<row>/{navigator.pt, training.json}",
+        "<row>/evaluation/<test>/<target>/<phantom>/NNN.mcap",
+        "behaviour_cloning/<phantom>/<target>/{policy.pt, evaluation}",
+        "films/{success, failure}.{gif, mcap}",
+        "curve.png, failures.png",
+        "results.json",
+        "figures.json",
+    ),
+    code=(
+        "cathsim",
+        "splineformer",
+        "enn.behaviour_cloning",
+        "enn.cloned_policy",
+        "enn.fitting",
+        "enn.image_network",
+        "enn.policy",
+        "pipeline.expert_episodes",
+        "pipeline.guide3d_generator",
+        "pipeline.imitation_job",
+        "pipeline.navigation_failures",
+        "pipeline.navigation_film",
+        "pipeline.navigation_jobs",
+        "pipeline.navigation_lessons",
+        "pipeline.navigation_reader",
+        "pipeline.navigation_scene",
+        "pipeline.navigation_summary",
+        "pipeline.navigation_task",
+        "pipeline.navigation_trials",
+        "pipeline.recording",
+        "pipeline.trials",
+    ),
+    check=check_navigation,
+    further_inputs=_recordings,
+)
