@@ -12,8 +12,9 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from splineformer.navigator import Navigator
     from splineformer.navigator_reading import Reader
     from splineformer.navigator_training import Episode
+
+Tell = Callable[[float, str], None]  # the share done, and a few words
 
 NAVIGATOR, RECORD = "navigator.pt", "training.json"
 PRELOAD = ("cathsim", "enn.policy", "splineformer.navigator_training", "skimage.graph", "pipeline.recording")
@@ -207,7 +210,7 @@ def navigate(job: NavigatorJob, report: Report) -> dict[str, Any]:
     return dict(outcome)
 
 
-def train(job: NavigatorJob, reader: Reader, report: Callable[..., None]) -> tuple[Navigator, dict[str, Any]]:
+def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, dict[str, Any]]:
     """Clones the experts' episodes, then gives lessons round by round, going on after the last finished one."""
     from enn.policy import Policy
     from splineformer.navigator import Navigator
@@ -230,21 +233,17 @@ def train(job: NavigatorJob, reader: Reader, report: Callable[..., None]) -> tup
         )  # fmt: skip
     cloned, rounds = len(episodes), []
     for number in range(job.rounds):
-        done = (number + bool(cloned)) / parts
+        told = _part(report, (number + bool(cloned)) / parts, 1 / parts, f"round {number + 1}")
         file = job.folder / "lessons" / f"round{number}.npz"
         kept = file.with_suffix(".pt")
-        steered_by_teacher = 1.0 if number == 0 and not cloned else 0.1
         if not (file.is_file() and kept.is_file()):
-            new = _round(job, number, teachers, navigator, steered_by_teacher, lambda text, d=done: report(d, text))
+            new = _round(job, number, teachers, navigator, 1.0 if number == 0 and not cloned else 0.1, told)
             write_episodes(file, new)
             episodes += new
             epochs = job.epochs * (2 if number == job.rounds - 1 else 1)
-            losses = clone(
-                navigator, episodes, CloningSettings(epochs=epochs, batch_size=16), seed=job.seed * 1000 + number,
-                progress=lambda epoch, loss, d=done, e=epochs: report(
-                    d + (0.5 + 0.5 * epoch / e) / parts, f"loss {loss:.3f}"
-                ),
-            )  # fmt: skip
+            fit = CloningSettings(epochs=epochs, batch_size=16)
+            fitting = partial(_fitting, told, epochs)
+            losses = clone(navigator, episodes, fit, seed=job.seed * 1000 + number, progress=fitting)
             navigator.save(kept)
         else:
             new = read_lessons(file)
@@ -263,6 +262,18 @@ def train(job: NavigatorJob, reader: Reader, report: Callable[..., None]) -> tup
     return navigator, outcome
 
 
+def _part(report: Tell, begun: float, share: float, label: str) -> Tell:
+    return lambda fraction, text: report(begun + share * fraction, f"{label}, {text}")
+
+
+def _playing(report: Tell, before: int, wanted: int, done: int) -> None:
+    report(0.5 * (before + done) / wanted, f"{before + done} of {wanted} episodes")
+
+
+def _fitting(report: Tell, epochs: int, epoch: int, loss: float) -> None:
+    report(0.5 + 0.5 * epoch / epochs, f"loss {loss:.3f}")
+
+
 def _hints(course: Course, teacher: Any) -> int:
     return int(np.prod(teacher.observation_space[HINT_KEY].shape)) if course.hints else 0
 
@@ -273,7 +284,7 @@ def _round(
     teachers: Sequence[Any],
     navigator: Navigator,
     teacher_share: float,
-    tell: Callable[[str], None],
+    report: Tell,
 ) -> list[Episode]:
     episodes: list[Episode] = []
     for index, (course, teacher) in enumerate(zip(job.courses, teachers, strict=True)):
@@ -289,6 +300,6 @@ def _round(
         episodes += play(
             scenes, teacher, navigator, teacher_share=teacher_share, noise=0.3 if teacher_share == 1.0 else 0.1,
             generator=generator, hint_key=HINT_KEY if course.hints else None,
-            tick=lambda done, before=before: tell(f"round {number + 1}, {before + done} of {job.lessons} episodes"),
+            tick=partial(_playing, report, before, job.lessons),
         )  # fmt: skip
     return episodes

@@ -139,7 +139,7 @@ def errors(
     if not chosen.any():
         return {}
     reader, told = Reader(predictor), []
-    places = np.flatnonzero(chosen)
+    places = np.flatnonzero(chosen).tolist()
     for place, reading in zip(places, reader(list(pictures[places])), strict=True):
         told.append(curve_errors(1024.0 * reading.points.astype(float), 1024.0 * curves[place]))
     return {name: float(np.mean([one[name] for one in told])) for name in ("tip_px", "mean_px")}

@@ -90,7 +90,7 @@ class Reader:
         both = torch.cat([memory.mean(1), at_tip[:, :, 0, 0]], 1).cpu().numpy()
         sure = torch.softmax(kinds, -1)[:, _ONE].cpu().numpy()
         rows, curves = tokens.float().cpu().numpy(), points.float().cpu().numpy()
-        return [Reading(*parts, float(p)) for *parts, p in zip(rows, curves, both, sure, strict=True)]
+        return [Reading(row, curve, m, float(p)) for row, curve, m, p in zip(rows, curves, both, sure, strict=True)]
 
     def _outputs(self, levels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The (B, N, width) memory, (B, limit, 3) tokens with knots in 0 to 1, their (B,) numbers, logits of kinds."""
