@@ -32,7 +32,7 @@ class NavigationSettings:
     arches: int = 64  # random ones that the navigator for unseen anatomies learns in; 0: none is trained
     arch_rounds: int = 5
     arch_lessons: int = 96
-    arch_epochs: int = 15
+    arch_epochs: int = 20
     test_arches: int = 20
     trials: int = 30  # a target in each named phantom
     reader_arches: int = 30  # random ones under whose cameras the SplineFormer is trained further

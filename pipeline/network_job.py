@@ -26,7 +26,7 @@ CODE = tuple(
     for name in (
         "build", "dataset", "dataset_split", "frame", "losses", "masks", "metrics", "modeling", "model_file",
         "network_training", "picture_store", "polyline", "predictor", "preprocessing", "recipes",
-        "segmentation_metrics", "segmentation_samples", "shape_samples", "train", "training",
+        "segmentation_metrics", "segmentation_samples", "shape_samples", "train", "training", "walk_samples",
     )
 )  # fmt: skip
 
@@ -47,6 +47,7 @@ class NetworkJob:
         processes: that train together.
         device: of the training.
         pretrained: weights of a vision transformer.
+        architecture: of the shape network; None: the network has but one.
         test_images: that it is judged by; 0: all.
     """
 
@@ -61,6 +62,7 @@ class NetworkJob:
     processes: int = 1
     device: str = "auto"
     pretrained: str | None = None
+    architecture: str | None = None
     test_images: int = 0
 
 
@@ -89,6 +91,8 @@ def train_network(job: NetworkJob, report: Report) -> dict[str, Any]:
             words += [f"--{name}", str(path)]
     if job.epochs:
         words += ["--epochs", str(job.epochs)]
+    if job.architecture is not None:
+        words += ["--architecture", job.architecture]
     if job.pretrained is not None:
         words += ["--pretrained", job.pretrained]
     if job.processes > 1:

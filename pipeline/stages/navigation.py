@@ -115,7 +115,8 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
         trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)
         navigators.append(Job(row, navigate, job, after=after, weight=weight + trials * _SECONDS["trial"]))
 
-    named = tuple(test for test in tests if test.name in settings.phantoms)
+    learnt_in = tuple(test for test in tests if test.name in settings.phantoms)
+    named = tuple(test for test in tests if test.name != UNSEEN)
     for number, count in enumerate(settings.episodes):
         navigator(
             row_of(settings, count),

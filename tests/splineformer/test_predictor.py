@@ -155,8 +155,18 @@ def test_graph_for_the_compiler_agrees() -> None:
     image = image_of(wavy_wire(0))
     plain = saying(untrained("ordered"))
     # the machine code is checked by benchmarks/splineformer.py: making it takes too long here
-    compiled = Predictor(plain.network, source_px=256, compiled=True, backend="eager")
+    calls: list[int] = []
+
+    def backend(graph: torch.fx.GraphModule, given: object) -> object:
+        calls.append(len(graph.graph.nodes))
+        return graph.forward
+
+    compiled = Predictor(plain.network, source_px=256, compiled=True, backend=backend)
     assert np.allclose(compiled(image).tokens, plain(image).tokens, atol=1e-3)
+    assert calls  # the compiler was asked
+    before = len(calls)
+    plain(image)
+    assert len(calls) == before  # and only for the compiled predictor
 
 
 def test_shares_and_pixels() -> None:

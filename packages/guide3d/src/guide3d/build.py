@@ -17,6 +17,7 @@ from guide3d.modeling.swinunet import SwinUnet
 from guide3d.modeling.transunet import TransUnet
 from guide3d.modeling.unet import UNet
 from guide3d.modeling.vision_transformer import VisionTransformer
+from guide3d.modeling.wire_walker import WalkerSize, WireWalker
 
 SIZES = ("thesis", "desk", "smoke")
 SEGMENTERS = ("unet", "transunet", "swinunet")
@@ -52,6 +53,11 @@ SHAPE_SIZES: dict[str, ShapeSize] = {
         state=32, head=32,
     ),
 }  # fmt: skip
+
+WALKER_SIZES: dict[str, WalkerSize] = {
+    "desk": WalkerSize(),
+    "smoke": WalkerSize(image_px=128, ahead_px=(4, 8), aside_px=6, width=32, state=32),
+}
 
 FGRN_SIZES: dict[str, dict[str, Any]] = {
     "thesis": {"image_px": 80, "filters": (32, 64, 128), "hidden": (256, 128), "dropout": 0.3},
@@ -136,8 +142,20 @@ def described(size: ShapeSize, form: SphericalForm | None, positions: int) -> di
     return {"size": asdict(size), "form": None if form is None else asdict(form), "positions": positions}
 
 
-def rebuilt(told: Mapping[str, Any]) -> ShapeNetwork:
-    """Builds a shape network from what `described` told."""
+def described_walker(network: WireWalker) -> dict[str, Any]:
+    """What a model file keeps to build a wire walker again: see `rebuilt`."""
+    return {
+        "walker": asdict(network.size), "form": network.form, "positions": network.positions,
+        "step_mm": network.step_mm, "source_px": network.source_px,
+    }  # fmt: skip
+
+
+def rebuilt(told: Mapping[str, Any]) -> ShapeNetwork | WireWalker:
+    """Builds a shape network from what `described` or `described_walker` told."""
+    if "walker" in told:
+        size = WalkerSize(**told["walker"])
+        rest = {name: told[name] for name in ("positions", "step_mm", "source_px")}
+        return WireWalker(size, told["form"], **rest)
     form = None if told["form"] is None else SphericalForm(**told["form"])
     return build_shape_network(ShapeSize(**told["size"]), form, told["positions"])
 

@@ -12,10 +12,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from guide3d.build import build_fgrn, build_segmenter, described, rebuilt
+from guide3d.build import build_fgrn, build_segmenter, described, described_walker, rebuilt
 from guide3d.model_file import read_model, write_model
 from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.shape_network import ShapeNetwork
+from guide3d.modeling.wire_walker import WireWalker
 from guide3d.polyline import Array
 from guide3d.preprocessing import Preprocessing
 
@@ -28,7 +29,11 @@ class ShapePredictor:
     """Frames of one camera to the wire in space."""
 
     def __init__(
-        self, network: ShapeNetwork, size: dict[str, Any], preprocessing: Preprocessing, metadata: dict[str, Any]
+        self,
+        network: ShapeNetwork | WireWalker,
+        size: dict[str, Any],
+        preprocessing: Preprocessing,
+        metadata: dict[str, Any],
     ) -> None:
         """Args:
         network: that predicts.
@@ -68,14 +73,11 @@ class ShapePredictor:
             A curve a window, (m, 3) mm each.
         """
         curves: list[Array] = []
-        device = self.network.tip_mean.device
+        device = next(self.network.parameters()).device
         with torch.inference_mode():
             for start in range(0, len(windows), _BATCH):
                 part = torch.from_numpy(windows[start : start + _BATCH].astype(np.float32)).to(device)
-                shapes = self.network(part)
-                points = shapes.points_mm.double().cpu().numpy()
-                ends = shapes.stop_logits.argmax(-1).cpu().numpy()
-                curves += [one[: max(int(end), 1) + 1] for one, end in zip(points, ends, strict=True)]
+                curves += [curve.double().cpu().numpy() for curve in self.network.curves(part)]
         return curves
 
     def save(self, path: Path | str) -> None:
@@ -103,6 +105,11 @@ class ShapePredictor:
     def of(cls, network: ShapeNetwork, size: Any, preprocessing: Preprocessing, **metadata: Any) -> ShapePredictor:
         """The predictor of a network just trained; `size` is its `build.ShapeSize`."""
         return cls(network, described(size, network.form, network.positions), preprocessing, metadata)
+
+    @classmethod
+    def of_walker(cls, network: WireWalker, preprocessing: Preprocessing, **metadata: Any) -> ShapePredictor:
+        """The predictor of a wire walker just trained."""
+        return cls(network, described_walker(network), preprocessing, metadata)
 
 
 class FGRNPredictor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -183,7 +183,7 @@ class ShapeObjective:
 
     def batch(self, items: NDArray[np.int64], generator: np.random.Generator | None) -> dict[str, Tensor]:
         """Clips and their curves as tensors; clips with an image that cannot be read are replaced by others."""
-        items = self._readable(items, generator)
+        items = readable(self, items, generator)
         frames, targets = self.clips.frames[items], self.clips.targets[items].reshape(-1)
         pictures = self.store.pictures(frames).astype(np.float32)
         points = self._points[targets].copy()
@@ -230,28 +230,6 @@ class ShapeObjective:
             told["point_scale"] = max(float(tips.std(0).mean()), 1.0)
         return {name: torch.as_tensor(np.asarray(value, np.float32)) for name, value in told.items()}
 
-    def _readable(self, items: NDArray[np.int64], generator: np.random.Generator | None) -> NDArray[np.int64]:
-        healthy = self.store.healthy(self.clips.frames[items]).all(axis=1)
-        if healthy.all():
-            return items
-        if generator is None and healthy.any():
-            return items[healthy]
-        pool = self.training_items if generator is not None else self.validation_items
-        generator = generator or np.random.default_rng(0)
-        chosen = items.copy()
-        for place in np.flatnonzero(~healthy):
-            for _ in range(_DRAWS):
-                other = generator.choice(pool)
-                if self.store.healthy(self.clips.frames[other]).all():
-                    chosen[place] = other
-                    break
-            else:
-                raise ValueError(
-                    f"{len(self.store.damaged)} images cannot be read, the first of frame {self.store.damaged[0]}: "
-                    "there are too few others to train with"
-                )
-        return chosen
-
     def _varied(
         self, pictures: NDArray[np.float32], points: NDArray[np.float32], generator: np.random.Generator
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -274,6 +252,43 @@ class ShapeObjective:
             spread = generator.uniform(0, with_.noise, (count, 1, 1, 1)).astype(np.float32)
             pictures = pictures + spread * generator.standard_normal(pictures.shape, np.float32)
         return np.clip(pictures, 0, 255), points
+
+
+def readable(objective: Any, items: NDArray[np.int64], generator: np.random.Generator | None) -> NDArray[np.int64]:
+    """Clips whose images can be read.
+
+    Args:
+        objective: has `store`, `clips`, `training_items` and `validation_items`.
+        items: clips that are wanted.
+        generator: draws others in place of those with a damaged image; None: they are left out.
+
+    Returns:
+        Clips.
+
+    Raises:
+        ValueError: too few images can be read.
+    """
+    store, clips = objective.store, objective.clips
+    healthy = store.healthy(clips.frames[items]).all(axis=1)
+    if healthy.all():
+        return items
+    if generator is None and healthy.any():
+        return items[healthy]
+    pool = objective.training_items if generator is not None else objective.validation_items
+    generator = generator or np.random.default_rng(0)
+    chosen = items.copy()
+    for place in np.flatnonzero(~healthy):
+        for _ in range(_DRAWS):
+            other = generator.choice(pool)
+            if store.healthy(clips.frames[other]).all():
+                chosen[place] = other
+                break
+        else:
+            raise ValueError(
+                f"{len(store.damaged)} images cannot be read, the first of frame {store.damaged[0]}: "
+                "there are too few others to train with"
+            )
+    return chosen
 
 
 def sideways(camera: Camera, point_mm: Array, shift_px: tuple[float, float]) -> Array:

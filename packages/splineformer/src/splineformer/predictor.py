@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -96,9 +97,11 @@ class Predictor:
         source_px: int = SOURCE_PX,
         device: str = "cpu",
         compiled: bool = False,
-        backend: str = "inductor",
+        backend: str | Callable[..., Any] = "inductor",
     ) -> None:
-        self.network = network.to(device).eval()
+        # compiling changes a network in place: the caller's stays as it is
+        self.network = (copy.deepcopy(network) if compiled else network).to(device).eval()
+        network = self.network
         self.source_px = source_px
         self.device = torch.device(device)
         self._forward: Any = network.decode if isinstance(network, SplineFormer) else network.read

@@ -106,5 +106,6 @@ class VesselMap:
 
     def sample(self, places: Array) -> Array:
         """The lumen at (..., 2) places; outside the image that of its border."""
-        at = np.asarray(places)[..., ::-1] * self.size - 0.5
-        return np.asarray(ndimage.map_coordinates(self.lumen, np.moveaxis(at, -1, 0), order=1, mode="nearest"))
+        places = np.asarray(places, float)
+        at = (places[..., ::-1] * self.size - 0.5).reshape(-1, 2).T
+        return np.asarray(ndimage.map_coordinates(self.lumen, at, order=1, mode="nearest")).reshape(places.shape[:-1])

@@ -143,3 +143,17 @@ class ShapeNetwork(nn.Module):
         else:
             points = self.form.decode(tip, offsets)
         return PredictedShapes(tip, offsets, points, self.stop_head(state).float())
+
+    @torch.no_grad()
+    def curves(self, windows: Tensor) -> list[Tensor]:
+        """Predicts the wires of windows of pictures, each cut where it most likely ends.
+
+        Args:
+            windows: (n, frames, h, w) grey values of 0 to 255.
+
+        Returns:
+            A curve a window, (m, 3) mm, world, tip first.
+        """
+        shapes = self(windows)
+        ends = shapes.stop_logits.argmax(-1).clamp(min=1).tolist()
+        return [points[: end + 1] for points, end in zip(shapes.points_mm, ends, strict=True)]

@@ -2,8 +2,8 @@
 
 Each query stands for a share of the wire's length, from the tip to the end. It attends to a feature map, and its
 place is the mean of the map's cells weighted by the attention. Refinements move the points onto the wire. That is the
-parallel reading. Where the wire comes in it is exact, and there the walker starts; what it follows is refined likewise.
-A fixed linear map, least squares on fixed knots, turns points into control points.
+parallel reading. Where the wire comes in it is exact, and there the walker starts. A fixed linear map, least squares on
+fixed knots, turns points into control points.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from splineformer.modeling.transformer import DecoderLayer, EncoderLayer, decode
 from splineformer.modeling.walker import Steps, Walker, at_shares_of_length
 
 FEWEST_STEPS = 3  # points of a way that counts
-ROUNDS = 1  # of all refinements, of the way that was walked
 _DENSER_AT_TIP = 0.5  # first span of the knots over the mean span: the tip bends most
 _STEM_LEVELS = 4
 
@@ -229,8 +228,6 @@ class OrderedSplineFormer(nn.Module):
         walk = self.walker.walk(seen[-1], points[:, -1], direction)
         long = walk.lengths >= FEWEST_STEPS
         walked = at_shares_of_length(walk.points, walk.lengths, 1.0 - self.shares)
-        for _ in range(ROUNDS):
-            walked = self.refined(seen[-1], walked)[-1]
         chosen = torch.where(long[:, None, None], walked, points)
         wire = torch.sigmoid(said.wire).unflatten(1, (1, self.fine_side, self.fine_side))
         under = nn.functional.grid_sample(wire, 2 * chosen[:, None] - 1, align_corners=False, padding_mode="border")

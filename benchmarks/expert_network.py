@@ -1,6 +1,6 @@
 """Benchmark of the Expert Navigation Network: from nothing to evaluated policies for both targets of one arch.
 
-    python benchmarks/enn.py [--phantom type_1] [--seeds 3] [--quick]
+    python benchmarks/expert_network.py [--phantom type_1] [--seeds 3] [--quick]
 
 Runs the stages phantoms, expert and enn (I+V+M at budget desk) in an empty folder, two trainings at a time where there
 are two cores, and prints the time of each, the table of policies, and one JSON object as its last line. The anatomy's
