@@ -105,7 +105,7 @@ segmentation: guide3d  ## stage: UNet, TransUnet and SwinUnet find the wire's pi
 splineformer: segmentation  ## stage: wires as B-splines, beside the traced segmentation
 	@$(RUN) stage=splineformer budget=$(BUDGET) name=$(NAME) $(ARGS)
 
-navigation: expert unseen splineformer  ## stage: navigators on SplineFormer, from images alone, beside their rivals
+navigation: enn unseen splineformer  ## stage: navigators on SplineFormer, from images alone, beside their rivals
 	@$(RUN) stage=navigation budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 report: setup  ## stage: the page, from whatever has run

@@ -252,6 +252,10 @@ def main() -> int:
         print(f"reconstruction: {error}", file=sys.stderr)
         return 1
     print(json.dumps(report, ensure_ascii=False, allow_nan=False))
+    per_pair = report.get("per_pair", [])
+    if per_pair and all("error" in line for line in per_pair):
+        print("reconstruction: not one pair could be reconstructed; the lines above say why", file=sys.stderr)
+        return 1
     return 0
 
 

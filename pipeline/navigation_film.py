@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.atomic import atomic_path
 from pipeline.episodes import EpisodeReader
-from pipeline.film import HEIGHT_PX, STRIDE, Film
+from pipeline.film import Film
 from pipeline.job_worker import Report
 from pipeline.navigation_reader import load_reader
 from pipeline.navigation_scene import Rig, Scene
@@ -25,6 +26,11 @@ SUCCESS, FAILURE = "success", "failure"
 _ATTENTION, _SPLINE, _TIP, _MARK = (255, 120, 0), (255, 40, 40), (60, 255, 60), (0, 190, 255)
 _STRENGTH = 0.55  # of attention over the image
 _CURVE_POINTS = 120
+SIDE_PX = 256  # of each half
+_STRIDE = 4  # steps from frame to frame
+_FRAMES_PER_SECOND = 8.0  # of playback: 3.2 times the episode's speed
+_GREYS, _COLOURS = 36, 72  # noise in many greys would make the file ten times as large
+_SMOOTHED_PX = 0.6
 
 
 @dataclass(frozen=True)
@@ -67,10 +73,34 @@ class NavigationFilm(Film):
             environment: the scene's.
         """
         ended = bool(environment.steps and environment.ended)
-        if self._count % STRIDE == 0 or ended:
+        if self._count % _STRIDE == 0 or ended:
             mark = self._scene.marks[self._scene.rig.cameras[0]]
             self._frames.append(frame(self._scene.images()[0], self._reader, mark))
         self._count += 1
+
+    def write(self, path: Path) -> None:
+        """Writes the film.
+
+        Args:
+            path: of the GIF; appears whole or not at all.
+        """
+        from PIL import Image
+
+        side = SIDE_PX
+        seen = np.concatenate([one[:, side:] for one in self._frames[:: max(1, len(self._frames) // 6)]])
+        found = Image.fromarray(seen).quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE).getpalette()
+        # greys where the images have theirs: a thin wire differs little from what is behind it
+        low, high = np.percentile(self._frames[0][:, :side][self._frames[0][:, :side] > 0], (1, 99))
+        levels = np.concatenate(([0], np.linspace(low, high, _GREYS - 1))).round().astype(int)
+        greys = np.repeat(levels, 3).tolist()
+        palette = Image.new("P", (1, 1))
+        palette.putpalette([*greys, *(found or [])[: 3 * _COLOURS]])
+        frames = [Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in self._frames]
+        durations = [round(1000 / _FRAMES_PER_SECOND)] * (len(frames) - 1) + [1500]
+        with atomic_path(path) as temporary:
+            frames[0].save(
+                temporary, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, disposal=1
+            )
 
 
 def frame(image: np.ndarray, reader: Reader, mark: np.ndarray) -> np.ndarray:
@@ -82,14 +112,15 @@ def frame(image: np.ndarray, reader: Reader, mark: np.ndarray) -> np.ndarray:
         mark: (2,) the target's mark as shares of the sides.
 
     Returns:
-        (HEIGHT_PX, 2 HEIGHT_PX, 3) uint8.
+        (SIDE_PX, 2 SIDE_PX, 3) uint8.
     """
-    from PIL import Image, ImageDraw
+    from PIL import Image, ImageDraw, ImageFilter
 
     from splineformer.attention import attention_map
 
-    side = HEIGHT_PX
-    grey = np.asarray(Image.fromarray(image).resize((side, side), Image.Resampling.BOX))
+    side = SIDE_PX
+    small = Image.fromarray(image).resize((side, side), Image.Resampling.BOX)
+    grey = np.asarray(small.filter(ImageFilter.GaussianBlur(_SMOOTHED_PX)))
     plain = np.repeat(grey[:, :, None], 3, axis=2)
     looks = Image.fromarray(attention_map(reader.network, image)).resize((side, side), Image.Resampling.BILINEAR)
     weight = _STRENGTH * np.asarray(looks)[:, :, None]

@@ -122,7 +122,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             row_of(settings, count),
             after,
             count,
-            named if number else tests,
+            learnt_in if number else named,
             logs=files,
             episodes=count,
             epochs=settings.epochs,
@@ -188,7 +188,7 @@ def _rival(settings: NavigationSettings, context: StageContext, task: str, exper
 def _arches(settings: NavigationSettings, context: StageContext) -> Course:
     first = _RESERVED * context.seed
     if first + settings.arches > FIRST_READER_ARCH:
-        raise ConfigurationError(f"seed={context.seed} would learn in arches kept for others: choose a seed below 19")
+        raise ConfigurationError(f"seed={context.seed} would learn in arches kept for others: choose a smaller seed")
     teacher = context.inputs["unseen"] / "roadmap" / f"seed{context.seed}" / POLICY
     if not teacher.is_file():
         raise StageError(f"there is no teacher {teacher}: run stage=unseen with this seed, or set stage.arches=0")

@@ -11,6 +11,7 @@ import torch
 
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.intake import picture_of
+from splineformer.modeling.splineformer import SplineFormer
 from splineformer.navigator import Navigator, NavigatorSettings
 from splineformer.navigator_reading import CURVE_POINTS, Reader, Reading
 from splineformer.navigator_training import CloningSettings, Episode, clone
@@ -67,10 +68,11 @@ def test_memory_is_the_encoders(variant: str) -> None:
     reading = eye([image])[0]
     levels = torch.from_numpy(picture_of(image, 64, 256).pixels.astype(np.float32))[None, None]
     with torch.no_grad():
-        if variant == "published":
-            memory = eye.network.encoder(eye.network.normalised(levels))
+        network = eye.network
+        if isinstance(network, SplineFormer):
+            memory = network.encoder(network.normalised(levels))
         else:
-            memory = eye.network.encode(levels)[0]
+            memory = network.encode(levels)[0]
     assert np.allclose(reading.memory[: len(reading.memory) // 2], memory[0].mean(0).numpy(), atol=1e-5)
     assert not eye.network.training
 

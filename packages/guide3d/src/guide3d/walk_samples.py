@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -23,12 +23,14 @@ if TYPE_CHECKING:
     from guide3d.picture_store import PictureStore
 
 _START_MM = 5.0  # standard deviation of where wires enter the image that is worth a word
+_STEPPING, _STOPPING, _RESTING = 20.0, 10.0, 0.2  # weights: of steps, of having arrived, of what is left
+_MM_PER_CM = 10.0
 _BEYOND = 8  # places beyond the tip that a true walk is carried on to
-_RETURN = 0.3  # share of a walker's distance from the wire that the right step takes away
-_LOST_MM = 12.0  # farther from the wire there is nothing to learn
+_RETURN = (0.3, 0.3, 0.1)  # share of a walker's distance from the wire that the right step takes away; less in depth
+_LOST_MM = (8.0, 30.0)  # farther from the wire, aside and in depth, there is nothing to learn
 _BAND = 12  # steps by which a walker may be ahead of the true walk or behind it
 _DEPTH = 0.3  # weight of depth where the nearest place of the wire is looked for
-_ASIDE_MM, _DEPTH_MM = 1.0, 4.0  # largest standard deviations of errors put into true walks
+_ASIDE_MM, _DEPTH_MM = 1.0, 3.0  # largest standard deviations of errors put into true walks
 _MEMORY = (0.97, 0.97, 0.99)  # by which they are like those of the step before
 
 
@@ -123,9 +125,16 @@ class WalkObjective:
         }
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
-        """Mean loss of a batch; validation is on the walker's own walks."""
-        walker: WireWalker = getattr(module, "module", module)
+        """Mean loss of a batch; of a module that is not being trained, the predicted curves' mean distance in cm."""
+        walker = cast("WireWalker", getattr(module, "module", module))
         points, last, pictures = batch["points"], batch["last"], batch["pictures"]
+        if not module.training:
+            return torch.stack(
+                [
+                    _distance_cm(curve, walk[: end + 1].flip(0))
+                    for curve, walk, end in zip(walker.found(pictures), points, last.tolist(), strict=True)
+                ]
+            ).mean()
         if bool(batch["own"]):
             walked = walker.walk(pictures, points.shape[1])
             places, headings, seen = walked.places_mm[:, :-1], walked.headings, walked.seen
@@ -170,9 +179,9 @@ class WalkObjective:
         there = points.gather(1, nearest[..., None].expand(-1, -1, 3))
         following = points.gather(1, (nearest + 1).clamp(max=count - 1)[..., None].expand(-1, -1, 3))
         away = there - places
-        near = away.norm(dim=-1) < _LOST_MM
+        near = (away[..., :2].norm(dim=-1) < _LOST_MM[0]) & (away[..., 2].abs() < _LOST_MM[1])
         near = near.cumprod(dim=1).bool()  # who was lost knows the way by chance only
-        right = walker.step_mm * functional.normalize(following - there + _RETURN * away, dim=-1)
+        right = walker.step_mm * functional.normalize(following - there + points.new_tensor(_RETURN) * away, dim=-1)
         on_wire = near & (nearest < last[:, None])
         error = ((steps - right) / walker.step_mm).square().sum(-1)
         arrived = nearest >= last[:, None]
@@ -186,7 +195,13 @@ class WalkObjective:
         def mean(value: Tensor, where: Tensor) -> Tensor:
             return (value * where).sum(1) / where.sum(1).clamp(min=1)
 
-        return 10.0 * mean(error, on_wire) + 5.0 * mean(stopping, early) + 0.2 * mean(rest, close)
+        return _STEPPING * mean(error, on_wire) + _STOPPING * mean(stopping, early) + _RESTING * mean(rest, close)
+
+
+def _distance_cm(curve_mm: Tensor, true_mm: Tensor) -> Tensor:
+    """Mean distance at equal numbers of steps from the tip, as far as both curves go."""
+    count = min(len(curve_mm), len(true_mm))
+    return (curve_mm[:count] - true_mm[:count]).norm(dim=-1).mean() / _MM_PER_CM
 
 
 def carried_on(walk_mm: NDArray[np.float32], count: int) -> NDArray[np.float32]:

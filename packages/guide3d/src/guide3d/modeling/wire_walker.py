@@ -17,7 +17,7 @@ from torch.nn import functional
 FORMS = ("spherical", "cartesian")
 _SMALL = 1e-6
 _TURN = 0.3  # rad an output of 1 means
-_CONTRAST = 4.0  # makes the wire in a glimpse weigh as much as what is known of the place
+_FAINT = 0.03  # contrast of a glimpse that is hardly more than noise
 _WAVES = (1.0, 2.0, 4.0)  # of the place's embedding
 
 
@@ -96,7 +96,7 @@ class WireWalker(nn.Module):
         samples = torch.cartesian_prod(along, aside)
         self.register_buffer("samples", samples, persistent=False)
         count = len(samples)
-        self.inputs = 2 * count + 7 + 6 * len(_WAVES)
+        self.inputs = 2 * count + 9 + 6 * len(_WAVES)
         self.encoder = nn.Sequential(
             nn.Linear(self.inputs, size.width), nn.GELU(), nn.Linear(size.width, size.width), nn.GELU()
         )
@@ -135,15 +135,18 @@ class WireWalker(nn.Module):
         told, stop = self.step_head(joined).float(), self.stop_head(joined).float()
         if self.form == "cartesian":
             return self.step_mean + self.step_scale * told, stop
-        azimuth = torch.atan2(headings[..., 1], headings[..., 0]) + _TURN * told[..., 0]
-        polar = torch.acos(headings[..., 2].clamp(-1.0, 1.0)) + _TURN * told[..., 1]
-        sine = polar.sin()
-        return self.step_mm * torch.stack((sine * azimuth.cos(), sine * azimuth.sin(), polar.cos()), dim=-1), stop
+        # The frame moves with the heading: a wire that turns through the line of sight meets no pole.
+        aside = torch.stack((-headings[..., 1], headings[..., 0], torch.zeros_like(headings[..., 0])), dim=-1)
+        aside = aside / aside.norm(dim=-1, keepdim=True).clamp(min=_SMALL)
+        above = torch.cross(headings, aside, dim=-1)
+        azimuth, polar = _TURN * told[..., :1], _TURN * told[..., 1:]
+        level = azimuth.cos() * headings + azimuth.sin() * aside
+        return self.step_mm * (polar.cos() * level + polar.sin() * above), stop
 
     @torch.no_grad()
     def levels(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
         """(n, h, w) grey values of 0 to 255 to the fine and the coarse picture that `look` takes."""
-        fine = _CONTRAST * torch.log1p(pictures[:, None] / self.pixel_scale)
+        fine = torch.log1p(pictures[:, None] / self.pixel_scale)
         return fine, functional.max_pool2d(fine, self.size.coarser)
 
     @torch.no_grad()
@@ -173,9 +176,12 @@ class WireWalker(nn.Module):
             functional.grid_sample(picture, middle + reach * scale * around, align_corners=False)[:, 0]
             for picture, reach in zip(levels, (1.0, float(self.size.coarser)), strict=True)
         ]
+        # each glimpse at the same contrast: a faint wire leads as well as a dark one
+        contrasts = [glimpse.square().mean(dim=-1, keepdim=True).sqrt() for glimpse in glimpses]
+        glimpses = [glimpse / (by + _FAINT) for glimpse, by in zip(glimpses, contrasts, strict=True)]
         place = (places_mm - self.place_mean) / self.place_scale
         waves = torch.cat([f(wave * place) for wave in _WAVES for f in (torch.sin, torch.cos)], dim=-1)
-        return torch.cat((*glimpses, place, waves, headings, depth / 1000.0), dim=-1)
+        return torch.cat((*glimpses, *contrasts, place, waves, headings, depth / 1000.0), dim=-1)
 
     @torch.no_grad()
     def walk(self, pictures: Tensor, steps: int) -> Walked:
@@ -210,7 +216,20 @@ class WireWalker(nn.Module):
         Returns:
             A curve a window, (m, 3) mm, world, tip first.
         """
-        walked = self.walk(windows[:, -1], self.positions)
+        found = self.found(windows[:, -1])
+        return [(curve - self.translation_mm) @ self.rotation for curve in found]
+
+    @torch.no_grad()
+    def found(self, pictures: Tensor) -> list[Tensor]:
+        """Predicts wires in the camera's frame.
+
+        Args:
+            pictures: (n, image_px, image_px) grey values of 0 to 255.
+
+        Returns:
+            A curve a picture, (m, 3) mm, tip first.
+        """
+        walked = self.walk(pictures, self.positions)
         logits = walked.stop[..., 0]
         # the median of where it stops: the chance of going on is that of having stopped at no place so far
         going = functional.logsigmoid(-logits).cumsum(dim=1).exp()
@@ -222,6 +241,5 @@ class WireWalker(nn.Module):
             left = self.step_mm * stop[last, 1].clamp(-1.0, 1.0)
             tip = places[last] + left * headings[last]
             kept = places[: last + 1] if left > 0 else places[:last]
-            curve = torch.cat((kept, tip[None])).flip(0)
-            found.append((curve - self.translation_mm) @ self.rotation)
+            found.append(torch.cat((kept, tip[None])).flip(0))
         return found
