@@ -67,7 +67,8 @@ def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:
     """Trains the SplineFormer further, and tells how far it was and is off.
 
     Returns:
-        ``images``, and before and after the tip's and the curve's mean error on anatomies kept apart, px of 1,024.
+        ``images``, and before and after the tip's and the curve's mean and median error on anatomies kept apart, px of
+        1,024.
     """
     from guide3d.training import FitProgress, finished, fit
     from splineformer.predictor import Predictor
@@ -132,7 +133,7 @@ def _taken_over(path: Path) -> Predictor:
 def errors(
     predictor: Predictor, pictures: np.ndarray, curves: Sequence[np.ndarray], chosen: np.ndarray
 ) -> dict[str, float]:
-    """Mean error of tip and curve of the chosen pictures, in px of an image of 1,024."""
+    """Mean and median error of tip and curve of the chosen pictures, in px of an image of 1,024."""
     from splineformer.curve_errors import curve_errors
     from splineformer.navigator_reading import Reader
 
@@ -142,7 +143,9 @@ def errors(
     places = np.flatnonzero(chosen).tolist()
     for place, reading in zip(places, reader(list(pictures[places])), strict=True):
         told.append(curve_errors(1024.0 * reading.points.astype(float), 1024.0 * curves[place]))
-    return {name: float(np.mean([one[name] for one in told])) for name in ("tip_px", "mean_px")}
+    values = {name: [one[name] for one in told] for name in ("tip_px", "mean_px")}
+    means = {name: float(np.mean(of)) for name, of in values.items()}
+    return means | {f"median_{name}": float(np.median(of)) for name, of in values.items()}
 
 
 class _Kept:

@@ -100,8 +100,8 @@ def test_right_steps_cost_nothing_and_errors_are_led_back(data: Dataset) -> None
 
 
 def test_errors_put_in_drift_slowly_and_come_from_the_generator() -> None:
-    drift = drifts((4, 60, 3), np.random.default_rng(1))
-    assert np.array_equal(drift, drifts((4, 60, 3), np.random.default_rng(1)))
+    drift = drifts((4, 60, 3), (1.0, 1.0, 3.0), (0.97, 0.97, 0.99), np.random.default_rng(1))
+    assert np.array_equal(drift, drifts((4, 60, 3), (1.0, 1.0, 3.0), (0.97, 0.97, 0.99), np.random.default_rng(1)))
     assert np.abs(np.diff(drift, axis=1)).mean() < 0.4 * np.abs(drift).mean()
     walk = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0]], np.float32)
     assert carried_on(walk, 5)[3:].tolist() == [[1, 4, 0], [1, 6, 0]]

@@ -147,7 +147,7 @@ def walk_recipe(size: str) -> WalkRecipe:
         raise ValueError(f"the wire walker comes as {', '.join(WALKER_SIZES)}; '{size}' is of the vision transformer")
     network = WALKER_SIZES[size]
     fit = FitSettings(
-        epochs=14 if size == "desk" else 1, batch_size=8, optimiser="adamw", learning_rate=1.5e-3, weight_decay=0.02,
+        epochs=12 if size == "desk" else 1, batch_size=8, optimiser="adamw", learning_rate=2e-3, weight_decay=0.02,
         schedule="one_cycle", patience=0, clip=1.0,
     )  # fmt: skip
     return WalkRecipe(network, Preprocessing(network.image_px, PUBLIC_PX, line_px=13, gain=6.0, first_px=2), fit)

@@ -25,13 +25,16 @@ if TYPE_CHECKING:
 _START_MM = 5.0  # standard deviation of where wires enter the image that is worth a word
 _STEPPING, _STOPPING, _RESTING = 20.0, 10.0, 0.2  # weights: of steps, of having arrived, of what is left
 _MM_PER_CM = 10.0
+_FAR_CM = 2.0  # a curve that is farther off has lost the wire: how far says nothing
 _BEYOND = 8  # places beyond the tip that a true walk is carried on to
 _RETURN = (0.3, 0.3, 0.1)  # share of a walker's distance from the wire that the right step takes away; less in depth
 _LOST_MM = (8.0, 30.0)  # farther from the wire, aside and in depth, there is nothing to learn
 _BAND = 12  # steps by which a walker may be ahead of the true walk or behind it
-_DEPTH = 0.3  # weight of depth where the nearest place of the wire is looked for
+_DEPTH = 0.15  # weight of depth where the nearest place of the wire is looked for
 _ASIDE_MM, _DEPTH_MM = 1.0, 3.0  # largest standard deviations of errors put into true walks
 _MEMORY = (0.97, 0.97, 0.99)  # by which they are like those of the step before
+_TURNED = (0.12, 0.12, 0.4)  # largest standard deviations of errors of the heading: without them it is merely kept up
+_TURN_MEMORY = (0.8, 0.8, 0.95)
 
 
 class WalkObjective:
@@ -108,24 +111,26 @@ class WalkObjective:
         last = np.array([len(walk) - 1 for walk in walks])
         longest = int(last.max()) + 1 + _BEYOND
         points = np.stack([carried_on(walk, longest) for walk in walks])
-        errors = np.zeros_like(points)
+        errors, turns = np.zeros_like(points), np.zeros_like(points)
         if generator is not None:
             with_ = self.augmentation
             gains = np.exp(generator.uniform(-with_.gain, with_.gain, (len(items), 1, 1))).astype(np.float32)
             spread = generator.uniform(0, with_.noise, (len(items), 1, 1)).astype(np.float32)
             pictures = pictures * gains + spread * generator.standard_normal(pictures.shape, np.float32)
             pictures = np.clip(pictures, 0, 255)
-            errors = drifts(points.shape, generator)
+            errors = drifts(points.shape, (_ASIDE_MM, _ASIDE_MM, _DEPTH_MM), _MEMORY, generator)
+            turns = drifts(points.shape, _TURNED, _TURN_MEMORY, generator)
         return {
             "pictures": torch.from_numpy(pictures),
             "points": torch.from_numpy(points),
             "last": torch.from_numpy(last),
             "errors": torch.from_numpy(errors),
+            "turns": torch.from_numpy(turns),
             "own": torch.tensor(generator is None or generator.random() < self.own_walks),
         }
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
-        """Mean loss of a batch; of a module that is not being trained, the predicted curves' mean distance in cm."""
+        """Mean loss of a batch; in validation the mean distance of the predicted curves in cm, each at most 2."""
         walker = cast("WireWalker", getattr(module, "module", module))
         points, last, pictures = batch["points"], batch["last"], batch["pictures"]
         if not module.training:
@@ -141,7 +146,7 @@ class WalkObjective:
         else:
             places = points + batch["errors"]
             made = functional.normalize(places[:, 1:] - places[:, :-1], dim=-1)
-            headings = torch.cat((made[:, :1], made), dim=1)
+            headings = functional.normalize(torch.cat((made[:, :1], made), dim=1) + batch["turns"], dim=-1)
             seen = walker.look(walker.levels(pictures), places, headings)
         steps, stop = module(seen, headings)
         return self.compared(walker, places, headings, steps, stop, points, last).mean()
@@ -201,7 +206,7 @@ class WalkObjective:
 def _distance_cm(curve_mm: Tensor, true_mm: Tensor) -> Tensor:
     """Mean distance at equal numbers of steps from the tip, as far as both curves go."""
     count = min(len(curve_mm), len(true_mm))
-    return (curve_mm[:count] - true_mm[:count]).norm(dim=-1).mean() / _MM_PER_CM
+    return ((curve_mm[:count] - true_mm[:count]).norm(dim=-1).mean() / _MM_PER_CM).clamp(max=_FAR_CM)
 
 
 def carried_on(walk_mm: NDArray[np.float32], count: int) -> NDArray[np.float32]:
@@ -218,22 +223,25 @@ def carried_on(walk_mm: NDArray[np.float32], count: int) -> NDArray[np.float32]:
     return np.concatenate((walk_mm, walk_mm[-1] + more * (walk_mm[-1] - walk_mm[-2])))
 
 
-def drifts(shape: tuple[int, ...], generator: np.random.Generator) -> NDArray[np.float32]:
+def drifts(
+    shape: tuple[int, ...], largest: tuple[float, ...], memory: tuple[float, ...], generator: np.random.Generator
+) -> NDArray[np.float32]:
     """Errors that change slowly along walks, in the camera's frame.
 
     Args:
         shape: (n, k, 3).
+        largest: standard deviation along each axis; a walk has a tenth of it to all.
+        memory: by which an error is like that of the step before.
         generator: of chance.
 
     Returns:
-        (n, k, 3) mm.
+        (n, k, 3) in the unit of `largest`.
     """
-    memory = np.array(_MEMORY)
-    largest = np.array([_ASIDE_MM, _ASIDE_MM, _DEPTH_MM])
-    fresh = generator.standard_normal(shape) * np.sqrt(1.0 - memory**2)
+    kept = np.array(memory)
+    fresh = generator.standard_normal(shape) * np.sqrt(1.0 - kept**2)
     drift = np.empty(shape)
     now = generator.standard_normal((shape[0], 3))
     for place in range(shape[1]):
-        now = memory * now + fresh[:, place]
+        now = kept * now + fresh[:, place]
         drift[:, place] = now
-    return np.asarray(drift * largest * generator.uniform(0.1, 1.0, (shape[0], 1, 1)), np.float32)
+    return np.asarray(drift * np.array(largest) * generator.uniform(0.1, 1.0, (shape[0], 1, 1)), np.float32)
