@@ -28,8 +28,8 @@ _MM_PER_CM = 10.0
 _FAR_CM = 2.0  # a curve that is farther off has lost the wire: how far says nothing
 _BEYOND = 8  # places beyond the tip that a true walk is carried on to
 _RETURN = (0.3, 0.3, 0.1)  # share of a walker's distance from the wire that the right step takes away; less in depth
-_LOST_MM = (8.0, 30.0)  # farther from the wire, aside and in depth, there is nothing to learn
-_BAND = 12  # steps by which a walker may be ahead of the true walk or behind it
+_LOST_MM = (4.0, 15.0)  # farther from the wire, aside and in depth, there is nothing to learn
+_BAND = 16  # steps by which a walker may be ahead of the true walk or behind it
 _DEPTH = 0.15  # weight of depth where the nearest place of the wire is looked for
 _ASIDE_MM, _DEPTH_MM = 1.0, 3.0  # largest standard deviations of errors put into true walks
 _MEMORY = (0.97, 0.97, 0.99)  # by which they are like those of the step before
@@ -185,6 +185,7 @@ class WalkObjective:
         following = points.gather(1, (nearest + 1).clamp(max=count - 1)[..., None].expand(-1, -1, 3))
         away = there - places
         near = (away[..., :2].norm(dim=-1) < _LOST_MM[0]) & (away[..., 2].abs() < _LOST_MM[1])
+        near = near & ((nearest - order).abs() < _BAND)  # farther ahead or behind the nearest place is another
         near = near.cumprod(dim=1).bool()  # who was lost knows the way by chance only
         right = walker.step_mm * functional.normalize(following - there + points.new_tensor(_RETURN) * away, dim=-1)
         on_wire = near & (nearest < last[:, None])

@@ -18,7 +18,7 @@ FORMS = ("spherical", "cartesian")
 _SMALL = 1e-6
 _TURN = 0.3  # rad an output of 1 means
 _FAINT = 0.03  # contrast of a glimpse that is hardly more than noise
-_WAVES = (1.0, 2.0, 4.0)  # of the place's embedding
+_WAVES = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the place's embedding
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,12 @@ class WireWalker(nn.Module):
         samples = torch.cartesian_prod(along, aside)
         self.register_buffer("samples", samples, persistent=False)
         count = len(samples)
-        self.inputs = 2 * count + 9 + 6 * len(_WAVES)
-        self.encoder = nn.Sequential(
-            nn.Linear(self.inputs, size.width), nn.GELU(), nn.Linear(size.width, size.width), nn.GELU()
-        )
+        self.known = 7 + 6 * len(_WAVES)
+        self.inputs = 2 * count + 2 + self.known
+        # apart, or the many samples of the glimpses drown the few numbers that say where the walker is
+        self.glimpse_encoder = nn.Sequential(nn.Linear(self.inputs - self.known, size.width), nn.GELU())
+        self.place_encoder = nn.Sequential(nn.Linear(self.known, size.width), nn.GELU())
+        self.joint_encoder = nn.Sequential(nn.Linear(2 * size.width, size.width), nn.GELU())
         self.recurrent = nn.GRU(size.width, size.state, batch_first=True)
         joined = size.width + size.state
         columns = 2 if form == "spherical" else 3
@@ -126,9 +128,15 @@ class WireWalker(nn.Module):
         Returns:
             (n, k, 3) steps in mm, the camera's frame, and (n, k, 2) as `Walked.stop`.
         """
-        encoded = self.encoder(seen)
+        encoded = self._encoded(seen)
         states, _ = self.recurrent(encoded)
         return self._heads(encoded, states, headings)
+
+    def _encoded(self, seen: Tensor) -> Tensor:
+        glimpses, known = seen.split((self.inputs - self.known, self.known), dim=-1)
+        joined = torch.cat((self.glimpse_encoder(glimpses), self.place_encoder(known)), dim=-1)
+        result: Tensor = self.joint_encoder(joined)
+        return result
 
     def _heads(self, encoded: Tensor, states: Tensor, headings: Tensor) -> tuple[Tensor, Tensor]:
         joined = torch.cat((encoded, states), dim=-1)
@@ -197,7 +205,7 @@ class WireWalker(nn.Module):
         rows: list[tuple[Tensor, ...]] = []
         for _ in range(steps):
             seen = self.look(levels, place[:, None], heading[:, None])
-            encoded = self.encoder(seen)
+            encoded = self._encoded(seen)
             states, hidden = self.recurrent(encoded, hidden)
             step, stop = self._heads(encoded, states, heading[:, None])
             rows.append((place, heading, seen[:, 0], step[:, 0], stop[:, 0]))
