@@ -41,7 +41,7 @@ class ShapeSettings(NetworkSettings):
     """Settings of shape prediction."""
 
     name: str = "shape"
-    architecture: str = "auto"  # vit: the thesis's, walker: learns in minutes; auto: vit for thesis, else walker
+    architecture: str = "auto"  # vit: the thesis's; walker: learns in minutes; auto: vit for thesis or if pretrained
     pretrained: str | None = None  # weights of the vision transformer, under timm's or torchvision's names
 
     def __post_init__(self) -> None:

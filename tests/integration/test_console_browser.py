@@ -49,16 +49,27 @@ def restart(tab: Tab) -> None:
     wait_until(lambda: tab.frame()["state"] == "ready", 5)
 
 
+def stands_still(tab: Tab) -> float:
+    """Waits until the wire has not moved for 0.4 s: on a machine under load the last commands take a while to arrive."""
+    steps = tab.frame()["step"]
+
+    def still() -> bool:
+        before = tab.frame()["insertion_mm"]
+        time.sleep(0.4)
+        return abs(tab.frame()["insertion_mm"] - before) < 0.3
+
+    wait_until(still, 2.5)
+    assert tab.frame()["step"] > steps, "the wire stands still, not the clock"
+    return float(tab.frame()["insertion_mm"])
+
+
 def test_keys_move_the_wire_while_they_are_held(tab: Tab) -> None:
     restart(tab)
     assert tab.frame()["insertion_mm"] < 2
     tab.key("ArrowUp", down=True)
     wait_until(lambda: tab.frame()["insertion_mm"] > 15, 10)
     tab.key("ArrowUp", down=False)
-    time.sleep(0.4)
-    stopped = tab.frame()["insertion_mm"]
-    time.sleep(0.4)
-    assert tab.frame()["insertion_mm"] == pytest.approx(stopped, abs=0.3), "released, the wire stands still"
+    stopped = stands_still(tab)
     tab.key("ArrowDown", down=True)
     wait_until(lambda: tab.frame()["insertion_mm"] < stopped - 4, 5)
     tab.key("ArrowDown", down=False)
@@ -112,10 +123,7 @@ def test_a_gamepad_steers_and_lets_go_when_it_is_pulled_out(tab: Tab) -> None:
     })()""")
     assert tab.value("consoleStatistics.controls") == [0, 0]
     assert "gamepad was pulled out" in tab.value("document.getElementById('notice').textContent")
-    time.sleep(0.4)
-    stopped = tab.frame()["insertion_mm"]
-    time.sleep(0.4)
-    assert tab.frame()["insertion_mm"] == pytest.approx(stopped, abs=0.3)
+    stands_still(tab)
 
 
 def test_a_second_window_is_told_that_the_controls_are_taken(tab: Tab, address: str) -> None:

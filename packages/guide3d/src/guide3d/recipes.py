@@ -65,7 +65,7 @@ class WalkRecipe:
     preprocessing: Preprocessing
     fit: FitSettings
     step_mm: float = 1.7
-    own_walks: float = 0.35
+    own_walks: float = 0.3
     augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(gain=0.15, noise=4.0))
 
 
@@ -147,7 +147,7 @@ def walk_recipe(size: str) -> WalkRecipe:
         raise ValueError(f"the wire walker comes as {', '.join(WALKER_SIZES)}; '{size}' is of the vision transformer")
     network = WALKER_SIZES[size]
     fit = FitSettings(
-        epochs=12 if size == "desk" else 1, batch_size=8, optimiser="adamw", learning_rate=2e-3, weight_decay=0.02,
+        epochs=9 if size == "desk" else 1, batch_size=8, optimiser="adamw", learning_rate=2e-3, weight_decay=0.02,
         schedule="one_cycle", patience=0, clip=1.0,
     )  # fmt: skip
     return WalkRecipe(network, Preprocessing(network.image_px, PUBLIC_PX, line_px=13, gain=6.0, first_px=2), fit)

@@ -51,7 +51,7 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--size", choices=SIZES, default="desk")
     parser.add_argument(
         "--architecture", choices=("auto", *ARCHITECTURES), default="auto",
-        help="of the shape network; auto: vit (the thesis's) for thesis, walker for desk and smoke",
+        help="of the shape network; auto: vit (the thesis's) for thesis and with --pretrained, else walker",
     )  # fmt: skip
     parser.add_argument("--output", type=Path, required=True, help="folder of the network")
     parser.add_argument("--pictures", type=Path, help="folder that keeps prepared pictures")
@@ -96,7 +96,9 @@ def train(given: argparse.Namespace, progress: Callable[[FitProgress], None] | N
         form = "spherical" if angles_alone else given.network
         if given.pretrained is not None and form not in FORMS:
             raise ValueError("--pretrained fills the vision transformer of the shape network only")
-        architecture = architecture_of(given.size) if given.architecture == "auto" else given.architecture
+        architecture = given.architecture
+        if architecture == "auto":
+            architecture = architecture_of(given.size) if given.pretrained is None else "vit"
         walking = architecture == "walker" and given.network in FORMS
         if given.pretrained is not None and walking:
             raise ValueError("the wire walker has no vision transformer that --pretrained fills: --architecture vit")

@@ -18,6 +18,7 @@ FORMS = ("spherical", "cartesian")
 _SMALL = 1e-6
 _TURN = 0.3  # rad an output of 1 means
 _FAINT = 0.03  # contrast of a glimpse that is hardly more than noise
+_RARELY = -4.0  # logit of having arrived, at first
 _WAVES = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the place's embedding
 
 
@@ -106,10 +107,15 @@ class WireWalker(nn.Module):
         joined = size.width + size.state
         columns = 2 if form == "spherical" else 3
         self.step_head = nn.Sequential(nn.Linear(joined, size.width), nn.GELU(), nn.Linear(size.width, columns))
-        self.stop_head = nn.Sequential(nn.Linear(joined, size.width // 2), nn.GELU(), nn.Linear(size.width // 2, 2))
+        self.stop_head = nn.Sequential(
+            nn.Linear(joined + 2 * count + 2, size.width // 2), nn.GELU(), nn.Linear(size.width // 2, 2)
+        )
         for head in (self.step_head, self.stop_head):
             for weight in head[-1].parameters():
                 nn.init.zeros_(weight)
+        # few places are the tip
+        with torch.no_grad():
+            self.stop_head[-1].bias.copy_(torch.tensor([_RARELY, 0.0]))  # type: ignore[operator]
         for name, value in (
             ("intrinsics", torch.eye(3)), ("rotation", torch.eye(3)), ("translation_mm", torch.zeros(3)),
             ("start_mm", torch.zeros(3)), ("start_heading", torch.tensor([1.0, 0.0, 0.0])),
@@ -130,7 +136,7 @@ class WireWalker(nn.Module):
         """
         encoded = self._encoded(seen)
         states, _ = self.recurrent(encoded)
-        return self._heads(encoded, states, headings)
+        return self._heads(seen, encoded, states, headings)
 
     def _encoded(self, seen: Tensor) -> Tensor:
         glimpses, known = seen.split((self.inputs - self.known, self.known), dim=-1)
@@ -138,9 +144,12 @@ class WireWalker(nn.Module):
         result: Tensor = self.joint_encoder(joined)
         return result
 
-    def _heads(self, encoded: Tensor, states: Tensor, headings: Tensor) -> tuple[Tensor, Tensor]:
+    def _heads(self, seen: Tensor, encoded: Tensor, states: Tensor, headings: Tensor) -> tuple[Tensor, Tensor]:
         joined = torch.cat((encoded, states), dim=-1)
-        told, stop = self.step_head(joined).float(), self.stop_head(joined).float()
+        told = self.step_head(joined).float()
+        # The stop looks at the glimpses itself: what it learns first would spoil what steps are learnt from.
+        glimpses = seen[..., : self.inputs - self.known]
+        stop = self.stop_head(torch.cat((joined.detach(), glimpses), dim=-1)).float()
         if self.form == "cartesian":
             return self.step_mean + self.step_scale * told, stop
         # The frame moves with the heading: a wire that turns through the line of sight meets no pole.
@@ -207,7 +216,7 @@ class WireWalker(nn.Module):
             seen = self.look(levels, place[:, None], heading[:, None])
             encoded = self._encoded(seen)
             states, hidden = self.recurrent(encoded, hidden)
-            step, stop = self._heads(encoded, states, heading[:, None])
+            step, stop = self._heads(seen, encoded, states, heading[:, None])
             rows.append((place, heading, seen[:, 0], step[:, 0], stop[:, 0]))
             place = place + step[:, 0]
             heading = step[:, 0] / step[:, 0].norm(dim=-1, keepdim=True).clamp(min=_SMALL)
