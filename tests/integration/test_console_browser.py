@@ -50,7 +50,7 @@ def restart(tab: Tab) -> None:
 
 
 def stands_still(tab: Tab) -> float:
-    """Waits until the wire has not moved for 0.4 s: on a machine under load the last commands take a while to arrive."""
+    """Waits until the wire has not moved for 0.4 s: under load the last commands take a while to arrive."""
     steps = tab.frame()["step"]
 
     def still() -> bool:
