@@ -147,7 +147,7 @@ def onnx_difference(network: Network, path: Path | str, batch: int = 1, seed: in
         ModuleNotFoundError: onnxruntime is not installed.
     """
     _require("onnxruntime")
-    import onnxruntime  # type: ignore[import-untyped]
+    import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
