@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import StageError
 from pipeline.guide3d_folder import read_source
 from pipeline.job_worker import Report
+from pipeline.torchrun import train_together
 
 if TYPE_CHECKING:
     from guide3d.training import FitProgress
 
 PREDICTOR, TRAINING = "predictor.pt", "training.json"
-_SECONDS_BETWEEN_LOOKS = 1.0
 # What a trained network depends on: not the whole package, whose calibration and matching it never meets.
 CODE = tuple(
     f"guide3d.{name}"
@@ -96,7 +91,7 @@ def train_network(job: NetworkJob, report: Report) -> dict[str, Any]:
     if job.pretrained is not None:
         words += ["--pretrained", job.pretrained]
     if job.processes > 1:
-        _train_together(words, job.processes, report)
+        train_together("guide3d.train", words, job.processes, report)
         return dict(json.loads(told.read_text(encoding="utf-8")))
     from guide3d.train import arguments, train
 
@@ -105,23 +100,3 @@ def train_network(job: NetworkJob, report: Report) -> dict[str, Any]:
         report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
 
     return train(arguments(words), progress=tell)
-
-
-def _train_together(words: list[str], processes: int, report: Report) -> None:
-    """Starts torchrun; stopping it leaves the checkpoint of the last epoch."""
-    command = [
-        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes),
-        "-m", "guide3d.train", *words,
-    ]  # fmt: skip
-    running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ})
-    try:
-        while running.poll() is None:
-            time.sleep(_SECONDS_BETWEEN_LOOKS)
-            report(0.5, f"{processes} processes")
-    finally:
-        if running.poll() is None:
-            running.terminate()
-        errors = running.communicate()[1]
-    if running.returncode:
-        lines = [line for line in errors.splitlines() if line.strip()]
-        raise StageError(f"torchrun ended with code {running.returncode}: {lines[0] if lines else 'no word of why'}")

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.atomic import write_json
-from pipeline.errors import StageError
 from pipeline.guide3d_folder import open_dataset, read_source
 from pipeline.job_worker import Report
+from pipeline.torchrun import train_together
 
 if TYPE_CHECKING:
     from guide3d.dataset import Dataset
@@ -25,7 +22,6 @@ if TYPE_CHECKING:
 
 PRELOAD = ("splineformer.train", "splineformer.skeleton", "guide3d.predictor", "guide3d.segmentation_metrics")
 PREDICTOR, TRAINING, RECORD = "predictor.pt", "training.json", "variant.json"
-_SECONDS_BETWEEN_LOOKS = 1.0
 _BATCH = 8
 _TIMED = 5  # calls, after one that is not counted
 _KINDS_OF = 48  # test images whose kind is asked for, in each of the four forms
@@ -118,7 +114,7 @@ def _train(job: VariantJob, report: Report) -> dict[str, Any]:
     if job.tensorboard:
         words.append("--tensorboard")
     if job.processes > 1:
-        _train_together(words, job.processes, report)
+        train_together("splineformer.train", words, job.processes, report)
         return dict(json.loads(told.read_text(encoding="utf-8")))
     from splineformer.train import arguments, train_as_told
 
@@ -127,26 +123,6 @@ def _train(job: VariantJob, report: Report) -> dict[str, Any]:
         report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
 
     return train_as_told(arguments(words), progress=tell)
-
-
-def _train_together(words: list[str], processes: int, report: Report) -> None:
-    """Starts torchrun; stopping it leaves the checkpoint of the last epoch."""
-    command = [
-        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes),
-        "-m", "splineformer.train", *words,
-    ]  # fmt: skip
-    running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ})
-    try:
-        while running.poll() is None:
-            time.sleep(_SECONDS_BETWEEN_LOOKS)
-            report(0.5, f"{processes} processes")
-    finally:
-        if running.poll() is None:
-            running.terminate()
-        errors = running.communicate()[1]
-    if running.returncode:
-        lines = [line for line in errors.splitlines() if line.strip()]
-        raise StageError(f"torchrun ended with code {running.returncode}: {lines[0] if lines else 'no word of why'}")
 
 
 def speed(predictor: Predictor, data: Dataset) -> dict[str, float]:
