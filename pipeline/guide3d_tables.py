@@ -28,6 +28,19 @@ def composition_table(data: Dataset) -> dict[str, Any]:
     return rows
 
 
+def comparison_row(data: Dataset, *, simulated: bool) -> dict[str, Any]:
+    """The data set's row of the table that compares it with others'.
+
+    Args:
+        data: the data set.
+        simulated: whether it was generated here.
+    """
+    cells: dict[str, Any] = {"collection": "biplane X-ray", "type": "video", "frames": 2 * len(data.frames)}
+    if simulated:
+        cells |= {"source": "simulated phantom", "annotation": "automatic", "public": "generated from a seed"}
+    return {"both/guide3d": cells}
+
+
 def reconstruction_tables(records: Sequence[Record]) -> dict[str, Any]:
     """Reprojection along the wire, the ways beside each other, and the simulated validation where there is truth.
 

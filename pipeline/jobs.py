@@ -164,6 +164,9 @@ class _Pool:
         self._running: list[_Running] = []
         self._failures: dict[str, str] = {}
         # A forked copy of this process would inherit the lock, the log's file and the threads of libraries.
+        if multiprocessing.get_start_method(allow_none=True) not in (None, *multiprocessing.get_all_start_methods()):
+            # joblib's workers name a method of their own, which the processes they start do not know
+            multiprocessing.set_start_method("spawn", force=True)
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["pipeline.job_worker", *preload])
         with _ctrl_c_ignored():

@@ -21,7 +21,7 @@ CODE = tuple(
     for name in (
         "build", "dataset", "dataset_split", "frame", "losses", "masks", "metrics", "modeling", "model_file",
         "network_training", "picture_store", "polyline", "predictor", "preprocessing", "recipes",
-        "segmentation_metrics", "segmentation_samples", "shape_samples", "train", "training", "walk_samples",
+        "segmentation_metrics", "segmentation_samples", "shape_samples", "train", "training",
     )
 )  # fmt: skip
 
@@ -42,7 +42,6 @@ class NetworkJob:
         processes: that train together.
         device: of the training.
         pretrained: weights of a vision transformer.
-        architecture: of the shape network; None: the network has but one.
         test_images: that it is judged by; 0: all.
     """
 
@@ -57,7 +56,6 @@ class NetworkJob:
     processes: int = 1
     device: str = "auto"
     pretrained: str | None = None
-    architecture: str | None = None
     test_images: int = 0
 
 
@@ -86,8 +84,6 @@ def train_network(job: NetworkJob, report: Report) -> dict[str, Any]:
             words += [f"--{name}", str(path)]
     if job.epochs:
         words += ["--epochs", str(job.epochs)]
-    if job.architecture is not None:
-        words += ["--architecture", job.architecture]
     if job.pretrained is not None:
         words += ["--pretrained", job.pretrained]
     if job.processes > 1:

@@ -41,13 +41,11 @@ class ShapeSettings(NetworkSettings):
     """Settings of shape prediction."""
 
     name: str = "shape"
-    architecture: str = "auto"  # vit: the thesis's; walker: learns in minutes; auto: vit for thesis or if pretrained
     pretrained: str | None = None  # weights of the vision transformer, under timm's or torchvision's names
 
     def __post_init__(self) -> None:
         """Checks the rows."""
         super().__post_init__()
-        require_choice("stage.architecture", self.architecture, ("auto", "vit", "walker"))
         for row in self.rows:
             require_choice("stage.rows", row, SHAPE_ROWS)
 

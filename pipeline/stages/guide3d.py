@@ -15,7 +15,7 @@ from pipeline.guide3d_own import own_source
 from pipeline.guide3d_plan import Acquisition, plan_acquisitions
 from pipeline.guide3d_reconstruction import ReconstructionJob, Record, gather, reconstruct_pairs
 from pipeline.guide3d_settings import Guide3dSettings
-from pipeline.guide3d_tables import composition_table, reconstruction_tables
+from pipeline.guide3d_tables import comparison_row, composition_table, reconstruction_tables
 from pipeline.guide3d_wire import targets_of
 from pipeline.jobs import Job, run_jobs
 from pipeline.report.results import write_figures, write_results
@@ -57,7 +57,10 @@ def run_guide3d(settings: Guide3dSettings, context: StageContext) -> None:
     source = _generated(settings, context) if settings.root is None else own_source(settings, context.path)
     source.write(context.path)
     data = source.open(context.path)
-    tables = {"guide3d_composition": composition_table(data)}
+    tables = {
+        "guide3d_composition": composition_table(data),
+        "datasets": comparison_row(data, simulated=settings.root is None),
+    }
     records: list[Record] = []
     if data.camera_a is None:
         _LOGGER.warning("no camera files: nothing is reconstructed; give their folder by guide3d.calibration=PATH")

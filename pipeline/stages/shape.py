@@ -61,7 +61,6 @@ def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
                 processes=settings.processes,
                 device=settings.device,
                 pretrained=None if row == "fgrn" else settings.pretrained,
-                architecture=None if row == "fgrn" else settings.architecture,
             ),
             weight=0.2 if row == "fgrn" else 1.0,
         )

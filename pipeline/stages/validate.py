@@ -7,6 +7,7 @@ import logging
 import subprocess
 import sys
 import time
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,7 @@ def run_validate(settings: ValidateSettings, context: StageContext) -> None:
     """
     episodes = read_forces(context.inputs["expert"])
     tables = validate_forces(episodes, settings, context.path, seed=context.seed)
+    tables["simulators"] = simulator_row(settings.phantom)
     tables["training_speed_fps"] = speed_rows(settings, seed=context.seed)
     if settings.physics:
         tables["wire_physics"] = physics_rows()
@@ -130,6 +132,28 @@ def pushed_forces(phantom: str, steps: int, *, seed: int) -> np.ndarray:
         if terminated or truncated or (step + 1) % _FORWARD_STEPS == 0:
             environment.reset()
     return np.array(forces)
+
+
+def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
+    """The simulator's row of the table that compares it with others', as it runs here.
+
+    Args:
+        phantom: that is simulated.
+    """
+    from cathsim import NavigateEnv
+
+    environment = NavigateEnv(phantom, observation="tip", contact_info=False)
+    links = len(environment.simulation.wire.links)
+    environment.close()
+    return {
+        "cathsim": {
+            "engine": f"MuJoCo {metadata.version('mujoco')}, contact from a distance grid",
+            "catheter": "no",
+            "guidewire": f"discretised, {links} links, rod's stiffness",
+            "aorta": "3-D artery, generated or imported",
+            "open_source": "yes",
+        }
+    }
 
 
 def speed_rows(settings: ValidateSettings, *, seed: int) -> dict[str, dict[str, Any]]:

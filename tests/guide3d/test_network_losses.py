@@ -36,6 +36,23 @@ def test_shape_loss_weighs_its_parts_and_ignores_padding() -> None:
     assert loss(right, moved, offsets, last) == pytest.approx(4.0, abs=1e-3)
 
 
+def test_robust_shape_loss_counts_distances_from_the_entry_on() -> None:
+    torch.manual_seed(0)
+    points, last = 10 * torch.randn(2, 6, 3), torch.tensor([5, 3])
+    offsets = torch.zeros(2, 5, 2)
+    logits = torch.full((2, 6), -40.0)
+    logits[torch.arange(2), last] = 40.0
+    tips = points[torch.arange(2), last]
+    loss = ShapeLoss(tip=1.0, offset=0.0, stop=0.0, curve=2.0, length=0.5, robust=True)
+    right = PredictedShapes(tips, offsets, points, logits)
+    assert loss(right, points, offsets, last, "entry") == pytest.approx(0.0, abs=1e-4)
+    far = PredictedShapes(tips + torch.tensor([0.0, 400.0, 0.0]), offsets, points, logits)
+    assert loss(far, points, offsets, last, "entry") == pytest.approx(40.0 - 0.1, abs=1e-2)  # cm, less what is near
+    assert loss(far, points, offsets, last, "tip")[0] > 1.0  # the first point is no tip here
+    flat = PredictedShapes(tips, offsets, points, torch.zeros(2, 6))
+    assert loss(flat, points, offsets, last, "entry").tolist() == pytest.approx([0.5 * 2.5, 0.5 * 0.5])
+
+
 def test_stop_loss_is_binary_cross_entropy_over_positions() -> None:
     logits, last = torch.zeros(1, 4), torch.tensor([1])
     assert stop_loss(logits, last)[0] == pytest.approx(-math.log(0.25) - 3 * math.log(0.75))

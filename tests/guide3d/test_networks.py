@@ -19,6 +19,7 @@ from guide3d.build import (
     described,
     rebuilt,
 )
+from guide3d.modeling.shape_network import closed, expected_position
 from guide3d.modeling.spherical import SphericalForm
 from guide3d.modeling.swin_transformer import SwinBlock, SwinTransformer
 from guide3d.modeling.swinunet import SwinUnet
@@ -83,22 +84,41 @@ def test_a_segmenter_gives_a_logit_a_pixel(name: str, size: str) -> None:
     assert all(weight.grad is not None for weight in network.parameters())
 
 
+@pytest.mark.parametrize("anchor", ["tip", "entry"])
 @pytest.mark.parametrize("form", [FORM, None])
-def test_shape_network_tells_a_curve_a_window(form: SphericalForm | None) -> None:
-    network = build_shape_network(SHAPE_SIZES["smoke"], form, 20).eval()
+def test_shape_network_tells_a_curve_a_window(form: SphericalForm | None, anchor: str) -> None:
+    network = build_shape_network(dataclasses.replace(SHAPE_SIZES["smoke"], anchor=anchor), form, 20).eval()
     clips = 255 * torch.rand(2, 6, 64, 64)
     shapes = network(clips)
     assert shapes.points_mm.shape == (8, 20, 3)
     assert shapes.stop_logits.shape == (8, 20)
-    assert torch.equal(shapes.points_mm[:, 0], shapes.tip_mm)
+    if anchor == "tip":
+        assert torch.equal(shapes.points_mm[:, 0], shapes.tip_mm)
     # a window of a clip is seen as if it were alone
     alone = network(clips[1:, 2:5])
     assert torch.allclose(alone.points_mm[0], shapes.points_mm[6], atol=1e-4)
-    if form is not None:
+    ends = network.ends(shapes.stop_logits)
+    curves = network.curves(clips[:, :3])
+    assert [len(curve) for curve in curves] == (ends[[0, 4]] + 1).tolist()
+    if form is not None and anchor == "tip":
         steps = shapes.points_mm.diff(dim=1).norm(dim=-1)
         assert torch.allclose(steps, torch.full_like(steps, 1.7), atol=1e-4)
+    elif form is not None:  # led to the tip, wherever the curve is known to end
+        known = torch.full((8,), 12)
+        assert torch.allclose(network(clips, known).points_mm[:, 12], shapes.tip_mm, atol=1e-3)
+        assert torch.allclose(curves[0][0], shapes.tip_mm[0], atol=1e-3)
     with pytest.raises(ValueError, match="at least 3 frames, got 2"):
         network(clips[:, :2])
+
+
+def test_a_curve_is_led_to_its_tip_by_shares_of_its_length() -> None:
+    line = torch.zeros(2, 5, 3)
+    line[..., 0] = torch.arange(5.0)
+    tips = torch.tensor([[4.0, 2.0, 0.0], [3.0, 0.0, 0.0]])
+    led = closed(line, tips, torch.tensor([4, 3]))
+    assert led[0, :, 1].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+    assert torch.equal(led[1], line[1])
+    assert expected_position(torch.log(torch.tensor([[0.25, 0.25, 0.5]]))).item() == pytest.approx(1.25)
 
 
 def test_a_network_is_rebuilt_from_what_is_kept_of_it() -> None:
@@ -128,6 +148,10 @@ def test_sizes_that_do_not_fit_are_refused() -> None:
         build_segmenter("vnet", 64)
     with pytest.raises(ValueError, match="unknown pooling 'mean'"):
         build_shape_network(dataclasses.replace(SHAPE_SIZES["smoke"], pooling="mean"), FORM, 5)
+    with pytest.raises(ValueError, match="unknown anchor 'middle'; there are tip, entry"):
+        build_shape_network(dataclasses.replace(SHAPE_SIZES["smoke"], anchor="middle"), FORM, 5)
+    with pytest.raises(ValueError, match="offsets from step to step begin at the tip"):
+        build_shape_network(SHAPE_SIZES["smoke"], dataclasses.replace(FORM, cumulative=True), 5)
     with pytest.raises(ValueError, match="expected images of 64 x 64 px"):
         build_segmenter("swinunet", 64, **SEGMENTER_SIZES["swinunet"]["smoke"])(torch.zeros(1, 1, 32, 32))
     assert set(SHAPE_SIZES) == set(FGRN_SIZES) == set(SIZES)

@@ -10,15 +10,24 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from enn.fitting import FitSettings
+from guide3d.build import SEGMENTER_SIZES, SHAPE_SIZES, build_shape_network
+from guide3d.modeling.spherical import SphericalForm
+from guide3d.predictor import SegmentationPredictor, ShapePredictor, built
+from guide3d.preprocessing import Preprocessing
 from pipeline.report.learning_tables import tables_from_logs
+from tests.guide3d.drawn_data import draw
 from tests.pipeline.small_expert import write_expert
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NOTEBOOK = DOCS / "tutorial.ipynb"
-PAGES = ("pipeline.md", "viewers.md", "guide3d.md", "splineformer.md", "enn.md")
+PAGES = (
+    "pipeline.md", "viewers.md", "guide3d.md", "guide3d_dataset.md", "guide3d_reconstruction.md", "guide3d_networks.md",
+    "splineformer.md", "navigation.md", "enn.md",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -99,16 +108,29 @@ def quick(block: str, used: set[str]) -> str:
     return block
 
 
+def write_networks(run: Path) -> None:
+    """A data set, a shape network and a segmentation network, as stages leave them; nothing was learnt."""
+    draw(run / "guide3d" / "dataset")
+    size, seen = SHAPE_SIZES["smoke"], Preprocessing(64, 128, line_px=7)
+    form = SphericalForm(1.7, ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)), 0.0, 1.5708)
+    ShapePredictor.of(build_shape_network(size, form, 12), size, seen).save(run / "shape/spherical/predictor.pt")
+    told = {"name": "unet", "crop_px": 64, "sizes": SEGMENTER_SIZES["unet"]["smoke"]}
+    segmenter = SegmentationPredictor(built(told), told, Preprocessing(64, 128), {})
+    segmenter.save(run / "segmentation/unet/predictor.pt")
+
+
 def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     monkeypatch.chdir(tmp_path)
     results: dict[str, dict[str, Any]] = {}
     used: set[str] = set()
     write_expert(Path("runs/desk/enn"), episodes=0)
+    write_networks(Path("runs/desk"))
+    frames = {f"frame{k}": np.full((128, 128), 150, np.uint8) for k in range(3)}
     for page in (*PAGES, "../README.md", "../packages/enn/README.md"):  # the first records a log, which the others read
         blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
         assert blocks, page
-        results[page] = {"__name__": page, "FitSettings": FitSettings}
+        results[page] = {"__name__": page, "FitSettings": FitSettings, **frames}
         for block in blocks:
             if "pipeline.episodes.rerun" in block:
                 try:
@@ -124,5 +146,7 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
     assert results["enn.md"]["own"].keys == ("offset", "shape", "feeder")
     assert results["enn.md"]["student"].keys == ("image",)
     assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]
+    assert results["guide3d_networks.md"]["mask"].shape == (128, 128)
+    assert results["guide3d_dataset.md"]["small"].shape == (24, 256, 256)
     assert results["guide3d.md"]["P"].shape == (3, 4)
     assert results["guide3d.md"]["mask"].shape == results["guide3d.md"]["image"].shape

@@ -52,6 +52,8 @@ def run_own(root: Path, tmp_path: Path, **changed) -> Path:
 def test_a_generated_run_leaves_data_curves_tables_and_figures(generated: Path) -> None:
     results = json.loads((generated / "results.json").read_text())
     assert results["guide3d_composition"]["total"] == {"with_fluid": 4, "without_fluid": 4, "total": 8}
+    row = results["datasets"]["both/guide3d"]
+    assert (row["frames"], row["source"]) == (8, "simulated phantom")
     assert set(results["guide3d_reprojection_px"]) == {"camera_a", "camera_b"}
     assert set(results["guide3d_simulated_validation_mm"]) == {"max_ed", "mete", "mers"}
     assert set(results["guide3d_simulated_ways_mm"]) == {"global", "greedy", "global, clicks", "greedy, clicks"}
@@ -89,7 +91,9 @@ def test_annotations_alone_will_do(own: Path, tmp_path: Path) -> None:
     (own / "sphere.json").unlink()
     folder = run_own(own / "raw.json", tmp_path)
     results = json.loads((folder / "results.json").read_text())
-    assert set(results) == {"guide3d_composition"}
+    assert set(results) == {"guide3d_composition", "datasets"}
+    # where one's own images come from is not known here
+    assert set(results["datasets"]["both/guide3d"]) == {"collection", "type", "frames"}
     assert json.loads((folder / "figures.json").read_text()) == []
     assert reconstructed_curves(folder, open_dataset(folder)) == {}
 

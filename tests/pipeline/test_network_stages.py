@@ -101,10 +101,6 @@ def test_weights_that_are_not_there_are_named(run: Path, tmp_path: Path) -> None
         (lambda: ShapeSettings(rows=["unet"]), "stage.rows has no 'unet': choose from spherical, cartesian"),
         (lambda: ShapeSettings(rows=[]), "stage.rows is empty"),
         (
-            lambda: ShapeSettings(rows=["spherical"], architecture="cnn"),
-            "stage.architecture has no 'cnn': choose from auto, vit, walker",
-        ),
-        (
             lambda: ShapeSettings(rows=["fgrn"], size="huge"),
             "stage.size has no 'huge': choose from thesis, desk, smoke",
         ),

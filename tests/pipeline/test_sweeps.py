@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from pathlib import Path
 
 import pytest
 from hydra.errors import MissingConfigException
@@ -10,6 +12,7 @@ from hydra.errors import MissingConfigException
 from pipeline.execution import variant_of
 from pipeline.explain import one_line
 from pipeline.provenance import PROJECT_ROOT
+from tests.conftest import PipelineProcess
 
 
 @pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local", "ray"])
@@ -27,6 +30,37 @@ def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
         assert json.loads((folder / "manifest.json").read_text())["seed"] == seed
         assert (folder / "index.html").is_file()
     assert not [name for name in ("outputs", "multirun", ".submitit") if (PROJECT_ROOT / name).exists()]
+
+
+@pytest.fixture(scope="module")
+def expert_run(tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) -> PipelineProcess:
+    """A run with the episodes that learning reads, of one arch and one target."""
+    process = PipelineProcess(tmp_path_factory.mktemp("sweep"), {**os.environ, "CATHSIM_CACHE": str(anatomy_cache)})
+    process.environment["HOME"] = str(process.folder)  # Ray keeps a token of its own there
+    for stage in (
+        ["stage=phantoms", "stage.phantoms=[type_1]"],
+        ["stage=expert", "stage.phantoms=[type_1]", "stage.targets=[bca]", "stage.episodes=1"],
+    ):
+        done = process.run(*stage, "budget=smoke", "name=sweep")
+        assert done.returncode == 0, done.stderr
+    return process
+
+
+@pytest.mark.parametrize("launcher", ["joblib", "ray"])
+def test_two_workers_learn_beside_each_other(launcher: str, expert_run: PipelineProcess) -> None:
+    if launcher == "ray":
+        pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="Ray's launcher is not installed: make ray")
+    seeds = {"joblib": (0, 1), "ray": (2, 3)}[launcher]
+    workers = {"joblib": "hydra.launcher.n_jobs=2", "ray": "+hydra.launcher.ray.init.num_cpus=2"}[launcher]
+    done = expert_run.run(
+        "-m", "stage=enn", "budget=smoke", "name=sweep", f"seed={','.join(map(str, seeds))}", "phantom.name=type_1",
+        "target=bca", "modality=I", "stage.workers=1", f"hydra/launcher={launcher}", workers, timeout_s=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for seed in seeds:
+        (folder,) = (expert_run.runs / "sweep").glob(f"enn@*seed={seed},*")
+        assert list(folder.rglob("policy.pt"))
+        assert json.loads((folder / "manifest.json").read_text())["seed"] == seed
 
 
 def test_ray_where_it_is_not_installed_is_one_sentence() -> None:

@@ -188,6 +188,7 @@ def test_stage_writes_tables_and_figures(tmp_path: Path, anatomy_cache: Path, mo
     speed = {name: row["value"] for name, row in tables["training_speed_fps"].items()}
     assert speed["min"] == min(speed.values()) <= speed["internal"] <= speed["max"] == max(speed.values())
     assert speed["min"] > 1
+    assert tables["simulators"]["cathsim"]["engine"].startswith("MuJoCo ")
     assert tables["wire_physics"] == {"elastica": {"worst_error_pct": 0.4}}
     assert [figure.file for figure in read_figures(folder)] == [
         "distribution.png", "boxes.png", "heat/type_1.png", "heat/type_2.png"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from torch.nn import functional
 
 from enn.egocentric import VIEW_SIZE, EgocentricView, without_wire
 from enn.lumen_segmentation import LumenSegmenter
+from enn.model_file import another_architecture, read_model, write_model
 
 FORMAT = "enn-image-student-1"
 IMAGE_KEYS = ("image", "mask", "goal_image")  # all that the student sees
@@ -234,7 +234,6 @@ class ImageStudent:
 
     def save(self, path: Path | str) -> None:
         """Writes settings and weights into one file, atomically."""
-        path = Path(path)
         content = {
             "format": FORMAT,
             "settings": asdict(self.settings),
@@ -244,34 +243,24 @@ class ImageStudent:
                 "weights": self.segmenter.state_dict(),
             },
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        torch.save(content, temporary)
-        os.replace(temporary, path)
+        write_model(Path(path), content)
 
     @classmethod
     def load(cls, path: Path | str) -> ImageStudent:
         """Reads a student.
 
         Raises:
+            FileNotFoundError: there is no such file.
             ValueError: the file is damaged, holds something else, or is of another architecture.
         """
-        try:
-            content = torch.load(Path(path), map_location="cpu", weights_only=True)
-        except FileNotFoundError:
-            raise
-        except Exception as error:
-            raise ValueError(f"{path} is damaged or no student ({type(error).__name__}): train it again") from error
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise ValueError(f"{path} is no student of format {FORMAT}")
+        content = read_model(Path(path), FORMAT, kind="student", verb="train")
         try:
             segmenter = LumenSegmenter(*content["segmenter"]["settings"])
             segmenter.load_state_dict(content["segmenter"]["weights"])
             student = cls(StudentSettings(**content["settings"]), segmenter)
             student.network.load_state_dict(content["weights"])
         except (RuntimeError, TypeError, KeyError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise ValueError(f"{path} is of another architecture than this version builds ({reason})") from error
+            raise another_architecture(Path(path), error, verb="train") from error
         segmenter.eval()
         student.network.eval()
         return student

@@ -17,7 +17,6 @@ from guide3d.modeling.swinunet import SwinUnet
 from guide3d.modeling.transunet import TransUnet
 from guide3d.modeling.unet import UNet
 from guide3d.modeling.vision_transformer import VisionTransformer
-from guide3d.modeling.wire_walker import WalkerSize, WireWalker
 
 SIZES = ("thesis", "desk", "smoke")
 SEGMENTERS = ("unet", "transunet", "swinunet")
@@ -25,7 +24,10 @@ SEGMENTERS = ("unet", "transunet", "swinunet")
 
 @dataclass(frozen=True)
 class ShapeSize:
-    """Sizes of the shape network; `thesis` is ViT-B/16 and what the thesis says of the rest."""
+    """Sizes of the shape network; `thesis` is ViT-B/16 and what the thesis says of the rest.
+
+    `kept`: numbers that pooling "tokens" keeps of each token; `anchor`: see `modeling.shape_network.ANCHORS`.
+    """
 
     image_px: int = 224
     patch_px: int = 16
@@ -35,6 +37,8 @@ class ShapeSize:
     hidden: int = 3072
     stem: tuple[int, ...] = ()
     pooling: str = "class"
+    kept: int = 0
+    anchor: str = "tip"
     features: int = 512
     state: int = 512
     head: int = 256
@@ -45,19 +49,14 @@ class ShapeSize:
 SHAPE_SIZES: dict[str, ShapeSize] = {
     "thesis": ShapeSize(),
     "desk": ShapeSize(
-        image_px=128, width=96, depth=2, heads=4, hidden=192, stem=(16, 24, 32, 64), pooling="tokens", features=256,
-        state=256, head=256, dropout=0.0,
+        image_px=128, width=96, depth=2, heads=4, hidden=192, stem=(16, 24, 32, 64), pooling="tokens", kept=24,
+        anchor="entry", features=512, state=256, head=256, dropout=0.0,
     ),
     "smoke": ShapeSize(
-        image_px=64, width=32, depth=1, heads=2, hidden=64, stem=(8, 8, 16, 16), pooling="tokens", features=32,
-        state=32, head=32,
+        image_px=64, width=32, depth=1, heads=2, hidden=64, stem=(8, 8, 16, 16), pooling="tokens", kept=8,
+        anchor="entry", features=32, state=32, head=32,
     ),
 }  # fmt: skip
-
-WALKER_SIZES: dict[str, WalkerSize] = {
-    "desk": WalkerSize(),
-    "smoke": WalkerSize(image_px=128, ahead_px=(4, 8), aside_px=6, width=32, state=32),
-}
 
 FGRN_SIZES: dict[str, dict[str, Any]] = {
     "thesis": {"image_px": 80, "filters": (32, 64, 128), "hidden": (256, 128), "dropout": 0.3},
@@ -110,10 +109,10 @@ def build_shape_network(
     )  # fmt: skip
     if pretrained is not None:
         load_pretrained(transformer, pretrained)
-    features = ImageFeatures(transformer, size.width, size.features, size.pooling, size.dropout)
+    features = ImageFeatures(transformer, size.width, size.features, size.pooling, size.dropout, size.kept)
     return ShapeNetwork(
         features, form, positions=positions, size=size.features, frames=size.frames, state=size.state,
-        hidden=size.head, dropout=size.dropout,
+        hidden=size.head, dropout=size.dropout, anchor=size.anchor,
     )  # fmt: skip
 
 
@@ -142,20 +141,8 @@ def described(size: ShapeSize, form: SphericalForm | None, positions: int) -> di
     return {"size": asdict(size), "form": None if form is None else asdict(form), "positions": positions}
 
 
-def described_walker(network: WireWalker) -> dict[str, Any]:
-    """What a model file keeps to build a wire walker again: see `rebuilt`."""
-    return {
-        "walker": asdict(network.size), "form": network.form, "positions": network.positions,
-        "step_mm": network.step_mm, "source_px": network.source_px,
-    }  # fmt: skip
-
-
-def rebuilt(told: Mapping[str, Any]) -> ShapeNetwork | WireWalker:
-    """Builds a shape network from what `described` or `described_walker` told."""
-    if "walker" in told:
-        size = WalkerSize(**told["walker"])
-        rest = {name: told[name] for name in ("positions", "step_mm", "source_px")}
-        return WireWalker(size, told["form"], **rest)
+def rebuilt(told: Mapping[str, Any]) -> ShapeNetwork:
+    """Builds a shape network from what `described` told."""
     form = None if told["form"] is None else SphericalForm(**told["form"])
     return build_shape_network(ShapeSize(**told["size"]), form, told["positions"])
 

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from guide3d.modeling.shape_network import PredictedShapes
+from guide3d.modeling.shape_network import PredictedShapes, expected_position
 
 _SMALLEST = 1e-6
+_NEAR_CM2 = 0.01  # below, a robust distance falls like its square
 _MM_PER_CM, _MM_PER_M = 10.0, 1000.0
 
 
@@ -23,21 +24,28 @@ class ShapeLoss:
         offset: of the offsets' mean squared error; Cartesian offsets are points, in cm.
         stop: of the binary cross-entropy of each position's stop.
         curve: of the mean squared distance of the decoded curve from the true one; 0 as in the thesis.
+        length: of the distance of the mean stop from the true one, in positions; likewise.
+        robust: whether tip and curve count by their distance, not its square: one lost loop must not drown the rest.
     """
 
     tip: float = 1.0
     offset: float = 1.0
     stop: float = 1.0
     curve: float = 0.0
+    length: float = 0.0
+    robust: bool = False
 
-    def __call__(self, predicted: PredictedShapes, points_mm: Tensor, offsets: Tensor, last: Tensor) -> Tensor:
+    def __call__(
+        self, predicted: PredictedShapes, points_mm: Tensor, offsets: Tensor, last: Tensor, anchor: str = "tip"
+    ) -> Tensor:
         """Compares predicted with true curves.
 
         Args:
             predicted: n of them.
-            points_mm: (n, M, 3), padded.
+            points_mm: (n, M, 3) from the anchor on, padded.
             offsets: (n, M - 1, 2 or 3), padded likewise.
             last: (n,) index of each curve's last point.
+            anchor: of `modeling.shape_network.ANCHORS`: the first point is the tip, or the last.
 
         Returns:
             (n,) a loss a curve.
@@ -46,13 +54,19 @@ class ShapeLoss:
         inside = (positions <= last[:, None]).float()
         steps = inside[:, 1:]
         cm = 1.0 if predicted.offsets.shape[-1] == 2 else 1.0 / _MM_PER_CM
-        tip = ((predicted.tip_mm - points_mm[:, 0]) / _MM_PER_CM).square().sum(-1)
+        tips = points_mm[:, 0] if anchor == "tip" else points_mm[torch.arange(len(last), device=last.device), last]
+        tip = self._counted(((predicted.tip_mm - tips) / _MM_PER_CM).square().sum(-1))
         offset = (cm * (predicted.offsets - offsets)).square().sum(-1)
         total = self.tip * tip + self.offset * (offset * steps).sum(1) / steps.sum(1)
         if self.curve:
-            apart = ((predicted.points_mm - points_mm) / _MM_PER_CM).square().sum(-1)
+            apart = self._counted(((predicted.points_mm - points_mm) / _MM_PER_CM).square().sum(-1))
             total = total + self.curve * (apart * inside).sum(1) / inside.sum(1)
+        if self.length:
+            total = total + self.length * (expected_position(predicted.stop_logits) - last).abs()
         return total + self.stop * stop_loss(predicted.stop_logits, last)
+
+    def _counted(self, squared_cm2: Tensor) -> Tensor:
+        return (squared_cm2 + _NEAR_CM2).sqrt() - _NEAR_CM2**0.5 if self.robust else squared_cm2
 
 
 def stop_loss(logits: Tensor, last: Tensor) -> Tensor:

@@ -13,16 +13,14 @@ import torch
 from guide3d.build import build_fgrn, build_shape_network
 from guide3d.distributed import Ranks
 from guide3d.modeling.spherical import SphericalForm
-from guide3d.modeling.wire_walker import WireWalker
 from guide3d.picture_store import PictureStore
 from guide3d.polyline import Array
 from guide3d.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
 from guide3d.preprocessing import Preprocessing
-from guide3d.recipes import FORMS, FGRNRecipe, SegmentationRecipe, ShapeRecipe, WalkRecipe
+from guide3d.recipes import FORMS, FGRNRecipe, SegmentationRecipe, ShapeRecipe
 from guide3d.segmentation_samples import CAMERAS, SegmentationObjective, images_of
 from guide3d.shape_samples import CAMERA, Clips, ShapeObjective, clips_of, walks_of
 from guide3d.training import FitProgress, FitReport, fit
-from guide3d.walk_samples import WalkObjective
 
 if TYPE_CHECKING:
     from guide3d.dataset import Dataset
@@ -78,6 +76,7 @@ def train_shape(
     objective = ShapeObjective(
         PictureStore(data.frames, CAMERA, recipe.preprocessing, pictures), clips, training, walks, positions,
         form=spherical, loss=recipe.loss, camera=data.camera_a, augmentation=recipe.augmentation,
+        anchor=recipe.size.anchor,
     )  # fmt: skip
     torch.manual_seed(seed)
     network = build_shape_network(recipe.size, spherical, positions, pretrained=pretrained)
@@ -85,41 +84,6 @@ def train_shape(
     report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
     told = {"form": form, "training_frames": len(learnt), "best_epoch": report.best_epoch, "step_mm": recipe.step_mm}
     return ShapePredictor.of(network, recipe.size, recipe.preprocessing, **told), report
-
-
-def train_walker(
-    data: Dataset,
-    split: Split,
-    recipe: WalkRecipe,
-    form: str,
-    *,
-    folder: Path,
-    pictures: Path | None = None,
-    seed: int = 0,
-    ranks: Ranks | None = None,
-    progress: Progress | None = None,
-) -> tuple[ShapePredictor, FitReport]:
-    """Trains the wire walker; arguments and result as those of `train_shape`.
-
-    Raises:
-        ValueError: an unknown form, or a data set without camera A or curves in space.
-    """
-    if data.camera_a is None:
-        raise ValueError(f"{data.root}: the wire walker needs camera A's file, to know where in the image it is")
-    recipe = replace(recipe, preprocessing=_fitting(recipe.preprocessing, data))
-    walks = walks_of(data, recipe.step_mm)
-    clips, training = _clips(data, split, walks, 1, 1)
-    objective = WalkObjective(
-        PictureStore(data.frames, CAMERA, recipe.preprocessing, pictures), clips, training, walks, data.camera_a,
-        augmentation=recipe.augmentation, own_walks=recipe.own_walks,
-    )  # fmt: skip
-    torch.manual_seed(seed)
-    positions, source_px = objective.positions, recipe.preprocessing.source_px
-    network = WireWalker(recipe.size, form, positions=positions, step_mm=recipe.step_mm, source_px=source_px)
-    _fill(network, objective.statistics())
-    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
-    told = {"form": form, "training_frames": training, "best_epoch": report.best_epoch, "step_mm": recipe.step_mm}
-    return ShapePredictor.of_walker(network, recipe.preprocessing, **told), report
 
 
 def train_fgrn(

@@ -12,11 +12,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from guide3d.build import build_fgrn, build_segmenter, described, described_walker, rebuilt
+from guide3d.build import build_fgrn, build_segmenter, described, rebuilt
 from guide3d.model_file import read_model, write_model
 from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.shape_network import ShapeNetwork
-from guide3d.modeling.wire_walker import WireWalker
 from guide3d.polyline import Array
 from guide3d.preprocessing import Preprocessing
 
@@ -30,7 +29,7 @@ class ShapePredictor:
 
     def __init__(
         self,
-        network: ShapeNetwork | WireWalker,
+        network: ShapeNetwork,
         size: dict[str, Any],
         preprocessing: Preprocessing,
         metadata: dict[str, Any],
@@ -105,11 +104,6 @@ class ShapePredictor:
     def of(cls, network: ShapeNetwork, size: Any, preprocessing: Preprocessing, **metadata: Any) -> ShapePredictor:
         """The predictor of a network just trained; `size` is its `build.ShapeSize`."""
         return cls(network, described(size, network.form, network.positions), preprocessing, metadata)
-
-    @classmethod
-    def of_walker(cls, network: WireWalker, preprocessing: Preprocessing, **metadata: Any) -> ShapePredictor:
-        """The predictor of a wire walker just trained."""
-        return cls(network, described_walker(network), preprocessing, metadata)
 
 
 class FGRNPredictor:

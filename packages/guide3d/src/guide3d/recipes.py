@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from guide3d.build import FGRN_SIZES, SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, SIZES, WALKER_SIZES, ShapeSize
+from guide3d.build import FGRN_SIZES, SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, SIZES, ShapeSize
 from guide3d.losses import ShapeLoss
-from guide3d.modeling.wire_walker import WalkerSize
 from guide3d.preprocessing import Preprocessing
 from guide3d.segmentation_samples import SegmentationAugmentation
 from guide3d.shape_samples import ShapeAugmentation
 from guide3d.training import FitSettings
 
 FORMS = ("spherical", "cartesian")
-ARCHITECTURES = ("vit", "walker")
 PUBLIC_PX = 1024
 
 
@@ -46,27 +44,6 @@ class ShapeRecipe:
     cumulative: bool = True
     targets: int = 1
     augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(0.0, 0.0, 0))
-
-
-@dataclass(frozen=True)
-class WalkRecipe:
-    """How the wire walker is trained.
-
-    Attributes:
-        size: of the network.
-        preprocessing: of the images.
-        fit: the training.
-        step_mm: length of a step.
-        own_walks: share of the lessons that are the walker's own walks, the others true ones with errors put in.
-        augmentation: of the pictures.
-    """
-
-    size: WalkerSize
-    preprocessing: Preprocessing
-    fit: FitSettings
-    step_mm: float = 1.7
-    own_walks: float = 0.3
-    augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(gain=0.15, noise=4.0))
 
 
 @dataclass(frozen=True)
@@ -122,40 +99,15 @@ def shape_recipe(size: str) -> ShapeRecipe:
     network = SHAPE_SIZES[size]
     if size == "thesis":
         return ShapeRecipe(network, Preprocessing(network.image_px, PUBLIC_PX), FitSettings())
-    lines = Preprocessing(network.image_px, PUBLIC_PX, line_px=13, gain=8.0)
+    lines = Preprocessing(network.image_px, PUBLIC_PX, line_px=13, gain=8.0, first_px=2 if size == "desk" else 1)
     fit = FitSettings(
-        epochs=40 if size == "desk" else 1, batch_size=4, optimiser="adamw", learning_rate=1e-3, weight_decay=0.02,
-        schedule="one_cycle", patience=0,
+        epochs=28 if size == "desk" else 1, batch_size=32, optimiser="adamw", learning_rate=2e-3, weight_decay=0.02,
+        schedule="one_cycle", patience=0, clip=10.0,
     )  # fmt: skip
     return ShapeRecipe(
-        network, lines, fit, ShapeLoss(tip=1.0, offset=0.1, stop=0.2, curve=1.0), cumulative=False, targets=4,
-        augmentation=ShapeAugmentation(gain=0.15, noise=2.0),
+        network, lines, fit, ShapeLoss(tip=0.3, offset=0.0, stop=0.02, curve=1.0, length=0.05, robust=True),
+        cumulative=False, augmentation=ShapeAugmentation(gain=0.2, noise=4.0),
     )  # fmt: skip
-
-
-def walk_recipe(size: str) -> WalkRecipe:
-    """The wire walker's recipe.
-
-    Args:
-        size: "desk" or "smoke".
-
-    Raises:
-        ValueError: another size.
-    """
-    _check(size)
-    if size not in WALKER_SIZES:
-        raise ValueError(f"the wire walker comes as {', '.join(WALKER_SIZES)}; '{size}' is of the vision transformer")
-    network = WALKER_SIZES[size]
-    fit = FitSettings(
-        epochs=9 if size == "desk" else 1, batch_size=8, optimiser="adamw", learning_rate=2e-3, weight_decay=0.02,
-        schedule="one_cycle", patience=0, clip=1.0,
-    )  # fmt: skip
-    return WalkRecipe(network, Preprocessing(network.image_px, PUBLIC_PX, line_px=13, gain=6.0, first_px=2), fit)
-
-
-def architecture_of(size: str) -> str:
-    """The architecture of the shape network that a size stands for: the thesis's, or the one that learns in minutes."""
-    return "vit" if size == "thesis" else "walker"
 
 
 def fgrn_recipe(size: str) -> FGRNRecipe:

@@ -148,6 +148,7 @@ class ShapeObjective:
         camera: Camera | None = None,
         augmentation: ShapeAugmentation | None = None,
         spacing_mm: float = 2.0,
+        anchor: str = "tip",
     ) -> None:
         """Args:
         store: of the pictures.
@@ -160,7 +161,9 @@ class ShapeObjective:
         camera: needed for shifts.
         augmentation: of what is learnt from.
         spacing_mm: of the points, for 3D-FGRN.
+        anchor: of `modeling.shape_network.ANCHORS`, from which positions are counted.
         """
+        self.anchor = anchor
         self.store, self.clips, self.walks, self.positions = store, clips, walks, positions
         self.form, self.weights, self.camera, self.spacing_mm = form, loss, camera, spacing_mm
         self.augmentation = augmentation or ShapeAugmentation(0.0, 0.0, 0)
@@ -175,8 +178,10 @@ class ShapeObjective:
         self._offsets = np.zeros((len(store.frames), positions - 1, columns), np.float32)
         self._last = np.zeros(len(store.frames), np.int64)
         for index, walk in walks.items():
-            cut = walk[:positions]
-            told = cut[1:] - cut[0] if form is None else form.encode(cut)
+            cut = walk[:positions] if anchor == "tip" else walk[::-1][:positions]
+            told = cut[1:] - cut[0] if form is None else form.encode(walk)
+            if form is not None:
+                told = (told if anchor == "tip" else told[::-1])[: positions - 1]
             self._points[index, : len(cut)] = cut
             self._offsets[index, : len(told)] = told
             self._last[index] = len(cut) - 1
@@ -202,18 +207,21 @@ class ShapeObjective:
         if self.weights is None:
             predicted = module(batch["pictures"][:, -1])
             return fgrn_loss(predicted, batch["points"], batch["last"], spacing_mm=self.spacing_mm).mean()
-        shapes: PredictedShapes = module(batch["pictures"])
-        return self.weights(shapes, batch["points"], batch["offsets"], batch["last"]).mean()
+        # the true end leads the curve to its tip in training; in validation the network's own does
+        shapes: PredictedShapes = module(batch["pictures"], batch["last"] if module.training else None)
+        return self.weights(shapes, batch["points"], batch["offsets"], batch["last"], self.anchor).mean()
 
     def statistics(self) -> dict[str, Tensor]:
         """Means and scales of what is learnt from, which become buffers of the network."""
         targets = np.unique(self.clips.targets[self.training_items])
-        tips, offsets, last = self._points[targets, 0], self._offsets[targets], self._last[targets]
+        offsets, last = self._offsets[targets], self._last[targets]
+        firsts, lasts = self._points[targets, 0], self._points[targets, last]
+        tips, entries = (firsts, lasts) if self.anchor == "tip" else (lasts, firsts)
         inside = np.arange(self.positions - 1) < last[:, None]
         weight = inside[..., None] / np.maximum(inside.sum(0), 1)[:, None]
         mean = (offsets * weight).sum(0)
         spread = np.sqrt((np.square(offsets - mean) * weight).sum(0))
-        # Positions that few curves reach borrow from their neighbours nearer the tip.
+        # Positions that few curves reach borrow from their neighbours nearer the anchor.
         few = inside.sum(0) < max(4, 0.02 * len(targets))
         if few.any() and not few.all():
             source = int(np.flatnonzero(~few)[-1])
@@ -222,11 +230,12 @@ class ShapeObjective:
         sample = self.store.pictures(targets[:: max(1, len(targets) // 64)]).astype(np.float32)
         told = {
             "tip_mean": tips.mean(0), "tip_scale": np.maximum(tips.std(0), 1.0),
+            "entry_mean": entries.mean(0), "entry_scale": np.maximum(entries.std(0), 1.0),
             "offset_mean": mean, "offset_scale": np.maximum(spread, 1e-2),
             "pixel_mean": sample.mean(), "pixel_scale": max(float(sample.std()), 1.0),
         }  # fmt: skip
         if points is not None:
-            told["point_mean"] = points + tips.mean(0)
+            told["point_mean"] = points + firsts.mean(0)
             told["point_scale"] = max(float(tips.std(0).mean()), 1.0)
         return {name: torch.as_tensor(np.asarray(value, np.float32)) for name, value in told.items()}
 

@@ -24,16 +24,8 @@ from guide3d.build import SEGMENTERS, SIZES
 from guide3d.dataset import Dataset, split
 from guide3d.distributed import Ranks
 from guide3d.losses import ShapeLoss
-from guide3d.network_training import train_fgrn, train_segmenter, train_shape, train_walker
-from guide3d.recipes import (
-    ARCHITECTURES,
-    FORMS,
-    architecture_of,
-    fgrn_recipe,
-    segmentation_recipe,
-    shape_recipe,
-    walk_recipe,
-)
+from guide3d.network_training import train_fgrn, train_segmenter, train_shape
+from guide3d.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.training import FitProgress, finished
 
 ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
@@ -49,10 +41,6 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("data", type=Path, help="folder of the data set")
     parser.add_argument("--network", choices=NETWORKS, required=True)
     parser.add_argument("--size", choices=SIZES, default="desk")
-    parser.add_argument(
-        "--architecture", choices=("auto", *ARCHITECTURES), default="auto",
-        help="of the shape network; auto: vit (the thesis's) for thesis and with --pretrained, else walker",
-    )  # fmt: skip
     parser.add_argument("--output", type=Path, required=True, help="folder of the network")
     parser.add_argument("--pictures", type=Path, help="folder that keeps prepared pictures")
     parser.add_argument("--pretrained", type=Path, help="weights of a vision transformer, of timm or torchvision")
@@ -96,17 +84,8 @@ def train(given: argparse.Namespace, progress: Callable[[FitProgress], None] | N
         form = "spherical" if angles_alone else given.network
         if given.pretrained is not None and form not in FORMS:
             raise ValueError("--pretrained fills the vision transformer of the shape network only")
-        architecture = given.architecture
-        if architecture == "auto":
-            architecture = architecture_of(given.size) if given.pretrained is None else "vit"
-        walking = architecture == "walker" and given.network in FORMS
-        if given.pretrained is not None and walking:
-            raise ValueError("the wire walker has no vision transformer that --pretrained fills: --architecture vit")
         predictor: Any
-        if walking:
-            walk = _with_epochs(walk_recipe(given.size), given.epochs)
-            predictor, report = train_walker(data, parts, walk, form, **common)
-        elif form in FORMS:
+        if form in FORMS:
             shape = _with_epochs(shape_recipe(given.size), given.epochs)
             if angles_alone:
                 shape = replace(shape, loss=ShapeLoss())

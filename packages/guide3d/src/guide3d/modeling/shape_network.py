@@ -1,7 +1,9 @@
 """Shape network: frames of one camera to the wire in space, by a vision transformer, a GRU and three heads.
 
-The heads tell the tip, the curve behind it (as spherical offsets of steps of a fixed radius, or its Cartesian twin: as
-points relative to the tip), and at which of M positions it ends.
+The heads tell the tip, the curve (as spherical offsets of steps of a fixed radius, or its Cartesian twin: as points
+relative to where it is anchored), and at which of M positions it ends. Published curves are anchored at the tip. The
+other anchor is where the wire enters the image: from there on all wires of a patient run alike for most of their way,
+so that a position means the same place in the vessel in every frame, and what differs between frames is the rest.
 """
 
 from __future__ import annotations
@@ -15,26 +17,33 @@ from guide3d.modeling.spherical import SphericalForm
 from guide3d.modeling.vision_transformer import VisionTransformer
 
 POOLINGS = ("class", "tokens")
+ANCHORS = ("tip", "entry")
 
 
 class ImageFeatures(nn.Module):
     """An image to features z: a vision transformer, then a layer with GELU and one without."""
 
-    def __init__(self, transformer: VisionTransformer, width: int, features: int, pooling: str, dropout: float) -> None:
+    def __init__(
+        self, transformer: VisionTransformer, width: int, features: int, pooling: str, dropout: float, kept: int = 0
+    ) -> None:
         """Args:
         transformer: that sees the image.
         width: of its tokens.
         features: size of z.
         pooling: "class" takes the class token; "tokens" joins all patches, which keeps where things are.
         dropout: between the layers.
+        kept: numbers that "tokens" keeps of each patch; 0: all.
         """
         super().__init__()
         if pooling not in POOLINGS:
             raise ValueError(f"unknown pooling '{pooling}'; there are {', '.join(POOLINGS)}")
         self.transformer, self.pooling = transformer, pooling
         joined = width
+        self.narrow: nn.Module = nn.Identity()
         if pooling == "tokens":
-            joined = width * transformer.grid**2
+            joined = (kept or width) * transformer.grid**2
+            if kept:
+                self.narrow = nn.Linear(width, kept)
         self.projection = nn.Sequential(
             nn.Linear(joined, features), nn.GELU(), nn.Dropout(dropout), nn.Linear(features, features)
         )
@@ -42,7 +51,7 @@ class ImageFeatures(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         """(batch, channels, h, w) to (batch, features)."""
         tokens = self.transformer(images)
-        seen = tokens[:, 0] if self.pooling == "class" else tokens[:, 1:].flatten(1)
+        seen = tokens[:, 0] if self.pooling == "class" else self.narrow(tokens[:, 1:]).flatten(1)
         result: Tensor = self.projection(seen)
         return result
 
@@ -57,8 +66,8 @@ class PredictedShapes:
 
     Attributes:
         tip_mm: (n, 3).
-        offsets: (n, M - 1, 2) Δφ and Δθ in rad, or (n, M - 1, 3) mm relative to the tip.
-        points_mm: (n, M, 3) the curve before it is cut.
+        offsets: (n, M - 1, 2) Δφ and Δθ in rad, or (n, M - 1, 3) mm relative to the anchor; from the anchor on.
+        points_mm: (n, M, 3) the curve before it is cut, from the anchor on.
         stop_logits: (n, M).
     """
 
@@ -75,6 +84,8 @@ class ShapeNetwork(nn.Module):
     pixel_scale: Tensor
     tip_mean: Tensor
     tip_scale: Tensor
+    entry_mean: Tensor
+    entry_scale: Tensor
     offset_mean: Tensor
     offset_scale: Tensor
 
@@ -89,6 +100,7 @@ class ShapeNetwork(nn.Module):
         state: int = 512,
         hidden: int = 256,
         dropout: float = 0.1,
+        anchor: str = "tip",
     ) -> None:
         """Args:
         features: of an image.
@@ -99,8 +111,14 @@ class ShapeNetwork(nn.Module):
         state: of the GRU.
         hidden: units of a head.
         dropout: of heads, and between time steps.
+        anchor: of `ANCHORS`.
         """
         super().__init__()
+        if anchor not in ANCHORS:
+            raise ValueError(f"unknown anchor '{anchor}'; there are {', '.join(ANCHORS)}")
+        if anchor == "entry" and form is not None and form.cumulative:
+            raise ValueError("offsets from step to step begin at the tip: they have no anchor where the wire enters")
+        self.anchor = anchor
         self.features, self.form, self.frames, self.positions = features, form, frames, positions
         self.dropout = nn.Dropout(dropout)
         self.recurrent = nn.GRU(size, state, batch_first=True)
@@ -108,19 +126,23 @@ class ShapeNetwork(nn.Module):
         self.tip_head = _head(state, hidden, 3, dropout)
         self.offset_head = _head(state, hidden, self.columns * (positions - 1), dropout)
         self.stop_head = _head(state, hidden, positions, dropout)
+        if anchor == "entry":
+            self.entry_head = _head(state, hidden, 3, dropout)
         for name, value in (
             ("pixel_mean", torch.zeros(())), ("pixel_scale", torch.ones(())),
             ("tip_mean", torch.zeros(3)), ("tip_scale", torch.ones(3)),
+            ("entry_mean", torch.zeros(3)), ("entry_scale", torch.ones(3)),
             ("offset_mean", torch.zeros(positions - 1, self.columns)),
             ("offset_scale", torch.ones(positions - 1, self.columns)),
         ):  # fmt: skip
             self.register_buffer(name, value)
 
-    def forward(self, clips: Tensor) -> PredictedShapes:
+    def forward(self, clips: Tensor, last: Tensor | None = None) -> PredictedShapes:
         """Tells the curves of a clip's windows.
 
         Args:
             clips: (batch, length, h, w) grey values of 0 to 255, in time order; length at least `frames`.
+            last: (windows,) positions at which the curves are known to end; None: where they are told to.
 
         Returns:
             One curve a window, (batch * (length - frames + 1)) of them, clip by clip.
@@ -131,18 +153,35 @@ class ShapeNetwork(nn.Module):
         images = (clips.flatten(0, 1)[:, None] - self.pixel_mean) / self.pixel_scale
         seen = self.features(images).unflatten(0, (batch, length))
         windows = seen.unfold(1, self.frames, 1).movedim(-1, 2).flatten(0, 1)
-        _, last = self.recurrent(self.dropout(windows))
-        state = last[0]
+        _, states = self.recurrent(self.dropout(windows))
+        state = states[0]
         tip = self.tip_mean + self.tip_scale * self.tip_head(state)
         offsets = self.offset_head(state).unflatten(1, (self.positions - 1, self.columns))
         # angles are summed up, which half precision does not bear
         offsets = self.offset_mean + self.offset_scale * offsets.float()
-        tip = tip.float()
-        if self.form is None:
-            points = torch.cat((tip[:, None], tip[:, None] + offsets), dim=1)
+        tip, stop = tip.float(), self.stop_head(state).float()
+        if self.anchor == "tip":
+            anchor, away = tip, 1.0
         else:
-            points = self.form.decode(tip, offsets)
-        return PredictedShapes(tip, offsets, points, self.stop_head(state).float())
+            anchor, away = self.entry_mean + self.entry_scale * self.entry_head(state).float(), -1.0
+        if self.form is None:
+            way = offsets
+        else:
+            way = away * self.form.steps(offsets).cumsum(dim=-2)
+        points = torch.cat((anchor[:, None], anchor[:, None] + way), dim=1)
+        if self.anchor == "entry" and self.form is not None:
+            points = closed(points, tip, self.ends(stop) if last is None else last)
+        return PredictedShapes(tip, offsets, points, stop)
+
+    def ends(self, stop_logits: Tensor) -> Tensor:
+        """(n,) positions at which curves end, of (n, M) logits: the likeliest, or that of the mean length.
+
+        A curve that is anchored where it enters is led to its tip, so its length only stretches it: the mean errs
+        least.
+        """
+        if self.anchor == "tip":
+            return stop_logits.argmax(-1).clamp(min=1)
+        return expected_position(stop_logits).round().long().clamp(min=1)
 
     @torch.no_grad()
     def curves(self, windows: Tensor) -> list[Tensor]:
@@ -155,5 +194,29 @@ class ShapeNetwork(nn.Module):
             A curve a window, (m, 3) mm, world, tip first.
         """
         shapes = self(windows)
-        ends = shapes.stop_logits.argmax(-1).clamp(min=1).tolist()
-        return [points[: end + 1] for points, end in zip(shapes.points_mm, ends, strict=True)]
+        ends = self.ends(shapes.stop_logits).tolist()
+        curves = [points[: end + 1] for points, end in zip(shapes.points_mm, ends, strict=True)]
+        return curves if self.anchor == "tip" else [curve.flip(0) for curve in curves]
+
+
+def expected_position(stop_logits: Tensor) -> Tensor:
+    """(n, M) logits to the (n,) means of the positions under them."""
+    positions = torch.arange(stop_logits.shape[-1], dtype=stop_logits.dtype, device=stop_logits.device)
+    return stop_logits.softmax(-1) @ positions
+
+
+def closed(points_mm: Tensor, tip_mm: Tensor, last: Tensor) -> Tensor:
+    """Leads curves to their tips: each point moves by its share of the way, as surveyors close a traverse.
+
+    Args:
+        points_mm: (n, M, 3) from the anchor on.
+        tip_mm: (n, 3).
+        last: (n,) positions that are the tips.
+
+    Returns:
+        (n, M, 3).
+    """
+    gap = tip_mm - points_mm.gather(1, last[:, None, None].expand(-1, 1, 3))[:, 0]
+    positions = torch.arange(points_mm.shape[1], dtype=points_mm.dtype, device=points_mm.device)
+    share = (positions / last[:, None]).clamp(max=1.0)
+    return points_mm + share[..., None] * gap[:, None]

@@ -127,11 +127,15 @@ class SphericalForm:
         Returns:
             (..., n, 3) points in mm.
         """
+        walked = self.steps(offsets).cumsum(dim=-2)
+        return torch.cat((tip_mm[..., None, :], tip_mm[..., None, :] + walked), dim=-2)
+
+    def steps(self, offsets: Tensor) -> Tensor:
+        """(..., n - 1, 2) offsets, rad, to (..., n - 1, 3) steps away from the tip, mm; differentiable."""
         if self.cumulative:
             offsets = offsets.cumsum(dim=-2)
         azimuth, polar = offsets[..., 0] + self.azimuth, offsets[..., 1] + self.polar
         sine = polar.sin()
         steps = torch.stack((sine * azimuth.cos(), sine * azimuth.sin(), polar.cos()), dim=-1)
         axes = torch.tensor(self.axes, dtype=steps.dtype, device=steps.device)
-        walked = (self.radius_mm * steps @ axes).cumsum(dim=-2)
-        return torch.cat((tip_mm[..., None, :], tip_mm[..., None, :] + walked), dim=-2)
+        return self.radius_mm * steps @ axes
