@@ -11,7 +11,7 @@ thread, from the 1,024 px image to the curve:
     images_per_s                       in batches of eight
     published_latency_ms, published_images_per_s   the published variant, without --model
     compiled_latency_ms, compiled_difference_px    with --exports: by torch.compile
-    onnx_latency_ms, onnx_difference_px            with --exports: by onnxruntime, without the walk
+    onnx_latency_ms, onnx_difference_px            with --exports: by onnxruntime
     tip_px, mean_px, max_px, chamfer_px            with --data and --model: on the test acquisitions
 """
 

@@ -1,4 +1,4 @@
-"""Networks: sizes, the key-value cache, every encoder layer in use, the parallel variant, attention maps, export."""
+"""Networks: sizes, the key-value cache, every encoder layer in use, the ordered variant, attention maps, export."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 import torch
 
+from guide3d.polyline import arc_length, at_length
 from splineformer.attention import attention_map, decoder_attention, fused
 from splineformer.build import SIZES, VARIANTS, build, described, rebuilt, size_of
+from splineformer.decoding import collocation
 from splineformer.export import export_onnx, onnx_difference
+from splineformer.modeling.lines import dark_lines, line_pyramid, local_contrast
 from splineformer.modeling.ordered import OrderedSettings, OrderedSplineFormer
 from splineformer.modeling.positions import grid_positions, sequence_positions
-from splineformer.modeling.refinement import Refinement
+from splineformer.modeling.refinement import Refinement, at_equal_shares
 from splineformer.modeling.splineformer import FIRST_END, SplineFormer, SplineFormerSettings
-from splineformer.modeling.walker import Steps, Walker, at_shares_of_length, frames
-from splineformer.steps import steps_along
+from splineformer.modeling.tip_map import TipMap, led_to
+from splineformer.samples import course_of
 from tests.splineformer.curves import image_of, wavy_wire
 
 
@@ -91,26 +94,67 @@ def test_tip_predictor_starts_where_it_is_told() -> None:
     assert torch.allclose(model.tip(torch.rand(1, 1, 64, 64)), torch.tensor([[0.2, 0.4, 0.6]]), atol=1e-4)
 
 
-def test_parallel_variant() -> None:
+def test_ordered_variant() -> None:
     model = network("ordered")
     assert isinstance(model, OrderedSplineFormer)
     said = model(levels(3, 64))
     s = model.settings
     assert said.control.shape == (3, s.control_points, 2)
-    assert len(said.stages) == s.refinements + 1
-    assert ((said.stages[0] >= 0) & (said.stages[0] <= 1)).all()  # means of cells lie in the image
-    assert torch.equal(said.stages[1], said.stages[0])  # a new refinement moves nothing
+    assert len(said.stages) == len(said.begun) == len(s.cells)
+    assert torch.equal(said.stages[0], said.begun[0])  # a new refinement moves nothing
+    assert torch.allclose(said.begun[0][:, 0], said.tip.place, atol=1e-6)  # the curve is led to its tip
+    assert torch.allclose(said.begun[0][:, -1], said.overview[:, -1], atol=1e-6)
     assert said.kind.wires.shape == (3, 3)
-    with pytest.raises(ValueError, match="divisible by 16"):
+    reading = model.read(levels(3, 64))
+    assert torch.allclose(reading.control, said.control, atol=1e-6)
+    assert ((reading.support > 0) & (reading.support < 1)).all()
+    with pytest.raises(ValueError, match="divisible by 32"):
         OrderedSplineFormer(OrderedSettings(image_px=250))
+
+
+def test_overview_starts_at_the_mean_curve() -> None:
+    model = network("ordered")
+    assert isinstance(model, OrderedSplineFormer)
+    wire, s = wavy_wire(2, 1), model.settings
+    mean = torch.from_numpy(course_of(wire, s.steps, model.step)).float()
+    model.start_at(mean, float(arc_length(wire)[-1]) / model.step)
+    said = model(levels(2, 64))
+    assert (said.course - mean).abs().max() < 0.3
+    assert (said.overview[0, [0, -1]] - torch.from_numpy(wire[[0, -1]]).float()).abs().max() < 0.3
+
+
+def test_course_up_to_the_length_is_the_wire() -> None:
+    model = network("ordered", "desk")
+    assert isinstance(model, OrderedSplineFormer)
+    wire = wavy_wire(2, 1, 800)
+    course = torch.from_numpy(course_of(wire, model.settings.steps, model.step)).float()[None]
+    length = torch.tensor([arc_length(wire)[-1] / model.step], dtype=torch.float32)
+    points = model._up_to_length(course, length)[0]
+    true = torch.from_numpy(at_length(wire, model.shares.numpy() * arc_length(wire)[-1])).float()
+    assert (points - true).norm(dim=-1).max() < 0.01
+    assert torch.allclose(points[-1], true[-1], atol=1e-5)
+    beyond = course_of(wire, 400, 0.01)[-1] - wire[0]  # straight on beyond the tip
+    assert np.linalg.norm(beyond) == pytest.approx(399 * 0.01 - arc_length(wire)[-1], rel=1e-3)
+
+
+def test_refinements_begin_where_they_are_told() -> None:
+    model = network("ordered")
+    assert isinstance(model, OrderedSplineFormer)
+    starts = torch.from_numpy(wavy_wire(1, 1, model.settings.queries)).float().expand(2, -1, -1) + 0.01
+    said = model(levels(2, 64), starts, torch.tensor([True, False]))
+    plain = model(levels(2, 64))
+    assert torch.allclose(said.begun[0][0, -1], starts[0, -1], atol=1e-6)
+    assert torch.equal(said.begun[0][1], plain.begun[0][1])
+    assert torch.equal(said.overview, plain.overview)
+    first = model(levels(2, 64), starts[:1], torch.tensor([False]))
+    assert torch.allclose(first.stages[-1], plain.stages[-1][:1], atol=1e-6)
+    assert len(first.course) == len(first.kind.wires) == 2  # the second got an overview
 
 
 def test_control_points_give_back_points_of_a_spline() -> None:
     model = network("ordered", "desk")
     points = torch.from_numpy(wavy_wire(1, 1, 400)).float()
     along = (model.shares * 399).round().long()
-    from splineformer.decoding import collocation
-
     control = model.to_control @ points[along]
     assert (collocation(model.knots, model.shares) @ control - points[along]).abs().max() < 2e-3
 
@@ -121,59 +165,58 @@ def test_refinement_turns_with_the_curve() -> None:
     torch.nn.init.normal_(step.out.weight, std=0.1)
     features = torch.rand(1, 2, 32, 32)
     points = torch.from_numpy(wavy_wire(0, 1, 12)).float()[None] * 0.6 + 0.2
-    moved = step(features, points) - points
-    turned = step(features.rot90(1, (2, 3)), torch.stack([points[..., 1], 1 - points[..., 0]], -1))
+    moved = step(features, points)[0] - points
+    turned = step(features.rot90(1, (2, 3)), torch.stack([points[..., 1], 1 - points[..., 0]], -1))[0]
     there = torch.stack([points[..., 1], 1 - points[..., 0]], -1)
     assert torch.allclose(turned - there, torch.stack([moved[..., 1], -moved[..., 0]], -1), atol=1e-5)
 
 
-def test_steps_lead_along_a_wire_to_its_tip() -> None:
-    curve, cell = wavy_wire(2, 1, 400), 1 / 48
-    places, directions, ways, ends = steps_along(curve, cell, np.random.default_rng(0))
-    across = np.column_stack([-directions[:, 1], directions[:, 0]])
-    goals = places + cell * (ways[:, :1] * directions + ways[:, 1:] * across)
-    apart = np.linalg.norm(goals[:, None] - curve[None], axis=-1)
-    assert apart.min(axis=1).max() < 0.2 * cell  # all goals lie on the wire
-    assert np.allclose(goals[ends > 0], curve[0])
-    assert 0 < ends.sum() < len(ends)
-    nearest = np.linalg.norm(places[:, None] - curve[None], axis=-1).argmin(axis=1)
-    assert (apart.argmin(axis=1) <= nearest + 8).all()  # onwards to the tip, never back
+def test_lines_are_told_from_edges() -> None:
+    image = torch.full((1, 1, 64, 64), 120.0)
+    image[..., 40:] = 60.0  # an edge
+    image[0, 0, 30, :30] -= 20.0  # a line
+    image[0, 0, :20, 10] += 20.0  # a bright one
+    lines = dark_lines(image, 2)[0, 0]
+    assert (lines[30, 3:28] > 1).all()
+    lines[29:32] = 0
+    assert lines[:, 5:].abs().max() < 0.1 * lines[30].max().clamp_min(1)
+    # neither brightness nor contrast matters, as long as there is more than the floor
+    assert torch.allclose(dark_lines(0.5 * image + 40, 2), dark_lines(image, 2), atol=1e-4)
+    assert torch.allclose(local_contrast(0.5 * image + 40), local_contrast(image), atol=1e-4)
 
 
-class Follower(Walker):
-    """A walker that knows the wire instead of seeing it."""
-
-    def __init__(self, curve: np.ndarray, cell: float) -> None:
-        super().__init__(1, cell, 1, 4, 60)
-        self.curve = torch.from_numpy(curve).float()
-
-    def forward(self, features: torch.Tensor, places: torch.Tensor, directions: torch.Tensor) -> Steps:
-        index = (self.curve[None] - places).norm(dim=-1).argmin(-1)
-        ahead = self.curve[(index - 12).clamp_min(0)][:, None]
-        way = (frames(directions) @ ((ahead - places) / self.cell)[..., None])[..., 0]
-        return Steps(way, torch.where(index[:, None] <= 12, 9.0, -9.0))
+def test_pyramid_keeps_lines_on_its_way_down() -> None:
+    image = levels(1, 64)
+    pyramid = line_pyramid(image, 2, 3)
+    assert [tuple(maps.shape) for maps in pyramid] == [(1, 2, 64, 64), (1, 2, 32, 32), (1, 2, 16, 16)]
+    assert pyramid[2][:, 1].max() == pyramid[0][:, 1].max()
+    assert torch.allclose(pyramid[2][:, 0].mean(), pyramid[0][:, 0].mean(), atol=1e-5)
 
 
-def test_walk_ends_at_the_tip() -> None:
-    curve = wavy_wire(1, 1, 400)
-    walker = Follower(curve, 1 / 48)
-    start = torch.from_numpy(curve[-1:]).float()
-    walk = walker.walk(torch.zeros(1, 1, 4, 4), start, torch.tensor([[1.0, 0.0]]))
-    assert walk.arrived.all()
-    length = int(walk.lengths[0])
-    assert 20 < length < 60
-    assert torch.allclose(walk.points[0, length - 1], torch.from_numpy(curve[0]).float(), atol=1e-5)
-    assert torch.equal(walk.points[0, length:], walk.points[0, length - 1 :][:-1])
-    walker.most = 5
-    short = walker.walk(torch.zeros(1, 1, 4, 4), start, torch.tensor([[1.0, 0.0]]))
-    assert not short.arrived.any()
-    assert short.lengths.tolist() == [2]  # the tip seemed equally unlikely at every step: the first counts
+def test_tip_lies_in_the_best_cell_near_where_it_is_expected() -> None:
+    tip = TipMap(3, 8, 16, 4).eval()
+    torch.nn.init.zeros_(tip.out.weight)
+    tip.out.bias.data = torch.tensor([0.0, 0.25, -0.5])
+    expected = torch.tensor([[0.53, 0.22]])
+    seen = tip(torch.rand(1, 3, 16, 16), torch.rand(1, 8, 2, 2), expected)
+    assert int(seen.logits.argmax()) == 3 * 16 + 8  # row 3, column 8: all cells look alike, the nearest is taken
+    assert torch.allclose(seen.place[0], torch.tensor([(8.5 + 0.25) / 16, (3.5 - 0.5) / 16]))
 
 
-def test_points_at_shares_of_a_way() -> None:
-    points = torch.tensor([[[0.0, 0.0], [0.3, 0.0], [0.3, 0.1], [0.3, 0.1], [0.3, 0.1]]])
-    found = at_shares_of_length(points, torch.tensor([3]), torch.tensor([1.0, 0.0, 0.375, 0.875]))
-    assert torch.allclose(found[0], torch.tensor([[0.3, 0.1], [0, 0], [0.15, 0], [0.3, 0.05]]), atol=1e-6)
+def test_curve_is_led_to_its_tip() -> None:
+    points = torch.rand(2, 5, 2)
+    tips = torch.rand(2, 2)
+    led = led_to(points, tips)
+    assert torch.allclose(led[:, 0], tips)
+    assert torch.equal(led[:, -1], points[:, -1])
+    assert torch.allclose(led[:, 2] - points[:, 2], 0.25 * (tips - points[:, 0]))
+
+
+def test_points_at_shares_of_the_length() -> None:
+    points = torch.tensor([[[0.0, 0.0], [0.3, 0.0], [0.3, 0.1]], [[0.0, 0.0], [0.0, 0.0], [0.0, 0.4]]])
+    found = at_equal_shares(points, torch.tensor([0.0, 0.375, 0.875, 1.0]))
+    assert torch.allclose(found[0], torch.tensor([[0.0, 0.0], [0.15, 0], [0.3, 0.05], [0.3, 0.1]]), atol=1e-6)
+    assert torch.allclose(found[1], torch.tensor([[0.0, 0.0], [0, 0.15], [0, 0.35], [0, 0.4]]), atol=1e-6)
 
 
 def test_positions() -> None:
@@ -191,7 +234,7 @@ def test_described_and_rebuilt(variant: str) -> None:
     again = rebuilt(described(model))
     assert again.settings == model.settings
     assert again.load_state_dict(model.state_dict())
-    with pytest.raises(ValueError, match="layout 0, this version reads 1"):
+    with pytest.raises(ValueError, match="layout 0, this version reads 2"):
         rebuilt(described(model) | {"layout": 0})
     with pytest.raises(ValueError, match="another version"):
         rebuilt(described(model) | {"settings": {"colour": 3}})

@@ -15,8 +15,9 @@ from guide3d.polyline import resample
 from guide3d.training import finished
 from splineformer.augmentation import Augmentation, inside, moved, shadow, warped, without_wire
 from splineformer.build import VARIANTS, build, size_of
+from splineformer.drift import drifted
 from splineformer.intake import picture_of
-from splineformer.losses import attention_loss, nearest_on_curve, wire_loss
+from splineformer.losses import attention_loss, nearest_on_curve, offset_loss
 from splineformer.predictor import Predictor, tokens_px
 from splineformer.recipes import recipe_of
 from splineformer.samples import SplineObjective, curves_of, images_of, pixels_of_shares, shares_of_pixels
@@ -143,7 +144,7 @@ def test_files_of_other_versions(tmp_path: Path) -> None:
     for change, message in (
         ({"format": "guide3d-network-0"}, "no network of format"),
         ({"kind": "shape"}, "kind shape, expected splineformer"),
-        ({"network": content["network"] | {"layout": 7}}, "layout 7, this version reads 1"),
+        ({"network": content["network"] | {"layout": 7}}, "layout 7, this version reads 2"),
         ({"weights": {}}, "cannot be used"),
     ):
         torch.save(content | change, path)
@@ -230,16 +231,34 @@ def test_nearest_places_on_a_curve() -> None:
     assert torch.allclose(nearest_on_curve(points, curve), torch.tensor([[[0.3, 0.0], [1.0, 0.4], [0.0, 0.0]]]))
 
 
-def test_wire_loss_wants_wire_where_it_is_and_nowhere_else() -> None:
-    side = 8
-    curve = torch.stack([torch.linspace(0.05, 0.95, 30), torch.full((30,), 0.3)], -1)[None]
-    right = torch.full((1, side, side), -4.0)
-    right[0, int(0.3 * side)] = 4.0
-    none, one, several = (torch.tensor([wires]) for wires in (0, 1, 2))
-    flat = right.flatten(1)
-    assert wire_loss(flat, curve, one) < wire_loss(-flat, curve, one)
-    assert wire_loss(torch.full_like(flat, -4.0), curve, none) < wire_loss(flat, curve, none)
-    assert wire_loss(flat, curve, several) == 0  # the second wire is not annotated
+def test_nearest_places_on_the_own_strand() -> None:
+    # there and back: the strand beside is nearer, but belongs to another part of the length
+    there = torch.stack([torch.linspace(0, 1, 21), torch.zeros(21)], -1)
+    back = torch.stack([torch.linspace(1, 0, 21), torch.full((21,), 0.1)], -1)
+    curve = torch.cat([there, back])[None]
+    point = torch.tensor([[[0.4, 0.08]]])
+    assert torch.allclose(nearest_on_curve(point, curve)[0, 0], torch.tensor([0.4, 0.1]), atol=1e-6)
+    own = nearest_on_curve(point, curve, torch.tensor([0.2]), 0.1)[0, 0]
+    assert torch.allclose(own, torch.tensor([0.4, 0.0]), atol=1e-6)
+
+
+def test_offsets_are_right_where_they_point_to_the_place() -> None:
+    side, point = 4, torch.tensor([[0.30, 0.70]])
+    centres = torch.cartesian_prod(torch.arange(side), torch.arange(side)).flip(1) + 0.5
+    right = (point * side - centres)[None]
+    assert offset_loss(right, point).item() == pytest.approx(0, abs=1e-3)
+    # half a cell is 12.5 hundredths of the side
+    assert offset_loss(right + torch.tensor([0.5, 0.0]), point).item() == pytest.approx(12.5, rel=0.02)
+
+
+def test_drift_is_smooth_and_of_different_size() -> None:
+    points = torch.from_numpy(np.stack([wavy_wire(k, 1, 48) for k in range(12)])).float()
+    moved = drifted(points, np.random.default_rng(2)) - points
+    size = moved.norm(dim=-1).mean(1)
+    assert size.max() > 3 * size.min() > 0
+    bend = (moved[:, 2:] + moved[:, :-2] - 2 * moved[:, 1:-1]).norm(dim=-1).mean(1)
+    assert (bend < 0.3 * size).all()
+    assert torch.equal(moved, drifted(points, np.random.default_rng(2)) - points)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -122,7 +122,8 @@ def without_wire(image: Tensor, points: Points, generator: np.random.Generator) 
     column, row = np.clip((dense * side).astype(int), 0, side - 1).T
     wire = torch.zeros(1, 1, side, side)
     wire[0, 0, row, column] = 1.0
-    free = 1.0 - F.max_pool2d(wire, _WIRE_CELLS, 1, _WIRE_CELLS // 2)
+    broad = F.max_pool2d(wire, (1, _WIRE_CELLS), 1, (0, _WIRE_CELLS // 2))
+    free = 1.0 - F.max_pool2d(broad, (_WIRE_CELLS, 1), 1, (_WIRE_CELLS // 2, 0))
     around = box_means(image[None] * free, _FILL_CELLS) / box_means(free, _FILL_CELLS).clamp_min(1e-3)
     detail = ((image[None] - around) * free)[free > 0]
     # the median of absolute differences: edges of vessels must not count as noise

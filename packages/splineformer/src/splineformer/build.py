@@ -10,7 +10,7 @@ from splineformer.modeling.ordered import OrderedSettings, OrderedSplineFormer
 from splineformer.modeling.splineformer import SplineFormer, SplineFormerSettings
 
 VARIANTS = ("published", "ordered")
-LAYOUT = 1  # of what model files keep; a change of the networks that old weights do not fit raises it
+LAYOUT = 2  # of what model files keep; a change of the networks that old weights do not fit raises it
 
 Network = SplineFormer | OrderedSplineFormer
 
@@ -19,7 +19,7 @@ SIZES: dict[str, dict[str, SplineFormerSettings | OrderedSettings]] = {
         "thesis": SplineFormerSettings(),
         "thesis_large": SplineFormerSettings(width=512, encoder_layers=10, decoder_layers=10),
         "desk": SplineFormerSettings(
-            image_px=192, patch_px=12, width=96, heads=4, encoder_layers=4, decoder_layers=3, dropout=0.0
+            image_px=256, patch_px=32, width=96, heads=4, encoder_layers=4, decoder_layers=3, dropout=0.0, tip_px=128
         ),
         "smoke": SplineFormerSettings(
             image_px=64, patch_px=16, width=32, heads=2, encoder_layers=1, decoder_layers=1, dropout=0.0
@@ -27,15 +27,16 @@ SIZES: dict[str, dict[str, SplineFormerSettings | OrderedSettings]] = {
     },
     "ordered": {
         "thesis": OrderedSettings(
-            image_px=512, channels=(32, 64, 128, 256), blocks=(1, 2, 2, 1), width=256, heads=8, encoder_layers=6,
-            decoder_layers=3, key_width=64, fine_stride=4, refinements=3, refinement_width=192, detail=32,
-            walker_width=256, most_steps=300,
+            image_px=512, line_px=4, channels=(32, 64, 128, 256), blocks=(1, 1, 1, 1), width=256, heads=8,
+            encoder_layers=6, decoder_layers=3, hidden=(1024, 512), steps=80, queries=64, tip_channels=32,
+            revision_cells=(16.0, 8.0), revision_layers=2, cells=(4.0, 2.0, 1.0, 0.5),
+            refinement_width=128,
         ),
-        "desk": OrderedSettings(image_px=192),
+        "desk": OrderedSettings(),
         "smoke": OrderedSettings(
-            image_px=64, channels=(4, 8, 8, 16), blocks=(0, 0, 0, 0), width=16, heads=2, encoder_layers=1,
-            key_width=8, queries=16, control_points=10, refinements=1, refinement_width=16, detail=8,
-            walker_width=16, most_steps=40,
+            image_px=64, overview_level=0, line_px=1, channels=(4, 8, 8, 16), width=16, heads=2, encoder_layers=1,
+            kept=8, hidden=(32, 32), steps=20, queries=24, control_points=10, tip_channels=4, revision_cells=(4.0,),
+            cells=(2.0, 1.0), reach=2, refinement_width=16,
         ),
     },
 }  # fmt: skip

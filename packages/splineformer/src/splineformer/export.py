@@ -1,8 +1,6 @@
-"""Export to ONNX: the networks as graphs without loops, checked against torch.
+"""Export to ONNX: a network as a graph without loops, checked against torch.
 
-The published variant is one graph with every token unrolled. The ordered one is two: what an image shows
-(``model.onnx``), and one step of the walker at some places (``model.walker.onnx``), which whoever uses them repeats as
-`Walker.walk` does.
+The published variant has every token unrolled; of the ordered one nothing has to be.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ from splineformer.build import Network
 from splineformer.modeling.ordered import OrderedSplineFormer
 from splineformer.modeling.splineformer import SplineFormer
 
-WALKER = ".walker.onnx"
 _GREYEST = 255.0
 
 
@@ -45,8 +42,8 @@ class _Ordered(nn.Module):
         self.network = network
 
     def forward(self, levels: Tensor) -> tuple[Tensor, ...]:
-        said, detail = self.network.seen_and_said(levels)
-        return said.control, said.stages[-1], said.spread, said.kind.wires, said.kind.inverted, detail
+        said = self.network(levels)
+        return said.control, said.stages[-1], said.spread, said.on_wire, said.kind.wires, said.kind.inverted
 
 
 class _Published(nn.Module):
@@ -85,17 +82,8 @@ def graphs(network: Network, batch: int = 1, seed: int = 0) -> dict[str, Graph]:
     levels = {"levels": _GREYEST * torch.rand(batch, 1, size, size, generator=generator)}
     if isinstance(network, SplineFormer):
         return {".onnx": Graph(_Published(network).eval(), levels, ("tokens", "end", "wires", "inverted"))}
-    directions = torch.randn(batch, 1, 2, generator=generator)
-    places = {
-        "detail": torch.randn(batch, network.settings.detail, size // 2, size // 2, generator=generator),
-        "places": torch.rand(batch, 1, 2, generator=generator),
-        "directions": directions / directions.norm(dim=-1, keepdim=True),
-    }
-    outputs = ("control", "points", "spread", "wires", "inverted", "detail")
-    return {
-        ".onnx": Graph(_Ordered(network).eval(), levels, outputs),
-        WALKER: Graph(network.walker.eval(), places, ("offsets", "end")),
-    }
+    outputs = ("control", "points", "spread", "on_wire", "wires", "inverted")
+    return {".onnx": Graph(_Ordered(network).eval(), levels, outputs)}
 
 
 def export_onnx(network: Network, path: Path | str, batch: int = 1) -> list[Path]:

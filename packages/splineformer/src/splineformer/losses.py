@@ -1,9 +1,9 @@
-"""Losses: those SplineFormer was published with, and those of the parallel variant."""
+"""Losses: those SplineFormer was published with, and those of the ordered variant."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -16,8 +16,10 @@ from splineformer.modeling.ordered import Ordered
 from splineformer.modeling.splineformer import Taught
 
 _ONE_WIRE = 1
-_WIRE_CELLS = 4.0  # so much more does a cell with wire count
-_WIRE_SCALE = 10.0  # brings the mean over mostly empty cells to the size of the other terms
+_SOFT = 0.1  # hundredths of the side: below, a distance falls like its square
+_SLIDE = 0.05  # of the length: so far from its own place a refined point may belong
+_ON_WIRE = 0.6  # hundredths of the side: so near a point lies on the wire
+_FAR = 1e3
 
 
 @dataclass(frozen=True)
@@ -45,31 +47,33 @@ class PublishedWeights:
 
 @dataclass(frozen=True)
 class OrderedWeights:
-    """Weights of the parallel variant's loss.
+    """Weights of the ordered variant's loss; distances are in hundredths of the image's side.
 
     Attributes:
-        attention: of the cross-entropy of each query's attention with the cells round its true place.
-        tip: of the tip's query in that, beside 1 of every other.
-        wire: of the cross-entropy of where wire lies at all.
-        points: of the distance of the points after the attention, in hundredths of the image's side.
+        course: of the distance of the course's points, up to the first beyond the tip.
+        length: of the error of the length, in steps.
+        overview: of the distance of the course's points at shares of the length.
+        tip: of the cross-entropy of the heat map with the four cells round the tip.
+        offset: of the distance from those cells' places to the tip.
+        revised: of the distance of the revised points from their own places.
         refined: of the distance of the refined points from the wire.
         curve: of the distance of the curve of the control points.
-        step: of the distance of the walker's steps, in cells.
-        end: of the cross-entropy of whether the tip lies within a step.
         spread: of the likelihood of the distances under their predicted spread.
+        on_wire: of the cross-entropy of whether points lie on the wire.
         kind: of the kind of image.
     """
 
-    attention: float = 1.0
-    tip: float = 8.0
-    wire: float = 2.0
-    points: float = 0.5
-    refined: float = 2.0
+    course: float = 1.0
+    length: float = 0.5
+    overview: float = 0.5
+    tip: float = 1.0
+    offset: float = 0.2
+    revised: float = 1.0
+    refined: float = 1.0
     curve: float = 0.1
-    step: float = 2.0
-    end: float = 2.0
     spread: float = 0.1
-    kind: float = 0.2
+    on_wire: float = 0.1
+    kind: float = 0.4
 
 
 def kind_loss(kind: ImageKind, wires: Tensor, inverted: Tensor) -> Tensor:
@@ -137,74 +141,110 @@ def attention_loss(logits: Tensor, points: Tensor) -> Tensor:
     return logits.logsumexp(-1) - upper.sum(-1) - lower.sum(-1)
 
 
-def nearest_on_curve(points: Tensor, curve: Tensor) -> Tensor:
-    """The (B, n, 2) places of (B, S, 2) polylines that lie nearest to (B, n, 2) points."""
+def offset_loss(offsets: Tensor, points: Tensor) -> Tensor:
+    """Distance to true places from what the four cells round them say, in hundredths of the side.
+
+    Args:
+        offsets: (B, side², 2) from the centres of cells, in cells.
+        points: (B, 2) shares of the side.
+
+    Returns:
+        (B,).
+    """
+    side = round(offsets.shape[1] ** 0.5)
+    low = (points * side - 0.5).floor().clamp(0.0, side - 2.0).long()
+    total = torch.zeros_like(points[:, 0])
+    for down, right in itertools.product((0, 1), repeat=2):
+        column, row = low[:, 0] + right, low[:, 1] + down
+        said = offsets.gather(1, (row * side + column)[:, None, None].expand(-1, 1, 2))[:, 0]
+        centre = torch.stack([column, row], -1) + 0.5
+        total = total + distance((centre + said) / side, points) / 4
+    return total
+
+
+def distance(a: Tensor, b: Tensor) -> Tensor:
+    """Distances of (..., 2) points, in hundredths of the side.
+
+    They count as such and not by their squares: one lost curve must not drown the others.
+    """
+    return ((100.0 * (a - b)).square().sum(-1) + _SOFT**2).sqrt() - _SOFT
+
+
+def nearest_on_curve(points: Tensor, curve: Tensor, shares: Tensor | None = None, within: float = 1.0) -> Tensor:
+    """The places of curves that lie nearest to points.
+
+    Args:
+        points: (B, n, 2).
+        curve: (B, S, 2) polylines, at equal shares of their length.
+        shares: (n,) of the length, where the points belong; None: anywhere.
+        within: so far from there, as a share of the length, places are looked for: what runs beside is another strand.
+
+    Returns:
+        (B, n, 2).
+    """
     start, step = curve[:, None, :-1], (curve[:, 1:] - curve[:, :-1])[:, None]
     along = ((points[:, :, None] - start) * step).sum(-1) / step.square().sum(-1).clamp_min(1e-12)
     places = start + along.clamp(0.0, 1.0)[..., None] * step
-    best = (places - points[:, :, None]).square().sum(-1).argmin(-1)
+    apart = (places - points[:, :, None]).square().sum(-1)
+    if shares is not None:
+        middles = (torch.arange(step.shape[2], device=points.device) + 0.5) / step.shape[2]
+        apart = apart + _FAR * ((middles - shares[:, None]).abs() > within)
+    best = apart.argmin(-1)
     return places.gather(2, best[..., None, None].expand(-1, -1, 1, 2))[:, :, 0]
 
 
-def wire_loss(logits: Tensor, curve: Tensor, wires: Tensor) -> Tensor:
-    """Cross-entropy of the cells that wire lies in; images with several wires do not count, for one is not annotated.
-
-    Args:
-        logits: (B, side²), row by row.
-        curve: (B, S, 2) dense, shares of the side.
-        wires: (B,) 0, 1 or 2.
-    """
-    side = round(logits.shape[-1] ** 0.5)
-    column, row = (curve * side).long().clamp(0, side - 1).unbind(-1)
-    true = torch.zeros_like(logits).scatter_(1, row * side + column, 1.0) * (wires == _ONE_WIRE)[:, None]
-    # few cells hold wire: those that do count for more
-    every = F.binary_cross_entropy_with_logits(logits, true, reduction="none") * (1.0 + _WIRE_CELLS * true)
-    known = (wires <= _ONE_WIRE).to(logits.dtype)
-    return (every.mean(-1) * known).sum() / known.sum().clamp_min(1.0) * _WIRE_SCALE
-
-
 def ordered_loss(
-    said: Ordered, batch: Mapping[str, Tensor], weights: OrderedWeights, bases: Tensor, reach: float
+    said: Ordered,
+    batch: Mapping[str, Tensor],
+    weights: OrderedWeights,
+    bases: Tensor,
+    shares: Tensor,
+    sights: Sequence[float],
 ) -> Tensor:
-    """The parallel variant's loss; images without exactly one wire count only for their kind and for the cells of wire.
+    """The ordered variant's loss; images without exactly one wire, or turned over, count only for their kind.
 
-    What a refinement is to learn is the way from a point to the wire, wherever along it: a point that slid along the
-    wire cannot see by how much. Tip and end are to reach their own places. Points out of its sight do not count.
+    Revisions are to bring points to their own places. What a refinement is to learn is the way from a point to the
+    wire, wherever along it: a point that slid along the wire cannot see by how much. Tip and end are to reach their
+    own places. Points out of its sight do not count.
 
     Args:
         said: by the network.
-        batch: "points" (B, queries, 2) true places, "curve" (B, S, 2) the true curve at the rows of `bases`,
-            "ways" (B, K, 2) and "ends" (B, K) of the walker, in cells, "wires" and "inverted" (B,).
+        batch: "course" (B, steps, 2), "length" (B,), "points" (B, queries, 2) true places, "curve" (B, S, 2), the true
+            curve at equal shares of its length, "wires" and "inverted" (B,).
         weights: of the terms.
         bases: (S, control points), takes control points to curve points.
-        reach: of a refinement, share of the side.
+        shares: (queries,) of the length.
+        sights: of the refinements, shares of the side.
     """
     points, curve = batch["points"], batch["curve"]
-    one = (batch["wires"] == _ONE_WIRE).to(points.dtype)
+    one = ((batch["wires"] == _ONE_WIRE) & (batch["inverted"] < 0.5)).to(points.dtype)
     share = one / one.sum().clamp_min(1.0)
-
-    def distance(a: Tensor, b: Tensor) -> Tensor:
-        # in hundredths of the side; linear far away, so that one lost curve does not drown the others
-        return F.smooth_l1_loss(100 * a, 100 * b, reduction="none", beta=0.1).sum(-1)
-
-    query = torch.ones_like(points[0, :, 0])
-    query[0] = weights.tip
-    attended = (attention_loss(said.attention, points) * query).sum(-1) / query.sum()
-    total = weights.attention * (attended * share).sum()
-    total = total + weights.points * (distance(said.stages[0], points).mean(-1) * share).sum()
-    for former, stage in itertools.pairwise(said.stages):
-        former = former.detach()
-        target = nearest_on_curve(former, curve)
+    true = batch["length"]
+    steps = torch.arange(said.course.shape[1], device=true.device)
+    there = (steps < true[:, None] + 1.0) * one[:, None]
+    total = weights.course * (distance(said.course, batch["course"]) * there).sum() / there.sum().clamp_min(1.0)
+    total = total + weights.length * (F.smooth_l1_loss(said.length, true, reduction="none", beta=0.1) * share).sum()
+    total = total + weights.overview * (distance(said.overview, points).mean(-1) * share).sum()
+    # what looks from near by is learnt from the first images of the batch
+    near = len(said.tip.place)
+    points, curve, one = points[:near], curve[:near], one[:near]
+    share = one / one.sum().clamp_min(1.0)
+    tip = attention_loss(said.tip.logits[:, None], points[:, :1])[:, 0]
+    total = total + weights.tip * (tip * share).sum()
+    total = total + weights.offset * (offset_loss(said.tip.offsets, points[:, 0]) * share).sum()
+    for revised in said.revised:
+        total = total + weights.revised * (distance(revised, points).mean(-1) * share).sum()
+    target = points
+    for sight, former, stage in zip(sights, said.begun, said.stages, strict=True):
+        target = nearest_on_curve(former.detach(), curve, shares, _SLIDE)
         target = torch.cat([points[:, :1], target[:, 1:-1], points[:, -1:]], 1)
-        seen = ((target - former).norm(dim=-1) < reach) * one[:, None]
+        seen = ((target - former).norm(dim=-1) < sight) * one[:, None]
         total = total + weights.refined * (distance(stage, target) * seen).sum() / seen.sum().clamp_min(1.0)
     total = total + weights.curve * (distance(bases @ said.control, curve).mean(-1) * share).sum()
-    total = total + weights.wire * wire_loss(said.wire, curve, batch["wires"])
-    if said.steps is not None:
-        steps = F.smooth_l1_loss(said.steps.offsets, batch["ways"], reduction="none", beta=0.2).sum(-1).mean(-1)
-        ends = F.binary_cross_entropy_with_logits(said.steps.end, batch["ends"], reduction="none").mean(-1)
-        total = total + ((weights.step * steps + weights.end * ends) * share).sum()
-    off = 100 * (said.stages[-1] - points).detach().norm(dim=-1)
+    off = (100 * (said.stages[-1] - target).norm(dim=-1)).detach()
     likelihood = off * torch.exp(-said.spread) + said.spread
     total = total + weights.spread * (likelihood.mean(-1) * share).sum()
+    right = (off < _ON_WIRE).to(off.dtype)
+    on_wire = F.binary_cross_entropy_with_logits(said.on_wire, right, reduction="none").mean(-1)
+    total = total + weights.on_wire * (on_wire * share).sum()
     return total + weights.kind * kind_loss(said.kind, batch["wires"], batch["inverted"])

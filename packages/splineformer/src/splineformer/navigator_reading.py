@@ -105,13 +105,8 @@ class Reader:
             knots = torch.cummax(tokens[..., :1].clamp_min(0), 1).values
             tokens = torch.cat([knots / knots[:, -1:].clamp_min(1e-6), tokens[..., 1:]], -1)
             return memory, tokens, lengths, decoded.kind.wires
-        kept: list[Tensor] = []
-        hook = network.norm.register_forward_hook(lambda module, given, memory: kept.append(memory))
-        try:
-            said = network(levels)
-        finally:
-            hook.remove()
-        control = said.control
+        reading = network.read(levels)
+        control = reading.control
         knots = network.knots[DEGREE + 1 :].expand(len(control), -1)[..., None]
         lengths = torch.full((len(control),), control.shape[1], device=control.device)
-        return kept[0], torch.cat([knots, control], -1), lengths, said.kind.wires
+        return reading.memory, torch.cat([knots, control], -1), lengths, reading.said.kind.wires

@@ -37,7 +37,7 @@ class Prediction:
         wires: "none", "one" or "several": what the image seems to show.
         tokens: (n, 3) knot (px along the wire from the tip), x, y (px); None where there seems to be no wire.
         confidence: 0 to 1.
-        error_px: expected mean distance of the curve from the wire, of parallel readings; else None.
+        error_px: expected mean distance of the curve from the wire, of the ordered variant; else None.
         inverted: the wire is brighter than its surroundings; the image was read with its grey levels turned over.
         remarks: sentences about what is odd.
     """
@@ -106,7 +106,7 @@ class Predictor:
         self.device = torch.device(device)
         self._forward: Any = network.decode if isinstance(network, SplineFormer) else network.read
         if compiled:
-            # part by part: the sequences that both variants unroll end where the image says
+            # part by part: the sequences that the published variant unrolls end where the image says
             for part in network.children():
                 part.compile(backend=backend)
 
@@ -210,16 +210,12 @@ class Predictor:
         said = reading.said
         knots = network.knots.double().cpu().numpy()[FEWEST_TOKENS:]
         control = reading.control.double().cpu().numpy()
-        errors = said.spread.exp().mean(1).cpu().numpy() / 100
-        walked, arrived = reading.walked.cpu().numpy(), reading.arrived.cpu().numpy()
-        # a way without a tip is worth half of what wire lies under it
-        quality = [float(value) * (1.0 if seen else 0.5) for value, seen in zip(reading.support, arrived, strict=True)]
         return (
             [np.column_stack([knots, points]) for points in control],
             said.kind.wires,
             said.kind.inverted,
-            quality,
-            [None if own else float(error) for own, error in zip(walked, errors, strict=True)],
+            reading.support.tolist(),
+            reading.error.tolist(),
         )
 
 

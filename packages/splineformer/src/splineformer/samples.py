@@ -10,14 +10,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from guide3d.polyline import resample
+from guide3d.polyline import arc_length, at_length, resample
 from splineformer.augmentation import Augmentation, at_shares, inside, moved, recoloured, shadow, warped, without_wire
 from splineformer.decoding import collocation, padded
+from splineformer.drift import drifted
 from splineformer.losses import OrderedWeights, PublishedWeights, ordered_loss, published_loss
 from splineformer.modeling.image_head import WIRES
 from splineformer.modeling.ordered import OrderedSplineFormer
 from splineformer.modeling.splineformer import SplineFormer
-from splineformer.steps import steps_along
 from splineformer.tokens import TokenSettings, tokens_of_polyline
 
 if TYPE_CHECKING:
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
 CAMERAS = ("a", "b")
 _DENSE = 240  # points of a curve that is kept
-_CURVE_SAMPLES = 128  # of the parallel variant's curve loss
-_VALIDATION = 0  # seed of what is drawn for validation
+_CURVE_SAMPLES = 128  # of the ordered variant's curve loss
+_NEAR_PCT = 40  # of a batch's images teach what looks from near by: it learns sooner than the overview, and costs more
+_BEGINS = 0.4  # share of samples whose tip and refinements begin near the true curve, not where the overview says
 _NONE, _ONE, _SEVERAL = range(len(WIRES))
 
 Indices = NDArray[np.int64]
@@ -80,6 +81,24 @@ def curves_of(data: Dataset) -> list[NDArray[np.float64] | None]:
     return curves
 
 
+def course_of(curve: NDArray[np.float64], steps: int, step: float) -> NDArray[np.float64]:
+    """A curve from its end on, in equal steps; beyond the tip it goes straight on.
+
+    Args:
+        curve: (n, 2) tip first.
+        steps: how many points.
+        step: between them, in the curve's unit.
+
+    Returns:
+        (steps, 2).
+    """
+    length = arc_length(curve)[-1]
+    at = length - step * np.arange(steps)
+    ahead = curve[0] - at_length(curve, min(step, length))
+    ahead /= max(float(np.linalg.norm(ahead)), 1e-12)
+    return at_length(curve, np.maximum(at, 0.0)) + np.maximum(-at, 0.0)[:, None] * ahead
+
+
 class SplineObjective:
     """What both variants learn; `guide3d.training.fit` takes it."""
 
@@ -114,7 +133,7 @@ class SplineObjective:
         self.augmentation = augmentation or Augmentation()
         if not len(self.training_items):
             raise ValueError("there is no image to learn from: the data set's training part is empty")
-        self.targets: Callable[[list[NDArray[np.float64]], np.random.Generator], dict[str, Tensor]]
+        self.targets: Callable[[list[NDArray[np.float64]], np.random.Generator | None], dict[str, Tensor]]
         if isinstance(network, SplineFormer):
             published = weights if isinstance(weights, PublishedWeights) else PublishedWeights()
             self.tokens = TokenSettings(limit=network.settings.limit)
@@ -125,17 +144,19 @@ class SplineObjective:
         else:
             ordered = weights if isinstance(weights, OrderedWeights) else OrderedWeights()
             self.shares = network.shares.double().numpy()
+            self.steps, self.step = network.settings.steps, network.step
             parameters = torch.linspace(0, 1, _CURVE_SAMPLES, dtype=torch.float64)
             self.curve_shares = parameters.numpy()
             self.bases = collocation(network.knots.double(), parameters).float()
             self.targets = self._point_targets
-            reach, self.cell = network.refine_reach, network.walker.cell
+            sights = [step.sight for step in network.refinements()]
             self._loss = lambda module, batch: ordered_loss(
-                module(batch["images"], batch["places"], batch["directions"]),
+                module(batch["images"], batch["starts"], batch["begins"]),
                 batch,
                 ordered,
                 self.bases.to(batch["images"].device),
-                reach,
+                network.shares,
+                sights,
             )
 
     def _with_curves(self, items: Indices) -> Indices:
@@ -157,7 +178,7 @@ class SplineObjective:
             "images": images,
             "wires": torch.from_numpy(wires),
             "inverted": torch.from_numpy(inverted),
-            **self.targets(curves, generator or np.random.default_rng(_VALIDATION)),
+            **self.targets(curves, generator),
         }
 
     def _images(self, items: Indices) -> Tensor:
@@ -195,7 +216,9 @@ class SplineObjective:
         curve = np.asarray(self.curves[int(other[0])])
         return shadow(image, without_wire(image, curve, generator)).flip(1 if generator.uniform() < 0.7 else 2)
 
-    def _token_targets(self, curves: list[NDArray[np.float64]], unused: np.random.Generator) -> dict[str, Tensor]:
+    def _token_targets(
+        self, curves: list[NDArray[np.float64]], unused: np.random.Generator | None = None
+    ) -> dict[str, Tensor]:
         sequences = []
         for curve in curves:
             fitted = tokens_of_polyline(curve * self.source_px, self.tokens)
@@ -204,16 +227,26 @@ class SplineObjective:
         tokens, lengths = padded(sequences, self.tokens.limit)
         return {"tokens": tokens, "lengths": lengths}
 
-    def _point_targets(self, curves: list[NDArray[np.float64]], generator: np.random.Generator) -> dict[str, Tensor]:
+    def _point_targets(
+        self, curves: list[NDArray[np.float64]], generator: np.random.Generator | None = None
+    ) -> dict[str, Tensor]:
         def at(shares: NDArray[np.float64]) -> Tensor:
             return torch.from_numpy(np.stack([at_shares(curve, shares) for curve in curves]).astype(np.float32))
 
-        steps = [steps_along(curve, self.cell, generator) for curve in curves]
-        walks = {
-            name: torch.from_numpy(np.stack(values).astype(np.float32))
-            for name, values in zip(("places", "directions", "ways", "ends"), zip(*steps, strict=True), strict=True)
+        points = at(self.shares)
+        courses = [course_of(curve, self.steps, self.step) for curve in curves]
+        lengths = torch.tensor([arc_length(curve)[-1] / self.step for curve in curves], dtype=torch.float32)
+        told = {
+            "points": points,
+            "curve": at(self.curve_shares),
+            "course": torch.from_numpy(np.stack(courses).astype(np.float32)),
+            "length": lengths.clamp(1.0, self.steps - 1.0),
         }
-        return {"points": at(self.shares), "curve": at(self.curve_shares), **walks}
+        if generator is None:
+            return told | {"starts": points, "begins": torch.zeros(len(curves), dtype=torch.bool)}
+        near = -(-len(curves) * _NEAR_PCT // 100)
+        begins = torch.from_numpy(generator.uniform(size=near) < _BEGINS)
+        return told | {"starts": drifted(points[:near], generator), "begins": begins}
 
     def _readable(self, items: Indices, generator: np.random.Generator | None) -> Indices:
         """The items, each damaged one replaced by the next readable one of the same part."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from guide3d.dataset import Dataset
     from guide3d.dataset_split import Split
 
-_MANY = 256  # tokens whose mean the tip predictor starts from
+_MANY = 256  # curves whose mean a network starts from
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -83,14 +83,14 @@ def train(
 
 
 def start_at_mean(network: Network, objective: SplineObjective) -> None:
-    """Lets the tip predictor start from the mean first token instead of from the image's corner."""
+    """Lets the tip predictor start from the mean first token, and the overview from the mean curve."""
+    items = objective.training_items
+    chosen = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
+    targets = objective.targets([np.asarray(objective.curves[item]) for item in chosen], None)
     if isinstance(network, SplineFormer):
-        items = objective.training_items
-        chosen = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
-        tokens = objective.targets([np.asarray(objective.curves[item]) for item in chosen], np.random.default_rng(0))[
-            "tokens"
-        ]
-        network.tip.start_at(tokens[:, 0].mean(0))
+        network.tip.start_at(targets["tokens"][:, 0].mean(0))
+    else:
+        network.start_at(targets["course"].mean(0), float(targets["length"].mean()))
 
 
 def square_side(data: Dataset) -> int:

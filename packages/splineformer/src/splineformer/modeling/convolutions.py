@@ -1,4 +1,4 @@
-"""Convolutional parts of the parallel variant: a stem that halves the image again and again, and the way back up."""
+"""Convolutional parts of the ordered variant: a stem that halves the picture again and again."""
 
 from __future__ import annotations
 
@@ -55,38 +55,14 @@ class Stem(nn.Module):
         return maps
 
 
-class Ascent(nn.Module):
-    """From coarse to fine: what is known of the whole image joins what is known of each place.
-
-    Args:
-        coarse: channels of the coarsest map.
-        channels: of the finer maps, coarse to fine.
-    """
-
-    def __init__(self, coarse: int, channels: Sequence[int]) -> None:
-        super().__init__()
-        self.narrow, self.mix = nn.ModuleList(), nn.ModuleList()
-        for after in channels:
-            self.narrow.append(nn.Conv2d(coarse, after, 1))
-            self.mix.append(convolution(after, after))
-            coarse = after
-
-    def forward(self, x: Tensor, finer: Sequence[Tensor]) -> list[Tensor]:
-        """The coarsest map and the finer ones, coarse to fine, to one map a level."""
-        maps = []
-        for narrow, mix, detail in zip(self.narrow, self.mix, finer, strict=True):
-            x = mix(F.interpolate(narrow(x), scale_factor=2.0, mode="bilinear", align_corners=False) + detail)
-            maps.append(x)
-        return maps
-
-
 def box_means(x: Tensor, side: int) -> Tensor:
     """Means over square neighbourhoods of odd side; at the border over what lies inside."""
-    return F.avg_pool2d(x, side, 1, side // 2, count_include_pad=False)
+    # row by row, then column by column: the work grows with the side, not with its square
+    x = F.avg_pool2d(x, (1, side), 1, (0, side // 2), count_include_pad=False)
+    return F.avg_pool2d(x, (side, 1), 1, (side // 2, 0), count_include_pad=False)
 
 
-def local_contrast(image: Tensor, side: int) -> Tensor:
-    """(B, 1, h, w) grey levels minus their local mean, in local standard deviations of the whole image's detail."""
-    detail = image - box_means(image, side)
-    spread = detail.abs().mean(dim=(1, 2, 3), keepdim=True).clamp_min(0.25)
+def scaled(detail: Tensor, floor: float) -> Tensor:
+    """(B, C, h, w) details in units of four times their mean size over the image, at least `floor` grey levels."""
+    spread = detail.abs().mean(dim=(1, 2, 3), keepdim=True).clamp_min(floor)
     return torch.clamp(detail / (4.0 * spread), -6.0, 6.0)

@@ -1,109 +1,121 @@
-"""The variant of our own: ordered queries find their places along the wire at once, then a walker follows the wire.
+"""The variant of our own: the whole curve at once from the whole picture, then its tip and its course from near by.
 
-Each query stands for a share of the wire's length, from the tip to the end. It attends to a feature map, and its
-place is the mean of the map's cells weighted by the attention. Refinements move the points onto the wire. That is the
-parallel reading. Where the wire comes in it is exact, and there the walker starts. A fixed linear map, least squares on
-fixed knots, turns points into control points.
+An overview in small tells the whole course of the wire at once: how it runs through its loops is known only from the
+whole. The memory's tokens are joined for that, so that places stay places, and each point's own query adds to it. The
+course is counted from where the wire comes in, in equal steps, for there the wires of a patient run alike whatever
+their length; the length is told beside it. Then the points attend to each other and go to their own places, a heat map
+finds the tip near by, and refinements move the points onto the wire, coarse ones first. A fixed linear map, least
+squares on fixed knots, turns points into control points.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
 
 from splineformer.decoding import collocation, uniform_knots
-from splineformer.modeling.convolutions import Ascent, Stem, convolution, local_contrast
+from splineformer.modeling.convolutions import Stem
 from splineformer.modeling.image_head import ImageHead, ImageKind
+from splineformer.modeling.lines import CHANNELS, line_pyramid
 from splineformer.modeling.positions import grid_positions
-from splineformer.modeling.refinement import Refinement
+from splineformer.modeling.refinement import Refinement, at_equal_shares
+from splineformer.modeling.revision import Revision
+from splineformer.modeling.tip_map import TipMap, TipSeen, led_to
 from splineformer.modeling.transformer import DecoderLayer, EncoderLayer, decoder_layers
-from splineformer.modeling.walker import Steps, Walker, at_shares_of_length
 
-FEWEST_STEPS = 3  # points of a way that counts
+_STEPS = 10.0  # of the course: unit of what the length's layer gives
 _DENSER_AT_TIP = 0.5  # first span of the knots over the mean span: the tip bends most
-_STEM_LEVELS = 4
 
 
 @dataclass(frozen=True)
 class OrderedSettings:
-    """Sizes of the parallel network.
+    """Sizes of the ordered network.
 
     Attributes:
-        image_px: side of the images it reads.
-        channels: of the stem's maps, at 1/2, 1/4, 1/8 and 1/16 of the side.
+        image_px: side of the pictures it reads.
+        overview_level: how often the picture is halved before the stem sees it.
+        line_px: to each side of a line, px of the picture.
+        channels: of the stem's maps, each half as wide as the one before.
         blocks: residual blocks of each.
         width: of the tokens of the coarsest map.
         heads: of attention.
         encoder_layers: over the coarsest map.
         decoder_layers: of the queries.
-        key_width: of queries and keys of the fine map.
-        fine_stride: side of a cell of the fine map, px of the image; 4 or 8.
-        queries: points along the wire.
+        kept: numbers of each token that tell the curve.
+        hidden: units of the layers that tell it.
+        steps: of the course, from where the wire comes in.
+        longest: wire whose tip they reach, in sides of the picture.
+        queries: points that are refined, at fixed shares of the length.
         control_points: of the curve.
-        refinements: steps, each with its own weights.
-        reach: cells of 1/2 of the resolution that a refinement sees to each side.
+        tip_channels: of the heat map of the tip, over the stem's first map.
+        revision_cells: of each revision: distance of the places it looks at, px of the picture.
+        revision_layers: of attention between the points.
+        cells: of each refinement, likewise.
+        reach: such places to each side.
         refinement_width: of its hidden layers.
-        detail: channels of the map at 1/2 of the side that refinements and walker look at.
-        walker_reach: cells of that map that the walker sees to each side.
-        walker_width: of its hidden layers.
-        most_steps: of the walker.
     """
 
     image_px: int = 256
-    channels: tuple[int, ...] = (16, 32, 48, 96)
-    blocks: tuple[int, ...] = (0, 1, 1, 0)
+    overview_level: int = 1
+    line_px: int = 2
+    channels: tuple[int, ...] = (16, 24, 32, 64)
+    blocks: tuple[int, ...] = (0, 0, 0, 0)
     width: int = 96
     heads: int = 4
     encoder_layers: int = 2
     decoder_layers: int = 1
-    key_width: int = 32
-    fine_stride: int = 4
-    queries: int = 32
-    control_points: int = 20
-    refinements: int = 2
-    reach: int = 3
-    refinement_width: int = 96
-    detail: int = 24
-    walker_reach: int = 4
-    walker_width: int = 128
-    most_steps: int = 110
+    kept: int = 24
+    hidden: tuple[int, int] = (512, 256)
+    steps: int = 60
+    longest: float = 2.5
+    queries: int = 48
+    control_points: int = 24
+    tip_channels: int = 16
+    revision_cells: tuple[float, ...] = (8.0, 4.0)
+    revision_layers: int = 1
+    cells: tuple[float, ...] = (2.0, 1.0, 0.5)
+    reach: int = 4
+    refinement_width: int = 64
 
 
 class Ordered(NamedTuple):
-    """What the parallel network says of images."""
+    """What the ordered network says of pictures."""
 
-    attention: Tensor  # (B, queries, cells) logits over the fine map, row by row
-    wire: Tensor  # (B, cells) logits that wire lies in the cell
-    stages: list[Tensor]  # (B, queries, 2) points after the attention and after each refinement, shares of the side
+    course: Tensor  # (B, steps, 2) from where the wire comes in, beyond its tip, too; shares of the side
+    length: Tensor  # (B,) of the wire, in steps
+    overview: Tensor  # (B, queries, 2) points of the course up to the length, tip first
+    tip: TipSeen
+    revised: list[Tensor]  # (B, queries, 2) after each revision
+    begun: list[Tensor]  # (B, queries, 2) points before each refinement
+    stages: list[Tensor]  # and after it
     control: Tensor  # (B, control_points, 2)
-    spread: Tensor  # (B, queries) logarithm of the expected distance of each point, shares of the side
+    spread: Tensor  # (B, queries) logarithm of the expected distance of each point, hundredths of the side
+    on_wire: Tensor  # (B, queries) logit that the point lies on the wire
     kind: ImageKind
-    steps: Steps | None  # of the walker, where it was asked
 
 
 class Reading(NamedTuple):
     """Curves that were read."""
 
-    control: Tensor  # (B, control_points, 2) of the curve that was chosen
-    walked: Tensor  # (B,) whether that is the walker's
-    arrived: Tensor  # (B,) whether the walker saw the tip
-    support: Tensor  # (B,) mean probability that wire lies under the curve
+    control: Tensor  # (B, control_points, 2)
+    support: Tensor  # (B,) mean probability that the points lie on the wire
+    error: Tensor  # (B,) expected mean distance of the points, shares of the side
     said: Ordered
     memory: Tensor  # (B, N, width) of the encoder
 
 
 class OrderedSplineFormer(nn.Module):
-    """Image to control points in one pass.
+    """Picture to control points in one pass.
 
     Args:
         settings: sizes.
     """
 
     positions: Tensor
-    cells: Tensor
     knots: Tensor
     shares: Tensor
     to_control: Tensor
@@ -111,130 +123,159 @@ class OrderedSplineFormer(nn.Module):
     def __init__(self, settings: OrderedSettings) -> None:
         super().__init__()
         self.settings = s = settings
-        if s.image_px % 2**_STEM_LEVELS or len(s.channels) != _STEM_LEVELS or len(s.blocks) != _STEM_LEVELS:
-            raise ValueError(
-                f"expected {_STEM_LEVELS} channels and blocks and image_px divisible by {2**_STEM_LEVELS}, got {s}"
-            )
-        if s.fine_stride not in (4, 8):
-            raise ValueError(f"fine_stride: expected 4 or 8, got {s.fine_stride}")
-        coarse_side, self.fine_side = s.image_px // 16, s.image_px // s.fine_stride
-        finer = (2, 1) if s.fine_stride == 4 else (2,)  # levels of the stem on the way up
-        self.finer = finer
-        self.stem = Stem(2, s.channels, s.blocks)
+        divisor = 2 ** (s.overview_level + len(s.channels))
+        if s.image_px % divisor or len(s.blocks) != len(s.channels):
+            raise ValueError(f"expected blocks for each of the channels and image_px divisible by {divisor}, got {s}")
+        side = s.image_px // divisor
+        self.stem = Stem(CHANNELS, s.channels, s.blocks)
         self.to_tokens = nn.Linear(s.channels[-1], s.width)
-        self.register_buffer("positions", grid_positions(coarse_side, s.width), persistent=False)
+        self.to_shade = nn.Linear(1, s.width)
+        self.register_buffer("positions", grid_positions(side, s.width), persistent=False)
         self.encoder = nn.ModuleList(EncoderLayer(s.width, s.heads) for _ in range(s.encoder_layers))
         self.norm = nn.LayerNorm(s.width)
-        self.ascent = Ascent(s.width, [s.channels[level] for level in finer])
-        narrow = s.channels[finer[-1]]
-        self.keys = nn.Sequential(convolution(narrow, s.key_width), nn.Conv2d(s.key_width, s.key_width, 1))
-        self.wire = nn.Conv2d(s.key_width, 1, 1)
-        self.queries = nn.Parameter(torch.randn(s.queries, s.width) * 0.5)
+        self.narrow = nn.Linear(s.width, s.kept)
+        self.whole = nn.Sequential(
+            nn.Linear(s.kept * side**2, s.hidden[0]), nn.LayerNorm(s.hidden[0]), nn.SiLU(),
+            nn.Linear(s.hidden[0], s.hidden[1]), nn.SiLU(),
+        )  # fmt: skip
+        self.to_points = nn.Linear(s.hidden[1], 2 * s.steps)
+        self.to_length = nn.Linear(s.hidden[1], 1)
+        self.queries = nn.Parameter(torch.randn(s.steps, s.width) * 0.5)
         self.decoder = nn.ModuleList(DecoderLayer(s.width, s.heads) for _ in range(s.decoder_layers))
-        self.to_query = nn.Sequential(nn.LayerNorm(s.width), nn.Linear(s.width, s.key_width))
-        self.to_spread = nn.Sequential(nn.LayerNorm(s.width), nn.Linear(s.width, 1))
-        self.detail = nn.Sequential(
-            convolution(s.channels[0] + s.key_width, s.detail, kernel=1), convolution(s.detail, s.detail)
+        self.own_norm, self.own = nn.LayerNorm(s.width), nn.Linear(s.width, 2)
+        self.tip = TipMap(s.channels[0], s.width, side * 2 ** (len(s.channels) - 1), s.tip_channels)
+        self.levels = [max(int(math.log2(max(cell, 1.0))), 0) for cell in s.cells]
+        self.revise = nn.ModuleList(
+            Revision(s.channels[0], s.width, s.heads, s.revision_layers, s.queries, cell / s.image_px, s.reach)
+            for cell in s.revision_cells
         )
-        cell = 2 / s.image_px
         self.refine = nn.ModuleList(
-            Refinement(s.detail, cell, s.reach, s.refinement_width) for _ in range(s.refinements)
+            Refinement(CHANNELS, cell / s.image_px, s.reach, s.refinement_width) for cell in s.cells
         )
-        self.walker = Walker(s.detail, cell, s.walker_reach, s.walker_width, s.most_steps)
-        self.refine_reach = (s.reach + 1) * 2 / s.image_px  # share of the side: further off nothing of the wire is seen
+        self.to_quality = nn.Linear(s.refinement_width, 2)
         self.kind = ImageHead(s.width)
-        centres = (torch.arange(self.fine_side) + 0.5) / self.fine_side
-        rows, columns = torch.meshgrid(centres, centres, indexing="ij")
-        self.register_buffer("cells", torch.stack([columns, rows], -1).flatten(0, 1), persistent=False)
+        self.step = s.longest / (s.steps - 1)  # share of the side
         knots = uniform_knots(s.control_points, _DENSER_AT_TIP, torch.float64)
         shares = torch.linspace(0, 1, s.queries, dtype=torch.float64)
         shares = shares * (_DENSER_AT_TIP + (1 - _DENSER_AT_TIP) * shares)
         at_queries = collocation(knots, shares)
         self.register_buffer("knots", knots.float(), persistent=False)
-        self.register_buffer("shares", shares.float(), persistent=False)  # of the length, where each query lies
+        self.register_buffer("shares", shares.float(), persistent=False)  # of the length, where each point lies
         self.register_buffer("to_control", torch.linalg.pinv(at_queries).float(), persistent=False)
-        self.side_of_contrast = max(s.image_px // 16, 3) // 2 * 2 + 1
+        with torch.no_grad():
+            for layer in (self.to_points, self.own):
+                layer.weight.mul_(0.1)
+            self.start_at(torch.full((s.steps, 2), 0.5), 0.5 * s.steps)
 
-    def normalised(self, image: Tensor) -> Tensor:
-        """(B, 1, h, w) grey levels of 0 to 255 to two channels: the levels in -1 to 1, and their local contrast."""
-        return torch.cat([image / 127.5 - 1.0, local_contrast(image, self.side_of_contrast)], 1)
+    @torch.no_grad()
+    def start_at(self, course: Tensor, length: float) -> None:
+        """Sets biases so that an untrained network tells about this (steps, 2) course and length."""
+        self.to_points.bias.copy_(course.flatten())
+        self.to_length.bias.fill_(length / _STEPS)
+        self.own.bias.zero_()
 
-    def encode(self, image: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """The (B, N, width) memory and the stem's maps."""
-        maps = self.stem(self.normalised(image))
-        x = self.to_tokens(maps[-1].flatten(2).transpose(1, 2)) + self.positions
+    def normalised(self, image: Tensor) -> list[Tensor]:
+        """(B, 1, h, w) grey levels of 0 to 255 to contrast and dark lines, in full, by halves, by quarters, ..."""
+        levels = max(self.settings.overview_level, *self.levels) + 1
+        return line_pyramid(image, self.settings.line_px, levels)
+
+    def _encoded(self, image: Tensor, pyramid: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
+        maps = self.stem(pyramid[self.settings.overview_level])
+        # lines do not tell whether the grey levels are turned over: shades do
+        shade = nn.functional.avg_pool2d(image / 127.5 - 1.0, image.shape[-1] // maps[-1].shape[-1])
+        x = self.to_tokens(maps[-1].flatten(2).transpose(1, 2)) + self.to_shade(shade.flatten(2).transpose(1, 2))
+        x = x + self.positions
         for layer in self.encoder:
             x = layer(x)
         return self.norm(x), maps
 
-    def _seen(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The memory, the queries' features, the keys, and the detailed map."""
-        memory, maps = self.encode(image)
-        coarse = memory.transpose(1, 2).unflatten(2, maps[-1].shape[2:])
-        keys = self.keys(self.ascent(coarse, [maps[level] for level in self.finer])[-1])
-        x = self.queries.expand(len(image), -1, -1)
+    def encode(self, image: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """The (B, N, width) memory and the stem's maps."""
+        return self._encoded(image, self.normalised(image))
+
+    def _course(self, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """The (B, steps, 2) course and the (B,) length."""
+        x = self.queries.expand(len(memory), -1, -1)
         for layer in decoder_layers(self.decoder):
             x = layer(x, layer.cross_attention.keys_values(memory), causal=False)
-        large = nn.functional.interpolate(keys, scale_factor=self.settings.fine_stride / 2, mode="nearest")
-        return memory, x, keys, self.detail(torch.cat([maps[0], large], 1))
+        whole = self.whole(self.narrow(memory).flatten(1))
+        course = self.to_points(whole).unflatten(1, (-1, 2)) + self.own(self.own_norm(x))
+        length = (_STEPS * self.to_length(whole)[:, 0]).clamp(1.0, self.settings.steps - 1.0)
+        return course, length
 
-    def refined(self, detail: Tensor, points: Tensor) -> list[Tensor]:
-        """The points after each refinement."""
-        stages = []
-        for step in self.refine:
-            points = step(detail, points.detach())
+    def _up_to_length(self, course: Tensor, length: Tensor) -> Tensor:
+        """(B, queries, 2) points of the course, tip first."""
+        place = length[:, None] * (1.0 - self.shares)
+        low = place.detach().floor().long().clamp(max=self.settings.steps - 2)
+        part = (place - low)[..., None]
+
+        def at(index: Tensor) -> Tensor:
+            return course.gather(1, index[..., None].expand(-1, -1, 2))
+
+        return at(low) * (1 - part) + at(low + 1) * part
+
+    def refinements(self) -> list[Refinement]:
+        """The refinements, under their own type."""
+        return [cast(Refinement, step) for step in self.refine]
+
+    def refined(self, pyramid: list[Tensor], points: Tensor) -> tuple[list[Tensor], list[Tensor], Tensor]:
+        """The points before and after each refinement, and what the last one saw."""
+        begun, stages = [], []
+        hidden = points
+        for step, level in zip(self.refinements(), self.levels, strict=True):
+            points = at_equal_shares(points.detach(), self.shares)
+            begun.append(points)
+            points, hidden = step(pyramid[level], points)
             stages.append(points)
-        return stages
+        return begun, stages, hidden
 
-    def _said(self, seen: tuple[Tensor, Tensor, Tensor, Tensor], steps: Steps | None) -> Ordered:
-        memory, x, keys, detail = seen
-        attention = self.to_query(x) @ keys.flatten(2)  # scaled by what the linear map learns
-        points = torch.softmax(attention, -1) @ self.cells
-        stages = [points, *self.refined(detail, points)]
-        return Ordered(
-            attention,
-            self.wire(keys).flatten(1),
-            stages,
-            self.to_control @ stages[-1],
-            self.to_spread(x)[..., 0],
-            self.kind(memory),
-            steps,
-        )
+    def _said(self, image: Tensor, starts: Tensor | None, begins: Tensor | None) -> tuple[Ordered, Tensor]:
+        pyramid = self.normalised(image)
+        memory, maps = self._encoded(image, pyramid)
+        course, length = self._course(memory)
+        overview = self._up_to_length(course, length)
+        points, near = overview.detach(), len(image)
+        if starts is not None and begins is not None:
+            near = len(starts)
+            points = torch.where(begins[:, None, None], starts, points[:near])
+        fine = maps[0][:near]
+        coarse = memory[:near].transpose(1, 2).unflatten(2, maps[-1].shape[2:])
+        revised = []
+        tip = None
+        for number, step in enumerate(self.revise):
+            points = step(fine, coarse, points.detach())
+            revised.append(points)
+            if number == 0:
+                tip = self.tip(fine, coarse, points[:, 0].detach())
+                points = led_to(points, tip.place)
+        assert tip is not None
+        begun, stages, hidden = self.refined([level[:near] for level in pyramid], points)
+        spread, on_wire = self.to_quality(hidden).unbind(-1)
+        control = self.to_control @ at_equal_shares(stages[-1], self.shares)
+        kind = self.kind(memory)
+        said = Ordered(course, length, overview, tip, revised, begun, stages, control, spread, on_wire, kind)
+        return said, memory
 
-    def forward(self, image: Tensor, places: Tensor | None = None, directions: Tensor | None = None) -> Ordered:
-        """Reads images in parallel, and asks the walker at places.
+    def forward(self, image: Tensor, starts: Tensor | None = None, begins: Tensor | None = None) -> Ordered:
+        """Reads pictures.
 
         Args:
             image: (B, 1, image_px, image_px) grey levels of 0 to 255.
-            places: (B, K, 2) shares of the side.
-            directions: (B, K, 2) unit vectors.
+            starts: (n, queries, 2) curves that revisions, tip and refinements may begin with instead of the overview's;
+                pictures beyond the first n get no more than an overview.
+            begins: (n,) where they do.
         """
-        seen = self._seen(image)
-        steps = None if places is None or directions is None else self.walker(seen[-1], places, directions)
-        return self._said(seen, steps)
-
-    def seen_and_said(self, image: Tensor) -> tuple[Ordered, Tensor]:
-        """What `forward` says, and the detailed map that the walker looks at."""
-        seen = self._seen(image)
-        return self._said(seen, None), seen[-1]
+        return self._said(image, starts, begins)[0]
 
     @torch.no_grad()
     def read(self, image: Tensor) -> Reading:
-        """Reads images, and follows the wire from its end; where that leads nowhere, the parallel points stay."""
-        seen = self._seen(image)
-        said = self._said(seen, None)
-        points = said.stages[-1]
-        direction = nn.functional.normalize(points[:, -3] - points[:, -1], dim=-1, eps=1e-9)
-        walk = self.walker.walk(seen[-1], points[:, -1], direction)
-        long = walk.lengths >= FEWEST_STEPS
-        walked = at_shares_of_length(walk.points, walk.lengths, 1.0 - self.shares)
-        chosen = torch.where(long[:, None, None], walked, points)
-        wire = torch.sigmoid(said.wire).unflatten(1, (1, self.fine_side, self.fine_side))
-        under = nn.functional.grid_sample(wire, 2 * chosen[:, None] - 1, align_corners=False, padding_mode="border")
-        return Reading(self.to_control @ chosen, long, walk.arrived, under.mean((1, 2, 3)), said, seen[0])
+        """Reads pictures, and tells how good the curves are."""
+        said, memory = self._said(image, None, None)
+        support = torch.sigmoid(said.on_wire).mean(1)
+        return Reading(said.control, support, said.spread.exp().mean(1) / 100, said, memory)
 
     def memory_attention(self, image: Tensor) -> Tensor:
-        """(B, heads, queries, N) weights of the last decoder layer over the memory, for pictures of attention."""
+        """(B, heads, steps, N) weights of the last decoder layer over the memory, for pictures of attention."""
         memory, _ = self.encode(image)
         x = self.queries.expand(len(image), -1, -1)
         for layer in decoder_layers(self.decoder)[:-1]:

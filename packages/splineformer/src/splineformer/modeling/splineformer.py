@@ -30,6 +30,7 @@ class SplineFormerSettings:
         decoder_layers: how many.
         limit: most tokens of a curve.
         dropout: in training.
+        tip_px: side to which the tip predictor averages the images.
     """
 
     image_px: int = 1024
@@ -40,6 +41,7 @@ class SplineFormerSettings:
     decoder_layers: int = 6
     limit: int = 23
     dropout: float = 0.1
+    tip_px: int = 256
 
 
 class Decoded(NamedTuple):
@@ -74,7 +76,7 @@ class SplineFormer(nn.Module):
         self.settings = s = settings
         self.encoder = PatchEncoder(s.image_px, s.patch_px, s.width, s.encoder_layers, s.heads, s.dropout)
         self.decoder = SplineDecoder(s.width, s.decoder_layers, s.heads, s.limit, s.dropout)
-        self.tip = TipPredictor(s.image_px)
+        self.tip = TipPredictor(s.image_px, s.tip_px)
         self.kind = ImageHead(s.width)
 
     def normalised(self, image: Tensor) -> Tensor:

@@ -15,13 +15,13 @@ class TipPredictor(nn.Module):
     """Convolutions of stride 2, then 512 units, then the start token by softplus.
 
     Args:
-        image_px: side of the image; it is averaged down until the convolutions leave 8 x 8 cells.
+        image_px: side of the image.
+        seen_px: it is averaged down to this side first; what the convolutions leave is pooled to 8 x 8 cells.
     """
 
-    def __init__(self, image_px: int) -> None:
+    def __init__(self, image_px: int, seen_px: int) -> None:
         super().__init__()
-        side = _SIDE * 2 ** len(_CHANNELS)
-        self.shrink = max(image_px // (2 * side), 1)  # one stride more than the cells need, taken by pooling at the end
+        self.shrink = max(image_px // seen_px, 1)
         layers: list[nn.Module] = []
         before = 1
         for channels in _CHANNELS:
