@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
 from typing import Any
 
-from pipeline.jobs import Job, run_jobs
-from pipeline.network_job import CODE, NetworkJob
+from pipeline.jobs import Job
+from pipeline.network_job import CODE
 from pipeline.network_settings import SegmentationSettings
-from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.network_stage import network_job, train_and_compare
+from pipeline.report.results import Figure
 from pipeline.report.segmentation_plots import draw_examples, draw_kinds
 from pipeline.report.shape_plots import draw_training
 from pipeline.segmentation_job import PRELOAD, learn_segmentation
 from pipeline.stages import Stage, StageContext
 
 GROUP = "Segmentation"
-PICTURES = "pictures"
 LABELS = {"unet": "UNet", "transunet": "TransUnet", "swinunet": "SwinUnet"}
 
 
@@ -27,37 +26,13 @@ def run_segmentation(settings: SegmentationSettings, context: StageContext) -> N
         context: where the data set lies and where to write.
     """
     jobs = plan(settings, context)
-    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="segmenters", preload=PRELOAD)
-    write_results(context.path, tables(settings.rows, outcomes))
-    write_figures(context.path, figures(settings.rows, outcomes, context))
-    shutil.rmtree(context.path / PICTURES, ignore_errors=True)  # made again from the data set when needed
+    train_and_compare(settings, context, jobs, tables, figures, label="segmenters", preload=PRELOAD)
 
 
 def plan(settings: SegmentationSettings, context: StageContext) -> list[Job]:
-    """A training a row.
-
-    Args:
-        settings: of the stage.
-        context: likewise.
-    """
+    """A training a row."""
     return [
-        Job(
-            row,
-            learn_segmentation,
-            NetworkJob(
-                folder=context.path / row,
-                guide3d=context.inputs["guide3d"],
-                pictures=context.path / PICTURES,
-                network=row,
-                size=settings.size,
-                epochs=settings.epochs,
-                split_seed=settings.split_seed,
-                seed=context.seed,
-                processes=settings.processes,
-                device=settings.device,
-                test_images=settings.test_images,
-            ),
-        )
+        Job(row, learn_segmentation, network_job(row, settings, context, test_images=settings.test_images))
         for row in settings.rows
     ]
 
@@ -126,5 +101,11 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=(*CODE, "pipeline.network_job", "pipeline.segmentation_job", "pipeline.report.segmentation_plots"),
+    code=(
+        *CODE,
+        "pipeline.network_job",
+        "pipeline.network_stage",
+        "pipeline.segmentation_job",
+        "pipeline.report.segmentation_plots",
+    ),
 )

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
 from typing import Any
 
-from pipeline.jobs import Job, run_jobs
-from pipeline.network_job import CODE, NetworkJob
+from pipeline.jobs import Job
+from pipeline.network_job import CODE
 from pipeline.network_settings import ShapeSettings
-from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.network_stage import network_job, train_and_compare
+from pipeline.report.results import Figure
 from pipeline.report.shape_plots import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.shape_job import METRICS, PRELOAD, learn_shape
 from pipeline.stages import Stage, StageContext
 
 GROUP = "Shape prediction"
-PICTURES = "pictures"
 THESIS_ROWS = ("cartesian", "spherical")
 LABELS = {
     "spherical": "spherical",
@@ -32,40 +31,17 @@ def run_shape(settings: ShapeSettings, context: StageContext) -> None:
         context: where the data set lies and where to write.
     """
     jobs = plan(settings, context)
-    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="shape networks", preload=PRELOAD)
-    write_results(context.path, tables(settings.rows, outcomes))
-    write_figures(context.path, figures(settings.rows, outcomes, context))
-    shutil.rmtree(context.path / PICTURES, ignore_errors=True)  # made again from the data set when needed
+    train_and_compare(settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD)
 
 
 def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
-    """A training a row.
-
-    Args:
-        settings: of the stage.
-        context: likewise.
-    """
-    return [
-        Job(
-            row,
-            learn_shape,
-            NetworkJob(
-                folder=context.path / row,
-                guide3d=context.inputs["guide3d"],
-                pictures=context.path / PICTURES,
-                network=row,
-                size=settings.size,
-                epochs=settings.epochs,
-                split_seed=settings.split_seed,
-                seed=context.seed,
-                processes=settings.processes,
-                device=settings.device,
-                pretrained=None if row == "fgrn" else settings.pretrained,
-            ),
-            weight=0.2 if row == "fgrn" else 1.0,
-        )
-        for row in settings.rows
-    ]
+    """A training a row; 3D-FGRN has no transformer that could be filled."""
+    jobs = []
+    for row in settings.rows:
+        small = row == "fgrn"
+        given = network_job(row, settings, context, pretrained=None if small else settings.pretrained)
+        jobs.append(Job(row, learn_shape, given, weight=0.2 if small else 1.0))
+    return jobs
 
 
 def tables(rows: list[str], outcomes: dict[str, Any]) -> dict[str, Any]:
@@ -159,5 +135,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=(*CODE, "pipeline.network_job", "pipeline.shape_job", "pipeline.report.shape_plots"),
+    code=(*CODE, "pipeline.network_job", "pipeline.network_stage", "pipeline.shape_job", "pipeline.report.shape_plots"),
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline import network_stage
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.guide3d_folder import Source
 from pipeline.job_worker import Report
@@ -31,7 +32,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def shapes(run: Path) -> dict:
     settings = ShapeSettings(rows=["spherical", "cartesian", "fgrn"], size="smoke", device="cpu")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shape, "run_jobs", in_this_process)
+        patch.setattr(network_stage, "run_jobs", in_this_process)
         shape.run_shape(settings, context(run, "shape", reads=("guide3d",)))
     return json.loads((run / "shape" / "results.json").read_text())
 
@@ -40,7 +41,7 @@ def shapes(run: Path) -> dict:
 def masks(run: Path) -> dict:
     settings = SegmentationSettings(rows=["unet", "swinunet"], size="smoke", device="cpu", test_images=4)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(segmentation, "run_jobs", in_this_process)
+        patch.setattr(network_stage, "run_jobs", in_this_process)
         segmentation.run_segmentation(settings, context(run, "segmentation", reads=("guide3d",)))
     return json.loads((run / "segmentation" / "results.json").read_text())
 

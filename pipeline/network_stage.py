@@ -1,0 +1,69 @@
+"""What the stages that train networks of Guide3D share: a training a row, then tables and figures of all."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from pipeline.jobs import Job, run_jobs
+from pipeline.network_job import NetworkJob
+from pipeline.network_settings import NetworkSettings
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stages import StageContext
+
+PICTURES = "pictures"
+
+Tables = Callable[[list[str], dict[str, Any]], dict[str, Any]]
+Figures = Callable[[list[str], dict[str, Any], StageContext], list[Figure]]
+
+
+def network_job(network: str, settings: NetworkSettings, context: StageContext, **further: Any) -> NetworkJob:
+    """The training of one network.
+
+    Args:
+        network: row of the stage.
+        settings: of the stage.
+        context: likewise.
+        further: fields that only one of the stages has.
+    """
+    return NetworkJob(
+        folder=context.path / network,
+        guide3d=context.inputs["guide3d"],
+        pictures=context.path / PICTURES,
+        network=network,
+        size=settings.size,
+        epochs=settings.epochs,
+        split_seed=settings.split_seed,
+        seed=context.seed,
+        processes=settings.processes,
+        device=settings.device,
+        **further,
+    )
+
+
+def train_and_compare(
+    settings: NetworkSettings,
+    context: StageContext,
+    jobs: Sequence[Job],
+    tables: Tables,
+    figures: Figures,
+    *,
+    label: str,
+    preload: Sequence[str],
+) -> None:
+    """Trains every network and compares them.
+
+    Args:
+        settings: of the stage.
+        context: where the data set lies and where to write.
+        jobs: the trainings.
+        tables: of rows and what their jobs left.
+        figures: likewise.
+        label: of the progress.
+        preload: modules that the jobs need.
+    """
+    outcomes = run_jobs(context.folder, list(jobs), workers=settings.workers, label=label, preload=preload)
+    write_results(context.path, tables(settings.rows, outcomes))
+    write_figures(context.path, figures(settings.rows, outcomes, context))
+    shutil.rmtree(context.path / PICTURES, ignore_errors=True)  # made again from the data set when needed
