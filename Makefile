@@ -112,6 +112,9 @@ report: setup  ## stage: the page, from whatever has run
 	@$(RUN) stage=report budget=$(BUDGET) name=$(NAME)
 
 test: setup  ## all tests, TEST_JOBS=2 beside each other (ARGS go to pytest)
+	@# Sweeps over Ray are tested, too; where it cannot be installed, that test is left out.
+	@$(PY) -c "import ray, hydra_plugins.hydra_ray_launcher" 2>/dev/null || $(MAKE) --no-print-directory ray \
+		|| echo "Ray could not be installed: its tests are left out" >&2
 	@MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)} $(PY) -m pytest -n $(TEST_JOBS) --dist loadfile $(ARGS)
 
 lint: setup  ## ruff and mypy
