@@ -124,7 +124,7 @@ class ShapeAugmentation:
         gain: the grey values are multiplied by a factor of exp(±gain).
         noise: largest standard deviation of noise added to grey values, of 255.
         shift_px: largest shift of the picture, px of the picture; the curve is shifted with it, parallel to the image
-            at the tip's depth.
+            at the depth of its anchor.
     """
 
     gain: float = 0.3
