@@ -16,18 +16,17 @@ GPU ?=
 # One thread a process: more made learning slower beside other work, and sweeps bring their own processes.
 export OMP_NUM_THREADS ?= 1
 
-# Stages in the order they depend on each other; one whose module is not there yet is left out.
-ALL_STAGES := phantoms expert user_study validate baselines enn imitation force unseen guide3d shape segmentation splineformer navigation
-STAGES := $(patsubst pipeline/stages/%.py,%,$(wildcard $(ALL_STAGES:%=pipeline/stages/%.py)))
-STAGES := $(filter $(STAGES),$(ALL_STAGES))
+# In the order they depend on each other.
+STAGES := phantoms expert user_study validate baselines enn imitation force unseen guide3d shape segmentation splineformer navigation
 
 INSTALLED := $(VENV)/.endonav-installed
 INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard packages/*/pyproject.toml packages/*/setup.py) \
 	$(shell find packages/*/src -name '*.c' -o -name '*.h' 2>/dev/null)
 
-RUN = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)} $(PY) -m pipeline
+GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
+RUN = $(GL) $(PY) -m pipeline
 
-.PHONY: help setup ray all smoke demo test lint format bench-quick clean clean-all console report $(ALL_STAGES)
+.PHONY: help setup ray all smoke demo test lint format bench-quick clean clean-all console report $(STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
@@ -53,7 +52,7 @@ ray: setup  ## Ray for sweeps over a cluster (hydra/launcher=ray), 240 MB more
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-deps -c constraints.txt hydra-ray-launcher
 
 all: setup  ## every stage, then the report: runs/<name>/report/index.html
-	@for stage in $(STAGES) report; do $(RUN) stage=$$stage budget=$(BUDGET) name=$(NAME) $(ARGS) || exit $$?; done
+	@$(GL) $(PY) -m pipeline.chain $(STAGES) report -- budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 smoke:  ## the whole chain in minutes; its numbers mean nothing
 	@$(MAKE) --no-print-directory all BUDGET=smoke
@@ -115,7 +114,7 @@ test: setup  ## all tests, TEST_JOBS=2 beside each other (ARGS go to pytest)
 	@# Sweeps over Ray are tested, too; where it cannot be installed, that test is left out.
 	@$(PY) -c "import ray, hydra_plugins.hydra_ray_launcher" 2>/dev/null || $(MAKE) --no-print-directory ray \
 		|| echo "Ray could not be installed: its tests are left out" >&2
-	@MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)} $(PY) -m pytest -n $(TEST_JOBS) --dist loadfile $(ARGS)
+	@$(GL) $(PY) -m pytest -n $(TEST_JOBS) --dist loadfile $(ARGS)
 
 lint: setup  ## ruff and mypy
 	@$(PY) -m ruff check .

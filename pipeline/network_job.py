@@ -1,8 +1,10 @@
-"""Network jobs: one training, in this process or by torchrun in several, through the package's own command line."""
+"""Network jobs: one training, in this process or by torchrun in several, through a package's own command line."""
 
 from __future__ import annotations
 
+import importlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,23 +28,21 @@ CODE = tuple(
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class NetworkJob:
-    """A network to train and to judge.
+@dataclass(frozen=True, kw_only=True)
+class TrainingJob:
+    """A training by a package's own command line.
 
     Attributes:
         folder: of the network.
         guide3d: folder of the stage guide3d, which knows the data set.
         pictures: folder of prepared pictures, which trainings share.
-        network: as `guide3d.train` calls it.
+        network: as the command line calls it.
         size: of its recipe.
         epochs: 0: the recipe's own.
         split_seed: of the split.
         seed: of the training.
         processes: that train together.
         device: of the training.
-        pretrained: weights of a vision transformer.
-        test_images: that it is judged by; 0: all.
     """
 
     folder: Path
@@ -55,15 +55,37 @@ class NetworkJob:
     seed: int
     processes: int = 1
     device: str = "auto"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkJob(TrainingJob):
+    """A network of `guide3d.train` to train and to judge.
+
+    Attributes:
+        pretrained: weights of a vision transformer.
+        test_images: that it is judged by; 0: all.
+    """
+
     pretrained: str | None = None
     test_images: int = 0
 
 
 def train_network(job: NetworkJob, report: Report) -> dict[str, Any]:
-    """Trains a network, or goes on with its training.
+    """Trains a network, or goes on with its training; the table of the training, as ``training.json`` has it."""
+    words = ["--network", job.network]
+    if job.pretrained is not None:
+        words += ["--pretrained", job.pretrained]
+    return train("guide3d.train", job, words, ("images", "calibration", "curves"), report)
+
+
+def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[str], report: Report) -> dict[str, Any]:
+    """Trains a network, or goes on with its training: in this process, or by torchrun in several.
 
     Args:
+        module: with the command line's ``arguments`` and ``train``.
         job: what to train.
+        words: of the command line that only this module has.
+        places: of the data set that it takes.
         report: takes the progress.
 
     Returns:
@@ -74,25 +96,23 @@ def train_network(job: NetworkJob, report: Report) -> dict[str, Any]:
         return dict(json.loads(told.read_text(encoding="utf-8")))
     source = read_source(job.guide3d)
     words = [
-        str(job.guide3d / source.root), "--network", job.network, "--size", job.size, "--output", str(job.folder),
+        str(job.guide3d / source.root), *words, "--size", job.size, "--output", str(job.folder),
         "--pictures", str(job.pictures), "--device", job.device, "--seed", str(job.seed),
         "--split-seed", str(job.split_seed),
     ]  # fmt: skip
-    for name in ("images", "calibration", "curves"):
+    for name in places:
         path = source.place(job.guide3d, name)
         if path is not None:
             words += [f"--{name}", str(path)]
     if job.epochs:
         words += ["--epochs", str(job.epochs)]
-    if job.pretrained is not None:
-        words += ["--pretrained", job.pretrained]
     if job.processes > 1:
-        train_together("guide3d.train", words, job.processes, report)
+        train_together(module, words, job.processes, report)
         return dict(json.loads(told.read_text(encoding="utf-8")))
-    from guide3d.train import arguments, train
+    command = importlib.import_module(module)
 
     def tell(now: FitProgress) -> None:
         loss = now.loss if now.validation is None else now.validation
         report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
 
-    return train(arguments(words), progress=tell)
+    return dict(command.train(command.arguments(words), progress=tell))

@@ -1,33 +1,39 @@
-"""What the stages that train networks of Guide3D share: a training a row, then tables and figures of all."""
+"""What the stages that train networks on images share: a training a row, then tables and figures of all."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from pipeline.jobs import Job, run_jobs
-from pipeline.network_job import NetworkJob
+from pipeline.network_job import TrainingJob
 from pipeline.network_settings import NetworkSettings
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stages import StageContext
 
 PICTURES = "pictures"
 
+Kind = TypeVar("Kind", bound=TrainingJob)
 Tables = Callable[[list[str], dict[str, Any]], dict[str, Any]]
 Figures = Callable[[list[str], dict[str, Any], StageContext], list[Figure]]
 
 
-def network_job(network: str, settings: NetworkSettings, context: StageContext, **further: Any) -> NetworkJob:
+def training_job(
+    kind: type[Kind], network: str, settings: NetworkSettings | SplineformerSettings, context: StageContext,
+    **further: Any,
+) -> Kind:  # fmt: skip
     """The training of one network.
 
     Args:
+        kind: of job.
         network: row of the stage.
         settings: of the stage.
         context: likewise.
         further: fields that only one of the stages has.
     """
-    return NetworkJob(
+    return kind(
         folder=context.path / network,
         guide3d=context.inputs["guide3d"],
         pictures=context.path / PICTURES,

@@ -34,18 +34,17 @@ def learn_segmentation(job: NetworkJob, report: Report) -> dict[str, Any]:
     file = job.folder / RECORD
     if file.is_file():
         return dict(json.loads(file.read_text(encoding="utf-8")))
-    from guide3d.dataset import split
+    from guide3d.dataset import VIEWS, images_of, split
     from guide3d.picture_store import PictureStore
     from guide3d.predictor import SegmentationPredictor
     from guide3d.preprocessing import averaged
     from guide3d.segmentation_metrics import dice, segmentation_metrics
-    from guide3d.segmentation_samples import CAMERAS, images_of
 
     training = train_network(job, report)
     data = open_dataset(job.guide3d)
     parts = split(data, seed=job.split_seed)
     predictor = SegmentationPredictor.load(job.folder / PREDICTOR)
-    stores = [PictureStore(data.frames, camera, predictor.preprocessing, job.pictures) for camera in CAMERAS]
+    stores = [PictureStore(data.frames, camera, predictor.preprocessing, job.pictures) for camera in VIEWS]
     width = float(predictor.metadata["mask_px"])
     items = images_of(data, parts.test, job.test_images).tolist()
     told, small, kinds, places, spent = [], [], [], [], 0.0
@@ -59,7 +58,7 @@ def learn_segmentation(job: NetworkJob, report: Report) -> dict[str, Any]:
         large = predictor.enlarged(chances) >= 0.5
         spent += time.process_time() - began
         frame = data.frames[index]
-        mask = frame.mask(CAMERAS[camera], width)
+        mask = frame.mask(VIEWS[camera], width)
         told.append(segmentation_metrics(large, mask))
         small.append(dice(chances >= 0.5, averaged(mask, len(chances)) >= _HALF))
         kinds.append(f"{frame.wire}, {'fluid' if frame.fluid else 'dry'}")
@@ -70,8 +69,8 @@ def learn_segmentation(job: NetworkJob, report: Report) -> dict[str, Any]:
     arrays: dict[str, Any] = {}
     for k, place in enumerate(chosen):
         camera, index = places[place]
-        image = data.frames[index].image(CAMERAS[camera])
-        arrays[f"image{k}"], arrays[f"true{k}"] = image, data.frames[index].mask(CAMERAS[camera], width)
+        image = data.frames[index].image(VIEWS[camera])
+        arrays[f"image{k}"], arrays[f"true{k}"] = image, data.frames[index].mask(VIEWS[camera], width)
         arrays[f"predicted{k}"] = predictor.predict(image)
     with atomic_path(job.folder / EXAMPLES) as temporary:
         np.savez_compressed(temporary, dice=np.array([told[place]["dice"] for place in chosen]), **arrays)

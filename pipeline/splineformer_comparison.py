@@ -15,7 +15,7 @@ from pipeline.atomic import atomic_path, write_json
 from pipeline.errors import StageError
 from pipeline.guide3d_folder import open_dataset
 from pipeline.job_worker import Report
-from pipeline.splineformer_job import PREDICTOR
+from pipeline.network_job import PREDICTOR
 
 if TYPE_CHECKING:
     from guide3d.camera import Camera
@@ -119,11 +119,10 @@ def _readers(job: ComparisonJob, data: Dataset) -> dict[str, Reader]:
 
 
 def _items(count: int, job: ComparisonJob, data: Dataset) -> list[tuple[Frame, str]]:
-    from guide3d.dataset import split
-    from splineformer.samples import CAMERAS, images_of
+    from guide3d.dataset import VIEWS, images_of, split
 
     items = images_of(data, split(data, seed=job.split_seed).test, count).tolist()
-    return [(data.frames[item % len(data.frames)], CAMERAS[item // len(data.frames)]) for item in items]
+    return [(data.frames[item % len(data.frames)], VIEWS[item // len(data.frames)]) for item in items]
 
 
 def _disturbed(kind: str, frame: Frame, camera: str, number: int, job: ComparisonJob) -> np.ndarray:

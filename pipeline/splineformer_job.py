@@ -1,61 +1,39 @@
-"""Training jobs of SplineFormer: one variant, in this process or by torchrun in several, and what it is like alone."""
+"""Training jobs of SplineFormer: one variant, and what it is like alone."""
 
 from __future__ import annotations
 
 import json
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.atomic import write_json
-from pipeline.guide3d_folder import open_dataset, read_source
+from pipeline.guide3d_folder import open_dataset
 from pipeline.job_worker import Report
-from pipeline.torchrun import train_together
+from pipeline.network_job import PREDICTOR, TrainingJob, train
 
 if TYPE_CHECKING:
     from guide3d.dataset import Dataset
-    from guide3d.training import FitProgress
     from splineformer.predictor import Predictor
 
 PRELOAD = ("splineformer.train", "splineformer.skeleton", "guide3d.predictor", "guide3d.segmentation_metrics")
-PREDICTOR, TRAINING, RECORD = "predictor.pt", "training.json", "variant.json"
+RECORD = "variant.json"
 _BATCH = 8
 _TIMED = 5  # calls, after one that is not counted
 _KINDS_OF = 48  # test images whose kind is asked for, in each of the four forms
 _TRIPS = 400  # curves that go to tokens and back
 
 
-@dataclass(frozen=True)
-class VariantJob:
-    """A variant to train.
+@dataclass(frozen=True, kw_only=True)
+class VariantJob(TrainingJob):
+    """A variant, "published" or "ordered", to train and to measure.
 
     Attributes:
-        folder: of the network.
-        guide3d: folder of the stage guide3d, which knows the data set.
-        pictures: folder of small pictures, which trainings share.
-        variant: "published" or "ordered".
-        size: of its recipe.
-        epochs: 0: the recipe's own.
-        split_seed: of the split.
-        seed: of the training.
-        processes: that train together.
-        device: of the training.
         tensorboard: write the losses for it, too.
     """
 
-    folder: Path
-    guide3d: Path
-    pictures: Path
-    variant: str
-    size: str
-    epochs: int
-    split_seed: int
-    seed: int
-    processes: int = 1
-    device: str = "auto"
     tensorboard: bool = False
 
 
@@ -73,14 +51,15 @@ def learn_variant(job: VariantJob, report: Report) -> dict[str, Any]:
     file = job.folder / RECORD
     if file.is_file():
         return dict(json.loads(file.read_text(encoding="utf-8")))
-    training = _train(job, report)
+    words = ["--variant", job.network, *(["--tensorboard"] if job.tensorboard else [])]
+    training = train("splineformer.train", job, words, ("images", "calibration"), report)
     from splineformer.predictor import Predictor
 
     data = open_dataset(job.guide3d)
     predictor = Predictor.load(job.folder / PREDICTOR)
     report(0.92, "speed")
     outcome = {
-        "variant": job.variant,
+        "variant": job.network,
         "parameters": sum(weight.numel() for weight in predictor.network.parameters()),
         "image_px": predictor.network.settings.image_px,
         "epochs": len(training["rows"]),
@@ -93,36 +72,6 @@ def learn_variant(job: VariantJob, report: Report) -> dict[str, Any]:
     }
     write_json(file, outcome)
     return outcome
-
-
-def _train(job: VariantJob, report: Report) -> dict[str, Any]:
-    told = job.folder / TRAINING
-    if told.is_file() and (job.folder / PREDICTOR).is_file():
-        return dict(json.loads(told.read_text(encoding="utf-8")))
-    source = read_source(job.guide3d)
-    words = [
-        str(job.guide3d / source.root), "--variant", job.variant, "--size", job.size, "--output", str(job.folder),
-        "--pictures", str(job.pictures), "--device", job.device, "--seed", str(job.seed),
-        "--split-seed", str(job.split_seed),
-    ]  # fmt: skip
-    for name in ("images", "calibration"):
-        path = source.place(job.guide3d, name)
-        if path is not None:
-            words += [f"--{name}", str(path)]
-    if job.epochs:
-        words += ["--epochs", str(job.epochs)]
-    if job.tensorboard:
-        words.append("--tensorboard")
-    if job.processes > 1:
-        train_together("splineformer.train", words, job.processes, report)
-        return dict(json.loads(told.read_text(encoding="utf-8")))
-    from splineformer.train import arguments, train_as_told
-
-    def tell(now: FitProgress) -> None:
-        loss = now.loss if now.validation is None else now.validation
-        report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
-
-    return train_as_told(arguments(words), progress=tell)
 
 
 def speed(predictor: Predictor, data: Dataset) -> dict[str, float]:
@@ -160,9 +109,9 @@ def round_trips(predictor: Predictor, data: Dataset, seed: int) -> dict[str, flo
 
 def kinds_told(predictor: Predictor, data: Dataset, job: VariantJob, report: Report) -> dict[str, float]:
     """Shares (%) of test images whose kind is told: one wire, none (taken away), two (one added), inverted levels."""
-    from guide3d.dataset import split
+    from guide3d.dataset import VIEWS, images_of, split
     from splineformer.intake import picture_of
-    from splineformer.samples import CAMERAS, images_of, shares_of_pixels
+    from splineformer.samples import shares_of_pixels
 
     items = images_of(data, split(data, seed=job.split_seed).test, _KINDS_OF)
     generator = np.random.default_rng(job.seed)
@@ -172,9 +121,9 @@ def kinds_told(predictor: Predictor, data: Dataset, job: VariantJob, report: Rep
         report(0.94 + 0.05 * number / len(items), "kinds of image")
         camera, index = divmod(item, len(data.frames))
         frame = data.frames[index]
-        image = frame.image(CAMERAS[camera])
+        image = frame.image(VIEWS[camera])
         small = picture_of(image, predictor.network.settings.image_px, len(image)).pixels
-        wire = shares_of_pixels(frame.polyline(CAMERAS[camera]), (image.shape[1], image.shape[0]))
+        wire = shares_of_pixels(frame.polyline(VIEWS[camera]), (image.shape[1], image.shape[0]))
         empty, former = _without_and_with(small, wire, generator, former)
         plain, none, several, inverted = predictor.batch([small, empty[0], empty[1], 255 - small])
         right["one"] += plain.wires == "one" and not plain.inverted

@@ -19,9 +19,9 @@ from pipeline.navigation_scene import Rig
 from pipeline.navigation_settings import NavigationSettings
 from pipeline.navigation_summary import ARCHES, DAGGER, FILMS, LOGS, PIXELS, READER, figures, row_of, tables
 from pipeline.navigation_task import Anatomy, Rules, TrialSet
+from pipeline.network_job import PREDICTOR
 from pipeline.provenance import hash_file
 from pipeline.report.results import write_figures, write_results
-from pipeline.splineformer_job import PREDICTOR
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.stages.unseen import FIRST_TEST_ANATOMY

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.jobs import Job
-from pipeline.network_job import CODE
+from pipeline.network_job import CODE, NetworkJob
 from pipeline.network_settings import ShapeSettings
-from pipeline.network_stage import network_job, train_and_compare
+from pipeline.network_stage import train_and_compare, training_job
 from pipeline.report.results import Figure
 from pipeline.report.shape_plots import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.shape_job import METRICS, PRELOAD, learn_shape
@@ -39,7 +39,7 @@ def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
     jobs = []
     for row in settings.rows:
         small = row == "fgrn"
-        given = network_job(row, settings, context, pretrained=None if small else settings.pretrained)
+        given = training_job(NetworkJob, row, settings, context, pretrained=None if small else settings.pretrained)
         jobs.append(Job(row, learn_shape, given, weight=0.2 if small else 1.0))
     return jobs
 

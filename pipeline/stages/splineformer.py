@@ -6,6 +6,7 @@ import shutil
 from typing import Any
 
 from pipeline.jobs import Job, run_jobs
+from pipeline.network_stage import PICTURES, training_job
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.report.shape_plots import draw_training
 from pipeline.report.splineformer_plots import draw_attention, draw_comparison, draw_errors
@@ -15,7 +16,7 @@ from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stages import Stage, StageContext
 
 GROUP = "SplineFormer"
-PICTURES, COMPARISON = "pictures", "comparison"
+COMPARISON = "comparison"
 LABELS = {
     "published": "SplineFormer, as published",
     "ordered": "SplineFormer, ordered queries",
@@ -56,19 +57,7 @@ def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
         Job(
             variant,
             learn_variant,
-            VariantJob(
-                folder=context.path / variant,
-                guide3d=guide3d,
-                pictures=context.path / PICTURES,
-                variant=variant,
-                size=settings.size,
-                epochs=settings.epochs,
-                split_seed=settings.split_seed,
-                seed=context.seed,
-                processes=settings.processes,
-                device=settings.device,
-                tensorboard=settings.tensorboard,
-            ),
+            training_job(VariantJob, variant, settings, context, tensorboard=settings.tensorboard),
             weight=4.0,
         )
         for variant in settings.variants
@@ -171,6 +160,8 @@ STAGE = Stage(
     code=(
         "guide3d",
         "splineformer",
+        "pipeline.network_job",
+        "pipeline.network_stage",
         "pipeline.splineformer_job",
         "pipeline.splineformer_comparison",
         "pipeline.report.splineformer_plots",

@@ -81,7 +81,7 @@ def test_tables_and_figures(run: Path, results: dict) -> None:
 def test_finished_jobs_are_kept(run: Path, results: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     jobs = {job.key: job for job in splineformer.plan(SETTINGS, context(run, "splineformer", reads=READS))}
     assert jobs["comparison"].after == ("published", "ordered")
-    monkeypatch.setattr("splineformer.train.train_as_told", None)
+    monkeypatch.setattr("splineformer.train.train", None)
     told = learn_variant(jobs["ordered"].given, Report())
     assert told["round_trip_px"] == results["splineformer_variants"]["ordered"]["round_trip_px"]
     monkeypatch.setattr("pipeline.splineformer_comparison._under", None)

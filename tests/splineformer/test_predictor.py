@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from guide3d.dataset import Dataset, split
+from guide3d.dataset import Dataset, images_of, split
 from guide3d.dataset_split import Split
 from guide3d.polyline import resample
 from guide3d.training import finished
@@ -20,7 +20,7 @@ from splineformer.intake import picture_of
 from splineformer.losses import attention_loss, nearest_on_curve, offset_loss
 from splineformer.predictor import Predictor, tokens_px
 from splineformer.recipes import recipe_of
-from splineformer.samples import SplineObjective, curves_of, images_of, pixels_of_shares, shares_of_pixels
+from splineformer.samples import SplineObjective, curves_of, pixels_of_shares, shares_of_pixels
 from splineformer.tokens import sampled, tokens_of_polyline
 from splineformer.training import train
 from tests.guide3d.drawn_data import draw

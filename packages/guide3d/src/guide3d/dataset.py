@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from guide3d.annotation_files import Annotation, Views, read_curves, read_raw
 from guide3d.calibration_folder import cameras_in, distortions_in
@@ -35,7 +36,7 @@ from guide3d.frame import Frame
 from guide3d.picture_cache import cached_pictures
 from guide3d.true_curves import VIEWS, read_truth
 
-__all__ = ["Dataset", "split"]
+__all__ = ["VIEWS", "Dataset", "images_of", "split"]
 
 RAW, CURVES, SPACE, TRUTH, PROPERTIES = "raw.json", "b_spline.json", "sphere.json", "truth.json", "dataset.json"
 PUBLIC_SIZE_PX = 1024
@@ -202,6 +203,24 @@ def split(data: Dataset, shares: tuple[float, float, float] = (0.8, 0.1, 0.1), s
         frame = data.frames[indices[0]]
         kinds[name] = (f"{frame.wire}, {'fluid' if frame.fluid else 'dry'}", len(indices))
     return split_acquisitions(kinds, shares, seed)
+
+
+def images_of(data: Dataset, acquisitions: Sequence[str], at_most: int = 0) -> NDArray[np.int64]:
+    """Lists the images of acquisitions, both cameras.
+
+    Args:
+        data: the data set.
+        acquisitions: names.
+        at_most: so many, evenly chosen; 0: all.
+
+    Returns:
+        (n,) indices: camera times the number of frames, plus frame.
+    """
+    frames = np.array([index for name in acquisitions for index in data.acquisitions[name]], np.int64)
+    both = np.stack([frames + camera * len(data.frames) for camera in range(len(VIEWS))], axis=1).reshape(-1)
+    if not at_most or len(both) <= at_most:
+        return both
+    return both[np.linspace(0, len(both) - 1, at_most).round().astype(np.int64)]
 
 
 def _annotations(path: Path, folder: Path, damaged: list[str]) -> list[Annotation]:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from guide3d.build import build_fgrn, build_shape_network
+from guide3d.dataset import VIEWS, images_of
 from guide3d.distributed import Ranks
 from guide3d.modeling.spherical import SphericalForm
 from guide3d.picture_store import PictureStore
@@ -18,7 +19,7 @@ from guide3d.polyline import Array
 from guide3d.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
 from guide3d.preprocessing import Preprocessing
 from guide3d.recipes import FORMS, FGRNRecipe, SegmentationRecipe, ShapeRecipe
-from guide3d.segmentation_samples import CAMERAS, SegmentationObjective, images_of
+from guide3d.segmentation_samples import SegmentationObjective
 from guide3d.shape_samples import CAMERA, Clips, ShapeObjective, clips_of, walks_of
 from guide3d.training import FitProgress, FitReport, fit
 
@@ -127,7 +128,7 @@ def train_segmenter(
 ) -> tuple[SegmentationPredictor, FitReport]:
     """Trains a segmentation network; arguments and result as those of `train_shape`."""
     recipe = replace(recipe, preprocessing=_fitting(recipe.preprocessing, data))
-    stores = [PictureStore(data.frames, camera, recipe.preprocessing, pictures) for camera in CAMERAS]
+    stores = [PictureStore(data.frames, camera, recipe.preprocessing, pictures) for camera in VIEWS]
     training = images_of(data, split.train, recipe.images)
     objective = SegmentationObjective(
         stores, training, images_of(data, split.validation, recipe.validation_images), crop_px=recipe.crop_px,

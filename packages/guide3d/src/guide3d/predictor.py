@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -91,14 +91,7 @@ class ShapePredictor:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
         """
-        content = read_model(path, "shape")
-        try:
-            network = rebuilt(content["network"])
-            network.load_state_dict(content["weights"])
-        except (KeyError, TypeError, RuntimeError, ValueError) as error:
-            raise _unfit(path, error) from error
-        preprocessing = Preprocessing(**content["preprocessing"])
-        return cls(network.to(device), content["network"], preprocessing, content["metadata"])
+        return cls(*_loaded(path, "shape", device, rebuilt))
 
     @classmethod
     def of(cls, network: ShapeNetwork, size: Any, preprocessing: Preprocessing, **metadata: Any) -> ShapePredictor:
@@ -150,14 +143,7 @@ class FGRNPredictor:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
         """
-        content = read_model(path, "fgrn")
-        try:
-            network = build_fgrn(**content["network"])
-            network.load_state_dict(content["weights"])
-        except (KeyError, TypeError, RuntimeError, ValueError) as error:
-            raise _unfit(path, error) from error
-        preprocessing = Preprocessing(**content["preprocessing"])
-        return cls(network.to(device), content["network"], preprocessing, content["metadata"])
+        return cls(*_loaded(path, "fgrn", device, lambda told: build_fgrn(**told)))
 
 
 class SegmentationPredictor:
@@ -233,15 +219,7 @@ class SegmentationPredictor:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
         """
-        content = read_model(path, "segmentation")
-        try:
-            told = content["network"]
-            network = built(told)
-            network.load_state_dict(content["weights"])
-        except (KeyError, TypeError, RuntimeError, ValueError) as error:
-            raise _unfit(path, error) from error
-        preprocessing = Preprocessing(**content["preprocessing"])
-        return cls(network.to(device), told, preprocessing, content["metadata"])
+        return cls(*_loaded(path, "segmentation", device, built))
 
 
 def built(told: dict[str, Any]) -> torch.nn.Module:
@@ -289,6 +267,17 @@ def _save(path: Path | str, kind: str, size: dict[str, Any], predictor: Any) -> 
     )
 
 
-def _unfit(path: Path | str, error: Exception) -> ValueError:
-    reason = " ".join(str(error).split())[:200]
-    return ValueError(f"{path} is of another architecture than this version builds ({reason}): train it again")
+def _loaded(
+    path: Path | str, kind: str, device: str, build: Callable[[dict[str, Any]], Any]
+) -> tuple[Any, dict[str, Any], Preprocessing, dict[str, Any]]:
+    """What a predictor of this kind is made of."""
+    content = read_model(path, kind)
+    try:
+        network = build(content["network"])
+        network.load_state_dict(content["weights"])
+    except (KeyError, TypeError, RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ValueError(
+            f"{path} is of another architecture than this version builds ({reason}): train it again"
+        ) from error
+    return network.to(device), content["network"], Preprocessing(**content["preprocessing"]), content["metadata"]

@@ -5,40 +5,18 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from guide3d.dataset import VIEWS
 from guide3d.losses import segmentation_loss
 from guide3d.picture_store import PictureStore
 from guide3d.preprocessing import averaged
 
-if TYPE_CHECKING:
-    from guide3d.dataset import Dataset
-
-CAMERAS = ("a", "b")
 _DRAWS = 50
-
-
-def images_of(data: Dataset, acquisitions: Sequence[str], at_most: int = 0) -> NDArray[np.int64]:
-    """Lists images of acquisitions.
-
-    Args:
-        data: the data set.
-        acquisitions: names.
-        at_most: so many, evenly chosen; 0: all.
-
-    Returns:
-        (n,) indices: camera times the number of frames, plus frame.
-    """
-    frames = np.array([index for name in acquisitions for index in data.acquisitions[name]], np.int64)
-    both = np.stack([frames + camera * len(data.frames) for camera in range(len(CAMERAS))], axis=1).reshape(-1)
-    if not at_most or len(both) <= at_most:
-        return both
-    return both[np.linspace(0, len(both) - 1, at_most).round().astype(np.int64)]
 
 
 @dataclass(frozen=True)
@@ -99,7 +77,7 @@ class SegmentationObjective:
         size = self.stores[0].preprocessing.size_px
         if item not in self._masks:
             camera, index = divmod(item, len(self.stores[0].frames))
-            drawn = self.stores[camera].frames[index].mask(CAMERAS[camera], self.mask_px)
+            drawn = self.stores[camera].frames[index].mask(VIEWS[camera], self.mask_px)
             self._masks[item] = zlib.compress(averaged(drawn, size).tobytes(), 1)
         return np.frombuffer(zlib.decompress(self._masks[item]), np.uint8).reshape(size, size)
 

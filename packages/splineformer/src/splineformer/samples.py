@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from guide3d.dataset import VIEWS
 from guide3d.polyline import arc_length, at_length, resample
 from splineformer.augmentation import Augmentation, at_shares, inside, moved, recoloured, shadow, warped, without_wire
 from splineformer.decoding import collocation, padded
@@ -23,7 +24,6 @@ from splineformer.tokens import TokenSettings, tokens_of_polyline
 if TYPE_CHECKING:
     from guide3d.dataset import Dataset
 
-CAMERAS = ("a", "b")
 _DENSE = 240  # points of a curve that is kept
 _CURVE_SAMPLES = 128  # of the ordered variant's curve loss
 _NEAR_PCT = 40  # of a batch's images teach what looks from near by: it learns sooner than the overview, and costs more
@@ -53,28 +53,10 @@ def pixels_of_shares(shares: NDArray[np.float64], size_px: tuple[float, float]) 
     return np.asarray(shares, float) * np.asarray(size_px, float) - 0.5
 
 
-def images_of(data: Dataset, acquisitions: Sequence[str], at_most: int = 0) -> Indices:
-    """Lists the images of acquisitions, both cameras.
-
-    Args:
-        data: the data set.
-        acquisitions: names.
-        at_most: so many, evenly chosen; 0: all.
-
-    Returns:
-        (n,) indices: camera times the number of frames, plus frame.
-    """
-    frames = np.array([index for name in acquisitions for index in data.acquisitions[name]], np.int64)
-    both = np.stack([frames + camera * len(data.frames) for camera in range(len(CAMERAS))], axis=1).reshape(-1)
-    if not at_most or len(both) <= at_most:
-        return both
-    return both[np.linspace(0, len(both) - 1, at_most).round().astype(np.int64)]
-
-
 def curves_of(data: Dataset) -> list[NDArray[np.float64] | None]:
     """The curves of all images, camera A first: dense points as shares of the sides; None where it is too short."""
     curves: list[NDArray[np.float64] | None] = []
-    for camera in CAMERAS:
+    for camera in VIEWS:
         for frame in data.frames:
             kept = inside(shares_of_pixels(frame.polyline(camera), frame.size_px[camera]))
             curves.append(None if kept is None else resample(kept, count=_DENSE))

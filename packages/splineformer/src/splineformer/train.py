@@ -25,7 +25,7 @@ from guide3d.distributed import Ranks
 from guide3d.training import FitProgress, FitReport, finished
 from splineformer.build import SIZES, VARIANTS
 from splineformer.recipes import recipe_of
-from splineformer.training import train
+from splineformer.training import train as train_variant
 
 PREDICTOR, TABLE, BOARD = "predictor.pt", "training.json", "tensorboard"
 
@@ -50,7 +50,7 @@ def arguments(words: list[str]) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def train_as_told(given: argparse.Namespace, progress: Callable[[FitProgress], None] | None = None) -> dict[str, Any]:
+def train(given: argparse.Namespace, progress: Callable[[FitProgress], None] | None = None) -> dict[str, Any]:
     """Trains what the command line asks for.
 
     Args:
@@ -76,7 +76,7 @@ def train_as_told(given: argparse.Namespace, progress: Callable[[FitProgress], N
                     "epoch %d of %d: loss %.4f, validation %s", now.epoch, now.epochs, now.loss, now.validation
                 )
 
-        predictor, report = train(
+        predictor, report = train_variant(
             data,
             split(data, seed=given.split_seed),
             recipe,
@@ -126,7 +126,7 @@ def main(words: list[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     given = arguments(sys.argv[1:] if words is None else words)
     try:
-        train_as_told(given)
+        train(given)
     except (ValueError, OSError) as error:
         _LOGGER.error("%s", error)
         return 2

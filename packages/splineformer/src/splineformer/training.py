@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from guide3d.dataset import VIEWS, images_of
 from guide3d.distributed import Ranks
 from guide3d.picture_store import PictureStore
 from guide3d.preprocessing import Preprocessing
@@ -18,7 +19,7 @@ from splineformer.build import Network, build
 from splineformer.modeling.splineformer import SplineFormer
 from splineformer.predictor import Predictor
 from splineformer.recipes import Recipe
-from splineformer.samples import CAMERAS, SplineObjective, curves_of, images_of
+from splineformer.samples import SplineObjective, curves_of
 
 if TYPE_CHECKING:
     from guide3d.dataset import Dataset
@@ -61,7 +62,7 @@ def train(
     """
     source_px = square_side(data)
     preprocessing = Preprocessing(recipe.settings.image_px, source_px)
-    stores = [PictureStore(data.frames, camera, preprocessing, pictures) for camera in CAMERAS]
+    stores = [PictureStore(data.frames, camera, preprocessing, pictures) for camera in VIEWS]
     torch.manual_seed(seed)
     network = build(recipe.settings)
     objective = SplineObjective(
@@ -76,7 +77,7 @@ def train(
     )
     start_at_mean(network, objective)
     report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
-    for store, camera in zip(stores, CAMERAS, strict=True):
+    for store, camera in zip(stores, VIEWS, strict=True):
         if store.damaged:
             _LOGGER.warning("camera %s: %d images could not be read", camera, len(store.damaged))
     return Predictor(network, source_px=source_px), report
@@ -99,7 +100,7 @@ def square_side(data: Dataset) -> int:
     Raises:
         ValueError: they are not square.
     """
-    width, height = data.frames[0].size_px[CAMERAS[0]]
+    width, height = data.frames[0].size_px[VIEWS[0]]
     if width != height:
         raise ValueError(f"{data.root}: expected square images, got {width} x {height} px")
     return width

@@ -1,0 +1,155 @@
+"""All stages one after the other: ``python -m pipeline.chain STAGE ... -- budget=desk name=desk``.
+
+Every stage is a process of its own, as if called by itself. Beside each stage's own progress it says how long the rest
+will take, by what each stage took on two cores (``minutes`` in ``conf/budget``) and by how this machine compares.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from types import FrameType
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS
+
+_USAGE = """\
+python -m pipeline.chain STAGE ... -- [OVERRIDE ...]
+
+Runs stages one after the other and says how long the rest will take; overrides go to every stage, e.g. budget=desk
+name=desk. It ends with the first stage that fails; the same command goes on from there.
+"""
+_EXIT_USAGE = 2
+_WORKED = 0.3  # of what a stage is known to take: less, and it was up to date or went on from an earlier run
+
+
+def main(arguments: list[str]) -> int:
+    """Runs the command line.
+
+    Args:
+        arguments: what follows ``python -m pipeline.chain``.
+
+    Returns:
+        0, or the exit code of the stage that failed.
+    """
+    if "--help" in arguments or "-h" in arguments:
+        _say(_USAGE)
+        return 0
+    cut = arguments.index("--") if "--" in arguments else len(arguments)
+    stages, overrides = arguments[:cut], arguments[cut + 1 :]
+    unknown = [name for name in stages if name not in STAGE_SETTINGS]
+    if unknown or not stages:
+        problem = f"unknown stage {unknown[0]!r}" if unknown else "no stage is named"
+        _say(f"{problem}: choose from {', '.join(STAGE_SETTINGS)}", error=True)
+        return _EXIT_USAGE
+    return run(stages, overrides, known_minutes(overrides))
+
+
+def known_minutes(overrides: Sequence[str]) -> dict[str, float]:
+    """Wall minutes of each stage on two cores at the chosen budget, as far as they were measured."""
+    chosen = [word.removeprefix("budget=") for word in overrides if word.startswith("budget=")]
+    budget = chosen[-1] if chosen else "desk"
+    if budget not in BUDGETS:  # the first stage says so
+        return {}
+    sizes: Any = OmegaConf.load(CONFIG_DIRECTORY / "budget" / f"{budget}.yaml")
+    minutes = sizes.get("minutes") or {}
+    return {str(name): float(value) for name, value in minutes.items()}
+
+
+def run(stages: Sequence[str], overrides: Sequence[str], known: Mapping[str, float]) -> int:
+    """Runs the stages; the exit code."""
+    spent: dict[str, float] = {}
+    with _Signals() as signals:
+        for number, stage in enumerate(stages):
+            left = minutes_left(stages[number:], spent, known)
+            rest = "" if left is None else f"; about {worded(left)} left in all"
+            _say(f"== stage {number + 1} of {len(stages)}: {stage}{rest}")
+            began = time.monotonic()
+            code = signals.wait_for([sys.executable, "-m", "pipeline", f"stage={stage}", *overrides])
+            if code:
+                return code
+            spent[stage] = (time.monotonic() - began) / 60
+    longest = sorted(spent, key=lambda name: -spent[name])[:3]
+    parts = ", ".join(f"{name} {worded(spent[name])}" for name in longest)
+    _say(f"== all {len(stages)} stages in {worded(sum(spent.values()))}: most of it {parts}")
+    return 0
+
+
+def minutes_left(stages: Sequence[str], spent: Mapping[str, float], known: Mapping[str, float]) -> float | None:
+    """Estimates the wall time of stages that are still to run.
+
+    Args:
+        stages: to run.
+        spent: minutes of those that ran.
+        known: minutes of stages on the machine they were measured on.
+
+    Returns:
+        Minutes; None where one of the stages is not known.
+    """
+    if any(name not in known for name in stages):
+        return None
+    worked = [name for name in spent if name in known and spent[name] > _WORKED * known[name]]
+    expected = sum(known[name] for name in worked)
+    # short stages tell little of a machine: they count as much as they last, beside one that is as fast as known
+    prior = 0.02 * sum(known.values())
+    pace = (prior + sum(spent[name] for name in worked)) / (prior + expected) if known else 1.0
+    return pace * sum(known[name] for name in stages)
+
+
+def worded(minutes: float) -> str:
+    """For example ``40 s``, ``12 min`` or ``2 h 05 min``."""
+    if minutes < 1:
+        return f"{60 * minutes:.0f} s"
+    hours, rest = divmod(round(minutes), 60)
+    return f"{hours} h {rest:02d} min" if hours else f"{rest} min"
+
+
+class _Signals:
+    """Leaves Ctrl-C and SIGTERM to the stage that runs, and starts no other afterwards."""
+
+    def __init__(self) -> None:
+        self._asked: list[int] = []
+        self._stage: subprocess.Popen[bytes] | None = None
+        self._former: dict[int, Any] = {}
+
+    def __enter__(self) -> _Signals:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            former = signal.getsignal(number)
+            if former is not signal.SIG_IGN:  # as nohup and background jobs ask for; a stage inherits that, no handler
+                self._former[number] = former
+                signal.signal(number, self._heard)
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        for number, former in self._former.items():
+            signal.signal(number, former)
+
+    def wait_for(self, command: list[str]) -> int:
+        """Runs a stage; its exit code, 128 + N where signal N ended it."""
+        if not self._asked:
+            with subprocess.Popen(command) as self._stage:
+                if signal.SIGTERM in self._asked:
+                    self._stage.terminate()
+                code = self._stage.wait()
+            self._stage = None
+            if code:
+                return code if code > 0 else 128 - code
+        return 128 + self._asked[0] if self._asked else 0
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        self._asked.append(number)  # a terminal's Ctrl-C reaches the stage, too
+        if number == signal.SIGTERM and self._stage is not None:
+            self._stage.terminate()
+
+
+def _say(text: str, *, error: bool = False) -> None:
+    print(text.rstrip(), file=sys.stderr if error else sys.stdout, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
