@@ -16,9 +16,7 @@ GPU ?=
 # One thread a process: more made learning slower beside other work, and sweeps bring their own processes.
 export OMP_NUM_THREADS ?= 1
 
-# In the order they depend on each other.
-STAGES := phantoms expert user_study validate baselines enn imitation force unseen guide3d shape segmentation splineformer navigation
-
+STAGES := $(basename $(notdir $(wildcard conf/stage/*.yaml)))
 INSTALLED := $(VENV)/.endonav-installed
 INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard packages/*/pyproject.toml packages/*/setup.py) \
 	$(shell find packages/*/src -name '*.c' -o -name '*.h' 2>/dev/null)
@@ -26,7 +24,7 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 
-.PHONY: help setup ray all smoke demo test lint format bench-quick clean clean-all console report $(STAGES)
+.PHONY: help setup ray all smoke demo test lint format bench-quick clean clean-all console $(STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
@@ -52,7 +50,7 @@ ray: setup  ## Ray for sweeps over a cluster (hydra/launcher=ray), 240 MB more
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-deps -c constraints.txt hydra-ray-launcher
 
 all: setup  ## every stage, then the report: runs/<name>/report/index.html
-	@$(GL) $(PY) -m pipeline.chain $(STAGES) report -- budget=$(BUDGET) name=$(NAME) $(ARGS)
+	@$(GL) $(PY) -m pipeline.chain all -- budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 smoke:  ## the whole chain in minutes; its numbers mean nothing
 	@$(MAKE) --no-print-directory all BUDGET=smoke

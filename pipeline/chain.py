@@ -1,4 +1,4 @@
-"""All stages one after the other: ``python -m pipeline.chain STAGE ... -- budget=desk name=desk``.
+"""Stages one after the other: ``python -m pipeline.chain all -- budget=desk name=desk``.
 
 Every stage is a process of its own, as if called by itself. Beside each stage's own progress it says how long the rest
 will take, by what each stage took on two cores (``minutes`` in ``conf/budget``) and by how this machine compares.
@@ -16,15 +16,17 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY
+from pipeline.stages import STAGE_NAMES
 
 _USAGE = """\
-python -m pipeline.chain STAGE ... -- [OVERRIDE ...]
+python -m pipeline.chain all|STAGE ... -- [OVERRIDE ...]
 
-Runs stages one after the other and says how long the rest will take; overrides go to every stage, e.g. budget=desk
-name=desk. It ends with the first stage that fails; the same command goes on from there.
+Runs all stages, or some, one after the other, and says how long the rest will take; overrides go to every stage,
+e.g. budget=desk name=desk. It ends with the first stage that fails; the same command goes on from there.
 """
 _EXIT_USAGE = 2
+_ALL = "all"
 _WORKED = 0.3  # of what a stage is known to take: less, and it was up to date or went on from an earlier run
 
 
@@ -42,10 +44,11 @@ def main(arguments: list[str]) -> int:
         return 0
     cut = arguments.index("--") if "--" in arguments else len(arguments)
     stages, overrides = arguments[:cut], arguments[cut + 1 :]
-    unknown = [name for name in stages if name not in STAGE_SETTINGS]
+    stages = list(STAGE_NAMES) if stages == [_ALL] else stages
+    unknown = [name for name in stages if name not in STAGE_NAMES]
     if unknown or not stages:
         problem = f"unknown stage {unknown[0]!r}" if unknown else "no stage is named"
-        _say(f"{problem}: choose from {', '.join(STAGE_SETTINGS)}", error=True)
+        _say(f"{problem}: choose from {_ALL}, {', '.join(STAGE_NAMES)}", error=True)
         return _EXIT_USAGE
     return run(stages, overrides, known_minutes(overrides))
 
