@@ -54,7 +54,7 @@ def main(arguments: list[str]) -> int:
 
 
 def known_minutes(overrides: Sequence[str]) -> dict[str, float]:
-    """Wall minutes of each stage on two cores at the chosen budget, as far as they were measured."""
+    """Wall minutes of each stage on two cores at the chosen budget, as far as they are known."""
     chosen = [word.removeprefix("budget=") for word in overrides if word.startswith("budget=")]
     budget = chosen[-1] if chosen else "desk"
     if budget not in BUDGETS:  # the first stage says so
@@ -100,7 +100,7 @@ def minutes_left(stages: Sequence[str], spent: Mapping[str, float], known: Mappi
     expected = sum(known[name] for name in worked)
     # short stages tell little of a machine: they count as much as they last, beside one that is as fast as known
     prior = 0.02 * sum(known.values())
-    pace = (prior + sum(spent[name] for name in worked)) / (prior + expected) if known else 1.0
+    pace = (prior + sum(spent[name] for name in worked)) / (prior + expected)
     return pace * sum(known[name] for name in stages)
 
 
