@@ -101,7 +101,7 @@ def shape_recipe(size: str) -> ShapeRecipe:
         return ShapeRecipe(network, Preprocessing(network.image_px, PUBLIC_PX), FitSettings())
     lines = Preprocessing(network.image_px, PUBLIC_PX, line_px=13, gain=8.0, first_px=2 if size == "desk" else 1)
     fit = FitSettings(
-        epochs=28 if size == "desk" else 1, batch_size=32, optimiser="adamw", learning_rate=2e-3, weight_decay=0.02,
+        epochs=20 if size == "desk" else 1, batch_size=32, optimiser="adamw", learning_rate=2e-3, weight_decay=0.02,
         schedule="one_cycle", patience=0, clip=10.0,
     )  # fmt: skip
     return ShapeRecipe(
@@ -125,7 +125,7 @@ def fgrn_recipe(size: str) -> FGRNRecipe:
         return FGRNRecipe(sizes, Preprocessing(80, PUBLIC_PX), FitSettings(epochs=30, batch_size=16))
     lines = Preprocessing(80, PUBLIC_PX, line_px=13, gain=8.0)
     fit = FitSettings(
-        epochs=30 if size == "desk" else 1, batch_size=16, learning_rate=1e-3, schedule="one_cycle", patience=0
+        epochs=20 if size == "desk" else 1, batch_size=16, learning_rate=1e-3, schedule="one_cycle", patience=0
     )
     return FGRNRecipe(sizes, lines, fit, augmentation=ShapeAugmentation())
 
