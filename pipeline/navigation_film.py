@@ -1,4 +1,4 @@
-"""Films of navigation: what the camera shows, and beside it what the network makes of it."""
+"""Films of navigation: what the cameras show, and beside it what the network makes of it."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class FilmJob:
 
 
 class NavigationFilm(Film):
-    """The first camera's image at the left; at the right the same with attention map, predicted spline and mark.
+    """Each camera's image at the left; at the right the same with attention map, predicted spline and mark.
 
     Args:
         scene: that is filmed.
@@ -74,8 +74,9 @@ class NavigationFilm(Film):
         """
         ended = bool(environment.steps and environment.ended)
         if self._count % _STRIDE == 0 or ended:
-            mark = self._scene.marks[self._scene.rig.cameras[0]]
-            self._frames.append(frame(self._scene.images()[0], self._reader, mark))
+            marks = [self._scene.marks[name] for name in self._scene.rig.cameras]
+            views = zip(self._scene.images(), marks, strict=True)
+            self._frames.append(np.concatenate([frame(image, self._reader, mark) for image, mark in views]))
         self._count += 1
 
     def write(self, path: Path) -> None:
@@ -104,7 +105,7 @@ class NavigationFilm(Film):
 
 
 def frame(image: np.ndarray, reader: Reader, mark: np.ndarray) -> np.ndarray:
-    """A picture of a moment.
+    """A camera's picture of a moment.
 
     Args:
         image: (h, h) grey levels.

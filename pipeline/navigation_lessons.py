@@ -61,7 +61,7 @@ def episode_of_log(log: Path, rig: Rig, reader: Reader, settings: NavigatorSetti
         actions.append(done.mean(axis=0).astype(np.float32))
         sight.decided(actions[-1])
     nothing = np.zeros((len(looks), 0), np.float32)
-    return Episode(np.stack(looks), np.stack(actions), nothing, bool(outcome.success))
+    return Episode(np.stack(looks), np.stack(actions), nothing, bool(outcome.success), info.target)
 
 
 def play(
@@ -163,7 +163,7 @@ class _Pupil:
         from splineformer.navigator_training import Episode
 
         looks, actions, hints = (np.stack(part) for part in zip(*self._rows, strict=True))
-        return Episode(looks, actions, hints, self._success)
+        return Episode(looks, actions, hints, self._success, self.scene.target)
 
 
 def write_episodes(path: Path, episodes: Sequence[Episode]) -> None:
@@ -171,6 +171,7 @@ def write_episodes(path: Path, episodes: Sequence[Episode]) -> None:
     arrays = {
         "lengths": np.array([len(episode.looks) for episode in episodes]),
         "success": np.array([episode.success for episode in episodes]),
+        "target": np.array([episode.target for episode in episodes]),
         **{name: np.concatenate([getattr(one, name) for one in episodes]) for name in ("looks", "actions", "hints")},
     }
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -185,4 +186,6 @@ def read_lessons(path: Path) -> list[Episode]:
     with np.load(path) as arrays:
         cuts = np.cumsum(arrays["lengths"])[:-1]
         parts = (np.split(arrays[name], cuts) for name in ("looks", "actions", "hints"))
-        return [Episode(*one) for one in zip(*parts, arrays["success"].tolist(), strict=True)]
+        return [
+            Episode(*one) for one in zip(*parts, arrays["success"].tolist(), arrays["target"].tolist(), strict=True)
+        ]

@@ -184,7 +184,7 @@ def figures(settings: NavigationSettings, folder: Path, outcomes: dict[str, Any]
             shown.append(
                 Figure(
                     f"A {kind}",
-                    f"{words}. Left the camera's image; right attention (orange), predicted spline (red), its tip "
+                    f"{words}. Left the cameras' images; right attention (orange), predicted spline (red), its tip "
                     "(green) and the target's mark (blue).",
                     f"{FILMS}/{kind}.gif",
                     GROUP,

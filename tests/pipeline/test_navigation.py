@@ -10,20 +10,24 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from cathsim import NavigateEnv, load_phantom
 from pipeline.episodes import EpisodeReader
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.job_worker import Report
 from pipeline.navigation_failures import ABORTED, OVERSHOOT, STUCK, WRONG_BRANCH, count_failures, failure_mode, places
-from pipeline.navigation_jobs import NAVIGATOR, navigate
-from pipeline.navigation_lessons import episode_of_log, read_lessons
+from pipeline.navigation_film import SIDE_PX, NavigationFilm
+from pipeline.navigation_jobs import NAVIGATOR, Course, chosen_cases, failures_of, navigate
+from pipeline.navigation_lessons import episode_of_log, read_lessons, write_episodes
 from pipeline.navigation_reader import load_reader
 from pipeline.navigation_scene import Rig, Scene, images_of_shape, scene_environment, with_shaft
 from pipeline.navigation_settings import NavigationSettings
 from pipeline.stages import navigation
 from splineformer.build import build, size_of
 from splineformer.navigator import NavigatorSettings
+from splineformer.navigator_reading import Reader
+from splineformer.navigator_training import Episode
 from splineformer.predictor import Predictor
 from tests.pipeline.small_expert import TASK, context, in_this_process, write_expert
 
@@ -182,6 +186,46 @@ def test_episode_of_a_log_has_a_look_a_decision(run: Path, results: dict) -> Non
     assert np.allclose(episode.looks[1, -4:-2], episode.actions[0], atol=1e-6)  # what was done before is seen
     again = episode_of_log(log, RIG, eye, settings)
     assert np.array_equal(episode.looks, again.looks)
+
+
+def test_missed_targets_are_taught_oftener() -> None:
+    course = Course(Path("teacher.pt"), tuple(("random", k) for k in range(6)), ("bca", "lcca"), navigation.Rules())
+    look = np.zeros((1, 3), np.float32)
+    ended = [("bca", True), ("bca", True), ("lcca", False), ("lcca", True), ("lcca", False), ("lcca", False)]
+    failures = failures_of([Episode(look, look[:, :2], look[:, :0], success, target) for target, success in ended])
+    assert failures == {"bca": 0.0, "lcca": 0.75}
+    chosen = chosen_cases(course, 20, failures, np.random.default_rng(0))
+    taught = {target: [anatomy for anatomy, other in chosen if other == target] for target in course.targets}
+    assert {target: len(anatomies) for target, anatomies in taught.items()} == {"bca": 5, "lcca": 15}
+    times = [taught["lcca"].count(anatomy) for anatomy in course.anatomies]
+    assert set(times) == {2, 3}  # all in turn
+    even = [target for _, target in chosen_cases(course, 20, {}, np.random.default_rng(0))]
+    assert even.count("bca") == even.count("lcca") == 10
+
+
+def test_lessons_come_back_with_their_targets(tmp_path: Path) -> None:
+    episodes = [
+        Episode(np.full((n, 4), n, np.float32), np.zeros((n, 2), np.float32), np.zeros((n, 0), np.float32), n > 1, name)
+        for n, name in ((1, "bca"), (3, "lcca"))
+    ]
+    write_episodes(tmp_path / "lessons.npz", episodes)
+    back = read_lessons(tmp_path / "lessons.npz")
+    assert [(len(one.looks), one.success, one.target) for one in back] == [(1, False, "bca"), (3, True, "lcca")]
+    assert np.array_equal(back[1].looks, episodes[1].looks)
+
+
+def test_a_film_shows_every_camera(run: Path) -> None:
+    rig = Rig(("a", "b"), 256)
+    scene = Scene(scene_environment(load_phantom("type_1"), "bca", rig, ("tip",)), rig)
+    scene.environment.reset(seed=0)
+    film = NavigationFilm(scene, Reader(Predictor.load(run / "splineformer" / "ordered" / "predictor.pt")))
+    film.add(scene.environment)
+    film.write(run / "both.gif")
+    scene.environment.close()
+    with Image.open(run / "both.gif") as picture:
+        assert picture.size == (2 * SIDE_PX, 2 * SIDE_PX)
+        halves = np.asarray(picture.convert("RGB")).astype(int)
+    assert np.abs(halves[:SIDE_PX, :SIDE_PX] - halves[SIDE_PX:, :SIDE_PX]).mean() > 1  # two views, not one twice
 
 
 def test_missing_teacher_is_told_before_any_work(run: Path, tmp_path: Path) -> None:

@@ -55,12 +55,14 @@ class Episode:
         actions: (T, 2).
         hints: (T, hints) of the teacher's observation; (T, 0) without.
         success: whether the target was reached.
+        target: that was to be reached.
     """
 
     looks: NDArray[np.float32]
     actions: NDArray[np.float32]
     hints: NDArray[np.float32]
     success: bool
+    target: str = ""
 
     def __post_init__(self) -> None:
         """Checks that the lengths agree and all is finite."""
