@@ -100,7 +100,6 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             courses.append(Course(expert / POLICY, ((phantom, NAMED),), (target,), rules))
             if settings.pixel_cloning:
                 rivals.append(_rival(settings, context, task, expert))
-    jobs += seen
     files, after = tuple(job.given.file for job in seen), tuple(job.key for job in seen)
     tests = trial_sets(settings)
     navigators: list[Job] = []
@@ -139,8 +138,8 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             ARCHES, (READER,), weight, tests, epochs=settings.arch_epochs, courses=(_arches(settings, context),),
             rounds=settings.arch_rounds, lessons=settings.arch_lessons,
         )  # fmt: skip
-        navigators.insert(0, navigators.pop())  # the longest goes first
-    jobs += [*navigators, *rivals]
+    longest = [job for job in navigators if job.key == ARCHES]  # goes first, beside the experts' episodes
+    jobs += [*longest, *seen, *(job for job in navigators if job.key != ARCHES), *rivals]
     if settings.film:
         order = [ARCHES, DAGGER, *(row_of(settings, count) for count in reversed(settings.episodes))]
         rows = [job.key for job in navigators]

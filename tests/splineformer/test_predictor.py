@@ -20,7 +20,7 @@ from splineformer.intake import picture_of
 from splineformer.losses import attention_loss, nearest_on_curve, offset_loss
 from splineformer.predictor import Predictor, tokens_px
 from splineformer.recipes import recipe_of
-from splineformer.samples import SplineObjective, curves_of, pixels_of_shares, shares_of_pixels
+from splineformer.samples import SplineObjective, curves_of, passes_of, pixels_of_shares, shares_of_pixels
 from splineformer.tokens import sampled, tokens_of_polyline
 from splineformer.training import train
 from tests.guide3d.drawn_data import draw
@@ -261,6 +261,15 @@ def test_drift_is_smooth_and_of_different_size() -> None:
     assert torch.equal(moved, drifted(points, np.random.default_rng(2)) - points)
 
 
+def test_wires_that_turn_much_are_met_oftener() -> None:
+    straight = np.linspace([0.9, 0.5], [0.0, 0.5], 200)
+    around = np.linspace(0.0, 4 * np.pi, 600)  # twice, so 12.6 rad
+    coil = 0.5 + np.column_stack([0.1 * np.cos(around) + 0.002 * around, 0.1 * np.sin(around)])
+    assert passes_of(straight) == 1
+    assert passes_of(coil) == passes_of(coil[::-1]) == 4
+    assert passes_of(straight[:2]) == 1
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_batches_are_determined_by_the_generator(variant: str, data: Dataset) -> None:
     network = build(size_of(variant, "smoke"))
@@ -280,6 +289,8 @@ def test_batches_are_determined_by_the_generator(variant: str, data: Dataset) ->
     objective = SplineObjective(
         [Store("a"), Store("b")], curves, images_of(data, names[:4]), images_of(data, names[4:]), network, source_px=128
     )
+    known = images_of(data, names[:4])
+    assert objective.training_items.tolist() == [i for i in known for _ in range(passes_of(np.asarray(curves[i])))]
     items = objective.training_items[:6]
     one, two = (objective.batch(items, np.random.default_rng(3)) for _ in range(2))
     assert all(torch.equal(one[key], two[key]) for key in one)
