@@ -265,9 +265,11 @@ def test_wires_that_turn_much_are_met_oftener() -> None:
     straight = np.linspace([0.9, 0.5], [0.0, 0.5], 200)
     around = np.linspace(0.0, 4 * np.pi, 600)  # twice, so 12.6 rad
     coil = 0.5 + np.column_stack([0.1 * np.cos(around) + 0.002 * around, 0.1 * np.sin(around)])
-    assert passes_of(straight) == 1
-    assert passes_of(coil) == passes_of(coil[::-1]) == 4
-    assert passes_of(straight[:2]) == 1
+    assert passes_of(straight, 3.0) == 1
+    assert passes_of(coil, 3.0) == passes_of(coil[::-1], 3.0) == 4
+    assert passes_of(straight[:2], 3.0) == 1
+    assert passes_of(coil, 0.0) == 1
+    assert recipe_of("published", "thesis").augmentation.turn_a_pass == 0.0  # trained as published
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -287,10 +289,12 @@ def test_batches_are_determined_by_the_generator(variant: str, data: Dataset) ->
 
     curves = curves_of(data)
     objective = SplineObjective(
-        [Store("a"), Store("b")], curves, images_of(data, names[:4]), images_of(data, names[4:]), network, source_px=128
-    )
+        [Store("a"), Store("b")], curves, images_of(data, names[:4]), images_of(data, names[4:]), network,
+        augmentation=Augmentation(turn_a_pass=0.5), source_px=128,
+    )  # fmt: skip
     known = images_of(data, names[:4])
-    assert objective.training_items.tolist() == [i for i in known for _ in range(passes_of(np.asarray(curves[i])))]
+    assert objective.training_items.tolist() == [i for i in known for _ in range(passes_of(np.asarray(curves[i]), 0.5))]
+    assert len(objective.training_items) > len(known)
     items = objective.training_items[:6]
     one, two = (objective.batch(items, np.random.default_rng(3)) for _ in range(2))
     assert all(torch.equal(one[key], two[key]) for key in one)

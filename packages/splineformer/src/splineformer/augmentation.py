@@ -36,6 +36,7 @@ class Augmentation:
         inverted: share with inverted grey levels.
         empty: share whose wire is taken away.
         several: share with a second wire.
+        turn_a_pass: rad of turning, all bends together, for which a pass meets a wire once more; 0: each is met once.
     """
 
     shift: float = 0.08
@@ -48,6 +49,7 @@ class Augmentation:
     inverted: float = 0.08
     empty: float = 0.05
     several: float = 0.05
+    turn_a_pass: float = 0.0
 
 
 def inside(points: Points) -> Points | None:

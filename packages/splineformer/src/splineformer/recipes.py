@@ -17,7 +17,7 @@ _PLAIN = Augmentation(
 )  # fmt: skip
 # at a desk a network sees few images: it learns the cameras as they stand, and every image counts
 _NEARLY_STILL = Augmentation(
-    shift=0.01, turn_deg=2.0, stretch=0.02, inverted=0.05, empty=0.04, several=0.04,
+    shift=0.01, turn_deg=2.0, stretch=0.02, inverted=0.05, empty=0.04, several=0.04, turn_a_pass=3.0,
 )  # fmt: skip
 
 

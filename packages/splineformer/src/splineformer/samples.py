@@ -29,9 +29,6 @@ _CURVE_SAMPLES = 128  # of the ordered variant's curve loss
 _NEAR_PCT = 40  # of a batch's images teach what looks from near by: it learns sooner than the overview, and costs more
 _BEGINS = 0.4  # share of samples whose tip and refinements begin near the true curve, not where the overview says
 _BEND = 8 / 1024  # of the side: turns are counted between steps of this length
-_TURN_A_PASS = (
-    3.0  # rad: a wire that turns by so much, all bends together, is met once a pass, one that turns twice as much twice
-)
 _NONE, _ONE, _SEVERAL = range(len(WIRES))
 
 Indices = NDArray[np.int64]
@@ -85,16 +82,19 @@ def course_of(curve: NDArray[np.float64], steps: int, step: float) -> NDArray[np
     return at_length(curve, np.maximum(at, 0.0)) + np.maximum(-at, 0.0)[:, None] * ahead
 
 
-def passes_of(curve: NDArray[np.float64]) -> int:
+def passes_of(curve: NDArray[np.float64], turn: float) -> int:
     """How often a pass over the samples meets a curve: hairpins and loops, which are rare and hard, the oftener.
 
     Args:
         curve: (n, 2) shares of the side.
+        turn: rad that earn a meeting, all bends together; 0: every curve is met once.
     """
+    if not turn:
+        return 1
     steps = np.diff(resample(curve, count=max(3, round(arc_length(curve)[-1] / _BEND) + 1)), axis=0)
     turns = np.diff(np.arctan2(steps[:, 1], steps[:, 0]))
     turned = float(np.abs((turns + np.pi) % (2 * np.pi) - np.pi).sum())
-    return max(1, round(turned / _TURN_A_PASS))
+    return max(1, round(turned / turn))
 
 
 class SplineObjective:
@@ -128,9 +128,10 @@ class SplineObjective:
         self.stores, self.curves, self.source_px = stores, curves, source_px
         self.frames = len(curves) // len(stores)
         self.training_items, self.validation_items = self._with_curves(training), self._with_curves(validation)
-        passes = [passes_of(np.asarray(curves[item])) for item in self.training_items]
-        self.training_items = np.repeat(self.training_items, passes)
         self.augmentation = augmentation or Augmentation()
+        turn = self.augmentation.turn_a_pass
+        passes = [passes_of(np.asarray(curves[item]), turn) for item in self.training_items]
+        self.training_items = np.repeat(self.training_items, passes)
         if not len(self.training_items):
             raise ValueError("there is no image to learn from: the data set's training part is empty")
         self.targets: Callable[[list[NDArray[np.float64]], np.random.Generator | None], dict[str, Tensor]]
