@@ -61,6 +61,7 @@ class LogsJob:
         target: likewise.
         rules: likewise.
         guided: whether the navigator has a contrast run.
+        space: whether it measures in space what both cameras show.
         hidden: units of the navigator, for its settings.
         action_repeat: steps for which it holds an action.
     """
@@ -75,6 +76,7 @@ class LogsJob:
     target: str
     rules: Rules
     guided: bool
+    space: bool
     hidden: int
     action_repeat: int
 
@@ -107,6 +109,7 @@ class NavigatorJob:
         reader: folder of its eye.
         rig: of the images.
         guided: whether it has a contrast run, or the target's mark alone.
+        space: whether it measures in space what both cameras show.
         hidden: units.
         action_repeat: steps for which it holds an action.
         logs: files of experts' episodes to clone.
@@ -126,6 +129,7 @@ class NavigatorJob:
     reader: Path
     rig: Rig
     guided: bool
+    space: bool
     hidden: int
     action_repeat: int
     logs: tuple[Path, ...]
@@ -148,7 +152,7 @@ def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
     if not job.file.is_file():
         reader = load_reader(job.reader)
         teacher = Policy.load(job.expert)
-        settings = settings_of(reader, job.rig, guided=job.guided, hidden=job.hidden, repeat=job.action_repeat)
+        settings = settings_of(reader, job)
         episodes: list[Episode] = []
         for log in job.logs:
             if len(episodes) == job.count:
@@ -174,13 +178,13 @@ def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
     return {"episodes": len(read_lessons(job.file))}
 
 
-def settings_of(reader: Reader, rig: Rig, *, guided: bool, hidden: int, repeat: int, hints: int = 0) -> Any:
-    """The settings of a navigator that sees with a reader."""
+def settings_of(reader: Reader, job: LogsJob | NavigatorJob, hints: int = 0) -> Any:
+    """The settings of a job's navigator that sees with a reader."""
     from splineformer.navigator import NavigatorSettings
 
     return NavigatorSettings(
-        cameras=rig.cameras, tokens=reader.tokens, memory=reader.memory, guided=guided, hidden=hidden, hints=hints,
-        action_repeat=repeat,
+        cameras=job.rig.cameras, tokens=reader.tokens, memory=reader.memory, guided=job.guided, space=job.space,
+        hidden=job.hidden, hints=hints, action_repeat=job.action_repeat,
     )  # fmt: skip
 
 
@@ -221,7 +225,7 @@ def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, d
     teachers = [Policy.load(course.teacher) for course in job.courses]
     room_for([anatomy for course in job.courses for anatomy in course.anatomies])
     hints = max((_hints(course, teacher) for course, teacher in zip(job.courses, teachers, strict=True)), default=0)
-    settings = settings_of(reader, job.rig, guided=job.guided, hidden=job.hidden, repeat=job.action_repeat, hints=hints)
+    settings = settings_of(reader, job, hints)
     navigator = Navigator(settings, reader, job.seed)
     episodes = [one for file in job.logs for one in read_lessons(file)[: job.episodes]]
     parts = job.rounds + bool(episodes)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.atomic import atomic_path
 from pipeline.episodes import EpisodeReader
-from pipeline.navigation_scene import Rig, Scene, images_of_shape, marks_of, vessels_of, with_shaft
+from pipeline.navigation_scene import Rig, Scene, images_of_shape, marks_of, space_of, vessels_of, with_shaft
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -52,7 +52,8 @@ def episode_of_log(log: Path, rig: Rig, reader: Reader, settings: NavigatorSetti
     ]
     flat = reader([image for several in images for image in several])
     count = len(rig.cameras)
-    sight = Sight(settings, marks_of(phantom, info.target, rig), vessels_of(phantom, info.target, rig))
+    place = phantom, info.target, rig
+    sight = Sight(settings, marks_of(*place), vessels_of(*place), space_of(*place) if settings.space else None)
     looks, actions = [], []
     for number, step in enumerate(steps):
         looks.append(sight.look(flat[number * count : (number + 1) * count]))
@@ -140,7 +141,8 @@ class _Pupil:
         self.scene, self.by_teacher, self._hint_key = scene, by_teacher, hint_key
         self._hold = navigator.settings.action_repeat
         self.observation, _ = scene.environment.reset(seed=seed)
-        self.sight = navigator.begin(scene.marks, scene.vessels)
+        space = scene.space if navigator.settings.space else None
+        self.sight = navigator.begin(scene.marks, scene.vessels, space)
         self.recalled: Tensor | None = None
         self._rows: list[tuple[Any, Any, Any]] = []
         self._success = False

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cathsim import NavigateEnv
     from cathsim.anatomy import Phantom
     from cathsim.fluoroscopy import BiplaneFluoroscope
+    from splineformer.space_map import Hull, SpaceMap
     from splineformer.vessel_map import VesselMap
 
 CAMERAS = ("a", "b")
@@ -64,6 +65,31 @@ def vessels_of(phantom: Phantom, target: str, rig: Rig) -> dict[str, VesselMap]:
 
     lumens, marks = _lumens(phantom, rig), marks_of(phantom, target, rig)
     return {name: VesselMap(lumens[name], marks[name]) for name in rig.cameras}
+
+
+@kept_with_owner
+def space_of(phantom: Phantom, target: str, rig: Rig) -> SpaceMap | None:
+    """The contrast run of both cameras as one map in space; None where there is one camera."""
+    from splineformer.space_map import SpaceMap
+
+    if len(rig.cameras) != 2:
+        return None
+    marks = marks_of(phantom, target, rig)
+    return SpaceMap(_hull(phantom, rig), [marks[name] for name in rig.cameras])
+
+
+@kept_with_owner
+def _hull(phantom: Phantom, rig: Rig) -> Hull:
+    from guide3d.camera import Camera
+    from splineformer.space_map import hull_of
+
+    size, seen = rig.image_size_px, fluoroscope_of(phantom, rig, rig.filling).cameras
+    known = [
+        Camera(seen[name].projector.K, seen[name].projector.R, 1e3 * seen[name].projector.t, size, size, name)
+        for name in rig.cameras
+    ]
+    lumens = _lumens(phantom, rig)
+    return hull_of([lumens[name] for name in rig.cameras], known)
 
 
 @kept_with_owner
@@ -137,6 +163,11 @@ class Scene:
     def vessels(self) -> dict[str, VesselMap]:
         """The contrast run's map of each camera."""
         return vessels_of(self.environment.phantom, self.target, self.rig)
+
+    @property
+    def space(self) -> SpaceMap | None:
+        """The contrast runs' map in space, of two cameras."""
+        return space_of(self.environment.phantom, self.target, self.rig)
 
 
 def scene_environment(

@@ -18,6 +18,7 @@ class NavigationSettings:
     cameras: list[str] = field(default_factory=lambda: ["a"])  # of the data set's pair
     image_size_px: int = 1024
     guided: bool = True  # by a contrast run before the procedure; false: by the target's mark alone
+    space: bool = True  # two guided cameras also measure wire and vessels in space, by their known geometry
     phantoms: list[str] = field(default_factory=list)  # whose experts are cloned
     transfer_phantoms: list[str] = field(default_factory=list)  # navigated in without having been learnt in
     targets: list[str] = field(default_factory=lambda: ["bca", "lcca"])
@@ -44,6 +45,11 @@ class NavigationSettings:
     pixel_cloning: bool = True  # the rival that clones from pixels
     film: bool = True
     workers: int = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
+
+    @property
+    def in_space(self) -> bool:
+        """Whether wire and vessels are measured in space: it takes two cameras and their contrast runs."""
+        return self.space and self.guided and len(self.cameras) == 2
 
     def __post_init__(self) -> None:
         """Checks counts and choices."""

@@ -78,7 +78,8 @@ def run_tests(
 
 def controllers(navigator: Navigator, scene: Scene) -> Callable[[int], Controller]:
     """What steers the episode of a seed; the navigator asks for images, never for the observation."""
-    return lambda seed: navigator.controller(scene.images, scene.marks, scene.vessels)
+    space = scene.space if navigator.settings.space else None
+    return lambda seed: navigator.controller(scene.images, scene.marks, scene.vessels, space)
 
 
 def summary(metrics: Sequence[EpisodeMetrics]) -> dict[str, Any]:

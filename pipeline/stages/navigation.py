@@ -93,7 +93,8 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             given = LogsJob(
                 file=path / LOGS / phantom / f"{target}.npz", reader=path / READER, rig=rig, logs=tuple(logs),
                 count=settings.episodes[-1], expert=expert / POLICY, anatomy=(phantom, NAMED), target=target,
-                rules=rules, guided=settings.guided, hidden=settings.hidden, action_repeat=settings.action_repeat,
+                rules=rules, guided=settings.guided, space=settings.in_space, hidden=settings.hidden,
+                action_repeat=settings.action_repeat,
             )  # fmt: skip
             weight = settings.episodes[-1] * _SECONDS["episode"]
             seen.append(Job(f"{LOGS}/{task}", see_logs, given, after=(READER,), weight=weight))
@@ -106,9 +107,9 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
 
     def navigator(row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], **given: Any) -> None:
         job = NavigatorJob(
-            folder=path / row, reader=path / READER, rig=rig, guided=settings.guided, hidden=settings.hidden,
-            action_repeat=settings.action_repeat, targets=tuple(settings.targets), tests=tests, seed=seed,
-            origin=Origin("navigation", row, seed, "desk"),
+            folder=path / row, reader=path / READER, rig=rig, guided=settings.guided, space=settings.in_space,
+            hidden=settings.hidden, action_repeat=settings.action_repeat, targets=tuple(settings.targets), tests=tests,
+            seed=seed, origin=Origin("navigation", row, seed, "desk"),
             **{"logs": (), "episodes": 0, "courses": (), "rounds": 0, "lessons": 0, **given},
         )  # fmt: skip
         trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)

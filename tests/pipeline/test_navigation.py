@@ -33,6 +33,7 @@ from tests.pipeline.small_expert import TASK, context, in_this_process, write_ex
 
 READS = ("expert", "enn", "unseen", "splineformer")
 SETTINGS = NavigationSettings(
+    cameras=["a", "b"],
     image_size_px=256,
     phantoms=["type_1"],
     targets=["bca"],
@@ -108,6 +109,23 @@ def test_images_of_a_logged_shape_are_those_of_the_environment() -> None:
     assert (vessels.sample(vessels.way(np.array([0.3, 0.78]))) > 0.5).mean() > 0.9
 
 
+def test_map_in_space_leads_through_the_lumen() -> None:
+    phantom, rig = load_phantom("type_1"), Rig(("a", "b"), 256)
+    scene = Scene(scene_environment(phantom, "lcca", rig, ("tip",)), rig)
+    scene.environment.reset(seed=3)
+    tip = scene.environment.simulation.tip
+    space = scene.space
+    assert space is not None
+    assert np.allclose(space.target, 1e3 * phantom.target("lcca").position, atol=1e-3)
+    way = space.way(1e3 * tip)
+    assert np.allclose(way[[0, -1]], (1e3 * tip, space.target), atol=1e-6)
+    depth = 1e3 * phantom.grid.sample(way / 1e3)  # mm inside the wall
+    assert np.quantile(depth, 0.1) > -2.0
+    assert np.median(depth) > 2.0
+    assert Scene(scene.environment, Rig(("a",), 256)).space is None
+    scene.environment.close()
+
+
 def test_failure_modes() -> None:
     phantom = load_phantom("type_1")
     tree = {branch.name: branch for branch in phantom.tree.branches}
@@ -145,7 +163,7 @@ def test_tables(results: dict) -> None:
         failed = sum(cells[f"bca_{mode}"] for mode in (WRONG_BRANCH, OVERSHOOT, STUCK, ABORTED))
         assert failed == cells["n"] - round(cells["bca_success_pct"] / 100 * cells["n"])
     assert list(results["navigation_episodes"]) == ["1 trials", "3 trials"]
-    assert results["navigation_reader"]["images"]["value"] == 4
+    assert results["navigation_reader"]["images"]["value"] == 8  # of two cameras
 
 
 def test_what_a_run_leaves(run: Path, results: dict) -> None:

@@ -15,6 +15,9 @@ from torch import Tensor, nn
 from guide3d.model_file import read_model, write_model
 from splineformer.navigator_reading import Reader
 from splineformer.navigator_view import CameraView, ViewSettings
+from splineformer.space_map import SpaceMap
+from splineformer.space_view import SIZE as SPACE
+from splineformer.space_view import SpaceView
 from splineformer.vessel_map import VesselMap
 
 KIND = "navigator"
@@ -31,6 +34,7 @@ class NavigatorSettings:
         tokens: spline tokens of a camera's reading.
         memory: numbers of the encoder's memory in a reading.
         guided: whether it is guided by a contrast run, or by the target's mark alone.
+        space: whether it knows its two cameras' geometry and measures wire and vessels in space.
         hidden: units of the recurrent layer.
         memory_units: that a camera's memory is reduced to.
         dropout: of the memory, in training.
@@ -42,6 +46,7 @@ class NavigatorSettings:
     tokens: int = 20
     memory: int = 192
     guided: bool = True
+    space: bool = False
     hidden: int = 128
     memory_units: int = 16
     dropout: float = 0.2
@@ -52,6 +57,8 @@ class NavigatorSettings:
         """Refuses what steers nothing."""
         if not self.cameras or len(set(self.cameras)) < len(self.cameras):
             raise ValueError(f"cameras: expected at least one name, each once, got {list(self.cameras)}")
+        if self.space and (len(self.cameras) != 2 or not self.guided):
+            raise ValueError("space: measured by two cameras and their contrast runs: set guided, too")
         for name in ("tokens", "memory", "hidden", "memory_units", "action_repeat"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
@@ -63,8 +70,13 @@ class NavigatorSettings:
 
     @property
     def size(self) -> int:
-        """Numbers of a look: every camera's view, then the last two actions."""
-        return len(self.cameras) * self.view.size + 2 * ACTIONS
+        """Numbers of a look: every camera's view, both together in space, then the last two actions."""
+        return len(self.cameras) * self.view.size + self.beside
+
+    @property
+    def beside(self) -> int:
+        """Numbers beside the cameras' own views."""
+        return (SPACE if self.space else 0) + 2 * ACTIONS
 
 
 class NavigatorNetwork(nn.Module):
@@ -78,7 +90,7 @@ class NavigatorNetwork(nn.Module):
         self.register_buffer("mean", torch.zeros(s.size))
         self.register_buffer("scale", torch.zeros(s.size))  # all zero: not yet fitted
         self.reduce = nn.Sequential(nn.Linear(s.memory, s.memory_units), nn.Tanh(), nn.Dropout(s.dropout))
-        narrow = len(s.cameras) * (s.view.geometry + s.memory_units) + 2 * ACTIONS
+        narrow = len(s.cameras) * (s.view.geometry + s.memory_units) + s.beside
         self.inner = nn.Sequential(nn.Linear(narrow, s.hidden), nn.ReLU())
         self.recall = nn.GRU(s.hidden, s.hidden, batch_first=True)
         self.outer = nn.Sequential(nn.Linear(2 * s.hidden, s.hidden), nn.ReLU())
@@ -100,7 +112,7 @@ class NavigatorNetwork(nn.Module):
         for number in range(len(s.cameras)):
             view = even[..., number * s.view.size : (number + 1) * s.view.size]
             parts += [view[..., : s.view.geometry], self.reduce(view[..., s.view.geometry :])]
-        seen = self.inner(torch.cat([*parts, even[..., -2 * ACTIONS :]], -1))
+        seen = self.inner(torch.cat([*parts, even[..., -s.beside :]], -1))
         remembered, recalled = self.recall(seen, recalled)
         thought = self.outer(torch.cat((seen, remembered), -1))
         return torch.tanh(self.action(thought)), self.hint(thought), recalled
@@ -129,20 +141,26 @@ class Navigator:
             torch.manual_seed(seed)
             self.network = NavigatorNetwork(settings).eval()
 
-    def begin(self, marks: Mapping[str, ArrayLike], vessels: Mapping[str, VesselMap] | None = None) -> Sight:
+    def begin(
+        self,
+        marks: Mapping[str, ArrayLike],
+        vessels: Mapping[str, VesselMap] | None = None,
+        space: SpaceMap | None = None,
+    ) -> Sight:
         """The sight of an episode.
 
         Args:
             marks: camera to (2,) the target's mark, x and y as shares of the image's side.
             vessels: camera to its map, where the navigator is guided.
+            space: the map in space, where it knows its cameras.
 
         Raises:
-            ValueError: a camera without a mark, or without the map that is needed.
+            ValueError: a camera without a mark, or without a map that is needed.
         """
         missing = [name for name in self.settings.cameras if name not in marks]
         if missing:
             raise ValueError(f"the navigator looks through camera {', '.join(missing)}: give the target's mark there")
-        return Sight(self.settings, marks, vessels or {})
+        return Sight(self.settings, marks, vessels or {}, space)
 
     @torch.inference_mode()
     def act(self, looks: NDArray[np.float32], recalled: Tensor | None = None) -> tuple[NDArray[np.float32], Tensor]:
@@ -155,6 +173,7 @@ class Navigator:
         images: Callable[[], Sequence[ArrayLike]],
         marks: Mapping[str, ArrayLike],
         vessels: Mapping[str, VesselMap] | None = None,
+        space: SpaceMap | None = None,
     ) -> NavigatorController:
         """The navigator over one episode, asking for images only when it decides.
 
@@ -162,8 +181,9 @@ class Navigator:
             images: gives the moment's image of each of `settings.cameras`.
             marks: as `begin` takes them.
             vessels: likewise.
+            space: likewise.
         """
-        return NavigatorController(self, images, self.begin(marks, vessels))
+        return NavigatorController(self, images, self.begin(marks, vessels, space))
 
     def save(self, path: Path | str, **metadata: Any) -> None:
         """Writes the policy, without the SplineFormer, whole or not at all."""
@@ -200,18 +220,30 @@ class Sight:
         settings: of the navigator.
         marks: camera to the target's mark.
         vessels: camera to its map.
+        space: the map in space.
+
+    Raises:
+        ValueError: a map that is needed is not there.
     """
 
     def __init__(
-        self, settings: NavigatorSettings, marks: Mapping[str, ArrayLike], vessels: Mapping[str, VesselMap]
+        self,
+        settings: NavigatorSettings,
+        marks: Mapping[str, ArrayLike],
+        vessels: Mapping[str, VesselMap],
+        space: SpaceMap | None = None,
     ) -> None:
+        if settings.space and space is None:
+            raise ValueError("this navigator measures vessels in space: give the map that both contrast runs make")
+        self._space = SpaceView(space) if settings.space and space is not None else None
         self._views = [CameraView(settings.view, marks[name], vessels.get(name)) for name in settings.cameras]
         self._actions = [np.zeros(ACTIONS), np.zeros(ACTIONS)]
 
     def look(self, readings: Sequence[Any]) -> NDArray[np.float32]:
         """The (size,) numbers that a decision rests on, from each camera's reading; once a decision."""
         views = [view.look(reading) for view, reading in zip(self._views, readings, strict=True)]
-        return np.concatenate([*views, *self._actions]).astype(np.float32)
+        together = [] if self._space is None else [self._space.look(readings)]
+        return np.concatenate([*views, *together, *self._actions]).astype(np.float32)
 
     def decided(self, action: ArrayLike) -> None:
         """Takes note of the action that is carried out."""
