@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -42,7 +42,6 @@ NAVIGATOR, RECORD = "navigator.pt", "training.json"
 PRELOAD = ("cathsim", "enn.policy", "splineformer.navigator_training", "skimage.graph", "pipeline.recording")
 HINT_KEY = "roadmap"
 _LESSON_SEED = 3_000_000  # of lessons' starts: no test's, no expert episode's
-_LEAST_WEIGHT = 0.25  # of a target that is not missed any more
 _TRAINING = 0.7  # of a job's time
 
 
@@ -237,14 +236,13 @@ def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, d
             progress=lambda epoch, loss: report(epoch / job.epochs / parts, f"cloning, loss {loss:.3f}"),
         )  # fmt: skip
     cloned, rounds = len(episodes), []
-    new: list[Episode] = []
     for number in range(job.rounds):
         told = _part(report, (number + bool(cloned)) / parts, 1 / parts, f"round {number + 1}")
         file = job.folder / "lessons" / f"round{number}.npz"
         kept = file.with_suffix(".pt")
         if not (file.is_file() and kept.is_file()):
             share = 1.0 if number == 0 and not cloned else 0.1
-            new = _round(job, number, teachers, navigator, share, failures_of(new), told)
+            new = _round(job, number, teachers, navigator, share, told)
             write_episodes(file, new)
             episodes += new
             epochs = job.epochs * (2 if number == job.rounds - 1 else 1)
@@ -256,9 +254,7 @@ def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, d
             new = read_lessons(file)
             episodes += new
             navigator = Navigator.load(kept, reader)
-        success = 100 * float(np.mean([one.success for one in new]))
-        lessons = {target: sum(one.target == target for one in new) for target in job.targets}
-        rounds.append({"episodes": len(episodes), "success_pct": success, "lessons": lessons})
+        rounds.append({"episodes": len(episodes), "success_pct": success_of(new)})
     outcome = {
         "episodes": len(episodes),
         "decisions": sum(len(one.looks) for one in episodes),
@@ -286,37 +282,12 @@ def _hints(course: Course, teacher: Any) -> int:
     return int(np.prod(teacher.observation_space[HINT_KEY].shape)) if course.hints else 0
 
 
-def failures_of(episodes: Sequence[Episode]) -> dict[str, float]:
-    """The share of failures among the episodes of each target."""
+def success_of(episodes: Sequence[Episode]) -> dict[str, float]:
+    """The success in % in each target."""
     ended: dict[str, list[bool]] = {}
     for one in episodes:
         ended.setdefault(one.target, []).append(one.success)
-    return {target: 1.0 - float(np.mean(successes)) for target, successes in ended.items()}
-
-
-def chosen_cases(
-    course: Course, count: int, failures: Mapping[str, float], generator: np.random.Generator
-) -> list[tuple[Anatomy, str]]:
-    """Chooses what a round teaches: a target the oftener, the oftener it was missed, and all anatomies in turn.
-
-    Args:
-        course: with anatomies and targets.
-        count: of the lessons.
-        failures: share of the last round's episodes that missed each target; without an entry: all.
-        generator: of the order.
-
-    Returns:
-        Anatomy and target of each lesson.
-    """
-    weights = np.array([max(failures.get(target, 1.0), _LEAST_WEIGHT) for target in course.targets])
-    counts = np.diff((count * weights.cumsum() / weights.sum()).round().astype(int), prepend=0)
-    chosen: list[tuple[Anatomy, str]] = []
-    for target, wanted in zip(course.targets, counts.tolist(), strict=True):
-        turns = [
-            k for _ in range(-(-wanted // len(course.anatomies))) for k in generator.permutation(len(course.anatomies))
-        ]
-        chosen += [(course.anatomies[k], target) for k in turns[:wanted]]
-    return [chosen[k] for k in generator.permutation(count)]
+    return {target: 100.0 * float(np.mean(successes)) for target, successes in sorted(ended.items())}
 
 
 def _round(
@@ -325,17 +296,19 @@ def _round(
     teachers: Sequence[Any],
     navigator: Navigator,
     teacher_share: float,
-    failures: Mapping[str, float],
     report: Tell,
 ) -> list[Episode]:
     episodes: list[Episode] = []
     for index, (course, teacher) in enumerate(zip(job.courses, teachers, strict=True)):
         generator = np.random.default_rng((job.seed, number, index))
         count = len(range(index, job.lessons, len(job.courses)))
-        chosen = chosen_cases(course, count, failures, generator)
+        cases = [(anatomy, target) for anatomy in course.anatomies for target in course.targets]
+        chosen: list[tuple[Anatomy, str]] = []
+        while len(chosen) < count:
+            chosen += [cases[k] for k in generator.permutation(len(cases))]
         before = len(episodes)
         first = _LESSON_SEED + 1_000_000 + (job.seed * 100 + number) * 10_000 + index * 1000
-        scenes = scenes_of(course.rules, chosen, job.rig, teacher.keys, range(first, first + count))
+        scenes = scenes_of(course.rules, chosen[:count], job.rig, teacher.keys, range(first, first + count))
         episodes += play(
             scenes, teacher, navigator, teacher_share=teacher_share, noise=0.3 if teacher_share == 1.0 else 0.1,
             generator=generator, hint_key=HINT_KEY if course.hints else None,

@@ -18,7 +18,7 @@ from pipeline.errors import ConfigurationError, StageError
 from pipeline.job_worker import Report
 from pipeline.navigation_failures import ABORTED, OVERSHOOT, STUCK, WRONG_BRANCH, count_failures, failure_mode, places
 from pipeline.navigation_film import SIDE_PX, NavigationFilm
-from pipeline.navigation_jobs import NAVIGATOR, Course, chosen_cases, failures_of, navigate
+from pipeline.navigation_jobs import NAVIGATOR, navigate, success_of
 from pipeline.navigation_lessons import episode_of_log, read_lessons, write_episodes
 from pipeline.navigation_reader import load_reader
 from pipeline.navigation_scene import Rig, Scene, images_of_shape, scene_environment, with_shaft
@@ -206,21 +206,6 @@ def test_episode_of_a_log_has_a_look_a_decision(run: Path, results: dict) -> Non
     assert np.array_equal(episode.looks, again.looks)
 
 
-def test_missed_targets_are_taught_oftener() -> None:
-    course = Course(Path("teacher.pt"), tuple(("random", k) for k in range(6)), ("bca", "lcca"), navigation.Rules())
-    look = np.zeros((1, 3), np.float32)
-    ended = [("bca", True), ("bca", True), ("lcca", False), ("lcca", True), ("lcca", False), ("lcca", False)]
-    failures = failures_of([Episode(look, look[:, :2], look[:, :0], success, target) for target, success in ended])
-    assert failures == {"bca": 0.0, "lcca": 0.75}
-    chosen = chosen_cases(course, 20, failures, np.random.default_rng(0))
-    taught = {target: [anatomy for anatomy, other in chosen if other == target] for target in course.targets}
-    assert {target: len(anatomies) for target, anatomies in taught.items()} == {"bca": 5, "lcca": 15}
-    times = [taught["lcca"].count(anatomy) for anatomy in course.anatomies]
-    assert set(times) == {2, 3}  # all in turn
-    even = [target for _, target in chosen_cases(course, 20, {}, np.random.default_rng(0))]
-    assert even.count("bca") == even.count("lcca") == 10
-
-
 def test_lessons_come_back_with_their_targets(tmp_path: Path) -> None:
     episodes = [
         Episode(np.full((n, 4), n, np.float32), np.zeros((n, 2), np.float32), np.zeros((n, 0), np.float32), n > 1, name)
@@ -230,6 +215,7 @@ def test_lessons_come_back_with_their_targets(tmp_path: Path) -> None:
     back = read_lessons(tmp_path / "lessons.npz")
     assert [(len(one.looks), one.success, one.target) for one in back] == [(1, False, "bca"), (3, True, "lcca")]
     assert np.array_equal(back[1].looks, episodes[1].looks)
+    assert success_of([*back, back[0]]) == {"bca": 0.0, "lcca": 100.0}
 
 
 def test_a_film_shows_every_camera(run: Path) -> None:
