@@ -35,7 +35,7 @@ FIRST_READER_ARCH = (
 )
 _RESERVED = 1_000  # seeds of arches a run seed
 NAMED = -1  # seed of an anatomy that has a name of its own
-_SECONDS = {"frame": 0.06, "episode": 0.5, "lesson": 0.8, "trial": 1.0}  # guesses, for the estimate of the end
+_SECONDS = {"frame": 0.06, "episode": 1.2, "lesson": 2.4, "trial": 2.0}  # guesses, for the estimate of the end
 
 
 def check_navigation(settings: NavigationSettings) -> None:
