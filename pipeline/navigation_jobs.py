@@ -13,7 +13,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -218,7 +218,7 @@ def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, d
     """Clones the experts' episodes, then gives lessons round by round, going on after the last finished one."""
     from enn.policy import Policy
     from splineformer.navigator import Navigator
-    from splineformer.navigator_training import CloningSettings, clone
+    from splineformer.navigator_training import LESSONS, CloningSettings, clone
 
     began, worked = time.monotonic(), time.process_time()
     teachers = [Policy.load(course.teacher) for course in job.courses]
@@ -246,7 +246,7 @@ def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, d
             write_episodes(file, new)
             episodes += new
             epochs = job.epochs * (2 if number == job.rounds - 1 else 1)
-            fit = CloningSettings(epochs=epochs, batch_size=16)
+            fit = replace(LESSONS, epochs=epochs)
             fitting = partial(_fitting, told, epochs)
             losses = clone(navigator, episodes, fit, seed=job.seed * 1000 + number, progress=fitting)
             navigator.save(kept)

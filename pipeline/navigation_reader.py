@@ -1,15 +1,16 @@
 """The navigator's eye: a trained SplineFormer, trained a little further on wires under the navigation's own cameras.
 
-The data set shows wires deep in one phantom. A navigation begins with a short wire, and in other anatomies. So shapes
-are laid out along the ways of random arches, a few moves are made from there, and the simulator knows where the wire
-is. After this the network's weights stay as they are, for every navigator.
+The data set shows wires deep in one phantom. A navigation begins with a short wire, in other anatomies, and folds its
+tip at walls and in wrong branches. So shapes are laid out along the ways of random arches and moved on from there, and
+others are steered by a teacher, more or less clumsily; the simulator knows where the wire is. After this the network's
+weights stay as they are, for every navigator.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from pipeline.atomic import atomic_path, write_json
 from pipeline.errors import StageError
 from pipeline.job_worker import Report
 from pipeline.navigation_scene import Rig, fluoroscope_of, images_of_shape, with_shaft
+from pipeline.navigation_task import Anatomy, Rules, phantom_of
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
@@ -28,12 +30,19 @@ PREDICTOR, RECORD, FRAMES = "predictor.pt", "reader.json", "frames.npz"
 _PROTRUSION = 3e-3  # m: ways begin so far inside the vessel
 _SHALLOWEST = 0.01  # m of wire inside the vessel
 _MOVES = 8  # of 0.1 s, before each picture
-_PICTURES = 3  # from one laid wire
+_PICTURES = 6  # from one laid wire
+_LEAN = -0.3, 1.0  # mean of a run's pushes, of the most in a step: a wire pushed on folds at the wall, as in navigation
 _FORWARD, _TURN = 0.4, 0.7  # spread of the moves, of the most in a step
+_STEERED = 0.6  # share of the pictures of wires that a teacher steers, where there is one
+_BETWEEN = 12  # steps between two pictures of those
+_ADVICE = 3  # steps for which an action is held
+_WANDER = 0.8  # how much a clumsy hand's error stays the same from one action to the next
 _CURVE_M = 0.5e-3  # between the points of a true curve
 _VALIDATION = 0.1  # share of the anatomies
 _RATE = 6e-4
 _PREPARING = 0.3  # of the job's time
+
+Frame = tuple[np.ndarray, np.ndarray]  # pictures, and curves
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,9 @@ class ReaderJob:
         epochs: over them; 0: the network stays as it is.
         targets: whose ways wires are laid along.
         seed: of everything.
+        teacher: file of a policy that steers some of the wires; None: all are laid.
+        taught: targets to which it knows the way.
+        rules: of its episodes.
     """
 
     folder: Path
@@ -61,6 +73,9 @@ class ReaderJob:
     epochs: int
     targets: tuple[str, ...]
     seed: int
+    teacher: Path | None = None
+    taught: tuple[str, ...] = ()
+    rules: Rules = field(default_factory=Rules)
 
 
 def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:
@@ -169,7 +184,7 @@ def _frames(job: ReaderJob, predictor: Predictor, report: Any) -> tuple[np.ndarr
         held = max(1, round(_VALIDATION * len(job.anatomies)))
         for number, (kind, seed) in enumerate(job.anatomies):
             report(number / len(job.anatomies), f"frames in {kind} {max(seed, 0)}")
-            for images, lines in frames_in(_phantom(kind, seed), job, predictor.network.settings.image_px):
+            for images, lines in frames_in((kind, seed), job, predictor.network.settings.image_px):
                 pictures.append(images)
                 curves.append(lines)
                 apart.append(number >= len(job.anatomies) - held and len(job.anatomies) > 1)
@@ -188,34 +203,71 @@ def _frames(job: ReaderJob, predictor: Predictor, report: Any) -> tuple[np.ndarr
         return kept["pictures"], list(kept["curves"]), kept["apart"]
 
 
-def _phantom(kind: str, seed: int) -> Phantom:
-    from cathsim import load_phantom
-
-    return load_phantom(kind) if seed < 0 else load_phantom(kind, seed=seed)
-
-
-def frames_in(phantom: Phantom, job: ReaderJob, size_px: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pictures of wires in an anatomy.
+def frames_in(anatomy: Anatomy, job: ReaderJob, size_px: int) -> list[Frame]:
+    """Pictures of wires in an anatomy: laid ones, then steered ones.
 
     Args:
-        phantom: the anatomy.
-        job: with targets, rig, number of frames and seed.
+        anatomy: kind and seed.
+        job: with targets, rig, number of frames, teacher and seed.
         size_px: of the pictures.
 
     Returns:
         A (cameras, size, size) stack of pictures and (cameras, 240, 2) curves as shares of the sides, each.
     """
+    phantom = phantom_of(anatomy)
+    generator = np.random.default_rng((job.seed, int(phantom.hash[:8], 16)))
+    steered = 0 if job.teacher is None else round(_STEERED * job.frames)
+    found = _laid(phantom, job, size_px, job.frames - steered, generator)
+    return found + _steered(anatomy, job, size_px, steered, generator)
+
+
+def _steered(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator) -> list[Frame]:
+    """Pictures of episodes that a teacher steers, each with a hand of its own clumsiness, from none to nothing else."""
+    from enn.policy import Policy
+
+    if not count:
+        return []
+    assert job.teacher is not None
+    teacher = Policy.load(job.teacher)
+    phantom = phantom_of(anatomy)
+    found: list[Frame] = []
+    for number in range(4 * count):
+        if len(found) >= count:
+            break
+        target = job.taught[number % len(job.taught)]
+        environment = job.rules.environment(anatomy, target, job.rig, teacher.keys, training=True)
+        observation, _ = environment.reset(seed=int(generator.integers(2**31)))
+        clumsy, astray = generator.uniform(), generator.normal(0.0, 1.0, 2)
+        over, step = False, 0
+        while not over and len(found) < count:
+            if step % _ADVICE == 0:
+                astray = _WANDER * astray + np.sqrt(1 - _WANDER**2) * generator.normal(0.0, 1.0, 2)
+                advice = teacher.act_batch({key: observation[key][None] for key in teacher.keys})[0]
+                action = np.clip((1 - clumsy) * advice + clumsy * astray, -1.0, 1.0).astype(np.float32)
+            observation, _, terminated, truncated, _ = environment.step(action)
+            over, step = terminated or truncated, step + 1
+            if step % _BETWEEN == 0 and not over:
+                simulation = environment.simulation
+                nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
+                frame = _frame(phantom, job.rig, nodes, size_px, int(generator.integers(2**31)))
+                if frame is not None:
+                    found.append(frame)
+        environment.close()
+    return found
+
+
+def _laid(phantom: Phantom, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator) -> list[Frame]:
+    """Pictures of wires that are laid along ways and moved on from there."""
     from cathsim import ACCURACY, Simulation, load_guidewire
     from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
     from cathsim.laid_wire import lay_wire
 
-    generator = np.random.default_rng((job.seed, int(phantom.hash[:8], 16)))
     wire = load_guidewire(job.rig.wire)
     simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"])
     ways = _ways(phantom, job.targets, simulation)
-    found: list[tuple[np.ndarray, np.ndarray]] = []
-    for _ in range(4 * job.frames):
-        if len(found) >= job.frames or not ways:
+    found: list[Frame] = []
+    for _ in range(4 * count):
+        if len(found) >= count or not ways:
             break
         way = ways[int(generator.integers(len(ways)))]
         length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
@@ -223,7 +275,7 @@ def frames_in(phantom: Phantom, job: ReaderJob, size_px: int) -> list[tuple[np.n
             lay_wire(simulation, way, generator.uniform(0.005, length - _SHALLOWEST))
         except ValueError:  # too short a wire for this one
             continue
-        turn, lean = generator.uniform(-1, 1), generator.uniform(-0.3, 0.5)
+        turn, lean = generator.uniform(-1, 1), generator.uniform(*_LEAN)
         for _ in range(_PICTURES):
             for _ in range(_MOVES):
                 push = np.clip(lean + _FORWARD * generator.standard_normal(), -1, 1)
@@ -235,7 +287,7 @@ def frames_in(phantom: Phantom, job: ReaderJob, size_px: int) -> list[tuple[np.n
             frame = _frame(phantom, job.rig, nodes, size_px, int(generator.integers(2**31)))
             if frame is not None:
                 found.append(frame)
-    return found[: job.frames]
+    return found[:count]
 
 
 def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:
@@ -253,9 +305,7 @@ def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.
     return ways
 
 
-def _frame(
-    phantom: Phantom, rig: Rig, nodes: np.ndarray, size_px: int, seed: int
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _frame(phantom: Phantom, rig: Rig, nodes: np.ndarray, size_px: int, seed: int) -> Frame | None:
     """Pictures and curves of one moment; None where a camera does not see enough of the wire."""
     from cathsim.fluoroscopy.curve import smooth_curve
     from guide3d.polyline import resample

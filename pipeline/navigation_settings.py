@@ -34,12 +34,13 @@ class NavigationSettings:
     arch_rounds: int = 5
     arch_lessons: int = 96
     arch_epochs: int = 20
+    arch_hidden: int = 256  # units of that navigator
     test_arches: int = 20
     trials: int = 30  # a target in each named phantom
     reader_arches: int = 30  # random ones under whose cameras the SplineFormer is trained further
     reader_frames: int = 40  # in each
     reader_epochs: int = 3  # 0: it stays as it is
-    hidden: int = 128  # units of the navigators
+    hidden: int = 128  # units of the other navigators
     action_repeat: int = 3  # steps of 0.1 s for which they hold an action: an image a decision
     wire_length_mm: float = 312.0  # in random arches
     pixel_cloning: bool = True  # the rival that clones from pixels
@@ -66,7 +67,7 @@ class NavigationSettings:
         if self.episodes != sorted(self.episodes):
             raise ConfigurationError(f"stage.episodes must rise, got {', '.join(map(str, self.episodes))}")
         for key in ("image_size_px", "epochs", "trials", "reader_frames", "hidden", "action_repeat", "dagger_lessons",
-                    "dagger_epochs", "arch_lessons", "arch_epochs", "arch_rounds"):  # fmt: skip
+                    "dagger_epochs", "arch_lessons", "arch_epochs", "arch_rounds", "arch_hidden"):  # fmt: skip
             require_positive(f"stage.{key}", getattr(self, key))
         for key in ("dagger_rounds", "arches", "test_arches", "reader_arches", "reader_epochs", "workers",
                     "wire_length_mm"):  # fmt: skip

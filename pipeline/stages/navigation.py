@@ -108,9 +108,9 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     def navigator(row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], **given: Any) -> None:
         job = NavigatorJob(
             folder=path / row, reader=path / READER, rig=rig, guided=settings.guided, space=settings.in_space,
-            hidden=settings.hidden, action_repeat=settings.action_repeat, targets=tuple(settings.targets), tests=tests,
-            seed=seed, origin=Origin("navigation", row, seed, "desk"),
-            **{"logs": (), "episodes": 0, "courses": (), "rounds": 0, "lessons": 0, **given},
+            action_repeat=settings.action_repeat, targets=tuple(settings.targets), tests=tests, seed=seed,
+            origin=Origin("navigation", row, seed, "desk"),
+            **{"hidden": settings.hidden, "logs": (), "episodes": 0, "courses": (), "rounds": 0, "lessons": 0, **given},
         )  # fmt: skip
         trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)
         navigators.append(Job(row, navigate, job, after=after, weight=weight + trials * _SECONDS["trial"]))
@@ -137,7 +137,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
         weight = settings.arch_rounds * settings.arch_lessons * _SECONDS["lesson"]
         navigator(
             ARCHES, (READER,), weight, tests, epochs=settings.arch_epochs, courses=(_arches(settings, context),),
-            rounds=settings.arch_rounds, lessons=settings.arch_lessons,
+            rounds=settings.arch_rounds, lessons=settings.arch_lessons, hidden=settings.arch_hidden,
         )  # fmt: skip
     longest = [job for job in navigators if job.key == ARCHES]  # goes first, beside the experts' episodes
     jobs += [*longest, *seen, *(job for job in navigators if job.key != ARCHES), *rivals]
@@ -164,6 +164,9 @@ def _reader(settings: NavigationSettings, context: StageContext, rig: Rig) -> Jo
         epochs=settings.reader_epochs,
         targets=("bca", "lcca", "lsa"),
         seed=context.seed,
+        teacher=_teacher(context) if settings.arches else None,
+        taught=tuple(settings.targets),
+        rules=_long(settings),
     )
     frames = len(given.anatomies) * settings.reader_frames
     return Job(READER, train_reader, given, weight=frames * (1 + settings.reader_epochs) * _SECONDS["frame"])
@@ -189,11 +192,15 @@ def _arches(settings: NavigationSettings, context: StageContext) -> Course:
     first = _RESERVED * context.seed
     if first + settings.arches > FIRST_READER_ARCH:
         raise ConfigurationError(f"seed={context.seed} would learn in arches kept for others: choose a smaller seed")
+    anatomies = tuple(training_arch(seed) for seed in range(first, first + settings.arches))
+    return Course(_teacher(context), anatomies, tuple(settings.targets), _long(settings), hints=True)
+
+
+def _teacher(context: StageContext) -> Path:
     teacher = context.inputs["unseen"] / "roadmap" / f"seed{context.seed}" / POLICY
     if not teacher.is_file():
         raise StageError(f"there is no teacher {teacher}: run stage=unseen with this seed, or set stage.arches=0")
-    anatomies = tuple(training_arch(seed) for seed in range(first, first + settings.arches))
-    return Course(teacher, anatomies, tuple(settings.targets), _long(settings), hints=True)
+    return teacher
 
 
 def _long(settings: NavigationSettings) -> Rules:

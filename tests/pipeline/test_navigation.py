@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 
 from cathsim import NavigateEnv, load_phantom
+from pipeline import navigation_reader
 from pipeline.episodes import EpisodeReader
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.job_worker import Report
@@ -52,6 +53,7 @@ SETTINGS = NavigationSettings(
     reader_frames=4,
     reader_epochs=1,
     hidden=8,
+    arch_hidden=12,
 )
 RIG = Rig(("a",), 256)
 
@@ -85,6 +87,7 @@ def results(run: Path) -> dict:
         patch.setattr(navigation, "Rules", lambda **given: replace(short, **given))
         patch.setattr(navigation, "training_arch", lambda seed: ("random", 3))
         patch.setattr(navigation, "FIRST_TEST_ANATOMY", 3)
+        patch.setattr(navigation_reader, "_BETWEEN", 3)
         navigation.run_navigation(SETTINGS, context(run, "navigation", reads=READS))
     return json.loads((run / "navigation" / "results.json").read_text())
 
@@ -237,6 +240,7 @@ def test_missing_teacher_is_told_before_any_work(run: Path, tmp_path: Path) -> N
     given.inputs["unseen"] = tmp_path
     with pytest.raises(StageError, match="run stage=unseen"):
         navigation.plan(SETTINGS, given)
+    given = context(run, "navigation", reads=READS)
     given.inputs["enn"] = tmp_path
     with pytest.raises(StageError, match="run stage=enn"):
         navigation.plan(SETTINGS, given)

@@ -46,6 +46,10 @@ class CloningSettings:
             raise ValueError("learning_rate must be above 0, weight_decay, noise and hint_weight not negative")
 
 
+# Of lessons, whose teacher knows more than the images show: to tell its roadmap teaches more than its actions alone.
+LESSONS = CloningSettings(batch_size=16, weight_decay=0.1, noise=0.15, hint_weight=10.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Episode:
     """One episode: what the navigator saw, and what was or should have been done.
