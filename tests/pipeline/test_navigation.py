@@ -21,7 +21,7 @@ from pipeline.navigation_failures import ABORTED, OVERSHOOT, STUCK, WRONG_BRANCH
 from pipeline.navigation_film import SIDE_PX, NavigationFilm
 from pipeline.navigation_jobs import NAVIGATOR, navigate, success_of
 from pipeline.navigation_lessons import episode_of_log, read_lessons, write_episodes
-from pipeline.navigation_reader import load_reader
+from pipeline.navigation_reader import ReaderJob, frames_in, load_reader
 from pipeline.navigation_scene import Rig, Scene, images_of_shape, scene_environment, with_shaft
 from pipeline.navigation_settings import NavigationSettings
 from pipeline.stages import navigation
@@ -110,6 +110,29 @@ def test_images_of_a_logged_shape_are_those_of_the_environment() -> None:
     vessels = scene.vessels["a"]
     assert vessels.sample(scene.marks["a"]) > 0.5
     assert (vessels.sample(vessels.way(np.array([0.3, 0.78]))) > 0.5).mean() > 0.9
+
+
+def test_eye_learns_from_laid_and_from_steered_wires(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(navigation_reader, "_BETWEEN", 3)
+    settings = replace(SETTINGS, reader_frames=5)
+    job = navigation.plan(settings, context(run, "navigation", reads=READS))[0].given
+    assert isinstance(job, ReaderJob)
+    job = replace(job, rules=replace(job.rules, max_steps=30))
+    frames = frames_in(("type_1", -1), job, 64)
+    assert len(frames) == 5  # two laid ones first
+    for pictures, curves in frames:
+        assert pictures.shape == (2, 64, 64)
+        assert ((curves >= 0) & (curves <= 1)).all()
+        places = np.clip((curves * 64).astype(int), 0, 63)
+        on_wire = [picture[place[:, 1], place[:, 0]].mean() for picture, place in zip(pictures, places, strict=True)]
+        beside = [picture[place[:, 1] - 4, place[:, 0]].mean() for picture, place in zip(pictures, places, strict=True)]
+        assert np.mean(on_wire) < np.mean(beside)
+    again = frames_in(("type_1", -1), job, 64)
+    assert all(np.array_equal(a[0], b[0]) for a, b in zip(frames, again, strict=True))
+    untaught = frames_in(("type_1", -1), replace(job, teacher=None), 64)
+    assert len(untaught) == 5
+    assert np.array_equal(untaught[0][0], frames[0][0])
+    assert not np.array_equal(untaught[3][0], frames[3][0])
 
 
 def test_map_in_space_leads_through_the_lumen() -> None:
