@@ -45,6 +45,10 @@ class Rig:
 @kept_with_owner
 def fluoroscope_of(phantom: Phantom, rig: Rig, filling: str) -> BiplaneFluoroscope:
     """The cameras over a phantom whose lumen holds "fluid", "contrast" or "air"."""
+    return _fluoroscope(phantom, rig, filling)
+
+
+def _fluoroscope(phantom: Phantom, rig: Rig, filling: str) -> BiplaneFluoroscope:
     from cathsim import load_guidewire
     from cathsim.fluoroscopy import BiplaneFluoroscope, radiograph, scene, wire_material
     from pipeline.guide3d_generator import Studio, cameras_of
@@ -97,10 +101,9 @@ def _lumens(phantom: Phantom, rig: Rig) -> dict[str, np.ndarray]:
     from splineformer.vessel_map import lumen_of_run
 
     nothing = np.empty((0, 3))
-    plain, contrast = (
-        fluoroscope_of(phantom, rig, filling).render(nothing, _RUN_SEED + number)
-        for number, filling in enumerate((rig.filling, "contrast"))
-    )
+    plain = fluoroscope_of(phantom, rig, rig.filling).render(nothing, _RUN_SEED)
+    # filled with contrast medium it is seen once: nothing of that is kept
+    contrast = _fluoroscope(phantom, rig, "contrast").render(nothing, _RUN_SEED + 1)
     return {name: lumen_of_run(plain[name].image, contrast[name].image) for name in rig.cameras}
 
 
