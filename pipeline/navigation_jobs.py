@@ -114,6 +114,7 @@ class NavigatorJob:
         logs: files of experts' episodes to clone.
         episodes: of each file.
         epochs: of the cloning; of every round of lessons.
+        updates: of the cloning, at least.
         courses: of the lessons.
         rounds: of lessons.
         lessons: episodes a round, shared among the courses.
@@ -134,6 +135,7 @@ class NavigatorJob:
     logs: tuple[Path, ...]
     episodes: int
     epochs: int
+    updates: int
     courses: tuple[Course, ...]
     rounds: int
     lessons: int
@@ -230,10 +232,11 @@ def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, d
     parts = job.rounds + bool(episodes)
     losses: list[float] = []
     if episodes:
-        first = CloningSettings(epochs=job.epochs)
+        first = CloningSettings(epochs=job.epochs, updates=job.updates)
+        passes = first.passes(len(episodes))
         losses = clone(
             navigator, episodes, first, seed=job.seed,
-            progress=lambda epoch, loss: report(epoch / job.epochs / parts, f"cloning, loss {loss:.3f}"),
+            progress=lambda epoch, loss: report(epoch / passes / parts, f"cloning, loss {loss:.4f}"),
         )  # fmt: skip
     cloned, rounds = len(episodes), []
     for number in range(job.rounds):

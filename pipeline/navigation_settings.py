@@ -27,6 +27,7 @@ class NavigationSettings:
         default_factory=list
     )  # expert trials a target, a navigator each; the first as the thesis
     epochs: int = 60  # of cloning
+    updates: int = 1500  # of it, at least: after 300 of them 20 trials are not learnt yet
     dagger_rounds: int = 3  # 0: no fine-tuning
     dagger_lessons: int = 60  # episodes a round
     dagger_epochs: int = 30  # of every round
@@ -69,7 +70,7 @@ class NavigationSettings:
         for key in ("image_size_px", "epochs", "trials", "reader_frames", "hidden", "action_repeat", "dagger_lessons",
                     "dagger_epochs", "arch_lessons", "arch_epochs", "arch_rounds", "arch_hidden"):  # fmt: skip
             require_positive(f"stage.{key}", getattr(self, key))
-        for key in ("dagger_rounds", "arches", "test_arches", "reader_arches", "reader_epochs", "workers",
+        for key in ("updates", "dagger_rounds", "arches", "test_arches", "reader_arches", "reader_epochs", "workers",
                     "wire_length_mm"):  # fmt: skip
             if getattr(self, key) < 0:
                 raise ConfigurationError(f"stage.{key} must be zero or more, got {getattr(self, key)}")

@@ -108,8 +108,8 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     def navigator(row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], **given: Any) -> None:
         job = NavigatorJob(
             folder=path / row, reader=path / READER, rig=rig, guided=settings.guided, space=settings.in_space,
-            action_repeat=settings.action_repeat, targets=tuple(settings.targets), tests=tests, seed=seed,
-            origin=Origin("navigation", row, seed, "desk"),
+            action_repeat=settings.action_repeat, updates=settings.updates, targets=tuple(settings.targets),
+            tests=tests, seed=seed, origin=Origin("navigation", row, seed, "desk"),
             **{"hidden": settings.hidden, "logs": (), "episodes": 0, "courses": (), "rounds": 0, "lessons": 0, **given},
         )  # fmt: skip
         trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)

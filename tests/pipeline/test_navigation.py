@@ -40,6 +40,7 @@ SETTINGS = NavigationSettings(
     targets=["bca"],
     episodes=[1, 3],
     epochs=2,
+    updates=0,
     dagger_rounds=1,
     dagger_lessons=1,
     dagger_epochs=1,

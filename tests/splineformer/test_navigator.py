@@ -145,6 +145,8 @@ def test_cloning_learns_what_was_done_and_what_was_before() -> None:
     navigator = Navigator(settings, eye)
     losses = clone(navigator, episodes, CloningSettings(epochs=40, noise=0.0, weight_decay=0.0))
     assert losses[-1] < 0.25 * losses[0]
+    few = clone(Navigator(settings, eye), episodes, CloningSettings(epochs=2, updates=17))
+    assert len(few) == 4  # of five batches each
     again = Navigator(settings, eye)
     assert clone(again, episodes, CloningSettings(epochs=40, noise=0.0, weight_decay=0.0)) == losses
 

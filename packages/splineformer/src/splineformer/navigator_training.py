@@ -23,7 +23,8 @@ class CloningSettings:
     """How a navigator is fitted.
 
     Attributes:
-        epochs: passes over all episodes.
+        epochs: passes over all episodes, at least.
+        updates: at least so many; few episodes are passed over the oftener.
         batch_size: episodes an update.
         learning_rate: of Adam at its start; it falls to a tenth.
         weight_decay: of the weights.
@@ -32,6 +33,7 @@ class CloningSettings:
     """
 
     epochs: int = 40
+    updates: int = 0
     batch_size: int = 8
     learning_rate: float = 2e-3
     weight_decay: float = 1e-3
@@ -44,6 +46,12 @@ class CloningSettings:
             raise ValueError(f"epochs and batch_size must be at least 1, got {self.epochs} and {self.batch_size}")
         if not self.learning_rate > 0 or min(self.weight_decay, self.noise, self.hint_weight) < 0:
             raise ValueError("learning_rate must be above 0, weight_decay, noise and hint_weight not negative")
+        if self.updates < 0:
+            raise ValueError(f"updates must not be negative, got {self.updates}")
+
+    def passes(self, episodes: int) -> int:
+        """Passes over so many episodes."""
+        return max(self.epochs, -(-self.updates // -(-episodes // self.batch_size)))
 
 
 # Of lessons, whose teacher knows more than the images show: to tell its roadmap teaches more than its actions alone.
@@ -121,15 +129,15 @@ def clone(
     optimiser = torch.optim.AdamW(
         network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True
     )
-    batches = -(-len(episodes) // settings.batch_size)
+    batches, passes = -(-len(episodes) // settings.batch_size), settings.passes(len(episodes))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
-        optimiser, settings.epochs * batches, eta_min=settings.learning_rate / 10
+        optimiser, passes * batches, eta_min=settings.learning_rate / 10
     )
     losses = []
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network.train()
-        for epoch in range(settings.epochs):
+        for epoch in range(passes):
             mixed = generator.permutation(len(episodes))
             order = sorted(mixed, key=lambda i: len(episodes[i].looks) // _SAME_LENGTH)
             parts = np.array_split(np.array(order), batches)
