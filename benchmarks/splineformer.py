@@ -34,7 +34,7 @@ sys.path.sort(key=lambda place: Path(place) == Path(__file__).resolve().parent)
 import numpy as np
 import torch
 
-from guide3d.dataset import Dataset, split
+from guide3d.dataset import VIEWS, Dataset, images_of, split
 from guide3d.masks import strip_mask
 from guide3d.synthetic import scenes
 from splineformer.build import build, size_of
@@ -42,7 +42,6 @@ from splineformer.curve_errors import curve_errors
 from splineformer.export import export_onnx, graphs, onnx_difference
 from splineformer.modeling.ordered import OrderedSplineFormer
 from splineformer.predictor import SOURCE_PX, Predictor
-from splineformer.samples import CAMERAS, images_of
 from splineformer.tokens import round_trip_px, tokens_of_polyline
 
 BATCH = 8
@@ -65,7 +64,7 @@ def curves(arguments: argparse.Namespace) -> list[np.ndarray]:
         return [points for scene in drawn for points in scene.points]
     frames = Dataset.open(arguments.data).frames
     chosen = np.linspace(0, len(frames) - 1, min(count // 2, len(frames))).astype(int)
-    return [frames[index].polyline(camera) for index in chosen for camera in CAMERAS]
+    return [frames[index].polyline(camera) for index in chosen for camera in VIEWS]
 
 
 def round_trips(arguments: argparse.Namespace) -> dict[str, float]:
@@ -128,9 +127,9 @@ def accuracy(predictor: Predictor, arguments: argparse.Namespace) -> dict[str, f
     rows = []
     for item in images_of(data, split(data).test, 24 if arguments.quick else 0).tolist():
         camera, index = divmod(item, len(data.frames))
-        told = predictor(data.frames[index].image(CAMERAS[camera]))
+        told = predictor(data.frames[index].image(VIEWS[camera]))
         if told.tokens is not None:
-            rows.append(curve_errors(told.points(), data.frames[index].polyline(CAMERAS[camera])))
+            rows.append(curve_errors(told.points(), data.frames[index].polyline(VIEWS[camera])))
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
 
