@@ -35,7 +35,6 @@ _LEAN = -0.3, 1.0  # mean of a run's pushes, of the most in a step: a wire pushe
 _FORWARD, _TURN = 0.4, 0.7  # spread of the moves, of the most in a step
 _STEERED = 0.6  # share of the pictures of wires that a teacher steers, where there is one
 _BETWEEN = 12  # steps between two pictures of those
-_ADVICE = 3  # steps for which an action is held
 _WANDER = 0.8  # how much a clumsy hand's error stays the same from one action to the next
 _CURVE_M = 0.5e-3  # between the points of a true curve
 _VALIDATION = 0.1  # share of the anatomies
@@ -240,7 +239,7 @@ def _steered(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generat
         clumsy, astray = generator.uniform(), generator.normal(0.0, 1.0, 2)
         over, step = False, 0
         while not over and len(found) < count:
-            if step % _ADVICE == 0:
+            if step % teacher.action_repeat == 0:
                 astray = _WANDER * astray + np.sqrt(1 - _WANDER**2) * generator.normal(0.0, 1.0, 2)
                 advice = teacher.act_batch({key: observation[key][None] for key in teacher.keys})[0]
                 action = np.clip((1 - clumsy) * advice + clumsy * astray, -1.0, 1.0).astype(np.float32)

@@ -123,7 +123,7 @@ def test_eye_learns_from_laid_and_from_steered_wires(run: Path, monkeypatch: pyt
     assert len(frames) == 5  # two laid ones first
     for pictures, curves in frames:
         assert pictures.shape == (2, 64, 64)
-        assert ((curves >= 0) & (curves <= 1)).all()
+        assert ((curves > -1e-9) & (curves < 1 + 1e-9)).all()  # cut at the border, but for rounding
         places = np.clip((curves * 64).astype(int), 0, 63)
         on_wire = [picture[place[:, 1], place[:, 0]].mean() for picture, place in zip(pictures, places, strict=True)]
         beside = [picture[place[:, 1] - 4, place[:, 0]].mean() for picture, place in zip(pictures, places, strict=True)]

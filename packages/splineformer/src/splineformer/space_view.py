@@ -95,9 +95,9 @@ class SpaceView:
             In the wire's frame: the way ahead over its distances (21), the wire behind the tip over its distances (18),
             distances to the wall along `RAYS` over 30 mm (9), the direction to the target (3), the tip's motion since
             one and two decisions ago (6). In the world's: the tip's direction and bend (6), its place (3), the way's
-            directions 10 and 24 mm ahead (6). The tangent of half the distance to the target, the remaining way twice,
-            how much the tip is bent, how long the wire is, how much of it is measured, the distance between both tips'
-            rays (7). Shape (SIZE,).
+            directions 10 and 24 mm ahead (6). The hyperbolic tangent of the distance to the target over 20 mm, the
+            remaining way over 200 mm and its tangent over 20 mm, how much the tip is bent, how long the wire is, how
+            much of it is measured, the distance between both tips' rays (7). Shape (SIZE,).
         """
         points, share = self.wire(readings)
         arc = arc_length(points)
