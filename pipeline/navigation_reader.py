@@ -19,29 +19,17 @@ import numpy as np
 from pipeline.atomic import atomic_path, write_json
 from pipeline.errors import StageError
 from pipeline.job_worker import Report
-from pipeline.navigation_scene import Rig, fluoroscope_of, images_of_shape, with_shaft
-from pipeline.navigation_task import Anatomy, Rules, phantom_of
+from pipeline.navigation_frames import frames_in
+from pipeline.navigation_scene import Rig
+from pipeline.navigation_task import Rules
 
 if TYPE_CHECKING:
-    from cathsim.anatomy import Phantom
     from splineformer.predictor import Predictor
 
 PREDICTOR, RECORD, FRAMES = "predictor.pt", "reader.json", "frames.npz"
-_PROTRUSION = 3e-3  # m: ways begin so far inside the vessel
-_SHALLOWEST = 0.01  # m of wire inside the vessel
-_MOVES = 8  # of 0.1 s, before each picture
-_PICTURES = 6  # from one laid wire
-_LEAN = -0.3, 1.0  # mean of a run's pushes, of the most in a step: a wire pushed on folds at the wall, as in navigation
-_FORWARD, _TURN = 0.4, 0.7  # spread of the moves, of the most in a step
-_STEERED = 0.6  # share of the pictures of wires that a teacher steers, where there is one
-_BETWEEN = 12  # steps between two pictures of those
-_WANDER = 0.8  # how much a clumsy hand's error stays the same from one action to the next
-_CURVE_M = 0.5e-3  # between the points of a true curve
 _VALIDATION = 0.1  # share of the anatomies
 _RATE = 6e-4
 _PREPARING = 0.3  # of the job's time
-
-Frame = tuple[np.ndarray, np.ndarray]  # pictures, and curves
 
 
 @dataclass(frozen=True)
@@ -200,125 +188,3 @@ def _frames(job: ReaderJob, predictor: Predictor, report: Any) -> tuple[np.ndarr
             np.savez(stream, **arrays)  # type: ignore[arg-type]
     with np.load(file) as kept:
         return kept["pictures"], list(kept["curves"]), kept["apart"]
-
-
-def frames_in(anatomy: Anatomy, job: ReaderJob, size_px: int) -> list[Frame]:
-    """Pictures of wires in an anatomy: laid ones, then steered ones.
-
-    Args:
-        anatomy: kind and seed.
-        job: with targets, rig, number of frames, teacher and seed.
-        size_px: of the pictures.
-
-    Returns:
-        A (cameras, size, size) stack of pictures and (cameras, 240, 2) curves as shares of the sides, each.
-    """
-    phantom = phantom_of(anatomy)
-    generator = np.random.default_rng((job.seed, int(phantom.hash[:8], 16)))
-    steered = 0 if job.teacher is None else round(_STEERED * job.frames)
-    found = _laid(phantom, job, size_px, job.frames - steered, generator)
-    return found + _steered(anatomy, job, size_px, steered, generator)
-
-
-def _steered(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator) -> list[Frame]:
-    """Pictures of episodes that a teacher steers, each with a hand of its own clumsiness, from none to nothing else."""
-    from enn.policy import Policy
-
-    if not count:
-        return []
-    assert job.teacher is not None
-    teacher = Policy.load(job.teacher)
-    phantom = phantom_of(anatomy)
-    found: list[Frame] = []
-    for number in range(4 * count):
-        if len(found) >= count:
-            break
-        target = job.taught[number % len(job.taught)]
-        environment = job.rules.environment(anatomy, target, job.rig, teacher.keys, training=True)
-        observation, _ = environment.reset(seed=int(generator.integers(2**31)))
-        clumsy, astray = generator.uniform(), generator.normal(0.0, 1.0, 2)
-        over, step = False, 0
-        while not over and len(found) < count:
-            if step % teacher.action_repeat == 0:
-                astray = _WANDER * astray + np.sqrt(1 - _WANDER**2) * generator.normal(0.0, 1.0, 2)
-                advice = teacher.act_batch({key: observation[key][None] for key in teacher.keys})[0]
-                action = np.clip((1 - clumsy) * advice + clumsy * astray, -1.0, 1.0).astype(np.float32)
-            observation, _, terminated, truncated, _ = environment.step(action)
-            over, step = terminated or truncated, step + 1
-            if step % _BETWEEN == 0 and not over:
-                simulation = environment.simulation
-                nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
-                frame = _frame(phantom, job.rig, nodes, size_px, int(generator.integers(2**31)))
-                if frame is not None:
-                    found.append(frame)
-        environment.close()
-    return found
-
-
-def _laid(phantom: Phantom, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator) -> list[Frame]:
-    """Pictures of wires that are laid along ways and moved on from there."""
-    from cathsim import ACCURACY, Simulation, load_guidewire
-    from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
-    from cathsim.laid_wire import lay_wire
-
-    wire = load_guidewire(job.rig.wire)
-    simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"])
-    ways = _ways(phantom, job.targets, simulation)
-    found: list[Frame] = []
-    for _ in range(4 * count):
-        if len(found) >= count or not ways:
-            break
-        way = ways[int(generator.integers(len(ways)))]
-        length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-        try:
-            lay_wire(simulation, way, generator.uniform(0.005, length - _SHALLOWEST))
-        except ValueError:  # too short a wire for this one
-            continue
-        turn, lean = generator.uniform(-1, 1), generator.uniform(*_LEAN)
-        for _ in range(_PICTURES):
-            for _ in range(_MOVES):
-                push = np.clip(lean + _FORWARD * generator.standard_normal(), -1, 1)
-                twist = np.clip(turn + _TURN * generator.standard_normal(), -1, 1)
-                simulation.advance(TRANSLATION_STEP * float(push), ROTATION_STEP * float(twist))
-            if not simulation.valid:
-                break
-            nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
-            frame = _frame(phantom, job.rig, nodes, size_px, int(generator.integers(2**31)))
-            if frame is not None:
-                found.append(frame)
-    return found[:count]
-
-
-def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:
-    from cathsim.planning.path import UnreachableError, plan_path
-
-    start = simulation.vessel.entry + _PROTRUSION * simulation.vessel.direction
-    ways = []
-    for target in targets:
-        place = phantom.target(target).position
-        try:
-            way = plan_path(phantom.grid, start, place, clearance=1e-3, preferred_clearance=3e-3)
-        except UnreachableError:
-            continue
-        ways.append(way.points)
-    return ways
-
-
-def _frame(phantom: Phantom, rig: Rig, nodes: np.ndarray, size_px: int, seed: int) -> Frame | None:
-    """Pictures and curves of one moment; None where a camera does not see enough of the wire."""
-    from cathsim.fluoroscopy.curve import smooth_curve
-    from guide3d.polyline import resample
-    from splineformer.augmentation import inside
-    from splineformer.intake import picture_of
-
-    curve, _ = smooth_curve(nodes, _CURVE_M)
-    cameras = fluoroscope_of(phantom, rig, rig.filling).cameras
-    lines = []
-    for name in rig.cameras:
-        seen = inside((cameras[name].pixels(curve) + 0.5) / rig.image_size_px)
-        if seen is None:
-            return None
-        lines.append(resample(seen, count=240))
-    images = images_of_shape(phantom, rig, nodes, seed)
-    pictures = [picture_of(image, size_px, rig.image_size_px).pixels for image in images]
-    return np.stack(pictures), np.stack(lines)

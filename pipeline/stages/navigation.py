@@ -261,6 +261,7 @@ STAGE = Stage(
         "pipeline.imitation_job",
         "pipeline.navigation_failures",
         "pipeline.navigation_film",
+        "pipeline.navigation_frames",
         "pipeline.navigation_jobs",
         "pipeline.navigation_lessons",
         "pipeline.navigation_reader",

@@ -13,15 +13,16 @@ import torch
 from PIL import Image
 
 from cathsim import NavigateEnv, load_phantom
-from pipeline import navigation_reader
+from pipeline import navigation_frames
 from pipeline.episodes import EpisodeReader
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.job_worker import Report
 from pipeline.navigation_failures import ABORTED, OVERSHOOT, STUCK, WRONG_BRANCH, count_failures, failure_mode, places
 from pipeline.navigation_film import SIDE_PX, NavigationFilm
+from pipeline.navigation_frames import frames_in
 from pipeline.navigation_jobs import NAVIGATOR, navigate, success_of
 from pipeline.navigation_lessons import episode_of_log, read_lessons, write_episodes
-from pipeline.navigation_reader import ReaderJob, frames_in, load_reader
+from pipeline.navigation_reader import ReaderJob, load_reader
 from pipeline.navigation_scene import Rig, Scene, images_of_shape, scene_environment, with_shaft
 from pipeline.navigation_settings import NavigationSettings
 from pipeline.stages import navigation
@@ -88,7 +89,7 @@ def results(run: Path) -> dict:
         patch.setattr(navigation, "Rules", lambda **given: replace(short, **given))
         patch.setattr(navigation, "training_arch", lambda seed: ("random", 3))
         patch.setattr(navigation, "FIRST_TEST_ANATOMY", 3)
-        patch.setattr(navigation_reader, "_BETWEEN", 3)
+        patch.setattr(navigation_frames, "_BETWEEN", 3)
         navigation.run_navigation(SETTINGS, context(run, "navigation", reads=READS))
     return json.loads((run / "navigation" / "results.json").read_text())
 
@@ -114,7 +115,7 @@ def test_images_of_a_logged_shape_are_those_of_the_environment() -> None:
 
 
 def test_eye_learns_from_laid_and_from_steered_wires(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(navigation_reader, "_BETWEEN", 3)
+    monkeypatch.setattr(navigation_frames, "_BETWEEN", 3)
     settings = replace(SETTINGS, reader_frames=5)
     job = navigation.plan(settings, context(run, "navigation", reads=READS))[0].given
     assert isinstance(job, ReaderJob)
