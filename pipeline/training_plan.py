@@ -147,12 +147,14 @@ def sized(preset: TrainingSettings, decisions: int, settings: LearningSettings, 
         settings: of the stage.
         changed: further fields.
     """
+    if preset.algorithm == "ppo":
+        changed["n_steps"] = min(preset.n_steps, max(decisions // (2 * preset.n_envs), 16))
+    else:
+        changed["buffer_size"] = min(preset.buffer_size, max(decisions, 1))
     return replace(
         preset,
         decisions=decisions,
         learning_starts=min(preset.learning_starts, decisions // _LEAST_SHARE_BEFORE_LEARNING),
-        n_steps=min(preset.n_steps, max(decisions // (2 * preset.n_envs), 16)),
-        buffer_size=min(preset.buffer_size, max(decisions, 1)),
         evaluate_every=min(preset.evaluate_every, decisions),
         evaluation_episodes=min(preset.evaluation_episodes, settings.evaluation_episodes),
         curve_every=min(preset.curve_every, decisions),

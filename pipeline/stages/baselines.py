@@ -93,8 +93,6 @@ def training_settings(settings: BaselinesSettings, algorithm: str, observation: 
             changed |= {"hidden": (), "activation": "relu"}
         if algorithm == "sac":
             changed["critic_hidden"] = (256, 256)
-        if settings.actions != "feeder":
-            changed["target_entropy"] = None  # the thesis's -2 belongs to the two actions of the ENN
     decisions = settings.ppo_decisions if algorithm == "ppo" else settings.decisions
     return sized(presets[algorithm, thesis], decisions, settings, **changed)
 

@@ -155,9 +155,11 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     Returns:
         Row to column to cell of the thesis's table.
     """
+    from cathsim import load_guidewire
     from enn.reinforcement import DESK_SAC, THESIS_SAC
 
     used = sized(THESIS_SAC if settings.variant == THESIS else DESK_SAC, settings.decisions, settings)
+    actions = 2 if settings.actions == "feeder" else 2 * load_guidewire(settings.wire).motor_joints + 1
     values = {
         "learning_rate": used.learning_rate,
         "buffer_size": used.buffer_size,
@@ -168,7 +170,7 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
         "gradient_steps": used.gradient_steps,
         "ent_coef": used.ent_coef,
         "target_update_interval": 1,
-        "target_entropy": -2.0 if used.target_entropy is None else used.target_entropy,  # minus the number of actions
+        "target_entropy": float(-actions) if used.target_entropy is None else used.target_entropy,
     }
     return {name: {"value": value} for name, value in values.items()}
 

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -16,6 +17,7 @@ from enn.network import action_distribution
 from enn.policy import Policy
 from enn.reinforcement import (
     DESK_PPO,
+    DESK_SAC,
     THESIS_PPO,
     THESIS_SAC,
     Progress,
@@ -216,13 +218,68 @@ def test_the_thesis_presets_are_its_tables() -> None:
         "tau": 0.005,
         "gamma": 0.99,
         "gradient_steps": 1,
-        "ent_coef": 1,
-        "target_entropy": -2,
+        "ent_coef": "auto_1.0",  # its 1, where the learning starts
+        "target_entropy": None,  # its -2, for two actions
     }
     assert {name: getattr(THESIS_SAC, name) for name in table} == table
     assert THESIS_SAC.decisions == THESIS_PPO.decisions == 600_000
     assert THESIS_PPO.learning_rate == 3e-4
     assert THESIS_PPO.variant == THESIS_SAC.variant == "thesis"
+
+
+def test_the_thesis_preset_learns_its_entropy(point_env: Any) -> None:
+    settings = dataclasses.replace(
+        THESIS_SAC,
+        extractor="vectors",
+        variant="desk",
+        hidden=(32, 32),
+        decisions=1500,
+        learning_rate=3e-3,
+        batch_size=64,
+        buffer_size=1500,
+        evaluate_every=0,
+    )
+    run = TrainingRun(Training(settings, point_env, seed=0), None)
+    weights, entropies = [], []
+    try:
+        while not run._pause():
+            run._decide()
+            scalars = run.learner.scalars()
+            weights.append(scalars.get("train/ent_coef", 1.0))
+            entropies.append(scalars.get("train/entropy", 0.0))
+        target = float(run.learner.model.target_entropy)
+    finally:
+        run.close()
+    assert target == -2.0
+    assert weights[101] > 0.98
+    assert weights[-1] < 0.3
+    early, late = (abs(float(np.mean(part)) - target) for part in (entropies[150:350], entropies[-200:]))
+    assert late < 0.5 < 2.0 < early, "the entropy must have come close to its target"
+
+
+@pytest.mark.parametrize("preset", [THESIS_SAC, DESK_SAC])
+def test_entropy_of_each_number_of_actions(preset: TrainingSettings, point_env: Any) -> None:
+    class Motors(point_env):  # type: ignore[misc]
+        action_space = gymnasium.spaces.Box(-1, 1, (21,), np.float32)
+
+    small = {"extractor": "vectors", "variant": "desk", "hidden": (8,), "buffer_size": 64, "bank_share": 0.0}
+    run = TrainingRun(Training(dataclasses.replace(preset, **small), Motors, seed=0), None)
+    assert run.learner.model.target_entropy == -21.0
+    assert run.learner.model.ent_coef_optimizer is not None
+    run.close()
+
+
+def test_settings_that_contradict_each_other_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"a fixed ent_coef of 1\.0 aims at no entropy"):
+        dataclasses.replace(THESIS_SAC, ent_coef=1.0, target_entropy=-2.0)
+    for odd in ("auto_0", "auto_-1", "auto_x", "fixed", "auto_nan"):
+        with pytest.raises(ValueError, match="ent_coef must be a number, auto, or auto_ and the positive number"):
+            dataclasses.replace(THESIS_SAC, ent_coef=odd)
+    with pytest.raises(ValueError, match="sac does not use n_steps: leave it at 256, got 128"):
+        dataclasses.replace(THESIS_SAC, n_steps=128)
+    for name, value in {"target_entropy": -2.0, "buffer_size": 9, "tau": 0.5, "gradient_steps": 2.0}.items():
+        with pytest.raises(ValueError, match=f"ppo does not use {name}"):
+            dataclasses.replace(THESIS_PPO, **{name: value})
 
 
 def test_refusals_say_why() -> None:

@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import re
+from dataclasses import dataclass, fields
 
 from enn.network import NetworkSettings
+
+_LEARNT_ENTROPY = re.compile(r"auto(_(?P<start>[0-9.]+(e-?[0-9]+)?))?")
+# Settings that an algorithm does not look at: another value than the default would say what is not done.
+UNUSED = {
+    "sac": ("n_steps", "epochs", "gae_lambda", "clip_range"),
+    "ppo": (
+        "critic_layer_norm",
+        "gradient_steps",
+        "actor_every",
+        "tau",
+        "target_entropy",
+        "buffer_size",
+        "half",
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -39,7 +56,7 @@ class TrainingSettings:
         actor_every: updates of the critic for one of the actor and of the entropy's weight (SAC).
         tau: share of the new weights in the target critic.
         ent_coef: weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05; for PPO a number.
-        target_entropy: that "auto" aims at; None: minus the number of actions.
+        target_entropy: that "auto" aims at; None: minus the number of actions. A fixed weight has none.
         buffer_size: transitions in the replay buffer.
         half: vectors of the replay buffer in half precision.
         demonstrations_in_replay: share of each batch drawn from demonstrations.
@@ -134,7 +151,33 @@ class TrainingSettings:
                 raise ValueError(f"PPO needs a number as ent_coef, got '{self.ent_coef}': only SAC learns it")
             if self.demonstrations_in_replay:
                 raise ValueError("PPO keeps no replay buffer: leave demonstrations_in_replay at 0")
+        self._refuse_unused()
+        self._check_entropy()
         self.network  # noqa: B018 - refuses unknown names
+
+    def _check_entropy(self) -> None:
+        if isinstance(self.ent_coef, str):
+            learnt = _LEARNT_ENTROPY.fullmatch(self.ent_coef)
+            if learnt is None or not float(learnt["start"] or 1.0) > 0:
+                raise ValueError(
+                    f"ent_coef must be a number, auto, or auto_ and the positive number to start from, got "
+                    f"'{self.ent_coef}'"
+                )
+        elif not (self.ent_coef >= 0 and math.isfinite(self.ent_coef)):
+            raise ValueError(f"ent_coef must be zero or more, got {self.ent_coef}")
+        elif self.target_entropy is not None:
+            raise ValueError(
+                f"a fixed ent_coef of {self.ent_coef} aims at no entropy: leave target_entropy out, or learn the "
+                f"weight with ent_coef='auto_{self.ent_coef}'"
+            )
+
+    def _refuse_unused(self) -> None:
+        defaults = {field.name: field.default for field in fields(self)}
+        for name in UNUSED.get(self.algorithm, ()):
+            if getattr(self, name) != defaults[name]:
+                raise ValueError(
+                    f"{self.algorithm} does not use {name}: leave it at {defaults[name]}, got {getattr(self, name)}"
+                )
 
     @property
     def network(self) -> NetworkSettings:
@@ -155,7 +198,8 @@ class TrainingSettings:
 
 
 # Thesis, table of SAC's hyper-parameters, features of its architecture table; the layers after them, which it does not
-# print, are the library's. Budget: 600,000 steps.
+# print, are the library's. Budget: 600,000 steps. Its entropy coefficient of 1 and target entropy of -2 fit together
+# only if the coefficient is learnt from 1 on; -2 is minus the number of its actions, and for 21 actions it is -21.
 THESIS_SAC = TrainingSettings(
     variant="thesis",
     extractor="multimodal",
@@ -167,8 +211,7 @@ THESIS_SAC = TrainingSettings(
     learning_rate=3e-4,
     batch_size=256,
     learning_starts=100,
-    ent_coef=1.0,
-    target_entropy=-2.0,
+    ent_coef="auto_1.0",
     buffer_size=1_000_000,
     bank_share=0.0,
     evaluate_every=10_000,
