@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
     from pipeline.navigation_reader import ReaderJob
 
-_PROTRUSION = 3e-3  # m: ways begin so far inside the vessel
 _SHALLOWEST = 0.01  # m of wire inside the vessel
 _MOVES = 8  # of 0.1 s, before each picture
 _PICTURES = 6  # from one laid wire
@@ -116,17 +115,15 @@ def _laid(phantom: Phantom, job: ReaderJob, size_px: int, count: int, generator:
 
 
 def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:
-    from cathsim.planning.path import UnreachableError, plan_path
+    from cathsim.laid_wire import plan_way
+    from cathsim.planning.path import UnreachableError
 
-    start = simulation.vessel.entry + _PROTRUSION * simulation.vessel.direction
     ways = []
     for target in targets:
-        place = phantom.target(target).position
         try:
-            way = plan_path(phantom.grid, start, place, clearance=1e-3, preferred_clearance=3e-3)
+            ways.append(plan_way(simulation, phantom.target(target).position))
         except UnreachableError:
             continue
-        ways.append(way.points)
     return ways
 
 

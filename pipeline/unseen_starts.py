@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 SHORT_OF_END = (0.012, 0.018, 0.025, 0.032, 0.040, 0.050)  # m from the tip to the target along the planned way
 WITHDRAWALS, WITHDRAWAL_STEPS = 3, 4  # states kept while drawing back, steps between them
-CLEARANCE, PREFERRED_CLEARANCE = 1e-3, 3e-3  # m of the planned way
-PROTRUSION = 3e-3  # m: it begins so far inside the vessel
 MOST_FORCE = 0.5  # N: with more the wire lies jammed
 
 _LOGGER = logging.getLogger(__name__)
@@ -85,19 +83,13 @@ def laid_states(environment: NavigateEnv, generator: np.random.Generator) -> np.
     Returns:
         Shape (k, n); none where the wire is too short, or there is no way with a clearance.
     """
-    from cathsim.laid_wire import lay_wire
-    from cathsim.planning.path import UnreachableError, plan_path
+    from cathsim.laid_wire import lay_wire, plan_way
+    from cathsim.planning.path import UnreachableError
 
     simulation, target = environment.simulation, environment.task.target
     states: list[np.ndarray] = []
     try:
-        way = plan_path(
-            environment.phantom.grid,
-            simulation.vessel.entry + PROTRUSION * simulation.vessel.direction,
-            environment.phantom.target(target).position,
-            clearance=CLEARANCE,
-            preferred_clearance=PREFERRED_CLEARANCE,
-        ).points
+        way = plan_way(simulation, environment.phantom.target(target).position)
     except UnreachableError:
         _LOGGER.info("no way with a clearance to %s of %s: no starts there", target, environment.phantom.name)
         return np.empty((0, len(simulation.state())))

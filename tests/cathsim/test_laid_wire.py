@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.laid_wire import lay_wire
-from cathsim.planning.path import plan_path
-
-
-def way_to(environment: NavigateEnv) -> np.ndarray:
-    """From the entry to the target, off the walls."""
-    vessel, phantom = environment.simulation.vessel, environment.phantom
-    goal = phantom.target(environment.task.target).position
-    inside = vessel.entry + 0.003 * vessel.direction
-    path = plan_path(phantom.grid, inside, goal, clearance=0.001, preferred_clearance=0.003)
-    return np.vstack((vessel.entry, path.points))
+from cathsim.arena import PROTRUSION
+from cathsim.laid_wire import lay_wire, plan_way
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +17,7 @@ def environment() -> NavigateEnv:
 
 @pytest.fixture(scope="module")
 def way(environment: NavigateEnv) -> np.ndarray:
-    return way_to(environment)
+    return plan_way(environment.simulation, environment.phantom.target("lcca").position)
 
 
 @pytest.mark.parametrize("short_of_end", [0.01, 0.05, 0.12])
@@ -40,6 +31,34 @@ def test_every_node_lies_on_the_way(environment: NavigateEnv, way: np.ndarray, s
     inside = [node for node in simulation.inserted_points() if (node - way[0]) @ simulation.vessel.direction > 0]
     assert len(inside) > 3
     assert max(np.linalg.norm(fine - node, axis=1).min() for node in inside) < 2e-3
+
+
+def test_a_laid_wire_is_where_the_simulator_puts_it(environment: NavigateEnv) -> None:
+    simulation = environment.simulation
+    simulation.reset(0.0)
+    for _ in range(40):
+        simulation.advance(0.002, 0.1)
+    insertion, driven = simulation.insertion, simulation.inserted_points()
+    assert insertion > 0.07
+    entry, direction = simulation.vessel.entry, simulation.vessel.direction
+    beyond = driven[(driven - entry) @ direction > 1e-3]
+    lay_wire(simulation, np.vstack((entry, beyond[::-1])), 0.0, rest_steps=0)
+    assert simulation.insertion == pytest.approx(insertion, abs=2e-4)
+    count = min(len(driven), simulation.active_links + 1)
+    assert np.linalg.norm(simulation.inserted_points()[:count] - driven[:count], axis=1).max() < 3e-4
+
+
+def test_a_straight_wire_is_laid_where_a_reset_puts_it(environment: NavigateEnv) -> None:
+    simulation = environment.simulation
+    entry, direction = simulation.vessel.entry, simulation.vessel.direction
+    lay_wire(simulation, entry + np.linspace(0.0, 0.05, 51)[:, None] * direction, 0.0, rest_steps=0)
+    assert simulation.insertion == pytest.approx(0.05 - PROTRUSION, abs=1e-6)
+    np.testing.assert_allclose(simulation.tip, entry + 0.05 * direction, atol=1e-6)
+
+
+def test_a_way_that_begins_elsewhere_is_refused(environment: NavigateEnv, way: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"begins at the vessel's entry, this one begins 5\.0 mm from it"):
+        lay_wire(environment.simulation, way[1:], 0.012)
 
 
 def test_wire_rests_in_the_branch_and_an_episode_can_start_there(environment: NavigateEnv, way: np.ndarray) -> None:

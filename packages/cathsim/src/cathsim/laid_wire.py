@@ -9,9 +9,34 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cathsim.arena import FEEDER, PROTRUSION
+from cathsim.planning.path import plan_path
 from cathsim.simulation import Simulation
 
 REST_STEPS = 10  # control steps in which the wire finds its place between the walls
+WAY_CLEARANCE, PREFERRED_CLEARANCE = 1e-3, 3e-3  # m from the wall that a planned way keeps, and would rather keep
+_AT_ENTRY = 5e-4  # m from the entry at which a way may begin
+
+
+def plan_way(simulation: Simulation, place: ArrayLike) -> np.ndarray:
+    """Plans the way along which a wire can be laid to a place.
+
+    Args:
+        simulation: with the vessel and the sheath.
+        place: in the lumen, m, world frame. Shape (3,).
+
+    Returns:
+        Points from the entry to the place, m, world frame: straight on to where the tip lies at zero insertion, off the
+        walls from there on. Shape (n, 3).
+
+    Raises:
+        UnreachableError: no way keeps `WAY_CLEARANCE` from the walls.
+    """
+    vessel = simulation.vessel
+    first = vessel.entry + PROTRUSION * vessel.direction
+    path = plan_path(
+        simulation.phantom.grid, first, place, clearance=WAY_CLEARANCE, preferred_clearance=PREFERRED_CLEARANCE
+    )
+    return np.vstack((vessel.entry, path.points))
 
 
 def lay_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, rest_steps: int = REST_STEPS) -> None:
@@ -22,14 +47,20 @@ def lay_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, res
 
     Args:
         simulation: whose wire it is; it ends in the new state.
-        way: points from the entry on, m, world frame, such as `planning.path.plan_path` gives. Shape (n, 3).
+        way: points from the entry on, m, world frame, such as `plan_way` gives. Shape (n, 3).
         short_of_end: distance along the way from the tip to its end, m.
         rest_steps: control steps of 0.1 s without a movement of the feeder.
 
     Raises:
-        ValueError: the way is too short or too long for the wire.
+        ValueError: the way does not begin at the entry, or is too short or too long for the wire.
     """
     points = np.asarray(way, float)
+    gap = float(np.linalg.norm(points[0] - simulation.vessel.entry))
+    if gap > _AT_ENTRY:  # else the wire would be laid that far behind the way
+        raise ValueError(
+            f"a way for the wire begins at the vessel's entry, this one begins {1e3 * gap:.1f} mm from it: plan it "
+            "with plan_way, or put the entry before it"
+        )
     arcs = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
     tip_arc = float(arcs[-1]) - short_of_end
     insertion = tip_arc - PROTRUSION
