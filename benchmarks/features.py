@@ -76,7 +76,6 @@ def navigate(phantom: str) -> gymnasium.Env[Any, Any]:
         start_jitter=0.01,
         start_rotation=np.pi,
         accuracy="fast",
-        contact_info=False,
         disable_env_checker=True,
     )
 

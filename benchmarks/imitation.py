@@ -40,7 +40,7 @@ HELD_OUT, EXPERT_SEED = 1_000_000, 2_000_000
 
 def environment(arguments: argparse.Namespace, keys: tuple[str, ...]) -> NavigateEnv:
     """The task with any rotation at the start."""
-    return NavigateEnv(arguments.phantom, arguments.target, observation=keys, start_rotation=np.pi, contact_info=False)
+    return NavigateEnv(arguments.phantom, arguments.target, observation=keys, start_rotation=np.pi)
 
 
 def scripted(count: int, arguments: argparse.Namespace) -> list[Trajectory]:
@@ -50,7 +50,7 @@ def scripted(count: int, arguments: argparse.Namespace) -> list[Trajectory]:
     def steer(observation: Any, info: Any) -> np.ndarray:
         return np.array([1.0, generator.uniform(-1, 1)], np.float32)
 
-    short = NavigateEnv(arguments.phantom, arguments.target, observation=("image",), max_steps=40, contact_info=False)
+    short = NavigateEnv(arguments.phantom, arguments.target, observation=("image",), max_steps=40)
     return [record(short, steer, seed=seed, keys=("image",)) for seed in range(count)]
 
 

@@ -63,7 +63,6 @@ def navigate(observation: tuple[str, ...] = ("feeder", "shape")) -> gymnasium.En
         success_radius=0.008,
         start_jitter=0.001,
         start_rotation=np.pi,
-        contact_info=False,
         disable_env_checker=True,
     )
 

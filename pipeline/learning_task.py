@@ -61,8 +61,8 @@ class LearningTask:
 
         Args:
             observation: a name, which gives one array, or several, which give a dictionary.
-            training: with the shaped reward and the force's penalty, and without the list of contacts; otherwise with
-                the thesis's reward, which is what tables report.
+            training: with the shaped reward and the force's penalty; otherwise with the thesis's reward, which
+                is what tables report.
         """
         from cathsim import NavigateEnv
 
@@ -74,7 +74,6 @@ class LearningTask:
             actions=self.actions,
             observation=observation if isinstance(observation, str) else tuple(observation),
             image_size=self.image_size,
-            contact_info=not training,
             max_steps=self.max_steps,
             success_radius=self.success_radius,
             start_jitter=self.start_jitter,

@@ -59,7 +59,7 @@ def _steered(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generat
         if len(found) >= count:
             break
         target = job.taught[number % len(job.taught)]
-        environment = job.rules.environment(anatomy, target, job.rig, teacher.keys, training=True)
+        environment = job.rules.environment(anatomy, target, job.rig, teacher.keys)
         observation, _ = environment.reset(seed=int(generator.integers(2**31)))
         clumsy, astray = generator.uniform(), generator.normal(0.0, 1.0, 2)
         over, step = False, 0

@@ -40,9 +40,7 @@ class Rules:
     start_jitter: float = 0.001
     start_rotation: float = float(np.pi)
 
-    def environment(
-        self, anatomy: Anatomy, target: str, rig: Rig, observation: Sequence[str], *, training: bool = False
-    ) -> NavigateEnv:
+    def environment(self, anatomy: Anatomy, target: str, rig: Rig, observation: Sequence[str]) -> NavigateEnv:
         """An environment under the rig's cameras."""
         from cathsim import load_guidewire
 
@@ -52,7 +50,7 @@ class Rules:
             wire=wire.scaled(self.wire_length) if self.wire_length else wire,
             max_steps=self.max_steps, success_radius=self.success_radius,
             start_jitter=self.start_jitter, start_rotation=self.start_rotation,
-            reward=REWARD_OF_EVALUATION, contact_info=not training,
+            reward=REWARD_OF_EVALUATION,
         )  # fmt: skip
 
 
@@ -94,7 +92,7 @@ def scenes_of(
         seeds: of the resets.
     """
     for (anatomy, target), seed in zip(cases, seeds, strict=True):
-        yield Scene(rules.environment(anatomy, target, rig, keys, training=True), rig), seed
+        yield Scene(rules.environment(anatomy, target, rig, keys), rig), seed
 
 
 def room_for(anatomies: Sequence[Anatomy]) -> None:

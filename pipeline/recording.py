@@ -50,6 +50,7 @@ def step_record(
         The record.
     """
     simulation = environment.simulation
+    contacts = simulation.contacts()
     return StepRecord(
         step=step,
         action=np.asarray(action, np.float64),
@@ -60,8 +61,8 @@ def step_record(
         joint_velocities=simulation.joint_velocities(),
         wire_points=simulation.wire_points(),
         tip=info["tip"],
-        contact_positions=info["contact_points"],
-        contact_forces=info["contact_forces"],
+        contact_positions=contacts.points,
+        contact_forces=contacts.forces,
         resultant_force=info["force_vector"],
         insertion=info["insertion"],
         rotation=info["rotation"],

@@ -142,7 +142,6 @@ def replay_environment(
         actions="feeder" if len(action) == 2 else "tip_motors",
         observation=tuple(observation) or ("tip",),
         image_size=size,
-        contact_info=False,
     )
 
 

@@ -85,7 +85,6 @@ class UnseenTask:
             resolution=RESOLUTION,
             accuracy=accuracy or self.accuracy,
             observation=observation,
-            contact_info=False,
             reward=REWARD_OF_TRAINING,
             **self._rules(),
         )

@@ -122,7 +122,7 @@ def pushed_forces(phantom: str, steps: int, *, seed: int) -> np.ndarray:
     """
     from cathsim import NavigateEnv
 
-    environment = NavigateEnv(phantom, observation="tip", contact_info=False)
+    environment = NavigateEnv(phantom, observation="tip")
     generator = np.random.default_rng(seed)
     forces = []
     environment.reset(seed=seed)
@@ -142,7 +142,7 @@ def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
     """
     from cathsim import NavigateEnv
 
-    environment = NavigateEnv(phantom, observation="tip", contact_info=False)
+    environment = NavigateEnv(phantom, observation="tip")
     links = len(environment.simulation.wire.links)
     environment.close()
     return {
@@ -169,8 +169,7 @@ def speed_rows(settings: ValidateSettings, *, seed: int) -> dict[str, dict[str, 
     from cathsim import NavigateEnv
 
     environments = {
-        name: NavigateEnv(settings.phantom, observation=observation, contact_info=False)
-        for name, observation in SPEED_MODES.items()
+        name: NavigateEnv(settings.phantom, observation=observation) for name, observation in SPEED_MODES.items()
     }
     rates: dict[str, list[float]] = {name: [] for name in environments}
     for index in range(settings.speed_rounds):

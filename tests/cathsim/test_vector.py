@@ -150,7 +150,7 @@ def test_results_are_not_overwritten(make_vector: MakeVector) -> None:
         ({"autoreset": "never"}, "unknown autoreset 'never'; there are next_step, same_step"),
         ({"variations": [{}]}, "expected 3 variations, one an environment, got 1"),
         ({"variations": [{}, {}, {"wire": "thesis"}]}, "all environments of a vector need the same action and obs"),
-        ({"contact_info": True}, "no room for lists of contacts: leave contact_info out"),
+        ({"threads": 0}, "threads must be at least 1, got 0"),
         ({"phantom": "aorta"}, "unknown phantom 'aorta'"),
     ],
     ids=str,

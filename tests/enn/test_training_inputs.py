@@ -124,7 +124,6 @@ def test_the_real_simulator_trains_a_little(tmp_path: Path) -> None:
             max_steps=20,
             start_jitter=0.001,
             start_rotation=np.pi,
-            contact_info=False,
             disable_env_checker=True,
         )
 

@@ -82,7 +82,10 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
 
     ## Info
     `tip` (3,) m, `distance` m, `insertion` m, `rotation` rad, `force` N (largest resultant of the step), `force_vector`
-    (3,) N, `contact_points` (k, 3) m and `contact_forces` (k, 3) N of that moment, `success`, `invalid`.
+    (3,) N, `success`, `invalid`; with `drive="robot"` also `driven`. With `contact_info=True` also `contacts`, the
+    number k of contacts of that moment, and `contact_points` (512, 3) m and `contact_forces` (512, 3) N, whose first k
+    rows are those contacts and whose other rows are zero. Every key has the same type and shape in every step;
+    `env.simulation.contacts()` gives the k contacts alone.
 
     ## Arguments
     Args:
@@ -104,7 +107,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         drive: "direct", or "robot": the follower robot feeds the wire stroke by stroke, so that a step may move it less
             than its action says, or not at all while the clamp goes back; `info["driven"]` tells.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
-        contact_info: with `contact_points` and `contact_forces` in `info`; vector environments leave them out.
+        contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
         task: the task; or its fields as further keywords: success_radius, max_steps, start_jitter, start_rotation,
             reward, force_penalty, path_penalty.
 
@@ -132,7 +135,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         drive: str = "direct",
         cameras: str | BiplaneFluoroscope | None = None,
         registration_noise: float = 0.0,
-        contact_info: bool = True,
+        contact_info: bool = False,
         task: NavigationTask | None = None,
         **task_fields: Any,
     ) -> None:
@@ -342,7 +345,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         if self.robot is not None:
             info["driven"] = self.robot.driven
         if self._contact_info:
-            contacts = simulation.contacts()
+            contacts = simulation.padded_contacts()
+            info["contacts"] = simulation.summary.contacts
             info["contact_points"], info["contact_forces"] = contacts.points, contacts.forces
         return info
 

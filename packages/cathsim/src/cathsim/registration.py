@@ -17,4 +17,8 @@ def register() -> None:
             vector_entry_point="cathsim.vector:ThreadedVectorEnv",
         )
     if MANY not in gymnasium.registry:
-        gymnasium.register(id=MANY, entry_point="cathsim.variety:NavigateManyEnv")
+        gymnasium.register(
+            id=MANY,
+            entry_point="cathsim.variety:NavigateManyEnv",
+            vector_entry_point="cathsim.vector:ThreadedManyVectorEnv",
+        )

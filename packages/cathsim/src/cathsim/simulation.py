@@ -304,6 +304,13 @@ class Simulation:
         count = self.summary.contacts
         return Contacts(self._points[:count].copy(), self._forces[:count].copy())
 
+    def padded_contacts(self) -> Contacts:
+        """`contacts`, followed by rows of zeros: always of shape (MAX_CONTACTS, 3)."""
+        count = self.summary.contacts
+        padded = Contacts(np.zeros((MAX_CONTACTS, 3)), np.zeros((MAX_CONTACTS, 3)))
+        padded.points[:count], padded.forces[:count] = self._points[:count], self._forces[:count]
+        return padded
+
     def force(self) -> np.ndarray:
         """Resultant of the wall's contact forces on the wire, largest of the last control step, N. Shape (3,)."""
         return np.array(self.summary.force)

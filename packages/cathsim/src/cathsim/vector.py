@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from cathsim.environment import NavigateEnv
+from cathsim.variety import NavigateManyEnv
 
 
 class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
@@ -29,6 +30,8 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
         arguments: of `NavigateEnv`.
     """
 
+    _make: type[NavigateEnv] | type[NavigateManyEnv] = NavigateEnv
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -44,17 +47,13 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
             raise ValueError(f"unknown autoreset '{autoreset}'; there are next_step, same_step")
         if variations is not None and len(variations) != num_envs:
             raise ValueError(f"expected {num_envs} variations, one an environment, got {len(variations)}")
-        if any(one.get("contact_info") for one in (arguments, *(variations or ()))):
-            raise ValueError(
-                "a vector environment's info has no room for lists of contacts: leave contact_info out and read "
-                "envs[i].simulation.contacts()"
-            )
-        arguments["contact_info"] = False
-        self.envs = [NavigateEnv(**{**arguments, **(variations[i] if variations else {})}) for i in range(num_envs)]
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self.envs = [self._make(**{**arguments, **(variations[i] if variations else {})}) for i in range(num_envs)]
         self.num_envs = num_envs
         self._same_step = autoreset == "same_step"
         mode = AutoresetMode.SAME_STEP if self._same_step else AutoresetMode.NEXT_STEP
-        self.metadata = {**NavigateEnv.metadata, "autoreset_mode": mode}
+        self.metadata = {**self._make.metadata, "autoreset_mode": mode}
         self.render_mode = self.envs[0].render_mode
         self.single_action_space = self.envs[0].action_space
         self.single_observation_space = self.envs[0].observation_space
@@ -94,13 +93,16 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
 
     def _gather(self, infos: list[dict[str, Any]]) -> dict[str, Any]:
         """The infos of all environments as arrays, each with a mask of who has it, as Gymnasium's vectors give them."""
-        if any(info.keys() != infos[0].keys() for info in infos):
+        if "final_obs" in infos[0] or any(info.keys() != infos[0].keys() for info in infos):
             gathered: dict[str, Any] = {}
             for index, info in enumerate(infos):
                 gathered = self._add_info(gathered, info, index)
             return gathered
         everyone = np.ones(self.num_envs, bool)
-        gathered = {key: np.array([info[key] for info in infos]) for key in infos[0]}
+        gathered = {
+            key: np.array([info[key] for info in infos], dtype=object if isinstance(value, str) else None)
+            for key, value in infos[0].items()
+        }
         return gathered | {f"_{key}": everyone.copy() for key in infos[0]}
 
     def reset(
@@ -121,15 +123,14 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
             seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"expected {self.num_envs} seeds, one an environment, got {len(seeds)}")
-        mask = np.ones(self.num_envs, bool)
-        if options and "reset_mask" in options:
-            mask = np.asarray(options["reset_mask"], bool)
+        own = dict(options or {})
+        mask = np.asarray(own.pop("reset_mask", np.ones(self.num_envs)), bool)
         if mask.shape != (self.num_envs,):
             raise ValueError(f"expected a reset_mask of shape ({self.num_envs},), got {mask.shape}")
 
         def start(index: int) -> tuple[Any, dict[str, Any]]:
             env = self.envs[index]
-            return env.reset(seed=seeds[index]) if mask[index] else (env.observe(), {})
+            return env.reset(seed=seeds[index], options=own) if mask[index] else (env.observe(), {})
 
         results = self._each(start)
         self._ended[mask] = False
@@ -177,3 +178,14 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
             self._pool.shutdown()
         for env in self.envs:
             env.close()
+
+
+class ThreadedManyVectorEnv(ThreadedVectorEnv):
+    """`num_envs` environments over many anatomies in threads; each draws its own case at each of its resets.
+
+    Args:
+        num_envs: as for `ThreadedVectorEnv`, like what follows.
+        arguments: of `NavigateManyEnv`.
+    """
+
+    _make = NavigateManyEnv
