@@ -34,8 +34,7 @@ from enn.force import fit_force, force_preset
 from enn.force_samples import force_samples
 from enn.policy import Policy
 from enn.trajectory import Trajectory
-
-HELD_OUT, EXPERT_SEED = 1_000_000, 2_000_000
+from pipeline.seeds import expert_seeds, held_out_seeds
 
 
 def environment(arguments: argparse.Namespace, keys: tuple[str, ...]) -> NavigateEnv:
@@ -82,7 +81,7 @@ def imitation(arguments: argparse.Namespace) -> dict[str, float]:
     keys = tuple(dict.fromkeys((*expert.keys, "image")))
     env = environment(arguments, keys)
     steers = expert.controller()
-    episodes = [record(env, steers, seed=EXPERT_SEED + k, keys=keys) for k in range(arguments.episodes)]
+    episodes = [record(env, steers, seed=seed, keys=keys) for seed in expert_seeds(0, arguments.episodes)]
     features = [expert.features({key: one.observations[key] for key in expert.keys}) for one in episodes]
     began = time.process_time()
     student, _ = clone(episodes, expert_features=features)
@@ -94,7 +93,7 @@ def success(student: ClonedPolicy, arguments: argparse.Namespace, count: int) ->
     """Share of held-out starts from which the target is reached."""
     env = environment(arguments, student.keys)
     steers = student.controller()
-    return float(np.mean([record(env, steers, seed=HELD_OUT + k, keys=()).terminated for k in range(count)]))
+    return float(np.mean([record(env, steers, seed=seed, keys=()).terminated for seed in held_out_seeds(0, count)]))
 
 
 def main() -> None:

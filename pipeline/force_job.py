@@ -15,8 +15,9 @@ import numpy as np
 from pipeline.atomic import write_json
 from pipeline.expert_episodes import load_expert, read_episodes
 from pipeline.job_worker import Report
-from pipeline.learning_task import EXPERT_SEED, LearningTask
+from pipeline.learning_task import LearningTask
 from pipeline.recording import record_episode
+from pipeline.seeds import force_seed
 from pipeline.trials import recorded
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
     steps = episode = 0
     while steps < job.steps:
         path = job.folder / f"{episode:03d}.mcap"
-        seed = 3 * EXPERT_SEED + 100_000 * job.seed + episode
+        seed = force_seed(job.seed, episode)
         metrics = recorded(path, seed)
         if metrics is None:
             actor = Disturbed(

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from guide3d.annotation_files import acquisition_name
 from pipeline.guide3d_wire import Script
+from pipeline.seeds import acquisition_seed
 
 # (fluid, wire) to images of the real data set
 COMPOSITION = {(True, "angled"): 3664, (True, "straight"): 484, (False, "angled"): 2472, (False, "straight"): 2126}
@@ -72,7 +71,7 @@ def plan_acquisitions(
             length = count // acquisitions + (index < count % acquisitions)
             target = targets[index % len(targets)]
             phantom = phantoms[index // len(targets) % len(phantoms)]
-            own = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+            own = acquisition_seed(seed, number)
             script = Script(phantom, target, wire, length, steps, own)
             planned.append(Acquisition(acquisition_name(fluid, target, wire, number), fluid, script))
     return planned

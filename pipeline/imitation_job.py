@@ -22,7 +22,8 @@ import numpy as np
 from pipeline.atomic import atomic_path, write_json
 from pipeline.expert_episodes import expert_logs, load_expert, read_episodes, task_of_logs
 from pipeline.job_worker import Report
-from pipeline.learning_task import EXPERT_SEED, LearningTask, held_out_seeds
+from pipeline.learning_task import LearningTask
+from pipeline.seeds import disturbed_seeds, held_out_seeds
 from pipeline.training_job import CURVE, EVALUATION, POLICY, RECORD
 from pipeline.trials import MODES, Origin, controllers, run_trials, summary
 
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 
 PRELOAD = ("cathsim", "enn.behaviour_cloning", "enn.policy", "enn.dagger", "pipeline.recording")
 _FITTING = 0.6  # share of a job's time
-_DISTURBED_SEED = EXPERT_SEED + 500  # starts that neither expert episodes nor evaluations have
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def disturbed(task: LearningTask, expert: Policy, keys: Sequence[str], count: in
         record(
             environment,
             Disturbed(actor, np.random.default_rng((seed, index))),
-            seed=held_out_seeds(seed, count, first=_DISTURBED_SEED)[index],
+            seed=disturbed_seeds(seed, count)[index],
             keys=seen,
             labels=actor,
             metadata={"file": f"disturbed episode {index}"},

@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
 
-HELD_OUT_SEED = 1_000_000  # evaluation episodes' seeds begin here: no training comes so far
-EXPERT_SEED = 2_000_000  # those of expert episodes, which imitation learns from and is not evaluated on
-SEEDS_A_TRAINING = 1_000
 REWARD_OF_TRAINING, REWARD_OF_EVALUATION = "geodesic", "distance"  # the latter is the thesis's
 
 
@@ -90,20 +87,3 @@ class LearningTask:
             observation: as `environment` takes it.
         """
         return functools.partial(self.environment, observation, training=True)
-
-
-def held_out_seeds(training_seed: int, count: int, *, first: int = HELD_OUT_SEED) -> range:
-    """Seeds of the episodes that belong to a training: no other training's, and none that it was trained on.
-
-    Args:
-        training_seed: of the training.
-        count: of episodes.
-        first: `HELD_OUT_SEED` for evaluation, `EXPERT_SEED` for episodes to learn from.
-
-    Raises:
-        ValueError: more episodes than a training has seeds.
-    """
-    if count > SEEDS_A_TRAINING:
-        raise ValueError(f"a training has {SEEDS_A_TRAINING} seeds of its own for episodes, got {count} episodes")
-    start = first + training_seed * SEEDS_A_TRAINING
-    return range(start, start + count)

@@ -23,12 +23,12 @@ import numpy as np
 from pipeline.atomic import write_json
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.job_worker import Report
-from pipeline.learning_task import held_out_seeds
 from pipeline.navigation_lessons import episode_of_log, play, read_lessons, write_episodes
 from pipeline.navigation_reader import load_reader
 from pipeline.navigation_scene import Rig
 from pipeline.navigation_task import Anatomy, Rules, TrialSet, room_for, scenes_of
 from pipeline.navigation_trials import run_tests
+from pipeline.seeds import fit_seed, further_expert_seeds, navigation_lesson_seeds
 from pipeline.trials import Origin
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ Tell = Callable[[float, str], None]  # the share done, and a few words
 NAVIGATOR, RECORD = "navigator.pt", "training.json"
 PRELOAD = ("cathsim", "enn.policy", "splineformer.navigator_training", "skimage.graph", "pipeline.recording")
 HINT_KEY = "roadmap"
-_LESSON_SEED = 3_000_000  # of lessons' starts: no test's, no expert episode's
 _TRAINING = 0.7  # of a job's time
 
 
@@ -63,6 +62,7 @@ class LogsJob:
         space: whether it measures in space what both cameras show.
         hidden: units of the navigator, for its settings.
         action_repeat: steps for which it holds an action.
+        seed: of the run: of the starts of episodes that the expert plays on.
     """
 
     file: Path
@@ -78,6 +78,7 @@ class LogsJob:
     space: bool
     hidden: int
     action_repeat: int
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
         if missing:  # the expert plays on
             environments = scenes_of(
                 job.rules, [(job.anatomy, job.target)] * missing, job.rig, teacher.keys,
-                held_out_seeds(0, missing, first=_LESSON_SEED),
+                further_expert_seeds(job.seed, missing),
             )  # fmt: skip
             more = play(
                 environments, teacher, Navigator(settings, reader), teacher_share=1.0, noise=0.0,
@@ -251,7 +252,7 @@ def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, d
             epochs = job.epochs * (2 if number == job.rounds - 1 else 1)
             fit = replace(LESSONS, epochs=epochs)
             fitting = partial(_fitting, told, epochs)
-            losses = clone(navigator, episodes, fit, seed=job.seed * 1000 + number, progress=fitting)
+            losses = clone(navigator, episodes, fit, seed=fit_seed(job.seed, number), progress=fitting)
             navigator.save(kept)
         else:
             new = read_lessons(file)
@@ -310,8 +311,8 @@ def _round(
         while len(chosen) < count:
             chosen += [cases[k] for k in generator.permutation(len(cases))]
         before = len(episodes)
-        first = _LESSON_SEED + 1_000_000 + (job.seed * 100 + number) * 10_000 + index * 1000
-        scenes = scenes_of(course.rules, chosen[:count], job.rig, teacher.keys, range(first, first + count))
+        seeds = navigation_lesson_seeds(job.seed, number, index, count)
+        scenes = scenes_of(course.rules, chosen[:count], job.rig, teacher.keys, seeds)
         episodes += play(
             scenes, teacher, navigator, teacher_share=teacher_share, noise=0.3 if teacher_share == 1.0 else 0.1,
             generator=generator, hint_key=HINT_KEY if course.hints else None,

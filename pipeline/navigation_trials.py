@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.learning_task import held_out_seeds
 from pipeline.navigation_failures import count_failures
 from pipeline.navigation_scene import Rig, Scene
 from pipeline.navigation_task import TrialSet
+from pipeline.seeds import held_out_seeds
 from pipeline.trials import MODES, Controller, Origin, run_trials
 
 if TYPE_CHECKING:

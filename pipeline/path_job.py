@@ -14,7 +14,8 @@ from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.errors import StageError
 from pipeline.job_worker import Report
-from pipeline.learning_task import LearningTask, held_out_seeds
+from pipeline.learning_task import LearningTask
+from pipeline.seeds import held_out_seeds
 from pipeline.training_job import EVALUATION
 from pipeline.trials import MODES, Origin, run_trials, summary
 

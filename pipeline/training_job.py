@@ -25,8 +25,9 @@ from pipeline.atomic import write_json
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.job_worker import Report
-from pipeline.learning_task import EXPERT_SEED, LearningTask, held_out_seeds
+from pipeline.learning_task import LearningTask
 from pipeline.replay import ReplayError, recorded_wire, replay
+from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.trials import MODES, Origin, controllers, run_trials, summary
 
 if TYPE_CHECKING:
@@ -189,7 +190,7 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
             environment,
             controllers(result.policy, MODES[0]),
             job.folder / EXPERT,
-            seeds=held_out_seeds(job.seed, job.expert_episodes, first=EXPERT_SEED),
+            seeds=expert_seeds(job.seed, job.expert_episodes),
             mode=MODES[0],
             origin=job.origin,
             pictures=True,

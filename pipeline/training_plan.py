@@ -15,6 +15,7 @@ from pipeline.errors import ConfigurationError
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import LearningSettings
 from pipeline.learning_task import LearningTask
+from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.training_job import PRELOAD, EncoderJob, TrainingJob, fit, train_and_evaluate
@@ -183,6 +184,8 @@ def run_cells(
     encoders = _encoders([cell for cell in cells if cell.encoded], settings, context)
     jobs = [Job(key, fit, job, weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE) for key, job in encoders.items()]
     for cell in cells:
+        held_out_seeds(cell.seed, settings.evaluation_episodes)  # too many, or too large a seed: told before any work
+        expert_seeds(cell.seed, cell.expert_episodes)
         encoder = _encoder_key(cell) if cell.encoded else None
         given = TrainingJob(
             folder=context.path / cell.name,

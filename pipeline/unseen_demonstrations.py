@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.atomic import atomic_path
 from pipeline.job_worker import Report
+from pipeline.seeds import arch_demonstration_seed
 from pipeline.unseen_task import ROADMAP_KEYS
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class DemonstrationsJob:
         shown: those of them with a demonstration each.
         target: that is demonstrated.
         hold: steps for which the expert holds an action: those of a decision of the policy.
-        seed: of the starts and of the expert.
+        seed: of the run.
     """
 
     folder: Path
@@ -64,7 +65,9 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
         if not path.is_file():
             case = environment.case_of(job.anatomies.index(seed), target)
             tick = partial(report, done / len(job.shown), told)
-            _write(path, demonstrate(environment, case, hold=job.hold, seed=job.seed, tick=tick))
+            _write(
+                path, demonstrate(environment, case, hold=job.hold, seed=arch_demonstration_seed(job.seed), tick=tick)
+            )
         with np.load(path) as arrays:
             reached += bool(arrays["terminated"])
     environment.close()

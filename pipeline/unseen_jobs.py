@@ -24,7 +24,7 @@ import numpy as np
 
 from pipeline.atomic import atomic_path, write_json
 from pipeline.job_worker import Report
-from pipeline.learning_task import held_out_seeds
+from pipeline.seeds import fit_seed, held_out_seeds, unseen_lesson_seeds
 from pipeline.trials import Controller, Origin, run_trials, summary
 from pipeline.unseen_demonstrations import read_demonstrations
 from pipeline.unseen_starts import read_starts
@@ -227,7 +227,6 @@ def teach(job: StudentJob, report: Callable[[float, str], None]) -> tuple[ImageS
     envs = [job.task.training_environment(job.anatomies, observation) for _ in range(count)]
     for number in range(len(rows), job.rounds):
         first = number == 0
-        start = (job.seed * 1000 + number + 1) * 100_000
         epochs = job.epochs * (2 if number == job.rounds - 1 else 1)
 
         def playing(number: int = number) -> None:
@@ -240,14 +239,14 @@ def teach(job: StudentJob, report: Callable[[float, str], None]) -> tuple[ImageS
             envs,
             expert,
             student,
-            range(start, start + job.lessons),
+            unseen_lesson_seeds(job.seed, number, job.lessons),
             expert_share=1.0 if first else 0.1,
             noise=0.3 if first else 0.1,
             generator=np.random.default_rng((job.seed, number)),
             tick=playing,
         )
         lessons += new
-        loss = student.fit(lessons, epochs, seed=job.seed * 1000 + number, progress=fitting)
+        loss = student.fit(lessons, epochs, seed=fit_seed(job.seed, number), progress=fitting)
         _write_lessons(_round(job, number), new)
         student.save(job.folder / STUDENT)
         rows.append(

@@ -10,6 +10,7 @@ from pipeline.atomic import write_json
 from pipeline.errors import ConfigurationError
 from pipeline.report.episode_tables import episode_tables
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.seeds import demonstration_seeds
 from pipeline.stage_settings import ExpertSettings
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
@@ -81,7 +82,8 @@ def run_expert(settings: ExpertSettings, context: StageContext) -> None:
         for episode in range(settings.episodes)
     ]
     for trial in context.folder.resumable(trials, key=lambda trial: trial.label, label="expert episodes"):
-        metrics = record_trial(trial, settings, context.path, seed=context.seed + trial.episode)
+        seeds = demonstration_seeds(context.seed, settings.episodes)
+        metrics = record_trial(trial, settings, context.path, seed=seeds[trial.episode])
         context.folder.mark_done(trial.label, metrics)
     results = {trial: context.folder.result_of(trial.label) or {} for trial in trials}
     write_results(context.path, {**tables(results), "task": task_settings(settings, context.seed)})

@@ -22,18 +22,14 @@ from pipeline.navigation_task import Anatomy, Rules, TrialSet
 from pipeline.network_job import PREDICTOR
 from pipeline.provenance import hash_file
 from pipeline.report.results import write_figures, write_results
+from pipeline.seeds import reader_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
-from pipeline.stages.unseen import FIRST_TEST_ANATOMY
 from pipeline.training_job import POLICY
 from pipeline.trials import Origin
 from pipeline.unseen_task import TEST_PHANTOM, training_arch
 
 UNSEEN = "unseen_arches"
-FIRST_READER_ARCH = (
-    20_000  # random arches from this seed on show the SplineFormer their wires; no navigator learns there
-)
-_RESERVED = 1_000  # seeds of arches a run seed
 NAMED = -1  # seed of an anatomy that has a name of its own
 _SECONDS = {"frame": 0.06, "episode": 1.2, "lesson": 2.4, "trial": 2.0}  # guesses, for the estimate of the end
 
@@ -94,7 +90,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
                 file=path / LOGS / phantom / f"{target}.npz", reader=path / READER, rig=rig, logs=tuple(logs),
                 count=settings.episodes[-1], expert=expert / POLICY, anatomy=(phantom, NAMED), target=target,
                 rules=rules, guided=settings.guided, space=settings.in_space, hidden=settings.hidden,
-                action_repeat=settings.action_repeat,
+                action_repeat=settings.action_repeat, seed=seed,
             )  # fmt: skip
             weight = settings.episodes[-1] * _SECONDS["episode"]
             seen.append(Job(f"{LOGS}/{task}", see_logs, given, after=(READER,), weight=weight))
@@ -151,8 +147,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
 
 
 def _reader(settings: NavigationSettings, context: StageContext, rig: Rig) -> Job:
-    first = FIRST_READER_ARCH + context.seed * settings.reader_arches
-    arches = [training_arch(seed) for seed in range(first, first + settings.reader_arches)]
+    arches = [training_arch(seed) for seed in reader_arches(context.seed, settings.reader_arches)]
     variant = settings.splineformer
     given = ReaderJob(
         folder=context.path / READER,
@@ -189,10 +184,7 @@ def _rival(settings: NavigationSettings, context: StageContext, task: str, exper
 
 
 def _arches(settings: NavigationSettings, context: StageContext) -> Course:
-    first = _RESERVED * context.seed
-    if first + settings.arches > FIRST_READER_ARCH:
-        raise ConfigurationError(f"seed={context.seed} would learn in arches kept for others: choose a smaller seed")
-    anatomies = tuple(training_arch(seed) for seed in range(first, first + settings.arches))
+    anatomies = tuple(training_arch(seed) for seed in training_arches(context.seed, settings.arches))
     return Course(_teacher(context), anatomies, tuple(settings.targets), _long(settings), hints=True)
 
 
@@ -217,7 +209,7 @@ def trial_sets(settings: NavigationSettings) -> tuple[TrialSet, ...]:
         TrialSet(name, ((name, NAMED),), settings.trials, Rules())
         for name in (*settings.phantoms, *settings.transfer_phantoms)
     ]
-    unseen: tuple[Anatomy, ...] = tuple((TEST_PHANTOM, FIRST_TEST_ANATOMY + k) for k in range(settings.test_arches))
+    unseen: tuple[Anatomy, ...] = tuple((TEST_PHANTOM, arch) for arch in unseen_arches(settings.test_arches))
     return (*tests, *([TrialSet(UNSEEN, unseen, 1, _long(settings))] if unseen else []))
 
 

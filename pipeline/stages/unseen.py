@@ -15,6 +15,7 @@ from pipeline.errors import ConfigurationError
 from pipeline.jobs import Job, run_jobs
 from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import write_results
+from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.training_plan import LEARNING_CODE
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
 ROADMAP, IMAGE, DEMONSTRATIONS, STARTS = "roadmap", "image", "demonstrations", "starts"
 ROADMAP_TESTS = "roadmap tests"
 UNSEEN, REAL_MESH = "unseen", "real_mesh"
-FIRST_TEST_ANATOMY = 31_000  # random arches from this seed on are never trained on
-FIRST_VALIDATION_ANATOMY = 32_000  # ... and from this one on neither trained on nor tested: they choose the best policy
 TARGETS = ("bca", "lcca", "lsa")
 ACTION_REPEAT = 3  # steps of a decision
 STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
@@ -109,20 +108,18 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
         max_steps=settings.max_steps,
         success_radius=settings.success_radius_mm / 1e3,
     )
-    first = 1000 * run_seed
-    if first + max(*settings.curve, settings.anatomies, settings.image_anatomies) > FIRST_TEST_ANATOMY:
-        raise ConfigurationError(f"seed={run_seed} would train on anatomies of the test: choose a seed below 30")
-    trained = range(first, first + max(settings.anatomies, settings.image_anatomies if settings.image else 0))
-    tested = range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + settings.test_anatomies)
-    # of even seeds: those are of the kind that is tested
-    validated = range(FIRST_VALIDATION_ANATOMY, FIRST_VALIDATION_ANATOMY + 2 * settings.validation_anatomies, 2)
+    counts = [*counts_of(settings), *([settings.image_anatomies] if settings.image else [])]
+    arches = training_arches(run_seed, max(counts))
+    trained = arches[: max(settings.anatomies, settings.image_anatomies if settings.image else 0)]
+    tested = unseen_arches(settings.test_anatomies)
+    validated = validation_arches(settings.validation_anatomies)
     jobs = []
-    for name, arches in (
+    for name, kinds in (
         ("training", [training_arch(seed) for seed in trained]),
         ("validation", [training_arch(seed) for seed in validated]),
         ("test", [(TEST_PHANTOM, seed) for seed in tested]),
     ):
-        for part in _parts(arches):
+        for part in _parts(kinds):
             building = AnatomiesJob(tuple(part), task.targets)
             weight = len(part) * _SECONDS["anatomy"]
             jobs.append(Job(f"{name}/{part[0][1]}", build_anatomies, building, weight=weight))
@@ -138,7 +135,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
         for part in _parts(trained[: max(counts_of(settings))])
     ]
     jobs += laid
-    shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, first, run_seed)
+    shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, arches, run_seed)
     jobs += [replace(job, after=built) for job in shown]
     taught = (*built, *(job.key for job in (*laid, *shown)))
     main, curve_only = test_sets(settings), test_sets(settings)[:1]
@@ -148,7 +145,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
         given = RoadmapJob(
             folder=folder / row / f"seed{run_seed}",
             task=task,
-            anatomies=tuple(range(first, first + count)),
+            anatomies=tuple(arches[:count]),
             settings=training_settings(settings, count),
             seed=run_seed,
             origin=Origin("unseen", row, run_seed, "desk"),
@@ -169,7 +166,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
             folder=folder / IMAGE / f"seed{run_seed}",
             expert=folder / ROADMAP / f"seed{run_seed}" / POLICY,
             task=task,
-            anatomies=tuple(range(first, first + settings.image_anatomies)),
+            anatomies=tuple(arches[: settings.image_anatomies]),
             segmenter_epochs=settings.segmenter_epochs,
             rounds=settings.rounds,
             lessons=settings.lessons,
@@ -192,9 +189,9 @@ def _parts(whole: Sequence[Any]) -> list[Any]:
     return [whole[k : k + _ANATOMIES_A_JOB] for k in range(0, len(whole), _ANATOMIES_A_JOB)]
 
 
-def demonstrations(settings: UnseenSettings, folder: Path, task: UnseenTask, first: int, run_seed: int) -> list[Job]:
+def demonstrations(settings: UnseenSettings, folder: Path, task: UnseenTask, arches: range, run_seed: int) -> list[Job]:
     """The jobs that demonstrate the way in the first training anatomies, so that small policies have some too."""
-    anatomies = range(first, first + settings.anatomies)
+    anatomies = arches[: settings.anatomies]
     shown = anatomies[: settings.demonstrations]
     jobs = []
     for part in range(min(_PARTS, len(shown))):
@@ -259,7 +256,7 @@ def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
     Returns:
         Those that there are; a mesh that is not there is left out with a warning.
     """
-    unseen = tuple(range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + settings.test_anatomies))
+    unseen = tuple(unseen_arches(settings.test_anatomies))
     tests = [HeldOutSet(UNSEEN, unseen, modes=("deterministic", "stochastic"))]
     tests += [HeldOutSet(name, (name,), settings.named_episodes) for name in settings.phantoms]
     if settings.mesh is not None:

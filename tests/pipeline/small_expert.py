@@ -12,8 +12,9 @@ import torch
 from pipeline.artifacts import Identity, RunFolder
 from pipeline.job_worker import Report
 from pipeline.jobs import Job
-from pipeline.learning_task import EXPERT_SEED, LearningTask
+from pipeline.learning_task import LearningTask
 from pipeline.recording import record_episode
+from pipeline.seeds import expert_seeds
 from pipeline.stages import StageContext
 
 TASK = LearningTask("type_1", "bca", max_steps=6, start_jitter=0.02)
@@ -38,7 +39,7 @@ def write_expert(folder: Path, *, episodes: int = 4, task: LearningTask = TASK) 
             environment,
             lambda observation, info: generator.uniform(-0.2, 1.0, 2).astype(np.float32),
             place / "expert" / f"{index:03d}.mcap",
-            seed=EXPERT_SEED + index,
+            seed=expert_seeds(0, episodes)[index],
             operator="policy",
         )
     return place

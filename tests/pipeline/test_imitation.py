@@ -24,7 +24,7 @@ from pipeline.expert_episodes import (
 from pipeline.imitation_job import imitate
 from pipeline.job_worker import Report
 from pipeline.learning_settings import ImitationSettings
-from pipeline.learning_task import HELD_OUT_SEED
+from pipeline.seeds import held_out_seeds
 from pipeline.stages import imitation
 from tests.pipeline.small_expert import TASK, context, in_this_process, write_expert
 
@@ -85,7 +85,7 @@ def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, monkeypatch: 
         student = place.path / "type_1/bca" / row / "seed0"
         assert {"policy.pt", "training.csv", "training.json"} <= {path.name for path in student.iterdir()}
         with EpisodeReader(student / "evaluation/deterministic/000.mcap") as log:
-            assert (log.info.seed, log.info.configuration["row"]) == (HELD_OUT_SEED, row)
+            assert (log.info.seed, log.info.configuration["row"]) == (held_out_seeds(0, 1)[0], row)
             assert log.info.configuration["stage"] == "imitation"
 
 

@@ -88,7 +88,7 @@ def results(run: Path) -> dict:
         short = replace(navigation.Rules(), max_steps=9)
         patch.setattr(navigation, "Rules", lambda **given: replace(short, **given))
         patch.setattr(navigation, "training_arch", lambda seed: ("random", 3))
-        patch.setattr(navigation, "FIRST_TEST_ANATOMY", 3)
+        patch.setattr(navigation, "unseen_arches", lambda count: range(3, 3 + count))
         patch.setattr(navigation_frames, "_BETWEEN", 3)
         navigation.run_navigation(SETTINGS, context(run, "navigation", reads=READS))
     return json.loads((run / "navigation" / "results.json").read_text())

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.episodes import EpisodeReader
-from pipeline.learning_task import EXPERT_SEED, HELD_OUT_SEED, LearningTask, held_out_seeds
+from pipeline.learning_task import LearningTask
+from pipeline.seeds import held_out_seeds
 from pipeline.trials import Origin, run_trials, summary
 
 TASK = LearningTask("type_1", "bca", max_steps=6)
@@ -40,7 +41,7 @@ def test_each_seed_has_a_log_that_says_where_it_comes_from(tmp_path: Path) -> No
     assert told == [(1 / 3, "0/1"), (2 / 3, "0/2"), (1.0, "0/3")]
     assert [path.name for path in sorted(tmp_path.iterdir())] == ["000.mcap", "001.mcap", "002.mcap"]
     with EpisodeReader(tmp_path / "001.mcap") as log:
-        assert log.info.seed == HELD_OUT_SEED + 3001
+        assert log.info.seed == held_out_seeds(3, 3)[1]
         said = {key: log.info.configuration[key] for key in ("stage", "row", "mode", "training_seed", "variant")}
         assert said == {"stage": "enn", "row": "I+V+M", "mode": "stochastic", "training_seed": 3, "variant": "desk"}
         assert log.info.configuration["training_force_penalty"] == 0.5
@@ -58,7 +59,7 @@ def test_a_recorded_episode_is_not_repeated_and_an_unfinished_one_is(tmp_path: P
     (tmp_path / "half" / "001.mcap").write_bytes(b"torn")
     (tmp_path / "half" / "002.mcap.partial").write_bytes(b"killed")
     assert trials(tmp_path / "half", resumed) == whole
-    assert resumed.seeds == [HELD_OUT_SEED + 3001, HELD_OUT_SEED + 3002]
+    assert resumed.seeds == [held_out_seeds(3, 3)[1], held_out_seeds(3, 3)[2]]
     assert not list((tmp_path / "half").glob("*.partial"))
 
 
@@ -75,11 +76,3 @@ def test_summary_and_refusals(tmp_path: Path) -> None:
     assert row["success_pct"] == 0
     with pytest.raises(ValueError, match="unknown mode 'best'; there are deterministic, stochastic"):
         run_trials(TASK.environment("tip"), Draws(), tmp_path, seeds=[0], mode="best", origin=ORIGIN)
-
-
-def test_seeds_of_trainings_do_not_meet() -> None:
-    every = [seed for training in range(5) for seed in held_out_seeds(training, 1000)]
-    every += [seed for training in range(5) for seed in held_out_seeds(training, 1000, first=EXPERT_SEED)]
-    assert len(set(every)) == len(every)
-    with pytest.raises(ValueError, match="1000 seeds of its own"):
-        held_out_seeds(0, 1001)

@@ -13,9 +13,8 @@ from pipeline.errors import ConfigurationError
 from pipeline.job_worker import Report
 from pipeline.learning_settings import UnseenSettings
 from pipeline.report.learning_tables import tables_from_logs
+from pipeline.seeds import unseen_arches, validation_arches
 from pipeline.stages.unseen import (
-    FIRST_TEST_ANATOMY,
-    FIRST_VALIDATION_ANATOMY,
     check_unseen,
     curve,
     plan,
@@ -63,8 +62,8 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     assert [test.name for test in jobs["roadmap 4"].given.tests] == ["unseen"]
     assert jobs["image"].after == ("roadmap",)
     built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
-    tested = [("random", seed) for seed in range(FIRST_TEST_ANATOMY, FIRST_TEST_ANATOMY + 50)]
-    validated = [("random", FIRST_VALIDATION_ANATOMY + 2 * number) for number in range(16)]
+    tested = [("random", seed) for seed in unseen_arches(50)]
+    validated = [("random", seed) for seed in validation_arches(16)]
     trained = [(("random", "random_wide")[seed % 2], seed) for seed in range(3000, 3020)]
     assert built == [*trained, *validated, *tested]
     assert jobs["roadmap"].given.validated == tuple(seed for _, seed in validated)
@@ -143,8 +142,10 @@ def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"stage\.lessons must be above zero, got 0"):
         settings(lessons=0)
-    with pytest.raises(ConfigurationError, match="seed=31 would train on anatomies of the test"):
-        plan(settings(), tmp_path, run_seed=31)
+    with pytest.raises(ConfigurationError, match="seed 20 has no training arches of its own, only seeds 0 to 19"):
+        plan(settings(), tmp_path, run_seed=20)
+    with pytest.raises(ConfigurationError, match="a seed has 1000 training arches of its own, got 1001: choose fewer"):
+        plan(settings(anatomies=1001), tmp_path, run_seed=0)
 
 
 def test_a_missing_mesh_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

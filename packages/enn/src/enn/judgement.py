@@ -11,7 +11,7 @@ from torch import nn
 from enn.policy import Policy
 from enn.rollouts import Evaluation, evaluate
 
-EVALUATION_SEEDS = 500_000  # the seeds from 1,000,000 on are held out for the tables
+EVALUATION_SEEDS, SEEDS_A_TRAINING = 500_000, 1_000  # of evaluations while training: tables need other ones
 SCOUTS, SCOUT_SHARE = 3, 0.25  # evaluation episodes, at least so many, of which one has to succeed for the others
 SHORTER = 0.98  # an evaluation is shorter than the best when its length is below this share
 PERFECT, NEARLY = 0.999, 0.95
@@ -29,7 +29,7 @@ class Judge:
     """
 
     def __init__(self, episodes: int, seed: int) -> None:
-        first = EVALUATION_SEEDS + 1000 * seed
+        first = EVALUATION_SEEDS + SEEDS_A_TRAINING * seed
         self.seeds = range(first, first + episodes)
         self.best: dict[str, Any] | None = None
         self.perfect = 0  # evaluations in a row that were perfect and no shorter than the best

@@ -1,0 +1,196 @@
+"""Every range of seeds that the pipeline uses: of random arches, and of the resets that episodes begin with.
+
+Ranges of one table never meet, whatever run seed is allowed, so nothing is tested on what it learnt from or was chosen
+by. A range belongs to one purpose. Most are cut into equal parts, one for each run seed or training seed.
+
+`RETIRED_ARCHES` and `RETIRED_EPISODES` were looked at while something was chosen: nothing is tested there any more.
+Environments and trainings also draw seeds of their own, all below 2**32: starts that are tested begin above.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class SeedRange:
+    """Seeds of one purpose.
+
+    Attributes:
+        first: of all of them.
+        width: how many a part has.
+        parts: one for each run seed or training seed; 1: all share them.
+        of: what a seed stands for, for messages.
+    """
+
+    first: int
+    width: int
+    parts: int
+    of: str
+
+    @property
+    def all(self) -> range:
+        """Every seed of the purpose."""
+        return range(self.first, self.first + self.width * self.parts)
+
+    def part(self, seed: int, count: int, *, skip: int = 0) -> range:
+        """Some seeds of a part.
+
+        Args:
+            seed: of the run or training, which names the part.
+            count: how many.
+            skip: how many of the part come before them.
+
+        Raises:
+            ConfigurationError: there is no such part, or it has not so many seeds.
+        """
+        if not 0 <= seed < self.parts:
+            raise ConfigurationError(
+                f"seed {seed} has no {self.of} of its own, only seeds 0 to {self.parts - 1} have: choose a "
+                "smaller seed of the run"
+            )
+        if skip + count > self.width:
+            raise ConfigurationError(f"a seed has {self.width} {self.of} of its own, got {skip + count}: choose fewer")
+        start = self.first + seed * self.width + skip
+        return range(start, start + count)
+
+
+_RUNS, _TRAININGS = 20, 500  # run seeds of stages with random arches; seeds of trainings
+
+ARCHES = {
+    "training": SeedRange(0, 1_000, _RUNS, "training arches"),
+    "reader": SeedRange(20_000, 500, _RUNS, "arches for the SplineFormer"),
+    "validation": SeedRange(32_000, 1_000, 1, "validation arches"),
+    "test": SeedRange(40_000, 1_000, 1, "test arches"),
+}
+RETIRED_ARCHES = range(30_000, 32_000), range(33_000, 34_000)
+
+EPISODES = {
+    "sampling expert": SeedRange(0, 1_000, _TRAININGS, "demonstrations"),
+    "evaluation while training": SeedRange(500_000, 1_000, _TRAININGS, "evaluations"),  # as enn.judgement counts
+    "expert": SeedRange(2_000_000, 1_000, _TRAININGS, "expert episodes"),
+    "disturbed expert": SeedRange(2_500_000, 1_000, _TRAININGS, "disturbed expert episodes"),
+    "navigation, expert goes on": SeedRange(3_000_000, 1_000, _TRAININGS, "further expert episodes"),
+    "navigation, lessons": SeedRange(4_000_000, 1_000_000, _RUNS, "lessons of navigation"),
+    "force": SeedRange(30_000_000, 100_000, _TRAININGS, "episodes with forces"),
+    "unseen, lessons": SeedRange(100_000_000, 10_000_000, _RUNS, "lessons in random arches"),
+    "unseen, demonstrations": SeedRange(300_000_000, 1_000, _RUNS, "demonstrations in random arches"),
+    "test": SeedRange(5_000_000_000, 1_000, _TRAININGS, "test episodes"),
+}
+RETIRED_EPISODES = (range(1_000_000, 2_000_000),)
+
+_ROUND, _COURSE = 10_000, 1_000  # seeds of a round of navigation's lessons, of a course in it
+_UNSEEN_ROUND = 100_000  # likewise, of a round of the image student's lessons
+
+
+def training_arches(run_seed: int, count: int) -> range:
+    """Seeds of the random arches that a run trains in."""
+    return ARCHES["training"].part(run_seed, count)
+
+
+def reader_arches(run_seed: int, count: int) -> range:
+    """Seeds of the random arches that show the SplineFormer their wires; no policy learns there."""
+    return ARCHES["reader"].part(run_seed, count)
+
+
+def validation_arches(count: int) -> range:
+    """Seeds of the random arches that choose the best policy; even ones, which are of the kind that is tested."""
+    return ARCHES["validation"].part(0, 2 * count)[::2]
+
+
+def unseen_arches(count: int) -> range:
+    """Seeds of the random arches of the tests, the same for every run."""
+    return ARCHES["test"].part(0, count)
+
+
+def demonstration_seeds(run_seed: int, count: int) -> range:
+    """Seeds of the sampling expert's episodes that others learn from."""
+    return EPISODES["sampling expert"].part(run_seed, count)
+
+
+def held_out_seeds(training_seed: int, count: int) -> range:
+    """Seeds of the test episodes of a training: no other training's, and none that anything was trained or chosen on.
+
+    Args:
+        training_seed: of the training.
+        count: of episodes.
+
+    Raises:
+        ConfigurationError: more trainings, or more episodes of one, than there are seeds.
+    """
+    return EPISODES["test"].part(training_seed, count)
+
+
+def expert_seeds(training_seed: int, count: int) -> range:
+    """Seeds of a training's episodes with images, which imitation learns from."""
+    return EPISODES["expert"].part(training_seed, count)
+
+
+def disturbed_seeds(seed: int, count: int) -> range:
+    """Seeds of an expert's episodes with disturbed actions, which imitation learns from."""
+    return EPISODES["disturbed expert"].part(seed, count)
+
+
+def force_seed(seed: int, episode: int) -> int:
+    """Seed of an episode that is recorded for the prediction of forces."""
+    return EPISODES["force"].part(seed, 1, skip=episode)[0]
+
+
+def further_expert_seeds(run_seed: int, count: int) -> range:
+    """Seeds of the episodes that an expert plays for a navigator where its logs are too few."""
+    return EPISODES["navigation, expert goes on"].part(run_seed, count)
+
+
+def navigation_lesson_seeds(run_seed: int, number: int, course: int, count: int) -> range:
+    """Seeds of the lessons of a round and course of a navigator.
+
+    Args:
+        run_seed: of the run.
+        number: of the round, from 0.
+        course: its number, from 0.
+        count: of lessons.
+
+    Raises:
+        ConfigurationError: more courses, or lessons of one, than there are seeds.
+    """
+    if count > _COURSE or course >= _ROUND // _COURSE:
+        raise ConfigurationError(
+            f"a round has up to {_ROUND // _COURSE} courses of up to {_COURSE} lessons, got {count} in number "
+            f"{course + 1}: choose fewer"
+        )
+    return EPISODES["navigation, lessons"].part(run_seed, count, skip=number * _ROUND + course * _COURSE)
+
+
+def unseen_lesson_seeds(run_seed: int, number: int, count: int) -> range:
+    """Seeds of the lessons of a round of the image student.
+
+    Args:
+        run_seed: of the run.
+        number: of the round, from 0.
+        count: of lessons.
+
+    Raises:
+        ConfigurationError: more lessons than there are seeds.
+    """
+    if count > _UNSEEN_ROUND:
+        raise ConfigurationError(f"a round has up to {_UNSEEN_ROUND} lessons, got {count}: choose fewer")
+    return EPISODES["unseen, lessons"].part(run_seed, count, skip=number * _UNSEEN_ROUND)
+
+
+def arch_demonstration_seed(run_seed: int) -> int:
+    """Seed of the start of demonstrations in random arches; each is played in an arch of its own."""
+    return EPISODES["unseen, demonstrations"].part(run_seed, 1)[0]
+
+
+def fit_seed(seed: int, number: int) -> int:
+    """Seed of a fit's order of samples in round `number` of lessons; no environment is reset with it."""
+    return seed * 1000 + number
+
+
+def acquisition_seed(run_seed: int, number: int) -> int:
+    """Seed of all that an acquisition of the generated bi-planar data set draws; hashed, so it has no range."""
+    return int(np.random.SeedSequence((run_seed, number)).generate_state(1)[0])
