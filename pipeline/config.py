@@ -2,14 +2,13 @@
 
 The dataclasses own names, types, defaults and cross-checks. They live in importable modules, not in ``__main__``,
 because the sweep launchers pickle them. YAML under ``conf/`` only chooses values. OmegaConf knows no Literal and turns
-tuples into lists: choices are checked in ``__post_init__``.
+tuples into lists: choices are checks of the annotations.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import re
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,8 @@ from pipeline.learning_settings import (
 )
 from pipeline.navigation_settings import NavigationSettings
 from pipeline.network_settings import SegmentationSettings, ShapeSettings
+from pipeline.setting_checks import shown, validated
+from pipeline.setting_kinds import BranchNames, FolderName, Seed, folder_name
 from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stage_settings import (
     ExpertSettings,
@@ -38,8 +39,6 @@ from pipeline.stage_settings import (
 
 CONFIG_DIRECTORY = Path(__file__).resolve().parent.parent / "conf"
 BUDGETS = ("smoke", "desk", "thesis")
-
-_RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 # Every stage's settings, by the stage's name.
 STAGE_SETTINGS: dict[str, type] = {
@@ -61,40 +60,30 @@ STAGE_SETTINGS: dict[str, type] = {
 }
 
 
-@dataclass
+@validated("phantom.")
 class OwnPhantom:
     """An anatomy of one's own by ``phantom.mesh=PATH``, or the only one to learn in by ``phantom.name=NAME``."""
 
-    name: str | None = None  # of the learning stages' only anatomy
+    name: FolderName | None = None  # of the learning stages' only anatomy
     mesh: str | None = None  # STL, OBJ or PLY
     unit: str | None = None  # m, cm, mm or inch; detected when left out
-    names: Any = None
+    names: BranchNames = None
 
 
-@dataclass
+@validated("")
 class RunConfig:
     """One run of one stage."""
 
     stage: Any = MISSING  # one of the settings above
     phantom: OwnPhantom = field(default_factory=OwnPhantom)
     guide3d: Guide3dSource = field(default_factory=Guide3dSource)  # a bi-planar data set of one's own
-    target: str | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
-    modality: str | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
+    target: FolderName | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
+    modality: FolderName | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
     budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml: sizes that the stages refer to
-    name: str = "${budget.name}"  # the run folder below runs_dir
+    name: FolderName = "${budget.name}"  # the run folder below runs_dir
     runs_dir: str = "runs"
-    seed: int = 0
+    seed: Seed = 0
     force: bool = False  # run even when the results are up to date
-
-    def __post_init__(self) -> None:
-        """Checks the name, which becomes a folder, and the seed."""
-        if not _RUN_NAME.fullmatch(self.name):
-            raise ConfigurationError(
-                f"name={self.name!r} cannot be a folder: use letters, digits, '.', '_', '+' and '-', beginning with "
-                "a letter or digit"
-            )
-        if self.seed < 0:
-            raise ConfigurationError(f"seed must be zero or more, got {self.seed}")
 
     @property
     def budget_name(self) -> str:
@@ -107,10 +96,19 @@ def register_schemas() -> None:
 
     The stages' schemas sit in a group of their own: in ``stage`` they would show up as stages a user can choose.
     """
+    # Hydra makes its folder of these names before the values are checked.
+    OmegaConf.register_new_resolver("folder_name", _folder_name, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=RunConfig)
     for name, settings in STAGE_SETTINGS.items():
         store.store(group="schema/stage", name=name, node=settings)
+
+
+def _folder_name(setting: str, value: str) -> str:
+    try:
+        return folder_name(value)
+    except ValueError as error:
+        raise ConfigurationError(f"{setting} {error}") from error
 
 
 def run_config(composed: DictConfig) -> RunConfig:
@@ -125,14 +123,24 @@ def run_config(composed: DictConfig) -> RunConfig:
     Raises:
         ConfigurationError: when a value fails a check; the message is one sentence.
     """
+    OmegaConf.to_object(composed.phantom)  # first, for the stages take its values over under other names
     config = OmegaConf.to_object(composed)
     if not isinstance(config, RunConfig):
         raise ConfigurationError(
             "the configuration was composed without its schema: keep `- schema` in conf/config.yaml"
         )
+    if STAGE_SETTINGS.get(config.stage.name) is not type(config.stage):
+        raise ConfigurationError(f"stage.name cannot be {shown(config.stage.name)}: choose a stage by stage=NAME")
     # `+key=value` adds keys past the schema: refused here, or a misspelt setting would pass unnoticed.
-    for prefix, node, owner in (("", composed, RunConfig), ("stage.", composed.stage, type(config.stage))):
-        names = [item.name for item in dataclasses.fields(owner)]
+    groups: dict[str, Any] = {
+        "": config,
+        "stage.": config.stage,
+        "phantom.": config.phantom,
+        "guide3d.": config.guide3d,
+    }
+    for prefix, settings in groups.items():
+        node = composed[prefix.rstrip(".")] if prefix else composed
+        names = [item.name for item in dataclasses.fields(settings)]
         extra = [str(key) for key in node if key not in names]
         if extra:
             raise ConfigurationError(f"unknown setting {prefix + extra[0]!r}: choose one of {', '.join(names)}")

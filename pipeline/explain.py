@@ -7,7 +7,7 @@ import difflib
 import re
 
 from hydra.errors import ConfigCompositionException, MissingConfigException, OverrideParseException
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import ValidationError as OmegaConfValidationError
 
 from pipeline.atomic import is_no_room
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS, RunConfig
@@ -36,15 +36,16 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
         return f"cannot read {error.override!r}: write key=value, and quote lists for the shell: 'key=[a,b]'"
     if isinstance(error, ConfigCompositionException) and "You must specify 'stage'" in str(error):
         return f"no stage given: add stage=…, one of {', '.join(available_stages())}"
-    text = str(error)
+    text = str(error).removeprefix("ConfigurationError raised while resolving interpolation: ")
     cause = error.__cause__
     key = re.search(r"Could not (?:override|append|delete from config:) '?([\w./@-]+)", text) or re.search(
         r"Key '([\w.]+)' (?:is )?not in", text
     )
     if key or "is not in struct" in f"{text} {cause}" or "not in '" in f"{text} {cause}":
         return _unknown_key(_full_key(cause) or _full_key(error) or (key[1] if key else "?"), overrides)
-    if isinstance(cause, OmegaConfBaseException):
-        return f"{_full_key(cause) or 'a setting'}: {_first_line(str(cause))}"
+    for refused in (cause, error):
+        if isinstance(refused, OmegaConfValidationError):
+            return f"{_full_key(refused) or 'a setting'}: {_first_line(str(refused))}"
     return _first_line(text)
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from annotated_types import Ge, Le
 
 from pipeline.errors import ConfigurationError
 from pipeline.provenance import hash_file, hash_value
-from pipeline.setting_checks import NO_EFFECT_ON_RESULTS, require_choice, require_positive, require_unique
+from pipeline.setting_checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.setting_kinds import Count, NoisePixels, Processes, SomeFolderNames, one_of
 
 FEWEST_IMAGES = 8  # a pair of each wire, with and without fluid
 FILLINGS = ("fluid", "contrast")
@@ -16,7 +19,7 @@ FILLINGS = ("fluid", "contrast")
 _READ = (".json", ".xml", ".txt", ".yaml", ".yml", ".npz", ".jpg")
 
 
-@dataclass
+@validated("guide3d.")
 class Guide3dSource:
     """A data set of one's own: the top-level keys ``guide3d.root=PATH`` and its like."""
 
@@ -26,31 +29,31 @@ class Guide3dSource:
     undistorted: bool | None = None  # whether annotations are undistorted; found out by epipolar residuals if left out
 
 
-@dataclass
+@validated()
 class Guide3dSettings:
     """Settings of the guide3d stage."""
 
     name: str = "guide3d"
-    images: int = 2400  # to be generated, both cameras together
-    pairs: int = 13  # of an acquisition, at most
-    phantoms: list[str] = field(default_factory=lambda: ["type_1"])
-    targets: list[str] = field(default_factory=lambda: ["bca", "lcca", "lsa"])
-    steps: int = 4  # of 0.1 s from one pair to the next
-    image_size_px: int = 1024
+    images: Annotated[int, Ge(FEWEST_IMAGES), Le(1_000_000)] = 2400  # to be generated, both cameras together
+    pairs: Count = 13  # of an acquisition, at most
+    phantoms: SomeFolderNames = field(default_factory=lambda: ["type_1"])
+    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])
+    steps: Count = 4  # of 0.1 s from one pair to the next
+    image_size_px: Annotated[int, Ge(64), Le(4_096)] = 1024
     distorted: bool = False  # images and annotations as the detectors show them
-    annotation_noise_px: float = 0.0  # of a click; 0: exact annotations
-    filling: str = "fluid"  # what the lumen holds where it is filled, or contrast
-    validation_noise_px: float = 1.0  # of the clicks in the second part of the simulated validation
-    compared: int = 300  # pairs that are also reconstructed in the thesis's way, and from clicks
-    workers: int = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # processes beside each other; 0: one a core
+    annotation_noise_px: NoisePixels = 0.0  # of a click; 0: exact annotations
+    filling: Annotated[str, one_of(*FILLINGS)] = "fluid"  # what the lumen holds where it is filled, or contrast
+    validation_noise_px: NoisePixels = 1.0  # of the clicks in the second part of the simulated validation
+    compared: Count = 300  # pairs that are also reconstructed in the thesis's way, and from clicks
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # processes beside each other; 0: one a core
     root: str | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # its content counts, not its place
     image_root: str | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
     calibration: str | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
-    undistorted: Any = None
+    undistorted: bool | None = None
     root_sha256: str | None = None  # filled in
 
     def __post_init__(self) -> None:
-        """Checks sizes, and that the data set of one's own is there."""
+        """Checks that the data set of one's own is there, and that images make pairs."""
         self.root_sha256 = None
         if self.root is not None:
             for key in ("root", "images", "calibration"):
@@ -63,18 +66,8 @@ class Guide3dSettings:
                 "guide3d.images, guide3d.calibration and guide3d.undistorted belong to a data set of your own: give "
                 "guide3d.root=PATH too"
             )
-        if self.undistorted not in (None, True, False):
-            raise ConfigurationError(f"guide3d.undistorted must be true or false, got {self.undistorted}")
-        require_unique("stage.phantoms", self.phantoms)
-        require_unique("stage.targets", self.targets)
-        for key in ("images", "pairs", "steps", "image_size_px", "compared"):
-            require_positive(f"stage.{key}", getattr(self, key))
-        if self.images < FEWEST_IMAGES or self.images % 2:
-            raise ConfigurationError(f"stage.images must be even and at least {FEWEST_IMAGES}, got {self.images}")
-        for key in ("annotation_noise_px", "validation_noise_px", "workers"):
-            if getattr(self, key) < 0:
-                raise ConfigurationError(f"stage.{key} must be zero or more, got {getattr(self, key)}")
-        require_choice("stage.filling", self.filling, FILLINGS)
+        if self.images % 2:
+            raise ConfigurationError(f"stage.images must be even, got {self.images}")
 
 
 def _content(root: Path, calibration: str | None) -> str:

@@ -80,8 +80,8 @@ def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
     ("changed", "sentence"),
     [
         ({"variant": "fast"}, "stage.variant has no 'fast': choose from desk, thesis"),
-        ({"seeds": 0}, "stage.seeds must be above zero, got 0"),
-        ({"safe_weights": [-1.0]}, "stage.safe_weights must be above zero"),
+        ({"seeds": 0}, "stage.seeds must be 1 or more, got 0"),
+        ({"safe_weights": [-1.0]}, "stage.safe_weights must be greater than 0"),
         ({"ablation_phantoms": []}, "stage.ablation_phantoms is empty"),
     ],
 )

@@ -86,7 +86,7 @@ def test_names_of_rows() -> None:
     [
         ({"inputs": ["X"]}, "stage.inputs has no 'X': choose from V, V_plain"),
         ({"samples": [100, 10]}, "stage.samples must rise"),
-        ({"noise": -0.1}, "stage.noise must be zero or more"),
+        ({"noise": -0.1}, "stage.noise must be 0 or more"),
     ],
 )
 def test_settings_are_checked(changed: dict, sentence: str) -> None:

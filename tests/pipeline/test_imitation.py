@@ -145,7 +145,7 @@ def test_a_damaged_expert_is_one_sentence(tmp_path: Path) -> None:
         ({"episodes": [30, 10]}, "stage.episodes must rise"),
         ({"observations": ["joints"]}, "stage.observations has no 'joints': choose from image, mask"),
         ({"variant": "large"}, "stage.variant has no 'large'"),
-        ({"epochs": -1}, "stage.epochs must be zero or more"),
+        ({"epochs": -1}, "stage.epochs must be 0 or more"),
     ],
 )
 def test_settings_are_checked(changed: dict, sentence: str) -> None:

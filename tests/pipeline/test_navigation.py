@@ -279,8 +279,8 @@ def test_missing_teacher_is_told_before_any_work(run: Path, tmp_path: Path) -> N
         ({"episodes": [100, 20]}, "must rise"),
         ({"transfer_phantoms": ["type_1"]}, "which is learnt in"),
         ({"splineformer": "unet"}, "stage.splineformer has no 'unet'"),
-        ({"trials": 0}, "stage.trials must be above zero"),
-        ({"dagger_rounds": -1}, "must be zero or more"),
+        ({"trials": 0}, "stage.trials must be 1 or more"),
+        ({"dagger_rounds": -1}, "must be 0 or more"),
     ],
 )
 def test_bad_settings_are_refused(changed: dict, words: str) -> None:

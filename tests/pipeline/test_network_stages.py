@@ -106,8 +106,8 @@ def test_weights_that_are_not_there_are_named(run: Path, tmp_path: Path) -> None
             "stage.size has no 'huge': choose from thesis, desk, smoke",
         ),
         (lambda: SegmentationSettings(rows=["vnet"]), "stage.rows has no 'vnet'"),
-        (lambda: SegmentationSettings(rows=["unet"], processes=0), "stage.processes must be above zero"),
-        (lambda: SegmentationSettings(rows=["unet"], test_images=-1), "stage.test_images must be zero or more"),
+        (lambda: SegmentationSettings(rows=["unet"], processes=0), "stage.processes must be 1 or more"),
+        (lambda: SegmentationSettings(rows=["unet"], test_images=-1), "stage.test_images must be 0 or more"),
     ],
 )
 def test_settings_are_checked(made, sentence: str) -> None:

@@ -75,8 +75,8 @@ def test_unknown_phantoms_are_refused_with_the_valid_ones() -> None:
     [
         ({"phantoms": []}, "stage.phantoms is empty"),
         ({"phantoms": ["type_1", "type_1"]}, "names something twice"),
-        ({"phantoms": ["type_1"], "resolution_mm": 5.0}, r"above 2\.5 mm"),
-        ({"phantoms": ["type_1"], "wall_thickness_mm": 0.0}, "must be above zero"),
+        ({"phantoms": ["type_1"], "resolution_mm": 5.0}, r"stage\.resolution_mm must be 2\.5 or less, got 5"),
+        ({"phantoms": ["type_1"], "wall_thickness_mm": 0.0}, "stage.wall_thickness_mm must be 0.1 or more"),
     ],
 )
 def test_settings_are_checked(settings: dict, message: str) -> None:

@@ -116,7 +116,7 @@ def test_scale(run: Path) -> None:
         ({"size": "thesis_large"}, "variant published alone"),
         ({"disturbances": ["noise"]}, "must hold none"),
         ({"rival": "resnet"}, "choose from unet"),
-        ({"test_images": -1}, "zero or more"),
+        ({"test_images": -1}, "stage.test_images must be 0 or more"),
     ],
 )
 def test_bad_settings(wrong: dict, message: str) -> None:

@@ -140,7 +140,7 @@ def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
 
 
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"stage\.lessons must be above zero, got 0"):
+    with pytest.raises(ConfigurationError, match=r"stage\.lessons must be 1 or more, got 0"):
         settings(lessons=0)
     with pytest.raises(ConfigurationError, match="seed 20 has no training arches of its own, only seeds 0 to 19"):
         plan(settings(), tmp_path, run_seed=20)

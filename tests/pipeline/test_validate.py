@@ -216,8 +216,8 @@ def test_a_failing_benchmark_is_one_sentence(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"real_sd_n": 0.0}, "stage.real_sd_n must be above zero"),
-        ({"speed_steps": 0}, "stage.speed_steps must be above"),
+        ({"real_sd_n": 0.0}, "stage.real_sd_n must be greater than 0"),
+        ({"speed_steps": 0}, "stage.speed_steps must be 1 or more"),
     ],
 )
 def test_settings_are_checked(settings: dict, message: str) -> None:
