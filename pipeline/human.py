@@ -61,11 +61,11 @@ class McapRecorder:
         still = np.zeros(environment.action_space.shape or (), np.float32)
         record = step_record(environment, 0, still, 0.0, info)
         image, mask = environment.fluoroscope.image(), environment.fluoroscope.mask()
-        simulation, target = environment.simulation, environment.task.target
-        phantom_mesh(environment.phantom, target, simulation.entry)  # made now, so that the first touch does not wait
+        task, entry = environment.task, environment.simulation.entry
+        phantom_mesh(environment.phantom, task.target, entry)  # made now, so that the first touch does not wait
 
         def begin(environment: NavigateEnv) -> EpisodeWriter:
-            path = episode_path(self.folder, environment.phantom.name, target, SUFFIX)
+            path = episode_path(self.folder, environment.phantom.name, task.target_name, SUFFIX)
             description = describe_episode(environment, seed=seed, operator=OPERATOR)
             log = open_log(environment, path, description, overwrite=False)
             log.step(record, images={CAMERA: image}, masks={CAMERA: mask})

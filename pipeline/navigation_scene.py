@@ -149,7 +149,7 @@ class Scene:
     target: str = field(init=False)
 
     def __post_init__(self) -> None:
-        self.target = self.environment.task.target
+        self.target = self.environment.task.target_name
 
     def images(self) -> list[np.ndarray]:
         """The moment's image of each camera."""

@@ -15,6 +15,7 @@ from pipeline.provenance import software_versions
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv, Phantom
+    from cathsim.anatomy.point_target import Point
     from cathsim.fluoroscopy import Projector
     from cathsim.metrics import EpisodeMetrics
     from pipeline.film import Film
@@ -91,7 +92,7 @@ def _camera(projector: Projector) -> Camera:
 
 
 @functools.lru_cache(maxsize=32)
-def phantom_mesh(phantom: Phantom, target: str, entry: str) -> PhantomMesh:
+def phantom_mesh(phantom: Phantom, target: str | Point, entry: str) -> PhantomMesh:
     """A coarse surface of a phantom's lumen for viewers, with target and entry."""
     from cathsim.anatomy import SignedDistanceGrid
     from cathsim.anatomy.surface import lumen_surface
@@ -123,7 +124,7 @@ def describe_episode(
     return EpisodeInfo(
         phantom=environment.phantom.name,
         phantom_hash=environment.phantom.hash,
-        target=environment.task.target,
+        target=environment.task.target_name,
         entry=environment.simulation.entry,
         seed=seed,
         operator=operator,
@@ -156,7 +157,7 @@ def open_log(
         path,
         info,
         cameras=cameras_of(environment) if pictures else {},
-        phantom_mesh=phantom_mesh(environment.phantom, info.target, info.entry),
+        phantom_mesh=phantom_mesh(environment.phantom, environment.task.target, info.entry),
         overwrite=overwrite,
     )
 

@@ -74,7 +74,7 @@ def test_episode_starts_where_a_wire_was_left(environment: NavigateEnv, actions:
 
 
 def test_unknown_option_and_wrong_start_are_refused(environment: NavigateEnv) -> None:
-    with pytest.raises(ValueError, match="reset knows no option where; there is start"):
+    with pytest.raises(ValueError, match="reset knows no option where; there are start, target"):
         environment.reset(options={"where": 1})
     with pytest.raises(ValueError, match="expected a state of shape"):
         environment.reset(options={"start": np.zeros(3)})

@@ -18,8 +18,8 @@ FORWARD = np.array([1.0, 0.0])
 
 def aim_at(env: NavigateEnv, goal: np.ndarray, **task_fields: object) -> None:
     """Gives the environment another goal."""
-    env._goal = goal
     env.task = dataclasses.replace(env.task, **task_fields)
+    env._goal = goal
 
 
 def test_thesis_reward_is_minus_the_distance_in_metres(make_env: MakeEnv, type_1: Phantom) -> None:
@@ -151,7 +151,8 @@ def test_starts_are_turned_by_up_to_the_given_angle(make_env: MakeEnv) -> None:
 
 def test_task_takes_fields_over_a_given_task() -> None:
     base = NavigationTask(target="lsa", max_steps=2000)
-    assert navigation_task("bca", {"success_radius": 0.004}, base) == dataclasses.replace(base, success_radius=0.004)
+    assert navigation_task(None, {"success_radius": 0.004}, base) == dataclasses.replace(base, success_radius=0.004)
+    assert navigation_task("bca", {}, base) == dataclasses.replace(base, target="bca"), "a target that is named counts"
     assert navigation_task("lcca", {}) == NavigationTask(target="lcca")
     with pytest.raises(ValueError, match="no argument speed; the task's are target, success_radius, max_steps"):
         navigation_task("bca", {"speed": 1})

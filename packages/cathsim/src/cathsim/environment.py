@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import gymnasium
 import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
+from cathsim.anatomy.point_target import TargetLike
 from cathsim.blood import BloodFlow, blood_flow
 from cathsim.contact.hulls import Decomposition
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
@@ -91,8 +93,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
     Args:
         phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), the path of a mesh (STL, OBJ,
             PLY), or a `Phantom`.
-        target: "bca", "lcca", "lsa", or another of the phantom's targets: "rcca", "rsa", and 10 mm before the open ends
-            "rcca_end", "rsa_end", "lcca_end", "lsa_end".
+        target: "bca" (the default), "lcca", "lsa", or another of the phantom's targets: "rcca", "rsa", and 10 mm before
+            the open ends "rcca_end", "rsa_end", "lcca_end", "lsa_end"; or a point in the lumen, (3,) m, world frame.
         entry: "descending" (femoral access) or "ascending".
         wire: a preset's name or a `Guidewire`; for far targets a longer one, load_guidewire("default").scaled(0.36).
         accuracy: "accurate", "fast" (about twice as fast, deeper contacts), "reference", or an `Accuracy`.
@@ -108,8 +110,9 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             than its action says, or not at all while the clamp goes back; `info["driven"]` tells.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
-        task: the task; or its fields as further keywords: success_radius, max_steps, start_jitter, start_rotation,
-            reward, force_penalty, path_penalty.
+        task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
+            replace the task's: success_radius, max_steps, start_jitter, start_rotation, reward, force_penalty,
+            path_penalty.
 
     ## Versions
     v0: first.
@@ -120,7 +123,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
     def __init__(
         self,
         phantom: str | Phantom = "type_1",
-        target: str = "bca",
+        target: TargetLike | None = None,
         *,
         entry: str = "descending",
         wire: str | Guidewire = "default",
@@ -147,9 +150,9 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             )
         if drive not in DRIVES:
             raise ValueError(f"unknown drive '{drive}'; there are {', '.join(DRIVES)}")
-        self.task = navigation_task(target, task_fields, task)
+        asked = navigation_task(target, task_fields, task)
         self.phantom = load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom
-        self._goal = self.task.goal(self.phantom)
+        asked.goal(self.phantom)  # refuses an unknown target before anything is built
         self.simulation = Simulation(
             self.phantom,
             load_guidewire(wire) if isinstance(wire, str) else wire,
@@ -159,7 +162,6 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             tip_motors=actions == "tip_motors",
             blood=blood_flow(blood),
         )
-        require_reach(self.task, self.simulation)
         self.render_mode = render_mode
         self._contact_info = contact_info
         self.robot = FollowerRobot() if drive == "robot" else None
@@ -168,14 +170,15 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             material = wire_material(wire if isinstance(wire, str) else "default", self.simulation.wire.radius)
             cameras = BiplaneFluoroscope.of(self.phantom, cameras, size=image_size, material=material)
         self.biplane = None if cameras is None else BiplaneView(self.simulation, cameras)
-        self.roadmap = Roadmap(self.simulation, self.task.target, registration_noise)
+        self.roadmap = Roadmap(self.simulation, asked.target, registration_noise)
         names = [observation] if isinstance(observation, str) else list(observation)
+        self._reads_way = "history" in names
+        self.task = asked
         # its way through the geodesic field costs something: only where it is wanted
-        self.history = History(self.simulation, self._way_left) if "history" in names else None
+        self.history = History(self.simulation, self._way_left) if self._reads_way else None
         self._view: Any = None
         self.steps = 0
         self.ended = True
-        self._remaining = 0.0
 
         self._motors = self.simulation.motors
         self._action_shape = (self._motors + 1,) if self._motors else (2,)
@@ -190,22 +193,52 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         spaces: dict[str, gymnasium.Space[Any]] = {name: entry_.space for name, entry_ in self._observables.items()}
         self.observation_space = spaces[self._single] if self._single else gymnasium.spaces.Dict(spaces)
 
+    @property
+    def task(self) -> NavigationTask:
+        """The task of the episode."""
+        return self._task
+
+    @task.setter
+    def task(self, task: NavigationTask) -> None:
+        self._set_task(task)
+        self._own_task = task
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Position of the episode's target, m, world frame. Shape (3,)."""
+        return self._goal.copy()
+
+    def _set_task(self, task: NavigationTask) -> None:
+        goal = task.goal(self.phantom)
+        require_reach(task, self.simulation)
+        self._task, self._goal = task, goal
+        self._remaining = 0.0
+        self.roadmap.aim(task.target)
+        # held, so that a point's field stays with the phantom while this environment reads it
+        self._field = self.phantom.geodesic_field(task.target) if task.reads_progress or self._reads_way else None
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode; the same seed gives the same episode to the same actions, bit for bit.
 
         Args:
             seed: of the start's jitter.
-            options: `start`, a state of `self.simulation`: the episode starts there instead of in the sheath.
+            options: `start`, a state of `self.simulation`: the episode starts there instead of in the sheath; `target`,
+                a name or a point in the lumen, (3,) m: of this episode alone, instead of the environment's own.
 
         Raises:
-            ValueError: an option that there is not, or a start of another wire.
+            ValueError: an option that there is not, a start of another wire, or a target that there is not, that lies
+                outside the lumen or is out of the wire's reach.
         """
-        super().reset(seed=seed)
-        unknown = sorted(set(options or {}) - {"start"})
+        unknown = sorted(set(options or {}) - {"start", "target"})
         if unknown:
-            raise ValueError(f"reset knows no option {', '.join(unknown)}; there is start")
-        if options and options.get("start") is not None:
-            self.simulation.restore(np.asarray(options["start"]))
+            raise ValueError(f"reset knows no option {', '.join(unknown)}; there are start, target")
+        start, target = (options or {}).get("start"), (options or {}).get("target")
+        task = self._own_task if target is None else dataclasses.replace(self._own_task, target=target)
+        if task != self._task:
+            self._set_task(task)
+        super().reset(seed=seed)
+        if start is not None:
+            self.simulation.restore(np.asarray(start))
         else:
             self.task.start(self.simulation, self.np_random)
         if self.robot is not None:
@@ -218,9 +251,9 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             self.history.begin()
         self.steps = 0
         self.ended = False
-        if self.task.reward == "geodesic":
-            self._remaining = self.task.remaining(self.phantom, self.simulation.tip)
         tip = self.simulation.tip
+        if self.task.reads_progress:
+            self._remaining = self.task.remaining(self.phantom, tip)
         return self.observe(), self._info(tip, _distance(tip, self._goal), success=False, invalid=False)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -282,6 +315,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             "generator": self.np_random.bit_generator.state,
             "steps": self.steps,
             "ended": self.ended,
+            "target": self.task.target,
             "remaining": self._remaining,
             "fluoroscope": self.fluoroscope.state(),
             "registration": self.roadmap.offset.copy(),
@@ -301,6 +335,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         Raises:
             ValueError: the state is of another wire.
         """
+        if state["target"] != self.task.target:
+            self._set_task(dataclasses.replace(self._own_task, target=state["target"]))
         self.simulation.restore(state["simulation"])
         self.simulation.restore_forces(state["forces"])
         self.np_random.bit_generator.state = state["generator"]
@@ -315,10 +351,10 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
 
     def _reward(self, before_step: np.ndarray, tip: np.ndarray, distance: float, *, success: bool) -> float:
         task, before = self.task, self._remaining
-        if task.reward == "geodesic":
+        if task.reads_progress:
             self._remaining = task.remaining(self.phantom, tip)
         force = float(self.simulation.summary.force_max)
-        moved = _distance(tip, before_step) if task.path_penalty else 0.0
+        moved = _distance(tip, before_step)
         return task.step_reward(distance, before - self._remaining, force, moved, success=success)
 
     def _way_left(self) -> float:

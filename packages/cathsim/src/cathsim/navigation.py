@@ -5,28 +5,35 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
+from pydantic import BeforeValidator
 
 from cathsim.anatomy import Phantom
+from cathsim.anatomy.point_target import Point, TargetLike, as_target, target_name
 from cathsim.arena import PROTRUSION
 from cathsim.simulation import Simulation
+from cathsim.validation import Count, Turn, Unit, settings
 
 REWARDS = ("distance", "geodesic")
 SUCCESS_REWARD = 10.0
 POTENTIAL_PER_METRE = 100.0  # of the geodesic reward
 STEP_COST = 0.02  # of the geodesic reward
+NEAR = 0.5  # m: success radii and jitters beyond it were meant in another unit
 WAY_MARGIN = 0.02  # a wire needs this much more than the shortest way, m: it cuts no corners
 
 
-@dataclass(frozen=True)
+@settings
 class NavigationTask:
     """What an episode asks for.
 
+    A subclass may have a reward of its own: its `step_reward` is given the progress along the lumen and the tip's way
+    in every step, whatever `reward` says.
+
     Attributes:
-        target: name of one of the phantom's targets.
+        target: name of one of the phantom's targets, or a point in the lumen, m, world frame.
         success_radius: the target is reached within this Euclidean distance of the tip, m.
         max_steps: an episode is truncated after this many control steps.
         start_jitter: the wire starts advanced by 0 to this much, uniformly, m.
@@ -39,25 +46,30 @@ class NavigationTask:
     Source: thesis, chapter CathSim, "Actions and Rewards".
     """
 
-    target: str = "bca"
-    success_radius: float = 0.008
-    max_steps: int = 300
-    start_jitter: float = 0.001
-    start_rotation: float = 0.0
+    target: Annotated[str | Point, BeforeValidator(as_target)] = "bca"
+    success_radius: Annotated[float, Interval(gt=0, le=NEAR), Unit("m")] = 0.008
+    max_steps: Count = 300
+    start_jitter: Annotated[float, Interval(ge=0, le=NEAR), Unit("m")] = 0.001
+    start_rotation: Turn = 0.0
     reward: str = "distance"
-    force_penalty: float = 0.0
-    path_penalty: float = 0.0
+    force_penalty: Annotated[float, Interval(ge=0, le=1e4), Unit("1/N")] = 0.0
+    path_penalty: Annotated[float, Interval(ge=0, le=1e4), Unit("1/m")] = 0.0
 
     def __post_init__(self) -> None:
         if self.reward not in REWARDS:
             raise ValueError(f"unknown reward '{self.reward}'; there are {', '.join(REWARDS)}")
-        if not self.success_radius > 0:
-            raise ValueError(f"success_radius must be positive (m), got {self.success_radius}")
-        if self.max_steps < 1:
-            raise ValueError(f"max_steps must be at least 1, got {self.max_steps}")
-        for name in ("start_jitter", "start_rotation", "force_penalty", "path_penalty"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+    @property
+    def target_name(self) -> str:
+        """The target's name, also where it is a point."""
+        return target_name(self.target)
+
+    @property
+    def reads_progress(self) -> bool:
+        """Whether the reward depends on the progress along the lumen; a subclass's own may."""
+        own = type(self)
+        overridden = own.step_reward is not NavigationTask.step_reward or own.remaining is not NavigationTask.remaining
+        return self.reward == "geodesic" or overridden
 
     def draw_start(self, generator: np.random.Generator) -> tuple[float, float]:
         """Insertion (m) and rotation (rad) at the start of an episode."""
@@ -80,7 +92,7 @@ class NavigationTask:
 
         Args:
             distance: from the tip to the target in a straight line, m.
-            progress: decrease of the distance along the lumen in this step, m; only the geodesic reward uses it.
+            progress: decrease of the distance along the lumen in this step, m; 0 unless `reads_progress`.
             force: largest resultant contact force of the step, N.
             moved: how far the tip has moved in this step, m.
             success: whether the target was reached.
@@ -115,26 +127,28 @@ def require_reach(task: NavigationTask, simulation: Simulation) -> None:
         lacking = shortest - reach + WAY_MARGIN
         length = math.ceil((simulation.wire.length + lacking) * 100 - 1e-9) / 100
         raise ValueError(
-            f"the wire of {simulation.wire.length * 1e3:.0f} mm is too short for {task.target} of {phantom.name}, "
+            f"the wire of {simulation.wire.length * 1e3:.0f} mm is too short for {task.target_name} of {phantom.name}, "
             f"{shortest * 1e3:.0f} mm from {simulation.entry}: pass wire=load_guidewire(...).scaled({length:.2f})"
         )
 
 
-def navigation_task(target: str, fields: Mapping[str, Any], task: NavigationTask | None = None) -> NavigationTask:
+def navigation_task(
+    target: TargetLike | None, fields: Mapping[str, Any], task: NavigationTask | None = None
+) -> NavigationTask:
     """A task from an environment's keywords.
 
     Args:
-        target: its target, where no task is given.
-        fields: other fields of `NavigationTask`.
+        target: its target; None: the task's own.
+        fields: other fields of the task.
         task: whose fields they replace.
 
     Raises:
         ValueError: a field that there is not.
     """
-    known = [field.name for field in dataclasses.fields(NavigationTask)]
+    task = task or NavigationTask()
+    known = [field.name for field in dataclasses.fields(task)]
     unknown = sorted(set(fields) - set(known))
     if unknown:
         raise ValueError(f"the environment has no argument {', '.join(unknown)}; the task's are {', '.join(known)}")
-    if task is not None:
-        return dataclasses.replace(task, **fields)
-    return NavigationTask(target=target, **fields)
+    changes = dict(fields) if target is None else {"target": target, **fields}
+    return dataclasses.replace(task, **changes) if changes else task

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import gymnasium
 import mujoco
@@ -188,6 +189,32 @@ def internal(simulation: Simulation) -> np.ndarray:
     return np.concatenate((joints(simulation), actuator.astype(np.float32), per_body.ravel()))
 
 
+def _shape(simulation: Simulation) -> np.ndarray:
+    return simulation.wire_points().astype(np.float32)
+
+
+def _tip(simulation: Simulation) -> np.ndarray:
+    return simulation.tip.astype(np.float32)
+
+
+def _feeder(simulation: Simulation) -> np.ndarray:
+    rotation = simulation.rotation
+    return np.array((simulation.insertion, np.cos(rotation), np.sin(rotation)), np.float32)
+
+
+def _force(simulation: Simulation) -> np.ndarray:
+    return simulation.force().astype(np.float32)
+
+
+def _image(fluoroscope: Fluoroscope) -> np.ndarray:
+    return fluoroscope.image()[None]
+
+
+def _mask(fluoroscope: Fluoroscope) -> np.ndarray:
+    return fluoroscope.mask()[None] * np.uint8(255)
+
+
+_VECTORS = {"tip": _tip, "feeder": _feeder, "force": _force}
 GUIDANCE = ("roadmap", "history", "goal", "goal_image")  # those that know where the target is
 OBSERVABLES = ("internal", "joints", "image", "mask", "sequential", "shape", "tip", "feeder", "force", *GUIDANCE)
 
@@ -213,31 +240,19 @@ def make_observable(
     box, nodes = gymnasium.spaces.Box, len(simulation.wire.links) + 1
     if name == "internal":
         size = 3 * simulation.nq + 22 * len(simulation.wire.links)
-        return Observable(_box(size), lambda: internal(simulation))
+        return Observable(_box(size), partial(internal, simulation))
     if name == "joints":
-        return Observable(_box(2 * simulation.nq), lambda: joints(simulation))
+        return Observable(_box(2 * simulation.nq), partial(joints, simulation))
     if name == "image":
-        return Observable(box(0, 255, (1, *fluoroscope.shape), np.uint8), lambda: fluoroscope.image()[None])
+        return Observable(box(0, 255, (1, *fluoroscope.shape), np.uint8), partial(_image, fluoroscope))
     if name == "mask":
-        return Observable(
-            box(0, 255, (1, *fluoroscope.shape), np.uint8), lambda: fluoroscope.mask()[None] * np.uint8(255)
-        )
+        return Observable(box(0, 255, (1, *fluoroscope.shape), np.uint8), partial(_mask, fluoroscope))
     if name == "sequential":
         return Observable(box(0, 255, (FRAMES, *fluoroscope.shape), np.uint8), fluoroscope.sequence)
     if name == "shape":
-        space = box(-np.inf, np.inf, (nodes, 3), np.float32)
-        return Observable(space, lambda: simulation.wire_points().astype(np.float32))
-    if name == "tip":
-        return Observable(_box(3), lambda: simulation.tip.astype(np.float32))
-    if name == "feeder":
-        return Observable(
-            _box(3),
-            lambda: np.array(
-                (simulation.insertion, np.cos(simulation.rotation), np.sin(simulation.rotation)), np.float32
-            ),
-        )
-    if name == "force":
-        return Observable(_box(3), lambda: simulation.force().astype(np.float32))
+        return Observable(box(-np.inf, np.inf, (nodes, 3), np.float32), partial(_shape, simulation))
+    if name in _VECTORS:
+        return Observable(_box(3), partial(_VECTORS[name], simulation))
     raise ValueError(f"unknown observation '{name}'; there are {', '.join(OBSERVABLES)}")
 
 
@@ -248,13 +263,29 @@ def _guidance(name: str, fluoroscope: Fluoroscope, roadmap: Roadmap | None, hist
         return Observable(_box(HISTORY_SIZE), history.read)
     if name == "roadmap":
         return Observable(_box(ROADMAP_SIZE), roadmap.read)
-    goal = roadmap.simulation.phantom.target(roadmap.target).position
     if name == "goal":
-        return Observable(_box(3), lambda: goal.astype(np.float32))
-    size = fluoroscope.shape[0]
-    pixel = fluoroscope.renderer.projector.project(goal[None])[0]
-    dot = target_image(pixel, size, max(DOT_SHARE * size, LEAST_DOT))[None]
-    return Observable(gymnasium.spaces.Box(0, 255, dot.shape, np.uint8), dot.copy)
+        return Observable(_box(3), partial(_goal, roadmap))
+    return Observable(gymnasium.spaces.Box(0, 255, (1, *fluoroscope.shape), np.uint8), _GoalDot(roadmap, fluoroscope))
+
+
+def _goal(roadmap: Roadmap) -> np.ndarray:
+    return roadmap.goal.astype(np.float32)
+
+
+class _GoalDot:
+    """The target's dot in the frontal view, drawn once a target. Shape (1, size, size), uint8."""
+
+    def __init__(self, roadmap: Roadmap, fluoroscope: Fluoroscope) -> None:
+        self._roadmap, self._fluoroscope = roadmap, fluoroscope
+        self._goal: np.ndarray | None = None
+
+    def __call__(self) -> np.ndarray:
+        goal, size = self._roadmap.goal, self._fluoroscope.shape[0]
+        if self._goal is not goal:
+            pixel = self._fluoroscope.renderer.projector.project(goal[None])[0]
+            self._dot = target_image(pixel, size, max(DOT_SHARE * size, LEAST_DOT))[None]
+            self._goal = goal
+        return self._dot.copy()
 
 
 def _camera_observable(name: str, kind: str, view: str, biplane: BiplaneView | None) -> Observable:
@@ -267,5 +298,13 @@ def _camera_observable(name: str, kind: str, view: str, biplane: BiplaneView | N
     projector = cameras[view].projector
     space = gymnasium.spaces.Box(0, 255, (1, projector.height, projector.width), np.uint8)
     if kind == "image":
-        return Observable(space, lambda: biplane.frame(view).image[None].copy())
-    return Observable(space, lambda: biplane.frame(view).mask[None] * np.uint8(255))
+        return Observable(space, partial(_view_image, biplane, view))
+    return Observable(space, partial(_view_mask, biplane, view))
+
+
+def _view_image(biplane: BiplaneView, view: str) -> np.ndarray:
+    return biplane.frame(view).image[None].copy()
+
+
+def _view_mask(biplane: BiplaneView, view: str) -> np.ndarray:
+    return biplane.frame(view).mask[None] * np.uint8(255)

@@ -6,6 +6,7 @@ import ctypes
 
 import numpy as np
 
+from cathsim.anatomy.point_target import TargetLike, as_target
 from cathsim.contact.native import address, library
 from cathsim.guidewire import TIP_SITE
 from cathsim.simulation import Simulation
@@ -50,21 +51,27 @@ class Roadmap:
 
     Args:
         simulation: whose tip it is.
-        target: one of its phantom's targets.
+        target: one of its phantom's targets, or a point in the lumen.
         registration_noise: standard deviation, m an axis, of the displacement between scan and patient, which stays the
             same through an episode; 0: a perfect registration.
     """
 
-    def __init__(self, simulation: Simulation, target: str, registration_noise: float = 0.0) -> None:
+    def __init__(self, simulation: Simulation, target: TargetLike, registration_noise: float = 0.0) -> None:
         if not registration_noise >= 0:
             raise ValueError(f"registration_noise must not be negative (m), got {registration_noise}")
-        self.simulation, self.target, self.registration_noise = simulation, target, registration_noise
+        self.simulation, self.registration_noise = simulation, registration_noise
         self.offset = np.zeros(3)
-        self._struct: _RoadmapStruct | None = None
+        self.aim(target)
         self._site = -1
         self._path = np.empty((round(PATH_ARCS[-1] / PATH_STEP), 3))
         self._shown = np.rint(PATH_ARCS / PATH_STEP).astype(int) - 1
         self._lengths = np.empty(len(RAYS))
+
+    def aim(self, target: TargetLike) -> None:
+        """Changes the target."""
+        self.target = as_target(target)
+        self.goal = self.simulation.phantom.target(self.target).position  # m, world frame, (3,)
+        self._struct: _RoadmapStruct | None = None
 
     def reset(self, generator: np.random.Generator) -> None:
         """Draws the episode's registration; without noise nothing is drawn."""

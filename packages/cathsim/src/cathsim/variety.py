@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
+from cathsim.anatomy.point_target import TargetLike, as_target
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire, load_guidewire
 
@@ -74,7 +75,7 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
     Args:
         phantoms: names, paths of meshes, `Phantom`s, whole numbers (seeds of random arches), or pairs of a name and a
             seed: ("random_wide", 3).
-        targets: their names.
+        targets: their names, or points in the lumens of all phantoms, (3,) m each.
         wires: names of presets, or `Guidewire`s.
         resolution: m between the nodes of the phantoms' grids.
         arguments: of `NavigateEnv`, for every episode.
@@ -88,7 +89,7 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
     def __init__(
         self,
         phantoms: Sequence[Anatomy | Phantom] = tuple(range(16)),
-        targets: Sequence[str] = ("bca", "lcca"),
+        targets: Sequence[TargetLike] = ("bca", "lcca"),
         wires: Sequence[str | Guidewire] = ("default",),
         *,
         resolution: float = 1e-3,
@@ -100,7 +101,7 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
         for name in ("phantom", "target", "wire", "phantom_seed"):
             if name in arguments:
                 raise ValueError(f"an environment over many anatomies takes {name}s, a list, instead of {name}")
-        self.phantoms, self.targets = tuple(phantoms), tuple(targets)
+        self.phantoms, self.targets = tuple(phantoms), tuple(as_target(target) for target in targets)
         self.wires = tuple(load_guidewire(wire) if isinstance(wire, str) else wire for wire in wires)
         self.resolution = resolution
         self._arguments = arguments
@@ -176,16 +177,16 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
         Args:
             seed: of the case and of the start's jitter.
             options: `case`, the number of the case instead of a drawn one; `start`, from `start_state`, which brings
-                its case along.
+                its case along; `target`, a name or a point in the lumen, (3,) m, instead of the case's.
 
         Raises:
             ValueError: an option that there is not.
         """
         super().reset(seed=seed)
         options = dict(options or {})
-        start, wanted = options.pop("start", None), options.pop("case", None)
+        start, wanted, target = (options.pop(name, None) for name in ("start", "case", "target"))
         if options:
-            raise ValueError(f"reset knows no option {', '.join(sorted(options))}; there are case, start")
+            raise ValueError(f"reset knows no option {', '.join(sorted(options))}; there are case, start, target")
         case, own_seed = (int(number) for number in self.np_random.integers((self.cases, 2**31)))
         if start is not None:
             start = np.asarray(start)
@@ -193,7 +194,7 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
         elif wanted is not None:
             case = int(wanted)
         self._change(case)
-        observation, info = self.current.reset(seed=own_seed, options=None if start is None else {"start": start})
+        observation, info = self.current.reset(seed=own_seed, options={"start": start, "target": target})
         return observation, self._named(info)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -202,7 +203,7 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
         return observation, reward, terminated, truncated, self._named(info)
 
     def _named(self, info: dict[str, Any]) -> dict[str, Any]:
-        return info | {"case": self.case, "phantom": self.phantom.name, "target": self.task.target}
+        return info | {"case": self.case, "phantom": self.phantom.name, "target": self.task.target_name}
 
     def observe(self) -> Any:
         """The observation of the moment."""

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from .arch_parameters import ArchParameters
 from .distance_grid import SignedDistanceGrid, sample_trilinear
 from .geodesic import arc_distance, geodesic_field, graph_distance
+from .point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
 from .vessel_tree import VesselTree
 
 if TYPE_CHECKING:
@@ -31,19 +32,22 @@ END_CLEARANCE = 5e-3  # m between a target and the open end of its branch
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A place to reach, on the centreline of a branch.
+    """A place to reach: on the centreline of a branch, or any point in the lumen.
 
     Attributes:
-        name: the target's name: that of its branch, or for the target at its open end that and "_end".
+        name: the target's name: that of its branch, or for the target at its open end that and "_end"; that of a point
+            is made of its coordinates.
         branch: the branch it lies in.
         position: (3,) m, world frame.
         arc: m along the branch, from where that begins on its parent's centreline.
+        aside: m from the centreline.
     """
 
     name: str
     branch: str
     position: NDArray[np.float64]
     arc: float
+    aside: float = 0.0
 
     @property
     def at_end(self) -> bool:
@@ -91,6 +95,7 @@ class Phantom:
     imported: ImportReport | None = None
     _load_field: Callable[[str], NDArray[np.float32] | None] | None = field(default=None, repr=False)
     _fields: dict[str, NDArray[np.float32]] = field(default_factory=dict, repr=False)
+    _points: PointFields = field(default_factory=PointFields, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def __post_init__(self) -> None:
@@ -105,10 +110,10 @@ class Phantom:
         return f"Phantom({self.name!r}, {self.hash}, grid {self.grid.shape} at {self.grid.spacing:g} m)"
 
     def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_lock", "_points")}
 
     def __setstate__(self, state: dict[str, object]) -> None:
-        self.__dict__.update(state, _lock=threading.Lock())
+        self.__dict__.update(state, _lock=threading.Lock(), _points=PointFields())
 
     def __deepcopy__(self, memo: dict[int, object]) -> Phantom:
         return self  # never changes, so that copied environments go on sharing its grids
@@ -129,22 +134,27 @@ class Phantom:
             high.append(self.grid.origin[axis] + taken[-1] * self.grid.spacing)
         return np.array(low), np.array(high)
 
-    def target(self, name: str) -> Target:
-        """The target of a name.
+    def target(self, wanted: TargetLike) -> Target:
+        """The target of a name, or a point as a target.
 
         Args:
-            name: one of `targets`.
+            wanted: one of `targets`, or (3,) m, world frame, inside the lumen.
 
         Returns:
             The target.
 
         Raises:
-            ValueError: for an unknown name, listing the valid ones.
+            ValueError: for an unknown name, listing the valid ones; for a point outside the lumen.
         """
-        if name not in self.targets:
+        place = as_target(wanted)
+        if not isinstance(place, str):
+            require_inside(place, self.grid, self.name)
+            branch, arc, aside = nearest_branch(place, self.tree)
+            return Target(target_name(place), branch, np.array(place), arc, aside)
+        if place not in self.targets:
             known = ", ".join(self.targets)
-            raise ValueError(f"unknown target {name!r} in phantom {self.name!r}; choose from {known}.")
-        return self.targets[name]
+            raise ValueError(f"unknown target {place!r} in phantom {self.name!r}; choose from {known}.")
+        return self.targets[place]
 
     def entry(self, name: str = "descending") -> Entry:
         """The entry of a name.
@@ -163,43 +173,47 @@ class Phantom:
             raise ValueError(f"unknown entry {name!r} in phantom {self.name!r}; choose from {known}.")
         return self.entries[name]
 
-    def geodesic_field(self, target: str) -> NDArray[np.float32]:
+    def geodesic_field(self, target: TargetLike) -> NDArray[np.float32]:
         """In-lumen distance to a target on the grid's lattice; read from the cache or computed at first use.
 
         Args:
-            target: one of `targets`.
+            target: one of `targets`, or a point in the lumen, (3,) m: computed in about a second at 1 mm, kept
+                while it is used, and then only with the last few points.
 
         Returns:
             (nx, ny, nz) float32 m, finite everywhere, read-only.
         """
-        place = self.target(target)
+        name = as_target(target)
         with self._lock:
-            if target not in self._fields:
-                values = self._load_field(target) if self._load_field is not None else None
+            if not isinstance(name, str):
+                return self._points.take(name, lambda: geodesic_field(self.grid, self.target(name).position))
+            if name not in self._fields:
+                place = self.target(name)
+                values = self._load_field(name) if self._load_field is not None else None
                 if values is None:
                     values = geodesic_field(self.grid, place.position)
                 values.flags.writeable = False
-                self._fields[target] = values
-            return self._fields[target]
+                self._fields[name] = values
+            return self._fields[name]
 
-    def geodesic_distance(self, points: ArrayLike, target: str) -> NDArray[np.float64]:
+    def geodesic_distance(self, points: ArrayLike, target: TargetLike) -> NDArray[np.float64]:
         """In-lumen distance from points to a target, trilinear in the geodesic field.
 
         Args:
             points: (..., 3) m, world frame; a little outside the lumen the nearest inside value counts.
-            target: one of `targets`.
+            target: one of `targets`, or a point in the lumen, (3,) m.
 
         Returns:
             (...,) m.
         """
         return sample_trilinear(self.geodesic_field(target), self.grid.origin, self.grid.spacing, points)
 
-    def centreline_distance(self, points: ArrayLike, target: str) -> NDArray[np.float64]:
+    def centreline_distance(self, points: ArrayLike, target: TargetLike) -> NDArray[np.float64]:
         """Arc length from points, projected onto the nearest vessel, to a target through the centreline graph.
 
         Args:
             points: (..., 3) m, world frame.
-            target: one of `targets`.
+            target: one of `targets`, or a point in the lumen, (3,) m.
 
         Returns:
             (...,) m.
@@ -207,11 +221,11 @@ class Phantom:
         place = self.target(target)
         return arc_distance(self.tree, points, place.branch, place.arc)
 
-    def way_length(self, target: str, entry: str = "descending") -> float:
-        """Arc length from an entry to a target along the centrelines.
+    def way_length(self, target: TargetLike, entry: str = "descending") -> float:
+        """Arc length from an entry to a target along the centrelines, and from there to the target itself.
 
         Args:
-            target: one of `targets`.
+            target: one of `targets`, or a point in the lumen, (3,) m.
             entry: one of `entries`.
 
         Returns:
@@ -222,7 +236,8 @@ class Phantom:
         gaps = [float(np.linalg.norm(b.points[i] - start)) for b, i in zip(self.tree, nearest, strict=True)]
         first = int(np.argmin(gaps))
         branch = self.tree.branches[first]
-        return float(graph_distance(self.tree, branch.name, branch.arc[nearest[first]], place.branch, place.arc))
+        along = graph_distance(self.tree, branch.name, branch.arc[nearest[first]], place.branch, place.arc)
+        return float(along) + place.aside
 
     @cached_property
     def lumen_mesh(self) -> trimesh.Trimesh:

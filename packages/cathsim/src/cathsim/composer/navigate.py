@@ -12,6 +12,7 @@ from dm_control.composer.observation.observable import Generic
 from dm_env import specs
 
 from cathsim.anatomy import Phantom, load_phantom
+from cathsim.anatomy.point_target import TargetLike
 from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena
 from cathsim.composer.parts import model_parts
 from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
@@ -121,7 +122,7 @@ class NavigateTask(composer.Task):
         physics.forward()
         self.steps, self.success = 0, False
         self.force[:] = 0.0
-        if self.task.reward == "geodesic":
+        if self.task.reads_progress:
             self._remaining = self.task.remaining(self.phantom, self._tip(physics))
         self._tip_before = self._tip(physics)
 
@@ -167,7 +168,7 @@ class NavigateTask(composer.Task):
         self._tip_before = tip
         distance = float(np.linalg.norm(tip - self.goal))
         self.success = distance <= self.task.success_radius
-        if self.task.reward == "geodesic":
+        if self.task.reads_progress:
             self._remaining = self.task.remaining(self.phantom, tip)
         force = float(np.linalg.norm(self.force))
         moved = float(np.linalg.norm(tip - moved_from))
@@ -191,7 +192,7 @@ class NavigateTask(composer.Task):
 
 def load(
     phantom: str | Phantom = "type_1",
-    target: str = "bca",
+    target: TargetLike | None = None,
     *,
     seed: int | None = None,
     entry: str = "descending",
@@ -201,13 +202,14 @@ def load(
     numerics: Accuracy = STEPPING,
     phantom_seed: int | None = None,
     visual: bool = False,
+    task: NavigationTask | None = None,
     **task_fields: Any,
 ) -> composer.Environment:
     """Makes the environment.
 
     Args:
         phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), or a `Phantom`.
-        target: one of the phantom's targets.
+        target: one of the phantom's targets, "bca" by default, or a point in the lumen, (3,) m.
         seed: of the starts; the same seed gives the same episodes to the same actions.
         entry: "descending" (femoral access) or "ascending".
         wire: a preset's name or a `Guidewire`.
@@ -216,8 +218,9 @@ def load(
         numerics: time stepping.
         phantom_seed: of the random phantom.
         visual: with the lumen's surface and a camera for `environment.physics.render(camera_id="frontal")`.
-        task_fields: fields of `NavigationTask`: success_radius, max_steps, start_jitter, start_rotation, reward,
-            force_penalty.
+        task: the task, a `NavigationTask` or of a subclass.
+        task_fields: fields of the task, over its own: success_radius, max_steps, start_jitter, start_rotation, reward,
+            force_penalty, path_penalty.
 
     Returns:
         The environment. It does not compile its model again at a reset; should the state become invalid, the episode
@@ -228,10 +231,10 @@ def load(
     """
     if actions not in ACTIONS:
         raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
-    task = NavigateTask(
+    navigate = NavigateTask(
         load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom,
         load_guidewire(wire) if isinstance(wire, str) else wire,
-        navigation_task(target, task_fields),
+        navigation_task(target, task_fields, task),
         entry=entry,
         tip_motors=actions == "tip_motors",
         image_size=image_size,
@@ -239,7 +242,7 @@ def load(
         visual=visual,
     )
     return composer.Environment(
-        task,
+        navigate,
         random_state=seed,
         raise_exception_on_physics_error=False,
         strip_singleton_obs_buffer_dim=True,

@@ -142,7 +142,7 @@ class Procedure:
             np.array(self._forces),
             np.array(self._rewards),
             self.success,
-            target=self.environment.task.target,
+            target=self.environment.task.target_name,
         )
 
     def break_off(self) -> None:

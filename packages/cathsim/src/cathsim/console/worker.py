@@ -212,7 +212,7 @@ class RealTimeLoop(threading.Thread):
         self._say(
             type="task",
             phantom=environment.phantom.name,
-            target=task.target,
+            target=task.target_name,
             phantoms=self._phantoms,
             targets=list(environment.phantom.targets),
             goal=task.goal(environment.phantom).tolist(),

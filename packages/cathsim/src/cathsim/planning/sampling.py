@@ -75,8 +75,7 @@ class SamplingExpert:
             )
         self.settings = settings or ExpertSettings()
         self.environment = environment
-        self.task: NavigationTask = environment.task
-        self._goal = self.task.goal(environment.phantom)
+        self._goal = environment.goal
         self._generator = np.random.default_rng(seed)
         real = environment.simulation
         count = threads or os.cpu_count() or 1
@@ -88,6 +87,11 @@ class SamplingExpert:
         self._plan = np.zeros((0, 2))
         self._left = 0
         self.rollouts = 0
+
+    @property
+    def task(self) -> NavigationTask:
+        """The environment's, of the episode."""
+        return self.environment.task
 
     def restart(self, seed: int | None = None) -> None:
         """Forgets the plan; to be called when the environment is reset."""
@@ -107,7 +111,7 @@ class SamplingExpert:
     def _search(self) -> None:
         settings, generator = self.settings, self._generator
         simulation = self.environment.simulation
-        state = simulation.state()
+        state, self._goal = simulation.state(), self.environment.goal
         here = self.task.remaining(self.environment.phantom, simulation.tip)
         knots = -(-settings.horizon // settings.hold)
         straight = np.tile([1.0, 0.0], (settings.horizon, 1))

@@ -1,0 +1,107 @@
+"""Targets that are points: anywhere in the lumen, told in metres instead of by a name."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .distance_grid import SignedDistanceGrid
+from .vessel_tree import VesselTree, nearest_on_branch
+
+Point = tuple[float, float, float]  # m, world frame
+TargetLike = str | Sequence[float] | NDArray[np.floating]
+
+_KEPT = 4  # geodesic fields of points that are kept while nobody uses them, 10 to 40 MB each
+
+
+def as_target(target: object) -> str | Point:
+    """A target's name as it is, or three coordinates as floats.
+
+    Raises:
+        ValueError: it is neither a name nor three finite numbers.
+    """
+    if isinstance(target, str):
+        return target
+    try:
+        x, y, z = (float(coordinate) for coordinate in target)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        x = y = z = np.nan
+    if not np.isfinite((x, y, z)).all():
+        raise ValueError(f"a target is a name, or a point of three coordinates in m, got {target!r}")
+    return x, y, z
+
+
+def target_name(target: str | Point) -> str:
+    """What a target is called; that of a point fits into a file's name."""
+    if isinstance(target, str):
+        return target
+    return "point_{:.1f}_{:.1f}_{:.1f}_mm".format(*(1e3 * coordinate for coordinate in target))
+
+
+def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str) -> None:
+    """Refuses a point outside the lumen.
+
+    Args:
+        point: m, world frame.
+        grid: of the lumen.
+        phantom: its name.
+
+    Raises:
+        ValueError: says where the nearest place inside the lumen is.
+    """
+    if (grid.bounds[0] <= point).all() and (point <= grid.bounds[1]).all() and grid.sample(point) > 0:
+        return
+    inside = grid.coordinates(np.argwhere(grid.values > 0))
+    away = np.linalg.norm(inside - point, axis=1)
+    nearest = inside[np.argmin(away)]
+    raise ValueError(
+        f"the target {_written(point)} lies outside the lumen of {phantom}: the nearest place inside is "
+        f"{_written(nearest)}, {away.min() * 1e3:.3g} mm away; coordinates are in metres, in the world frame"
+    )
+
+
+def _written(point: Sequence[float] | NDArray[np.float64]) -> str:
+    return "({:.4g}, {:.4g}, {:.4g}) m".format(*point)
+
+
+def nearest_branch(point: Point, tree: VesselTree) -> tuple[str, float, float]:
+    """The vessel in which a point lies.
+
+    Args:
+        point: m, world frame.
+        tree: the vessels.
+
+    Returns:
+        The branch, nearness measured in the vessels' radii; the arc length along it, m; the distance from its
+        centreline, m.
+    """
+    found = []
+    for branch in tree:
+        _, arc, distance = (values[0] for values in nearest_on_branch(branch, np.array([point])))
+        found.append((float(distance / branch.radius_at(arc)), branch.name, float(arc), float(distance)))
+    return min(found)[1:]
+
+
+class PointFields:
+    """Geodesic fields of points: kept as long as somebody uses them, the last few for longer; not safe by itself."""
+
+    def __init__(self) -> None:
+        self._in_use: WeakValueDictionary[Point, NDArray[np.float32]] = WeakValueDictionary()
+        self._latest: OrderedDict[Point, NDArray[np.float32]] = OrderedDict()
+
+    def take(self, point: Point, make: Callable[[], NDArray[np.float32]]) -> NDArray[np.float32]:
+        """The field of a point, made where it is not kept; read-only."""
+        values = self._in_use.get(point)
+        if values is None:
+            values = make()
+            values.flags.writeable = False
+            self._in_use[point] = values
+        self._latest[point] = values
+        self._latest.move_to_end(point)
+        while len(self._latest) > _KEPT:
+            self._latest.popitem(last=False)
+        return values
