@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from enn.model_file import decoded, write_model
 from enn.network import NetworkSettings, build_network
 from enn.normalisation import fit_normalisation
 from enn.policy import Policy
@@ -135,14 +136,14 @@ def test_files_that_are_no_policy_are_one_clear_sentence(tmp_path: Path) -> None
     path.write_bytes(b"not a policy")
     with pytest.raises(ValueError, match="damaged or no policy"):
         Policy.load(path)
-    torch.save({"weights": {}}, path)
+    write_model(path, {"weights": {}})
     with pytest.raises(ValueError, match="no policy of format enn-policy-1, but None"):
         Policy.load(path)
     policy = _policy()
     policy.save(path)
-    content = torch.load(path, weights_only=True)
+    content = decoded(path.read_bytes())
     for change in ({"hidden": [8, 9]}, {"hidden": [8]}, {"width": 3}):
-        torch.save({**content, "network": {**content["network"], **change}}, path)
+        write_model(path, {**content, "network": {**content["network"], **change}})
         with pytest.raises(ValueError, match="is of another architecture than this version builds"):
             Policy.load(path)
     data = (tmp_path / "policy.pt").read_bytes()

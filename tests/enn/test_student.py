@@ -13,6 +13,7 @@ import torch
 from enn.egocentric import VIEW_SIZE
 from enn.lessons import give_lessons
 from enn.lumen_segmentation import LumenSegmenter, fit_segmenter, overlap
+from enn.model_file import write_model
 from enn.student import IMAGE_KEYS, ImageStudent, Lesson, StudentSettings
 
 SIZE = 32
@@ -155,6 +156,6 @@ def test_says_what_is_wrong(segmenter: LumenSegmenter, tmp_path: Path) -> None:
     (tmp_path / "broken.pt").write_bytes(b"no file of torch")
     with pytest.raises(ValueError, match="is damaged or no student"):
         ImageStudent.load(tmp_path / "broken.pt")
-    torch.save({"format": "something else"}, tmp_path / "other.pt")
+    write_model(tmp_path / "other.pt", {"format": "something else"})
     with pytest.raises(ValueError, match="is no student of format"):
         ImageStudent.load(tmp_path / "other.pt")

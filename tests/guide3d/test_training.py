@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from guide3d.model_file import read_content
 from guide3d.training import BEST, LAST, FitProgress, FitSettings, TrainingError, finished, fit
 
 SETTINGS = FitSettings(epochs=6, batch_size=8, learning_rate=0.05, schedule="constant", patience=0)
@@ -62,7 +63,7 @@ def test_the_best_epoch_is_kept_and_patience_ends_it(tmp_path: Path) -> None:
     module = network()
     report = fit(module, Worsens(), dataclasses.replace(SETTINGS, epochs=50, patience=4), folder=tmp_path)
     assert (report.best_epoch, len(report.rows)) == (3, 7)
-    best = torch.load(tmp_path / BEST, weights_only=True)
+    best = read_content(tmp_path / BEST)
     assert all(torch.equal(value, best[name]) for name, value in module.state_dict().items())
 
 
@@ -113,7 +114,7 @@ def test_a_killed_training_loses_an_epoch_at_most(tmp_path: Path) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     reached = int(told.read_text())
-    kept = torch.load(tmp_path / "fit" / LAST, weights_only=True)["report"]["rows"]
+    kept = read_content(tmp_path / "fit" / LAST)["report"]["rows"]
     assert len(kept) >= reached
     expected = fit(network(), Line(), SETTINGS, folder=tmp_path / "whole", seed=3)
     report = fit(network(), Line(), SETTINGS, folder=tmp_path / "fit", seed=3)

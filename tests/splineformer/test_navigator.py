@@ -18,6 +18,7 @@ from splineformer.navigator_training import CloningSettings, Episode, clone
 from splineformer.navigator_view import AGO, RAYS, WAY_ARCS, CameraView, ViewSettings
 from splineformer.predictor import Predictor
 from splineformer.vessel_map import VesselMap, lumen_of_run
+from tests.damaged_files import refusals
 from tests.splineformer.curves import image_of, wavy_wire
 
 
@@ -212,3 +213,10 @@ def test_file_keeps_the_policy_and_names_the_network_it_needs(tmp_path: Path) ->
         Navigator.load(tmp_path / "none.pt", eye)
     with pytest.raises(ValueError, match="each once"):
         NavigatorSettings(cameras=("a", "a"))
+
+
+def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
+    eye = reader()
+    Navigator(settings_of(eye), eye).save(tmp_path / "navigator.pt")
+    messages = refusals(tmp_path / "navigator.pt", lambda: Navigator.load(tmp_path / "navigator.pt", eye))
+    assert all("navigator.pt is damaged or no network" in message for message in messages)

@@ -11,6 +11,7 @@ import torch
 
 from guide3d.dataset import Dataset, images_of, split
 from guide3d.dataset_split import Split
+from guide3d.model_file import read_content, write_content
 from guide3d.polyline import resample
 from guide3d.training import finished
 from splineformer.augmentation import Augmentation, inside, moved, shadow, warped, without_wire
@@ -23,6 +24,7 @@ from splineformer.recipes import recipe_of
 from splineformer.samples import SplineObjective, curves_of, passes_of, pixels_of_shares, shares_of_pixels
 from splineformer.tokens import sampled, tokens_of_polyline
 from splineformer.training import train
+from tests.damaged_files import refusals
 from tests.guide3d.drawn_data import draw
 from tests.splineformer.curves import image_of, wavy_wire
 
@@ -140,14 +142,14 @@ def test_files_of_other_versions(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="damaged or no network"):
         Predictor.load(path)
     untrained("ordered").save(path)
-    content = torch.load(path, weights_only=True)
+    content = read_content(path)
     for change, message in (
         ({"format": "guide3d-network-0"}, "no network of format"),
         ({"kind": "shape"}, "kind shape, expected splineformer"),
         ({"network": content["network"] | {"layout": 7}}, "layout 7, this version reads 2"),
         ({"weights": {}}, "cannot be used"),
     ):
-        torch.save(content | change, path)
+        write_content(path, content | change)
         with pytest.raises(ValueError, match=message):
             Predictor.load(path)
 
@@ -332,3 +334,9 @@ def test_training_resumes_exactly(variant: str, data: Dataset, tmp_path: Path) -
     finished(tmp_path / "parts")
     assert not list((tmp_path / "parts").glob("*"))
     assert whole(data.frames[0].image("a")).wires in ("none", "one", "several")
+
+
+def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
+    untrained("ordered").save(tmp_path / "model.pt")
+    messages = refusals(tmp_path / "model.pt", lambda: Predictor.load(tmp_path / "model.pt"))
+    assert all("model.pt is damaged or no network" in message for message in messages)

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from enn.model_file import write_model
+from enn.model_file import UNFIT, read_model, write_model
 
 SCHEDULES = ("constant", "one_cycle")
 FORMAT = "enn-fit-1"
@@ -262,20 +262,20 @@ def _resume(
     report: FitReport,
 ) -> dict[str, Tensor]:
     try:
-        content = torch.load(file, weights_only=True)
-        if content["format"] != FORMAT:
-            raise KeyError("format")
-    except Exception as error:
+        content = read_model(file, FORMAT, kind="checkpoint of a fit", verb="fit")
+        for name, mine in identity.items():
+            if content["identity"][name] != mine:
+                what = "another architecture" if name == "weights" else f"a fit with other {name}"
+                raise FitError(f"{file} is of {what}: remove it to start anew, or take another folder")
+        module.load_state_dict(content["module"])
+        optimiser.load_state_dict(content["optimiser"])
+        generator.bit_generator.state = content["generator"]
+        torch.set_rng_state(content["torch"])
+        for name, value in content["report"].items():
+            setattr(report, name, value)
+        best: dict[str, Tensor] = content["best"]
+    except FitError:
+        raise
+    except UNFIT as error:
         raise FitError(f"{file} is damaged or no checkpoint of a fit: remove it to start anew") from error
-    for name, mine in identity.items():
-        if content["identity"][name] != mine:
-            what = "another architecture" if name == "weights" else f"a fit with other {name}"
-            raise FitError(f"{file} is of {what}: remove it to start anew, or take another folder")
-    module.load_state_dict(content["module"])
-    optimiser.load_state_dict(content["optimiser"])
-    generator.bit_generator.state = content["generator"]
-    torch.set_rng_state(content["torch"])
-    for name, value in content["report"].items():
-        setattr(report, name, value)
-    best: dict[str, Tensor] = content["best"]
     return best

@@ -1,17 +1,61 @@
-"""Model file: what a network is built from and its weights in one file, whole or not there, and checked when read."""
+"""Model file: what a network is built from and its weights in one file, whole or not there, and checked when read.
+
+::
+
+    sha256 <64 hexadecimal digits of lower case>    one line: the digest of every byte after it
+    <what `torch.save` wrote>                       read with `weights_only`, which runs no code
+
+The digest is needed: torch checks no checksum when it reads, so a weight with a wrong bit would be taken as it is.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 Network = TypeVar("Network", bound=nn.Module)
+
+
+class OlderFormatError(ValueError):
+    """A file of torch's own format, which has no digest: earlier versions wrote these."""
+
+
+def encoded(content: Any) -> bytes:
+    """The bytes of a file.
+
+    Args:
+        content: numbers, strings, lists, tuples, dictionaries and tensors.
+    """
+    stream = io.BytesIO()
+    torch.save(content, stream)
+    return _digest_line(stream.getbuffer()) + stream.getvalue()
+
+
+def decoded(data: bytes, device: str = "cpu") -> Any:
+    """The content of what `encoded` gave.
+
+    Args:
+        data: all bytes of the file.
+        device: where its tensors go.
+
+    Raises:
+        OlderFormatError: it is a file without a digest.
+        ValueError: a byte is missing or differs.
+    """
+    if data.startswith(b"PK"):
+        raise OlderFormatError("a file of an older format, without a digest")
+    body = memoryview(data)[len(_digest_line(b"")) :]
+    if data[: len(data) - len(body)] != _digest_line(body):
+        raise ValueError("its digest does not match")
+    return torch.load(io.BytesIO(body), map_location=device, weights_only=True)
 
 
 def write_model(path: Path, content: dict[str, Any]) -> None:
@@ -20,11 +64,21 @@ def write_model(path: Path, content: dict[str, Any]) -> None:
     Args:
         path: of the file; its folder is made when missing.
         content: numbers, strings, lists, tuples, dictionaries and tensors, with `format`.
+
+    Raises:
+        ValueError: a weight is NaN or infinite; the former file stays.
     """
+    spoilt = _not_finite(content)
+    if spoilt is not None:
+        raise ValueError(f"{path} was not written: {spoilt} is not finite; train it again with a lower learning rate")
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    torch.save(content, temporary)
-    os.replace(temporary, path)
+    try:
+        temporary.write_bytes(encoded(content))
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def read_model(path: Path, form: str, *, kind: str, verb: str, device: str = "cpu") -> dict[str, Any]:
@@ -39,18 +93,30 @@ def read_model(path: Path, form: str, *, kind: str, verb: str, device: str = "cp
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is damaged or holds something else.
+        ValueError: the file is damaged, of an older format, holds something else, or a weight is NaN or infinite.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no {kind} {path}: {verb} one first")
     try:
-        content = torch.load(path, map_location=device, weights_only=True)
+        content = decoded(path.read_bytes(), device)
+    except OlderFormatError as error:
+        raise ValueError(f"{path} is {error}: {verb} it again") from error
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read ({error.strerror}): look at the disk, or {verb} it again") from error
     except Exception as error:
-        raise ValueError(f"{path} is damaged or no {kind} ({type(error).__name__}): {verb} it again") from error
+        reason = str(error) if isinstance(error, ValueError) else type(error).__name__
+        raise ValueError(f"{path} is damaged or no {kind} ({reason}): {verb} it again") from error
     if not isinstance(content, dict) or content.get("format") != form:
         got = content.get("format") if isinstance(content, dict) else type(content).__name__
         raise ValueError(f"{path} is no {kind} of format {form}, but {got}: {verb} it again")
+    spoilt = _not_finite(content)
+    if spoilt is not None:
+        raise ValueError(f"{path}: {spoilt} is not finite: {verb} it again")
     return content
+
+
+# what building or filling a network raises when the file is of another version
+UNFIT = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
 
 
 def another_architecture(path: Path, error: Exception, *, verb: str) -> ValueError:
@@ -102,6 +168,23 @@ def read_network(
     try:
         network = build(content["settings"])
         network.load_state_dict(content["weights"])
-    except (TypeError, RuntimeError, ValueError) as error:
+        return network, dict(content["metadata"])
+    except UNFIT as error:
         raise another_architecture(path, error, verb=verb) from error
-    return network, content["metadata"]
+
+
+def _digest_line(body: bytes | memoryview) -> bytes:
+    return b"sha256 " + hashlib.sha256(body).hexdigest().encode() + b"\n"
+
+
+def _not_finite(content: Any) -> str | None:
+    """Where the first tensor is that is not finite, if there is one."""
+    return next((place for place, tensor in _tensors(content) if not bool(torch.isfinite(tensor).all())), None)
+
+
+def _tensors(content: Any, place: str = "") -> Iterator[tuple[str, Tensor]]:
+    if isinstance(content, Tensor):
+        yield place, content
+    elif isinstance(content, dict | list | tuple):
+        for name, part in content.items() if isinstance(content, dict) else enumerate(content):
+            yield from _tensors(part, f"{place}/{name}" if place else str(name))

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
-from enn.model_file import another_architecture, read_model, write_model
+from enn.model_file import UNFIT, another_architecture, read_model, write_model
 from enn.trajectory import Trajectory, episode_numbers
 
 FORMAT = "enn-path-follower-1"
@@ -164,7 +164,7 @@ class PathFollower:
             settings = PathFollowerSettings(**{**kept, "fit": FitSettings(**kept["fit"])})
             network = build(settings, content["actions"])
             network.load_state_dict(content["weights"])
-        except (TypeError, RuntimeError, ValueError) as error:
+        except UNFIT as error:
             raise another_architecture(path, error, verb="fit") from error
         return cls(network, settings)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from torch import Tensor
 
-from enn.model_file import another_architecture, read_model, write_model
+from enn.model_file import UNFIT, another_architecture, read_model, write_model
 from enn.network import NetworkSettings, action_distribution, actor_features, build_network
 
 if TYPE_CHECKING:
@@ -36,6 +36,9 @@ class Policy:
         passthrough: observations that go to the network beside the encoder's features.
         action_repeat: environment steps that each action is meant for.
         metadata: whatever else is worth keeping: seed, decisions, phantom, target.
+
+    Raises:
+        ValueError: an action repeat below 1, or a name in `passthrough` that is no observation.
     """
 
     def __init__(
@@ -50,6 +53,11 @@ class Policy:
         action_repeat: int = 1,
         metadata: dict[str, Any] | None = None,
     ) -> None:
+        if not isinstance(action_repeat, int) or action_repeat < 1:
+            raise ValueError(f"action_repeat must be a whole number of at least 1, got {action_repeat!r}")
+        known = list(observation_space) if isinstance(observation_space, gymnasium.spaces.Dict) else []
+        if not set(passthrough) <= set(known):
+            raise ValueError(f"passthrough names observations out of {known}, got {list(passthrough)}")
         self.network, self.module, self.encoder, self.passthrough = network, module, encoder, passthrough
         self.observation_space, self.action_space = observation_space, action_space
         self.action_repeat = action_repeat
@@ -181,9 +189,9 @@ class Policy:
         """
         path = Path(path)
         content = read_model(path, FORMAT, kind="policy", verb="train", device=device)
-        observation_space, action_space = _space(content["observation_space"]), _space(content["action_space"])
         encoder = None
         try:
+            observation_space, action_space = _space(content["observation_space"]), _space(content["action_space"])
             network = NetworkSettings(**content["network"])
             if content["encoder"] is not None:
                 from enn.encoder import Encoder, EncoderSettings
@@ -196,18 +204,18 @@ class Policy:
                 odd = sorted(wanted ^ content["weights"].keys())
                 raise RuntimeError(f"weights {', '.join(odd[:3])} are missing or unexpected")
             module.load_state_dict(content["weights"], strict=False)
-        except (RuntimeError, TypeError, KeyError) as error:
+            return cls(
+                network,
+                module,
+                observation_space,
+                action_space,
+                encoder=encoder,
+                passthrough=tuple(content["passthrough"]),
+                action_repeat=content["action_repeat"],
+                metadata=dict(content["metadata"]),
+            )
+        except UNFIT as error:
             raise another_architecture(path, error, verb="train") from error
-        return cls(
-            network,
-            module,
-            observation_space,
-            action_space,
-            encoder=encoder,
-            passthrough=tuple(content["passthrough"]),
-            action_repeat=content["action_repeat"],
-            metadata=content["metadata"],
-        )
 
 
 class Controller:

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from enn.egocentric import VIEW_SIZE, EgocentricView, without_wire
 from enn.lumen_segmentation import LumenSegmenter
-from enn.model_file import another_architecture, read_model, write_model
+from enn.model_file import UNFIT, another_architecture, read_model, write_model
 
 FORMAT = "enn-image-student-1"
 IMAGE_KEYS = ("image", "mask", "goal_image")  # all that the student sees
@@ -259,7 +259,7 @@ class ImageStudent:
             segmenter.load_state_dict(content["segmenter"]["weights"])
             student = cls(StudentSettings(**content["settings"]), segmenter)
             student.network.load_state_dict(content["weights"])
-        except (RuntimeError, TypeError, KeyError) as error:
+        except UNFIT as error:
             raise another_architecture(Path(path), error, verb="train") from error
         segmenter.eval()
         student.network.eval()

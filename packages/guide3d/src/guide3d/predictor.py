@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from guide3d.build import build_fgrn, build_segmenter, described, rebuilt
-from guide3d.model_file import read_model, write_model
+from guide3d.model_file import UNFIT, another_architecture, read_model, write_model
 from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.shape_network import ShapeNetwork
 from guide3d.polyline import Array
@@ -275,9 +275,7 @@ def _loaded(
     try:
         network = build(content["network"])
         network.load_state_dict(content["weights"])
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise ValueError(
-            f"{path} is of another architecture than this version builds ({reason}): train it again"
-        ) from error
-    return network.to(device), content["network"], Preprocessing(**content["preprocessing"]), content["metadata"]
+        preprocessing = Preprocessing(**content["preprocessing"])
+    except UNFIT as error:
+        raise another_architecture(path, error) from error
+    return network.to(device), content["network"], preprocessing, content["metadata"]

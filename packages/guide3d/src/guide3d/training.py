@@ -24,8 +24,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from guide3d.atomic_file import whole_file
 from guide3d.distributed import Ranks
+from guide3d.model_file import UNFIT, read_content, write_content
 
 OPTIMISERS = ("nadam", "adamw", "sgd")
 SCHEDULES = ("plateau", "one_cycle", "polynomial", "constant")
@@ -212,13 +212,16 @@ def fit(
             report.best_epoch = epoch + 1
         if ranks.rank == 0:
             if better:
-                _save(folder / BEST, module.state_dict())
+                write_content(folder / BEST, module.state_dict())
             states = {name: part.state_dict() for name, part in parts.items()}
-            _save(folder / LAST, {"format": FORMAT, "identity": identity, "report": asdict(report), **states})
+            write_content(folder / LAST, {"format": FORMAT, "identity": identity, "report": asdict(report), **states})
         if progress is not None:
             progress(FitProgress(epoch + 1, settings.epochs, mean, validation))
     ranks.wait()
-    module.load_state_dict(torch.load(folder / BEST, map_location=ranks.device, weights_only=True))
+    try:
+        module.load_state_dict(read_content(folder / BEST, ranks.device))
+    except (OSError, *UNFIT) as error:
+        raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start anew") from error
     module.eval()
     return report
 
@@ -298,24 +301,21 @@ def _out_of_patience(report: FitReport, settings: FitSettings) -> bool:
     return bool(settings.patience) and len(report.rows) - report.best_epoch >= settings.patience
 
 
-def _save(path: Path, content: Any) -> None:
-    with whole_file(path) as file:
-        torch.save(content, file)
-
-
 def _resume(
     file: Path, identity: dict[str, Any], parts: dict[str, Any], report: FitReport, device: torch.device
 ) -> None:
     try:
-        content = torch.load(file, map_location=device, weights_only=True)
+        content = read_content(file, device)
         if content["format"] != FORMAT:
             raise KeyError("format")
-    except Exception as error:
+        for name, mine in identity.items():
+            if content["identity"][name] != mine:
+                what = "another architecture" if name == "weights" else f"a training with other {name}"
+                raise TrainingError(f"{file} is of {what}: remove it to start anew, or take another folder")
+        for name, part in parts.items():
+            part.load_state_dict(content[name])
+        report.rows, report.best_epoch = content["report"]["rows"], content["report"]["best_epoch"]
+    except TrainingError:
+        raise
+    except (OSError, *UNFIT) as error:
         raise TrainingError(f"{file} is damaged or no checkpoint of a training: remove it to start anew") from error
-    for name, mine in identity.items():
-        if content["identity"][name] != mine:
-            what = "another architecture" if name == "weights" else f"a training with other {name}"
-            raise TrainingError(f"{file} is of {what}: remove it to start anew, or take another folder")
-    for name, part in parts.items():
-        part.load_state_dict(content[name])
-    report.rows, report.best_epoch = content["report"]["rows"], content["report"]["best_epoch"]

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from guide3d.model_file import read_model, write_model
+from guide3d.model_file import UNFIT, read_model, write_model
 from splineformer.navigator_reading import Reader
 from splineformer.navigator_view import CameraView, ViewSettings
 from splineformer.space_map import SpaceMap
@@ -207,7 +207,7 @@ class Navigator:
             settings = dict(told["network"])
             navigator = cls(NavigatorSettings(**{**settings, "cameras": tuple(settings["cameras"])}), reader)
             navigator.network.load_state_dict(told["weights"])
-        except (ValueError, RuntimeError, TypeError, KeyError) as error:
+        except UNFIT as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} cannot be used: {reason}") from error
         return navigator

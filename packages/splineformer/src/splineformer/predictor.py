@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from guide3d.bspline import BSplineCurve
-from guide3d.model_file import read_model, write_model
+from guide3d.model_file import UNFIT, read_model, write_model
 from guide3d.polyline import Array, arc_length
 from splineformer.build import Network, described, rebuilt
 from splineformer.intake import Picture, picture_of
@@ -127,7 +127,7 @@ class Predictor:
             network = rebuilt(told["network"])
             network.load_state_dict(told["weights"])
             source_px = int(told["preprocessing"]["source_px"])
-        except (ValueError, RuntimeError, KeyError) as error:
+        except UNFIT as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} cannot be used: {reason}") from error
         return cls(network, source_px=source_px, **options)

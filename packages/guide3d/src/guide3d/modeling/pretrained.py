@@ -90,7 +90,12 @@ def load_pretrained(network: VisionTransformer, file: Path | str) -> None:
     network.load_state_dict(weights)
 
 
-def _renamed(content: Mapping[str, Any], file: Path) -> dict[str, Tensor]:
+def _renamed(content: Mapping[Any, Any], file: Path) -> dict[str, Tensor]:
+    odd = [name for name, value in content.items() if not isinstance(name, str) or not isinstance(value, Tensor)]
+    spoilt = [name for name, value in content.items() if name not in odd and not bool(torch.isfinite(value).all())]
+    if odd or spoilt:
+        problem = f"{odd[0]} is no tensor" if odd else f"{spoilt[0]} is not finite"
+        raise ValueError(f"{file} has no weights of a vision transformer that can be used: {problem}")
     names = [name for name in content if not _UNUSED.fullmatch(name)]
     for rules in (_TIMM, _TORCHVISION):
         found = {new: content[name] for name in names if (new := _translated(name, rules)) is not None}
@@ -117,9 +122,9 @@ def _in_channels(weight: Tensor, channels: int) -> Tensor:
 
 
 def _on_grid(positions: Tensor, grid: int) -> Tensor:
-    count = positions.shape[1] - 1
-    side = round(count**0.5)
-    if side == grid or side**2 != count:
+    count = positions.shape[1] - 1 if positions.ndim == 3 else 0
+    side = round(max(count, 0) ** 0.5)
+    if side == grid or side == 0 or side**2 != count:
         return positions
     patches = positions[:, 1:].reshape(1, side, side, -1).permute(0, 3, 1, 2)
     patches = functional.interpolate(patches, size=(grid, grid), mode="bicubic", align_corners=False)

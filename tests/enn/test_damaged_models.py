@@ -1,0 +1,143 @@
+"""Damaged models: one wrong bit, a cut, a weight that is no number: refused with one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from enn.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
+from enn.encoder import Encoder, EncoderSettings
+from enn.fitting import FitError, FitProgress, FitSettings, fit
+from enn.force import ForceNetwork, ForceNetworkSettings, ForcePredictor
+from enn.lumen_segmentation import LumenSegmenter
+from enn.model_file import decoded, write_model
+from enn.network import NetworkSettings, build_network
+from enn.path_following import PathFollower, PathFollowerSettings, build
+from enn.policy import Policy
+from enn.student import ImageStudent, StudentSettings
+from tests.damaged_files import refusals
+
+Box = gymnasium.spaces.Box
+
+
+def policy() -> Policy:
+    space = gymnasium.spaces.Dict({"tip": Box(-np.inf, np.inf, (3,), np.float32)})
+    actions = Box(-1, 1, (2,), np.float32)
+    settings = NetworkSettings(hidden=(8, 8))
+    return Policy(settings, build_network(settings, space, actions), space, actions)
+
+
+def encoder() -> Encoder:
+    return Encoder(EncoderSettings(keys=("joints",), shapes=((4,),), hidden=8, features=6))
+
+
+def force_predictor() -> ForcePredictor:
+    return ForcePredictor(ForceNetwork(ForceNetworkSettings(image_shape=(0, 40, 40), vector=3, hidden=(8,))))
+
+
+def cloned_policy() -> ClonedPolicy:
+    return ClonedPolicy(CloningNetwork(CloningSettings(shape=(1, 40, 40), features=8)))
+
+
+def path_follower() -> PathFollower:
+    settings = PathFollowerSettings(hidden=(8,))
+    return PathFollower(build(settings, 2), settings)
+
+
+def student() -> ImageStudent:
+    return ImageStudent(StudentSettings(hidden=8, hints=2), LumenSegmenter(4, 40))
+
+
+LEGAL = ("encoder", None), ("metadata", {"a": 1})
+
+MODELS: dict[str, Callable[[], Any]] = {
+    make.__name__: make for make in (policy, encoder, force_predictor, cloned_policy, path_follower, student)
+}
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_wrong_bit_is_refused(kind: str, tmp_path: Path) -> None:
+    model = MODELS[kind]()
+    path = tmp_path / "policy.pt"
+    model.save(path)
+    messages = refusals(path, lambda: type(model).load(path))
+    assert all("policy.pt is damaged or no" in message and message.endswith("it again") for message in messages)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("kind", MODELS)
+def test_weights_that_are_no_numbers_are_neither_written_nor_read(
+    kind: str, value: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = MODELS[kind]()
+    path = tmp_path / "policy.pt"
+    model.save(path)
+    before = path.read_bytes()
+    module = next(part for part in (model, *vars(model).values()) if isinstance(part, torch.nn.Module))
+    next(weight for name, weight in module.named_parameters() if "critic" not in name).data.view(-1)[0] = value
+    with pytest.raises(ValueError, match=r"policy\.pt was not written: .*/.* is not finite; train it again"):
+        model.save(path)
+    assert path.read_bytes() == before
+    with monkeypatch.context() as patch:
+        patch.setattr("enn.model_file._not_finite", lambda content: None)
+        model.save(path)
+    with pytest.raises(ValueError, match=r"policy\.pt: .*/.* is not finite: \w+ it again"):
+        type(model).load(path)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_file_of_an_older_format_is_named(kind: str, tmp_path: Path) -> None:
+    torch.save({"format": "enn-policy-1", "weights": {}}, tmp_path / "policy.pt")
+    with pytest.raises(ValueError, match=r"is a file of an older format, without a digest: \w+ it again"):
+        type(MODELS[kind]()).load(tmp_path / "policy.pt")
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_file_without_its_parts_is_one_sentence(kind: str, tmp_path: Path) -> None:
+    model, path = MODELS[kind](), tmp_path / "model.pt"
+    model.save(path)
+    content = decoded(path.read_bytes())
+    for name in content.keys() - {"format"}:
+        for change in ({}, {name: None}, {name: [1, 2]}, {name: {"a": 1}}, {name: "text"}):
+            write_model(path, {key: value for key, value in content.items() if key != name} | change)
+            if (name, change.get(name, "gone")) in LEGAL:
+                type(model).load(path)
+                continue
+            with pytest.raises(ValueError, match="is of another architecture than this version builds"):
+                type(model).load(path)
+
+
+def test_a_wrong_bit_in_the_checkpoint_of_a_fit_is_refused(tmp_path: Path) -> None:
+    def attempt(stop: bool) -> None:
+        torch.manual_seed(0)
+        layer = torch.nn.Linear(1, 1)
+
+        def loss(samples: Any, training: bool, generator: Any) -> torch.Tensor:
+            return (layer(torch.as_tensor(samples).float()[:, None]) ** 2).mean()
+
+        def progress(moment: FitProgress) -> None:
+            if stop or moment.epoch > 1:
+                raise KeyboardInterrupt
+
+        settings = FitSettings(epochs=5, batch_size=4, checkpoint_seconds=1e6)
+        fit(layer, loss, np.arange(8) // 2, settings, folder=tmp_path, progress=progress)
+
+    with pytest.raises(KeyboardInterrupt):
+        attempt(stop=True)
+    path = tmp_path / "fit.pt"
+    intact = path.read_bytes()
+
+    def load() -> None:
+        if path.read_bytes() == intact:
+            return
+        with pytest.raises(FitError) as refused:
+            attempt(stop=False)
+        raise ValueError(str(refused.value))
+
+    assert all("remove it to start anew" in message for message in refusals(path, load))
