@@ -27,7 +27,7 @@ from pipeline.learning_settings import (
 from pipeline.navigation_settings import NavigationSettings
 from pipeline.network_settings import SegmentationSettings, ShapeSettings
 from pipeline.setting_checks import shown, validated
-from pipeline.setting_kinds import BranchNames, FolderName, Seed, folder_name
+from pipeline.setting_kinds import BranchNames, FolderName, PathText, Seed, folder_name, path_text
 from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stage_settings import (
     ExpertSettings,
@@ -65,7 +65,7 @@ class OwnPhantom:
     """An anatomy of one's own by ``phantom.mesh=PATH``, or the only one to learn in by ``phantom.name=NAME``."""
 
     name: FolderName | None = None  # of the learning stages' only anatomy
-    mesh: str | None = None  # STL, OBJ or PLY
+    mesh: PathText | None = None  # STL, OBJ or PLY
     unit: str | None = None  # m, cm, mm or inch; detected when left out
     names: BranchNames = None
 
@@ -81,7 +81,7 @@ class RunConfig:
     modality: FolderName | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
     budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml: sizes that the stages refer to
     name: FolderName = "${budget.name}"  # the run folder below runs_dir
-    runs_dir: str = "runs"
+    runs_dir: PathText = "runs"
     seed: Seed = 0
     force: bool = False  # run even when the results are up to date
 
@@ -97,18 +97,21 @@ def register_schemas() -> None:
     The stages' schemas sit in a group of their own: in ``stage`` they would show up as stages a user can choose.
     """
     # Hydra makes its folder of these names before the values are checked.
-    OmegaConf.register_new_resolver("folder_name", _folder_name, replace=True)
+    OmegaConf.register_new_resolver("hydra_folder", _hydra_folder, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=RunConfig)
     for name, settings in STAGE_SETTINGS.items():
         store.store(group="schema/stage", name=name, node=settings)
 
 
-def _folder_name(setting: str, value: str) -> str:
-    try:
-        return folder_name(value)
-    except ValueError as error:
-        raise ConfigurationError(f"{setting} {error}") from error
+def _hydra_folder(runs_dir: str, name: str, stage: str) -> str:
+    for setting, value, check in (("runs_dir", runs_dir, path_text), ("name", name, folder_name),
+                                  ("stage.name", stage, folder_name)):  # fmt: skip
+        try:
+            check(str(value))
+        except ValueError as error:
+            raise ConfigurationError(f"{setting} {error}") from error
+    return f"{runs_dir}/{name}/.hydra/{stage}"
 
 
 def run_config(composed: DictConfig) -> RunConfig:

@@ -4,15 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import errno
 import re
 
 from hydra.errors import ConfigCompositionException, MissingConfigException, OverrideParseException
 from omegaconf.errors import ValidationError as OmegaConfValidationError
+from pydantic import ValidationError
 
 from pipeline.atomic import is_no_room
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS, RunConfig
 from pipeline.errors import PipelineError
+from pipeline.setting_checks import sentence
 from pipeline.stages import available_stages
+
+_LONGEST_PATH = 200  # characters of a path that are shown
+_PERMISSION = "change its permissions, or choose another folder by runs_dir=PATH"
+_WRONG_KIND = "a file lies where a folder is needed, or a folder where a file is: move it away"
+_ADVICE = {
+    errno.EACCES: _PERMISSION,
+    errno.EPERM: _PERMISSION,
+    errno.EROFS: _PERMISSION,
+    errno.ENOTDIR: _WRONG_KIND,
+    errno.EISDIR: _WRONG_KIND,
+    errno.EEXIST: _WRONG_KIND,
+    errno.ENOENT: "it is missing: check the path, or run the stage that writes it again",
+    errno.ENAMETOOLONG: "choose a shorter name or runs_dir",
+    errno.ELOOP: "its symbolic links lead in a circle: mend them",
+    errno.EMFILE: "raise the limit of open files (ulimit -n), or run fewer jobs beside each other",
+    errno.ENFILE: "close other programs, or run fewer jobs beside each other",
+}
 
 
 def one_line(error: BaseException, overrides: list[str]) -> str:
@@ -27,9 +47,11 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
     """
     if isinstance(error, PipelineError):
         return _flat(str(error))
-    if isinstance(error, OSError) and is_no_room(error):
-        place = f" while writing {error.filename}" if error.filename else ""
-        return f"no room left{place}: free some space and run the same command again; finished items are kept"
+    if isinstance(error, ValidationError):
+        return _flat(sentence(error))
+    from_system = system_error(error)
+    if from_system is not None:
+        return _flat(_system_sentence(from_system))
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         return _missing_choice(str(error.missing_cfg_file))
     if isinstance(error, OverrideParseException):
@@ -47,6 +69,36 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
         if isinstance(refused, OmegaConfValidationError):
             return f"{_full_key(refused) or 'a setting'}: {_first_line(str(refused))}"
     return _first_line(text)
+
+
+def system_error(error: BaseException | None) -> OSError | None:
+    """Finds what the operating system refused.
+
+    Args:
+        error: any exception, or None.
+
+    Returns:
+        The exception itself or the first of its causes that is an OSError; None when there is none.
+    """
+    while error is not None:
+        if isinstance(error, OSError):
+            return error
+        error = error.__cause__
+    return None
+
+
+def _system_sentence(error: OSError) -> str:
+    place = str(error.filename or "")
+    if len(place) > _LONGEST_PATH:
+        place = f"{place[:_LONGEST_PATH]}…"
+    place = f" {place}" if place else ""
+    if is_no_room(error):
+        where = f" while writing{place}" if place else ""
+        return f"no room left{where}: free some space and run the same command again; finished items are kept"
+    if error.errno is None:  # of a library, which says what was wrong
+        return _first_line(str(error))
+    advice = _ADVICE.get(error.errno, "mend that and run the same command again")
+    return f"the system refused{place} ({(error.strerror or 'unknown reason').lower()}): {advice}"
 
 
 def _missing_choice(config: str) -> str:

@@ -11,7 +11,7 @@ from annotated_types import Ge, Le
 from pipeline.errors import ConfigurationError
 from pipeline.provenance import hash_file, hash_value
 from pipeline.setting_checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.setting_kinds import Count, NoisePixels, Processes, SomeFolderNames, one_of
+from pipeline.setting_kinds import Count, NoisePixels, PathText, Processes, SomeFolderNames, one_of
 
 FEWEST_IMAGES = 8  # a pair of each wire, with and without fluid
 FILLINGS = ("fluid", "contrast")
@@ -23,9 +23,9 @@ _READ = (".json", ".xml", ".txt", ".yaml", ".yml", ".npz", ".jpg")
 class Guide3dSource:
     """A data set of one's own: the top-level keys ``guide3d.root=PATH`` and its like."""
 
-    root: str | None = None  # folder in the public layout, or its raw.json
-    images: str | None = None  # folder of the images, where they lie elsewhere
-    calibration: str | None = None  # folder of the camera files (and perforated sheets), where they lie elsewhere
+    root: PathText | None = None  # folder in the public layout, or its raw.json
+    images: PathText | None = None  # folder of the images, where they lie elsewhere
+    calibration: PathText | None = None  # folder of the camera files (and perforated sheets), where they lie elsewhere
     undistorted: bool | None = None  # whether annotations are undistorted; found out by epipolar residuals if left out
 
 
@@ -46,9 +46,9 @@ class Guide3dSettings:
     validation_noise_px: NoisePixels = 1.0  # of the clicks in the second part of the simulated validation
     compared: Count = 300  # pairs that are also reconstructed in the thesis's way, and from clicks
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # processes beside each other; 0: one a core
-    root: str | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # its content counts, not its place
-    image_root: str | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
-    calibration: str | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
+    root: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # its content counts, not its place
+    image_root: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
+    calibration: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
     undistorted: bool | None = None
     root_sha256: str | None = None  # filled in
 

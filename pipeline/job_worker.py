@@ -16,7 +16,10 @@ from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any
 
+from pydantic import ValidationError
+
 from pipeline.errors import PipelineError
+from pipeline.setting_checks import sentence
 
 _SECONDS_BETWEEN_MESSAGES = 0.5
 _EXIT_LEFT_ALONE = 1
@@ -134,6 +137,8 @@ def work(run: Callable[[Any, Report], Any], given: Any, connection: Connection) 
         pass  # asked to: whoever asked does not wait for a word
     except PipelineError as error:
         send(Message("failed", str(error)))
+    except ValidationError as error:
+        send(Message("failed", sentence(error)))
     except Exception as error:
         first = next((line for line in str(error).splitlines() if line.strip()), "")
         reason = f"{type(error).__name__}: {first}" if first else type(error).__name__

@@ -18,12 +18,12 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
+from pydantic import ValidationError
 
-from pipeline.atomic import is_no_room
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.errors import PipelineError
 from pipeline.execution import execute, variant_of
-from pipeline.explain import one_line
+from pipeline.explain import one_line, system_error
 from pipeline.interruption import let_ctrl_c_interrupt
 from pipeline.stages import available_stages
 
@@ -80,9 +80,8 @@ def task(composed: DictConfig) -> None:
         let_ctrl_c_interrupt()
     try:
         execute(run_config(composed), variant=variant)
-    except (PipelineError, OSError) as error:
-        if isinstance(error, OSError) and not is_no_room(error):
-            raise
+    except (PipelineError, OSError, ValidationError) as error:
+        _LOGGER.debug("where it failed", exc_info=True)  # shown with hydra.verbose=true
         if not in_sweep:
             raise _Stop(error) from error
         _LOGGER.error("%s failed: %s", variant or composed.stage.name, one_line(error, list(hydra.overrides.task)))
@@ -115,13 +114,11 @@ def main(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         return _say("interrupted: finished items are kept; the same command goes on from there", EXIT_INTERRUPTED)
     except _Stop as stop:
-        return _say(
-            one_line(stop.error, arguments), EXIT_USAGE if isinstance(stop.error, PipelineError) else EXIT_FAILED
-        )
-    except (PipelineError, HydraException, OmegaConfBaseException) as error:
-        return _say(one_line(error, arguments), EXIT_USAGE)
-    except OSError as error:
-        if not is_no_room(error):
+        return _say(one_line(stop.error, arguments), EXIT_FAILED if isinstance(stop.error, OSError) else EXIT_USAGE)
+    except (PipelineError, HydraException, OmegaConfBaseException, ValidationError) as error:
+        return _say(one_line(error, arguments), EXIT_USAGE if system_error(error) is None else EXIT_FAILED)
+    except Exception as error:
+        if system_error(error) is None:
             raise
         return _say(one_line(error, arguments), EXIT_FAILED)
     return 0

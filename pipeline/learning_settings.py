@@ -21,6 +21,7 @@ from pipeline.setting_kinds import (
     FolderName,
     FolderNames,
     ImageSize,
+    PathText,
     Processes,
     RisingEpisodes,
     SomeFolderNames,
@@ -179,7 +180,7 @@ class UnseenSettings:
     test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
     phantoms: FolderNames = field(default_factory=list)  # named anatomies, none of them trained on
     named_episodes: Episodes = 10  # on each, for each target
-    mesh: str | None = None  # scanned anatomy; left out where the file is missing
+    mesh: PathText | None = None  # scanned anatomy; left out where the file is missing
     mesh_episodes: Annotated[int, Ge(1), Le(500)] = 20
     wires: FolderNames = field(default_factory=list)  # further wires: presets, "softer", "stiffer"
     wire_anatomies: Count = 10  # unseen arches that each is tried on

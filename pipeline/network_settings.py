@@ -8,7 +8,7 @@ from typing import Annotated
 from annotated_types import Ge, Le
 
 from pipeline.setting_checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.setting_kinds import NOT_EMPTY, UNIQUE, CountOrNone, Processes, Seed, one_of
+from pipeline.setting_kinds import NOT_EMPTY, UNIQUE, CountOrNone, PathText, Processes, Seed, one_of
 
 # What predicts a shape: the shape network as the thesis's table has it, with the thesis's loss alone, and 3D-FGRN.
 SHAPE_ROWS = ("spherical", "cartesian", "spherical_angles", "fgrn")
@@ -38,7 +38,7 @@ class ShapeSettings(NetworkSettings):
 
     name: str = "shape"
     rows: _ShapeRows = field(default_factory=list)
-    pretrained: str | None = None  # weights of the vision transformer, under timm's or torchvision's names
+    pretrained: PathText | None = None  # weights of the vision transformer, under timm's or torchvision's names
 
 
 @validated()

@@ -28,6 +28,13 @@ def folder_name(value: str) -> str:
     return value
 
 
+def path_text(value: str) -> str:
+    """Accepts a text that can be a path; raises a ValueError otherwise."""
+    if not value.strip() or "\0" in value:
+        raise ValueError("is empty: give a path" if not value.strip() else "holds a zero byte, which no path can")
+    return value
+
+
 def one_of(*choices: str) -> AfterValidator:
     """The check that a text is one of the choices."""
 
@@ -56,6 +63,7 @@ RISING = _list_check(
     lambda values: f"must rise, got {', '.join(map(str, values))}" if values != sorted(values) else None
 )
 
+PathText = Annotated[str, AfterValidator(path_text)]
 FolderName = Annotated[str, AfterValidator(folder_name)]
 FolderNames = Annotated[list[FolderName], UNIQUE]
 SomeFolderNames = Annotated[FolderNames, NOT_EMPTY]

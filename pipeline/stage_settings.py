@@ -20,6 +20,7 @@ from pipeline.setting_kinds import (
     FolderName,
     FolderNames,
     ImageSize,
+    PathText,
     Processes,
     Seed,
     SomeFolderNames,
@@ -39,7 +40,7 @@ class PhantomsSettings:
     resolution_mm: Annotated[float, Ge(0.1), Le(COARSEST_RESOLUTION_MM)] = 1.0  # spacing of the signed distance grid
     wall_thickness_mm: Annotated[float, Ge(0.1), Le(10)] = 1.5
     picture: bool = True
-    mesh: str | None = None  # surface file of an anatomy of one's own, which is then the only one
+    mesh: PathText | None = None  # surface file of an anatomy of one's own, which is then the only one
     unit: str | None = None  # of that file
     names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
     mesh_sha256: str | None = None  # filled in: the results depend on the file, not on its path

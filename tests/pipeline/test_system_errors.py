@@ -1,0 +1,137 @@
+"""What the operating system refuses is one sentence and an exit code, never a traceback."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from annotated_types import Gt
+from pydantic.dataclasses import dataclass
+
+from pipeline.explain import one_line
+from pipeline.job_worker import Message
+from pipeline.jobs import Report
+
+A_FOLDER, A_FILE = "folder", "file"
+# What lies in the way, of which kind, and a word of the sentence; the stage is the report, which needs no input.
+IN_THE_WAY = {
+    "runs folder is a file": ("runs", A_FILE, "a file lies where a folder is needed"),
+    "run folder is a file": ("runs/desk", A_FILE, "a file lies where a folder is needed"),
+    "stage folder is a file": ("runs/desk/report", A_FILE, "a file lies where a folder is needed"),
+    "hydra folder is a file": ("runs/desk/.hydra", A_FILE, "a file lies where a folder is needed"),
+    "manifest is a folder": ("runs/desk/report/manifest.json", A_FOLDER, "is a directory"),
+    "lock is a folder": ("runs/desk/report/.lock", A_FOLDER, "is a directory"),
+    "log is a folder": ("runs/desk/.hydra/report/endonav.log", A_FOLDER, "is a directory"),
+}
+REFUSED_RUNS = {
+    "/dev/null": "not a directory",
+    "/proc": "no such file or directory",
+    "''": "runs_dir is empty: give a path",
+    "a" * 300: "file name too long",
+    "/".join(["abcdefg"] * 700): "file name too long",
+}
+_MAIN = """
+import sys
+from pipeline.launch import main
+for arguments in {commands!r}:
+    print("code", main(arguments), file=sys.stderr, flush=True)
+"""
+
+
+def ended(run_python: Callable[..., str], commands: list[list[str]]) -> list[tuple[list[str], int]]:
+    """What each command line said on stderr, and its exit code."""
+    wrapped = "import sys; sys.stderr = sys.stdout\n" + _MAIN.format(commands=commands)
+    answers, lines = [], []
+    for line in run_python(wrapped).splitlines():
+        if line.startswith("code "):
+            answers.append((lines, int(line.removeprefix("code "))))
+            lines = []
+        else:
+            lines.append(line)
+    return answers
+
+
+def test_what_lies_in_the_way_is_one_sentence(tmp_path: Path, run_python: Callable[[str], str]) -> None:
+    commands = []
+    for number, (place, kind, _) in enumerate(IN_THE_WAY.values()):
+        path = tmp_path / str(number) / place
+        path.parent.mkdir(parents=True)
+        path.mkdir() if kind is A_FOLDER else path.touch()
+        commands.append(["stage=report", f"runs_dir={tmp_path / str(number) / 'runs'}"])
+    for (lines, code), (_, _, words) in zip(ended(run_python, commands), IN_THE_WAY.values(), strict=True):
+        assert code == 1, lines
+        (sentence,) = [line for line in lines if not line.startswith("report: working")]
+        assert sentence.startswith("the system refused ")
+        assert words in sentence
+
+
+def test_folders_that_cannot_be_made_are_one_sentence(run_python: Callable[[str], str]) -> None:
+    commands = [["stage=report", f"runs_dir={runs}"] for runs in REFUSED_RUNS]
+    for (lines, code), words in zip(ended(run_python, commands), REFUSED_RUNS.values(), strict=True):
+        assert code in (1, 2), lines
+        (sentence,) = lines
+        assert words in sentence
+        assert len(sentence) < 400
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (PermissionError(13, "Permission denied", "/x"), "/x (permission denied): change its permissions"),
+        (OSError(30, "Read-only file system", "/x"), "choose another folder by runs_dir=PATH"),
+        (OSError(24, "Too many open files"), "ulimit -n"),
+        (FileNotFoundError(2, "No such file or directory", "/x"), "/x (no such file or directory): it is missing"),
+        (OSError(5, "Input/output error", "/x"), "mend that and run the same command again"),
+        (OSError(28, "No space left on device", "/x"), "no room left while writing /x"),
+        (OSError("there are no pretrained weights"), "there are no pretrained weights"),
+    ],
+)
+def test_what_the_system_refuses_says_what_to_do(error: OSError, words: str) -> None:
+    assert words in one_line(error, [])
+    wrapped = ValueError("Unable to configure handler 'file'")
+    wrapped.__cause__ = error
+    assert one_line(wrapped, []) == one_line(error, [])
+
+
+@dataclass
+class _Fit:
+    epochs: Annotated[int, Gt(0)] = 1
+
+
+def _wrong_job(given: int, report: Report) -> None:
+    _Fit(epochs=given)
+
+
+class _Connection:
+    """Keeps what is sent, and holds back what waits for an order."""
+
+    def __init__(self) -> None:
+        self.sent: list[Message] = []
+        self.closed = False
+
+    def send(self, message: Message) -> None:
+        self.sent.append(message)
+
+    def recv(self) -> None:
+        raise TypeError
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_package_s_refusal_in_a_job_is_one_sentence(run_python: Callable[[str], str]) -> None:
+    said = run_python(
+        "import json\n"
+        "from tests.pipeline.test_system_errors import _Connection, _wrong_job\n"
+        "from pipeline.job_worker import work\n"
+        "connection = _Connection()\n"
+        "connection.closed = True\n"
+        "work(_wrong_job, -1, connection)\n"
+        "print(json.dumps([vars(message) for message in connection.sent]))\n"
+    )
+    (message,) = json.loads(said)
+    assert message["text"] == "_Fit.epochs must be greater than 0, got -1"
+    assert not message["traceback"]
