@@ -78,10 +78,3 @@ def test_unknown_option_and_wrong_start_are_refused(environment: NavigateEnv) ->
         environment.reset(options={"where": 1})
     with pytest.raises(ValueError, match="expected a state of shape"):
         environment.reset(options={"start": np.zeros(3)})
-
-
-def test_robot_cannot_be_saved() -> None:
-    environment = NavigateEnv(drive="robot")
-    environment.reset(seed=0)
-    with pytest.raises(NotImplementedError, match="drive='direct'"):
-        environment.state()

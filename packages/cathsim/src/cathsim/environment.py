@@ -214,8 +214,12 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         self._task, self._goal = task, goal
         self._remaining = 0.0
         self.roadmap.aim(task.target)
-        # held, so that a point's field stays with the phantom while this environment reads it
-        self._field = self.phantom.geodesic_field(task.target) if task.reads_progress or self._reads_way else None
+        self._hold_field()
+
+    def _hold_field(self) -> None:
+        # so that a point's field stays with the phantom while this environment reads it
+        read = self._task.reads_progress or self._reads_way
+        self._field = self.phantom.geodesic_field(self._task.target) if read else None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode; the same seed gives the same episode to the same actions, bit for bit.
@@ -302,13 +306,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
         return self.simulation.state()
 
     def state(self) -> dict[str, Any]:
-        """Everything that the rest of the episode depends on, to be pickled; for `restore`.
-
-        Raises:
-            NotImplementedError: with the follower robot, whose own state is not saved.
-        """
-        if self.robot is not None:
-            raise NotImplementedError("an environment driven by the robot cannot be saved: use drive='direct'")
+        """Everything that the rest of the episode depends on, to be pickled; for `restore`."""
         return {
             "simulation": self.simulation.state(),
             "forces": self.simulation.force_state(),
@@ -321,6 +319,7 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             "registration": self.roadmap.offset.copy(),
             "history": None if self.history is None else self.history.state(),
             "biplane": None if self.biplane is None else self.biplane.state(),
+            "robot": None if self.robot is None else self.robot.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> Any:
@@ -347,6 +346,8 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             self.history.restore(state["history"])
         if self.biplane is not None:
             self.biplane.restore(state["biplane"])
+        if self.robot is not None:
+            self.robot.restore(state["robot"])
         return self.observe()
 
     def _reward(self, before_step: np.ndarray, tip: np.ndarray, distance: float, *, success: bool) -> float:
@@ -397,6 +398,14 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
                 self._view = View(self.phantom, robot=self.robot)
             return self._view.render(self.simulation, self._goal)
         return None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # a picture's OpenGL context stays where it is, and the phantom has the field
+        return {**self.__dict__, "_view": None, "_field": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._hold_field()
 
     def close(self) -> None:
         """Frees the renderer."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -47,6 +48,13 @@ class Fluoroscope:
         self._image, self._mask = np.empty(self.shape, np.uint8), np.empty(self.shape, np.uint8)
         self._drawn = self._kept = False
         self.frames: list[np.ndarray] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "renderer"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.renderer = camera(self.simulation.phantom, self.shape[0], self.simulation.wire.radius)
 
     def update(self, *, restart: bool = False) -> None:
         """Says that the simulation has moved on (or restarted): the next look draws anew."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,13 @@ class Roadmap:
         self._path = np.empty((round(PATH_ARCS[-1] / PATH_STEP), 3))
         self._shown = np.rint(PATH_ARCS / PATH_STEP).astype(int) - 1
         self._lengths = np.empty(len(RAYS))
+
+    def __getstate__(self) -> dict[str, Any]:
+        native = ("_struct", "_fields", "_follow", "_cast")  # made anew where they are wanted
+        return {name: value for name, value in self.__dict__.items() if name not in native}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _struct=None)
 
     def aim(self, target: TargetLike) -> None:
         """Changes the target."""

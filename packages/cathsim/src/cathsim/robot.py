@@ -7,6 +7,7 @@ between robot and sheath (the thesis's assumption of perfect motion).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,6 +17,7 @@ from cathsim.robot_model import CARRIAGE, DRIVING_CLAMP, GUIDEWIRE_ROTARY, HOLDI
 from cathsim.robot_model import RobotSettings as RobotSettings
 
 DRIVES = ("direct", "robot")
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
 
 
 class FollowerRobot:
@@ -52,6 +54,28 @@ class FollowerRobot:
         self.pending_translation = self.pending_rotation = 0.0
         self._set()
         mujoco.mj_forward(self.model, self.data)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a continuation depends on, to be pickled; for `restore`."""
+        joints = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self.data, joints, _STATE)
+        pending = (self.pending_translation, self.pending_rotation)
+        return {"joints": joints, "cycle": self.cycle.state(), "pending": pending}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Returns to a state of a robot with the same settings."""
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, state["joints"], _STATE)
+        mujoco.mj_kinematics(self.model, self.data)
+        self.cycle.restore(state["cycle"])
+        self.pending_translation, self.pending_rotation = state["pending"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"settings": self.settings, "state": self.state()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        FollowerRobot.__init__(self, state["settings"])
+        self.restore(state["state"])
 
     @property
     def phase(self) -> Phase:

@@ -73,6 +73,14 @@ class FeedCycle:
         self.strokes = 0
         self._back = 0.0
 
+    def state(self) -> dict[str, float]:
+        """Where the cycle stands, for `restore`."""
+        return {name: value for name, value in vars(self).items() if name != "settings"}
+
+    def restore(self, state: dict[str, float]) -> None:
+        """Returns to a saved place."""
+        vars(self).update(state)
+
     def tick(self, measured: Measured, translation: float, rotation: float) -> None:
         """Moves the set points on by one time step.
 

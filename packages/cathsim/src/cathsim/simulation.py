@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -128,7 +129,7 @@ class Simulation:
         measure_penetration: bool = False,
     ) -> None:
         self.phantom, self.wire, self.numerics, self.entry = phantom, wire, numerics, entry
-        self.contact = contact
+        self.contact, self._measured = contact, measure_penetration
         self.vessel = (
             vessel_of(phantom, entry) if contact == "sdf" else hull_vessel(phantom, entry, decomposition(contact))
         )
@@ -162,6 +163,32 @@ class Simulation:
         self._index = 0
         self._rung = self._rung_at(0)
         self.reset()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # models and native structs are made anew; MuJoCo's data go along, so that whatever is read of them stays
+        arguments = {
+            "entry": self.entry,
+            "contact": self.contact,
+            "tip_motors": self.tip_motors,
+            "blood": self.blood,
+            "measure_penetration": self._measured,
+        }
+        return {
+            "arguments": ((self.phantom, self.wire, self.numerics), arguments),
+            "state": self.state(),
+            "data": self.data,
+            "loads": self._rung.loads,
+            "forces": self.force_state(),
+            "depths": self.depths,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        positional, arguments = state["arguments"]
+        Simulation.__init__(self, *positional, **arguments)
+        self.restore(state["state"])
+        mujoco.mj_copyData(self.data, self.model, state["data"])
+        self._rung.loads[:], self.depths[:] = state["loads"], state["depths"]
+        self.restore_forces(state["forces"])
 
     def _rung_at(self, index: int) -> _Rung:
         if index not in self._rungs:

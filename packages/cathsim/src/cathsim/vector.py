@@ -63,8 +63,18 @@ class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._threads = min(num_envs, threads or os.cpu_count() or 1)
-        self._pool = ThreadPoolExecutor(self._threads - 1, "cathsim") if self._threads > 1 else None
+        self._pool = self._start_threads()
         self._ended = np.zeros(num_envs, bool)
+
+    def _start_threads(self) -> ThreadPoolExecutor | None:
+        return ThreadPoolExecutor(self._threads - 1, "cathsim") if self._threads > 1 else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_pool"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._pool = self._start_threads()
 
     def _each(self, work: Callable[[int], Any]) -> list[Any]:
         """Does the work for every environment, each thread taking the next one that is left."""

@@ -79,6 +79,9 @@ class BiplaneFluoroscope:
         material: of the wire.
         centre: (3,) m, the middle of where the wire will be.
 
+    Attributes:
+        recipe: the arguments of `of`, where that has made it; of others None.
+
     Raises:
         ValueError: for no cameras, a name twice, sizes that do not fit or exceed 4,096 px.
     """
@@ -102,12 +105,21 @@ class BiplaneFluoroscope:
                 raise ValueError(f"images may have at most {MAXIMUM_SIZE} px a side, got {shape}.")
             if still.primary.shape != shape or still.veil.shape != shape:
                 raise ValueError(f"camera {camera.name} has {shape} px and its radiograph {still.primary.shape}.")
+        self._centre = np.array(centre, float)
         self.cameras = {camera.name: camera for camera in cameras}
         self.material = material or jacketed_wire(WIRE_RADIUS)
         self._stills = dict(zip(names, radiographs, strict=True))
         self._inks = {camera.name: WireInk(camera, self.material, centre) for camera in cameras}
         self._kernels = {camera.name: _kernel(camera) for camera in cameras}
         self._expose = _native_expose()
+        self.recipe: dict[str, Any] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        make = functools.partial(type(self), material=self.material, centre=self._centre)
+        return make, (tuple(self.cameras.values()), tuple(self._stills.values())), {"recipe": self.recipe}
+
+    def __deepcopy__(self, memo: dict[int, object]) -> BiplaneFluoroscope:
+        return self  # never changes
 
     @classmethod
     def of(
@@ -144,7 +156,10 @@ class BiplaneFluoroscope:
         centre = phantom.bounds.mean(axis=0)
         cameras = PAIRS[geometry](centre, size)
         stills = [radiograph(phantom.grid, camera, what, key=phantom.hash) for camera in cameras]
-        return cls(cameras, stills, material=material, centre=centre)
+        made = cls(cameras, stills, material=material, centre=centre)
+        made.recipe = {"phantom": phantom, "geometry": geometry, "size": size, "surroundings": surroundings}
+        made.recipe |= {"filling": filling, "material": material}
+        return made
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import functools
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,6 +82,14 @@ class FluoroscopyRenderer:
             raise ValueError(
                 f"wire_radius and wire_attenuation must be positive, got {wire_radius!r} m and {wire_attenuation!r} /m."
             )
+        self._arguments = (projector, grey)
+        self._options: dict[str, Any] = {
+            "wire_radius": wire_radius,
+            "wire_attenuation": wire_attenuation,
+            "centre": centre,
+            "gamma": gamma,
+            "photons": photons,
+        }
         self.projector = projector
         self.shape = shape
         self.photons = photons
@@ -103,6 +113,12 @@ class FluoroscopyRenderer:
         )
         self._address = ctypes.addressof(self._view)
         self._draw = _native_draw()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return functools.partial(type(self), **self._options), self._arguments  # native structs are made anew
+
+    def __deepcopy__(self, memo: dict[int, object]) -> FluoroscopyRenderer:
+        return self  # never changes
 
     @property
     def background(self) -> NDArray[np.uint8]:
