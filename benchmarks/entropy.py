@@ -1,9 +1,9 @@
 """Entropy weight of the thesis's SAC: fixed at 1, or learnt from 1 on, beside the thesis's reward.
 
-    python benchmarks/entropy.py [--decisions 6000] [--seeds 3]
+    python benchmarks/entropy.py [--decisions 20000] [--seeds 3]
 
 A point is steered within a square of 12 cm to a target in its middle, with the thesis's reward (minus the distance in
-metres, 10 at the target), discount and hyper-parameters, and two actions as the feeder has. Prints a row a training,
+metres, 10 at the target), discount and learning rate, and two actions as the feeder has. Prints a row a training,
 and one JSON object as its last line.
 """
 
@@ -73,6 +73,8 @@ def measure(weight: str | float, seed: int, decisions: int) -> dict[str, Any]:
         THESIS_SAC,
         extractor="vectors",
         variant="desk",
+        hidden=(64, 64),  # a small task
+        batch_size=128,
         ent_coef=weight,
         decisions=decisions,
         buffer_size=decisions,
@@ -102,7 +104,7 @@ def measure(weight: str | float, seed: int, decisions: int) -> dict[str, Any]:
 def main() -> None:
     """Measures both weights."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--decisions", type=int, default=6000)
+    parser.add_argument("--decisions", type=int, default=20_000)
     parser.add_argument("--seeds", type=int, default=3)
     given = parser.parse_args()
     rows = []

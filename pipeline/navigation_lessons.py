@@ -130,7 +130,7 @@ def _looks(pupils: Sequence[_Pupil], navigator: Navigator) -> np.ndarray:
 def _joined(recalled: Sequence[Tensor | None], navigator: Navigator) -> Tensor:
     import torch
 
-    empty = torch.zeros(1, 1, navigator.settings.hidden)
+    empty = torch.zeros(1, 1, navigator.settings.hidden, device=navigator.device)
     return torch.cat([empty if one is None else one for one in recalled], 1)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
+from enn.devices import seeded
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.image_network import shifted
 from enn.normalisation import standardised
@@ -87,6 +88,7 @@ def clone(
     seed: int = 0,
     folder: Path | str | None = None,
     progress: Callable[[FitProgress], None] | None = None,
+    device: torch.device | str = "cpu",
 ) -> tuple[ClonedPolicy, FitReport]:
     """Clones an expert.
 
@@ -98,6 +100,7 @@ def clone(
         seed: of weights, shuffling and augmentation.
         folder: for a checkpoint, from which an interrupted fit goes on.
         progress: called after every epoch.
+        device: where the student is fitted and stays.
 
     Returns:
         The student, and what the fit was like.
@@ -119,12 +122,12 @@ def clone(
         actions=actions.shape[1],
         expert_features=0 if target is None else target.shape[1],
     )
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
+    with seeded(seed, device):
         network = CloningNetwork(network_settings)
         network.images.fit_background(images)
         if initial is not None:
             take_over(network, initial)
+        network.to(device)
         loss = _loss(network, settings, images, wanted, target)
         report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
     return ClonedPolicy(network), report
@@ -134,15 +137,15 @@ def _loss(
     network: CloningNetwork, settings: BehaviourCloningSettings, images: Tensor, wanted: Tensor, target: Tensor | None
 ) -> Callable[[NDArray[np.int64], bool, np.random.Generator], Tensor]:
     def loss(samples: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
-        index = torch.as_tensor(samples)
-        batch = images[index]
+        index, device = torch.as_tensor(samples), network.images.background.device
+        batch = images[index].to(device)
         if training:
             batch = augmented(batch, settings, network.images.background, generator)
         features = network.features(batch)
-        value = negative_log_likelihood(network.head(features), network.log_std, wanted[index])
+        value = negative_log_likelihood(network.head(features), network.log_std, wanted[index].to(device))
         if target is not None and settings.feature_matching:
             value = value + settings.feature_matching * nn.functional.mse_loss(
-                network.matching(features), target[index]
+                network.matching(features), target[index].to(device)
             )
         if training:
             value = value - settings.entropy * entropy(network.log_std)
@@ -180,7 +183,7 @@ def augmented(
         images = shifted(images, offsets, background)
     if settings.noise:
         noise = torch.as_tensor(generator.normal(0.0, settings.noise, tuple(images.shape)).astype(np.float32))
-        images = (images.float() + noise).clamp(0.0, 255.0)
+        images = (images.float() + noise.to(images.device)).clamp(0.0, 255.0)
     return images
 
 

@@ -15,6 +15,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from enn.devices import on_cpu
+
 FORMAT = "enn-checkpoint-1"
 INDEX = "index.json"
 
@@ -72,7 +74,7 @@ class CheckpointFolder:
             entries[name] = entry
         file = self.folder / f"state-{self._number}.pt"
         with file.open("wb") as stream:
-            torch.save(state, stream)
+            torch.save(on_cpu(state), stream)
             _flush(stream)
         index = {
             "format": FORMAT,

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from enn.devices import device_of
 from enn.image_network import ImageNetwork, ImageSettings
 from enn.model_file import read_network, write_network
 
@@ -134,18 +135,18 @@ class ClonedPolicy:
                 without a generator.
         """
         with torch.inference_mode():
-            mean = self.network(self._images(observations)).numpy()
+            mean = self.network(self._images(observations)).cpu().numpy()
             if not deterministic:
                 if generator is None:
                     raise ValueError("a stochastic action needs a seeded numpy Generator")
-                spread = self.network.log_std.exp().numpy()
+                spread = self.network.log_std.exp().cpu().numpy()
                 mean = mean + spread * generator.standard_normal(mean.shape, np.float32)
         return np.clip(mean, -1.0, 1.0)
 
     def features(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Z of observations with a leading N. Shape (N, features)."""
         with torch.inference_mode():
-            found: NDArray[np.float32] = self.network.features(self._images(observations)).numpy()
+            found: NDArray[np.float32] = self.network.features(self._images(observations)).cpu().numpy()
         return found
 
     def controller(
@@ -177,15 +178,15 @@ class ClonedPolicy:
             )
         if images.dtype.kind == "f" and not np.isfinite(images).all():
             raise ValueError("an image is not finite: look at what makes the observations")
-        return torch.as_tensor(images)
+        return torch.as_tensor(images).to(device_of(self.network))
 
     def save(self, path: Path | str) -> None:
         """Writes settings and weights into one file, atomically."""
         write_network(path, FORMAT, self.network, self.metadata)
 
     @classmethod
-    def load(cls, path: Path | str) -> ClonedPolicy:
-        """Reads a student.
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> ClonedPolicy:
+        """Reads a student onto a device.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -198,5 +199,6 @@ class ClonedPolicy:
                 lambda settings: CloningNetwork(CloningSettings(**settings)),
                 kind="cloned policy",
                 verb="clone",
+                device=device,
             )
         )

@@ -13,6 +13,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from enn.behaviour_cloning import DESK_CLONING, BehaviourCloningSettings, clone
@@ -172,6 +173,7 @@ def dagger(
     seed: int = 0,
     folder: Path | str | None = None,
     progress: Callable[[int, FitProgress], None] | None = None,
+    device: torch.device | str = "cpu",
 ) -> tuple[ClonedPolicy, list[DaggerRound], list[Trajectory]]:
     """Improves a student where it goes itself.
 
@@ -184,6 +186,7 @@ def dagger(
         seed: of roll-outs and fits.
         folder: for checkpoints of the fits, one each.
         progress: called with the round (0: the first clone) after every epoch.
+        device: where the student is fitted.
 
     Returns:
         The student, what each round came to, and all episodes that it has learnt from.
@@ -202,6 +205,7 @@ def dagger(
             seed=seed + index,
             folder=None if folder is None else Path(folder) / f"round{index}",
             progress=None if progress is None else lambda told: progress(index, told),
+            device=device,
         )
 
     if student is None:

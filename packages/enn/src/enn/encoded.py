@@ -11,6 +11,7 @@ import torch
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn, VecEnvWrapper
 
+from enn.devices import device_of
 from enn.features import require_keys
 
 Observations = dict[str, np.ndarray]
@@ -47,8 +48,10 @@ class EncodedEnvs(VecEnvWrapper):
                     f"the encoder was trained with '{key}' of shape {tuple(shape)}, but the environment gives "
                     f"{space[key].shape}: use the same wire and image size"
                 )
+        self._device = torch.device("cpu")
         if isinstance(encoder, torch.nn.Module):
             encoder.eval()
+            self._device = device_of(encoder)
         size = encoder.settings.features
         features = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         kept = {key: space[key] for key in self.passthrough}
@@ -57,8 +60,11 @@ class EncodedEnvs(VecEnvWrapper):
     def encode(self, observations: Mapping[str, np.ndarray]) -> Observations:
         """Features of a batch, and what passes by. Shapes (n, ...)."""
         with torch.inference_mode():
-            seen = {key: torch.from_numpy(np.ascontiguousarray(observations[key])) for key in self.encoder.keys}
-            features = self.encoder(seen).numpy()
+            seen = {
+                key: torch.from_numpy(np.ascontiguousarray(observations[key])).to(self._device)
+                for key in self.encoder.keys
+            }
+            features = self.encoder(seen).cpu().numpy()
         return {"features": features, **{key: observations[key] for key in self.passthrough}}
 
     def reset(self) -> Observations:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from enn.devices import device_of
 from enn.encoded import EncodedEnvs
 from enn.encoder_network import POINT_SCALE, TARGETS, Encoder, EncoderSettings
 from enn.exploration import Samples, scripted_samples
@@ -23,6 +24,7 @@ logger = logging.getLogger(__name__)
 
 INSERTION_SCALE = 30.0  # mm
 FRONTAL = (0, 2)  # axes of the plane that the frontal image shows
+_AT_ONCE = 500  # samples that pass the network together where nothing is learnt
 PICTURE_EPOCHS, VECTOR_EPOCHS = 10, 30  # a vector costs less, so that it may be looked at more often
 
 
@@ -52,6 +54,7 @@ def fit_encoder(
     keys: Sequence[str],
     settings: EncoderSettings | None = None,
     progress: Callable[[float, dict[str, float]], None] | None = None,
+    device: torch.device | str = "cpu",
 ) -> tuple[Encoder, dict[str, Any]]:
     """Trains an encoder to tell where the wire is.
 
@@ -63,6 +66,7 @@ def fit_encoder(
         keys: of the observations to look at.
         settings: choices of network and training; keys, shapes and epochs of 0 are filled in.
         progress: called after every epoch with the share done and the errors of its batches (`loss`).
+        device: where the encoder is trained and stays.
 
     Returns:
         The encoder, frozen and in evaluation mode, and a report: `encoder_report` of the held-out roll-outs, and
@@ -89,6 +93,7 @@ def fit_encoder(
         torch.manual_seed(settings.seed)
         encoder = Encoder(settings)
     encoder.adapt(samples.take(train[:: max(len(train) // 2000, 1)]))
+    encoder.to(device)
     seen = {key: torch.from_numpy(samples.observations[key]) for key in keys}
     prepared = _prepared(encoder, seen)
     _optimise(encoder, prepared, _targets(samples), torch.from_numpy(train), progress)
@@ -105,18 +110,21 @@ def _prepared(encoder: Encoder, seen: dict[str, Tensor]) -> dict[str, Tensor]:
     """Inputs of all samples, prepared once instead of every epoch; in half precision, since pictures are many."""
     count = len(next(iter(seen.values())))
     parts = [
-        {name: values.half() for name, values in encoder.prepare(_rows(seen, slice(at, at + 500))).items()}
-        for at in range(0, count, 500)
+        {name: values.half().cpu() for name, values in encoder.prepare(_moved(seen, at, encoder)).items()}
+        for at in range(0, count, _AT_ONCE)
     ]
     return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
 
 
-def _rows(values: Mapping[str, Tensor], rows: Any) -> dict[str, Tensor]:
-    return {name: tensor[rows] for name, tensor in values.items()}
+def _moved(seen: Mapping[str, Tensor], first: int, encoder: Encoder) -> dict[str, Tensor]:
+    """The next `_AT_ONCE` samples, on the encoder's device."""
+    device = device_of(encoder)
+    return {name: tensor[first : first + _AT_ONCE].to(device) for name, tensor in seen.items()}
 
 
-def _batch(prepared: Mapping[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
-    return {name: tensor[rows].float() for name, tensor in prepared.items()}
+def _batch(prepared: Mapping[str, Tensor], rows: Tensor, encoder: Encoder) -> dict[str, Tensor]:
+    device = device_of(encoder)
+    return {name: tensor[rows].to(device).float() for name, tensor in prepared.items()}
 
 
 def _optimise(
@@ -128,7 +136,7 @@ def _optimise(
 ) -> None:
     settings = encoder.settings
     encoder.target_mean.copy_(targets[rows].mean(0))
-    targets = targets - encoder.target_mean
+    targets = targets - encoder.target_mean.cpu()
     size = min(settings.batch_size, len(rows))
     per_epoch = len(rows) // size
     optimiser = torch.optim.AdamW(
@@ -138,14 +146,15 @@ def _optimise(
         optimiser, settings.learning_rate, total_steps=settings.epochs * per_epoch, pct_start=0.1
     )
     generator = torch.Generator().manual_seed(settings.seed)
-    error = torch.ones(TARGETS)
+    device = device_of(encoder)
+    error = torch.ones(TARGETS, device=device)
     encoder.train()
     for epoch in range(settings.epochs):
         order = rows[torch.randperm(len(rows), generator=generator)]
         total = 0.0
         for batch in order[: per_epoch * size].split(size):
-            predicted = encoder.head(encoder.bottleneck(_batch(prepared, batch)))
-            squares = functional.mse_loss(predicted, targets[batch], reduction="none").mean(0)
+            predicted = encoder.head(encoder.bottleneck(_batch(prepared, batch, encoder)))
+            squares = functional.mse_loss(predicted, targets[batch].to(device), reduction="none").mean(0)
             error.lerp_(squares.detach(), 0.03)
             loss = (squares / error.clamp(min=1e-4)).mean()
             optimiser.zero_grad()
@@ -160,7 +169,7 @@ def _optimise(
 @torch.no_grad()
 def _normalise(encoder: Encoder, prepared: dict[str, Tensor], rows: Tensor) -> None:
     some = rows[:: max(len(rows) // 4000, 1)]
-    features = torch.cat([encoder.bottleneck(_batch(prepared, batch)) for batch in some.split(500)])
+    features = torch.cat([encoder.bottleneck(_batch(prepared, batch, encoder)) for batch in some.split(_AT_ONCE)])
     encoder.feature_mean.copy_(features.mean(0))
     encoder.feature_scale.copy_(1.0 / features.std(0, correction=0).clamp(min=1e-6))
 
@@ -178,7 +187,7 @@ def encoder_report(encoder: Encoder, samples: Samples) -> dict[str, float]:
         tip_frontal_p95_mm: the same in the plane of the frontal image (x, z); points_mm: mean over all points.
     """
     seen = {key: torch.from_numpy(samples.observations[key]) for key in encoder.keys}
-    parts = [encoder.wire_points_mm(_rows(seen, slice(at, at + 500))) for at in range(0, len(samples), 500)]
+    parts = [encoder.wire_points_mm(_moved(seen, at, encoder)).cpu() for at in range(0, len(samples), _AT_ONCE)]
     offset = torch.cat(parts).numpy() - samples.points_mm
     distance, frontal = np.linalg.norm(offset, axis=2), np.linalg.norm(offset[..., FRONTAL], axis=2)
     return {

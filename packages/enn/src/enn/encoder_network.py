@@ -235,15 +235,20 @@ class Encoder(nn.Module):
         write_network(path, FORMAT, self)
 
     @classmethod
-    def load(cls, path: Path | str) -> Encoder:
-        """Reads an encoder, frozen and in evaluation mode.
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> Encoder:
+        """Reads an encoder onto a device, frozen and in evaluation mode.
 
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, no encoder, or its weights do not fit its settings.
         """
         encoder, _ = read_network(
-            path, FORMAT, lambda settings: cls(EncoderSettings(**settings)), kind="encoder", verb="fit"
+            path,
+            FORMAT,
+            lambda settings: cls(EncoderSettings(**settings)),
+            kind="encoder",
+            verb="fit",
+            device=device,
         )
         encoder.eval().requires_grad_(False)
         return encoder

@@ -112,7 +112,7 @@ def fit(
     """Fits a module in place and leaves it with the weights of its best epoch.
 
     Args:
-        module: to be fitted.
+        module: to be fitted, on the device that it is to be fitted on.
         loss: mean loss of samples given by their indices; augmentation only where the flag says training.
         episodes: (N,) number of the episode that each sample is from: whole episodes are held out for validation.
         settings: of the fit.

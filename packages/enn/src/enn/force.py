@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from enn.devices import device_of, seeded
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.force_samples import ForceSamples
 from enn.image_network import ImageNetwork, ImageSettings
@@ -150,6 +151,7 @@ def fit_force(
     seed: int = 0,
     folder: Path | str | None = None,
     progress: Callable[[FitProgress], None] | None = None,
+    device: torch.device | str = "cpu",
 ) -> tuple[ForcePredictor, FitReport]:
     """Learns to predict contact forces.
 
@@ -159,6 +161,7 @@ def fit_force(
         seed: of weights and shuffling.
         folder: for a checkpoint, from which an interrupted fit goes on.
         progress: called after every epoch.
+        device: where the network is fitted and stays.
 
     Returns:
         The predictor, and what the fit was like.
@@ -174,21 +177,21 @@ def fit_force(
         matched=matched,
     )
     images, vectors = torch.as_tensor(samples.images), torch.as_tensor(samples.vectors)
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
+    with seeded(seed, device):
         network = ForceNetwork(network_settings)
         network.fit_scales(samples)
         wanted = torch.as_tensor(samples.forces) / network.force_scale
         target = torch.zeros(len(wanted), 0)
         if matched and samples.features is not None:
             target = torch.as_tensor(standardised(samples.features))
+        network.to(device)
 
         def loss(chosen: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
             index = torch.as_tensor(chosen)
-            features, force = network(images[index], vectors[index])
-            value = nn.functional.mse_loss(force, wanted[index])
+            features, force = network(images[index].to(device), vectors[index].to(device))
+            value = nn.functional.mse_loss(force, wanted[index].to(device))
             if matched and training:  # the best epoch is the one with the best force
-                value = value + settings.feature_weight * nn.functional.mse_loss(features, target[index])
+                value = value + settings.feature_weight * nn.functional.mse_loss(features, target[index].to(device))
             return value
 
         report = fit(network, loss, samples.episodes, settings.fit, seed=seed, folder=folder, progress=progress)
@@ -229,12 +232,13 @@ class ForcePredictor:
             )
         if not np.isfinite(numbers).all():
             raise ValueError("the numbers to predict forces from are not finite: look at what makes the observations")
-        parts = []
+        parts, device = [], device_of(self.network)
         with torch.inference_mode():
             for start in range(0, len(images), 512):
                 chosen = slice(start, start + 512)
-                _, force = self.network(torch.as_tensor(images[chosen]), torch.as_tensor(numbers[chosen]))
-                parts.append(force.double() * self.network.force_scale.double())
+                seen = torch.as_tensor(images[chosen]).to(device), torch.as_tensor(numbers[chosen]).to(device)
+                _, force = self.network(*seen)
+                parts.append(force.cpu().double() * self.network.force_scale.cpu().double())
         return np.clip(torch.cat(parts).numpy() if parts else np.zeros(0), 0.0, None)
 
     def save(self, path: Path | str) -> None:
@@ -242,8 +246,8 @@ class ForcePredictor:
         write_network(path, FORMAT, self.network, self.metadata)
 
     @classmethod
-    def load(cls, path: Path | str) -> ForcePredictor:
-        """Reads a predictor.
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> ForcePredictor:
+        """Reads a predictor onto a device.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -256,6 +260,7 @@ class ForcePredictor:
                 lambda settings: ForceNetwork(ForceNetworkSettings(**settings)),
                 kind="force predictor",
                 verb="fit",
+                device=device,
             )
         )
 

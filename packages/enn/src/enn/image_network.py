@@ -108,7 +108,8 @@ def shifted(images: Tensor, offsets: Tensor, fill: Tensor) -> Tensor:
     wide = torch.nn.functional.pad(fill.to(images.dtype)[None], (reach,) * 4, mode="replicate")
     wide = wide.repeat(len(images), 1, 1, 1)
     wide[:, :, reach : reach + height, reach : reach + width] = images
-    rows = torch.arange(height)[None, :, None] + reach - offsets[:, 0, None, None]
-    columns = torch.arange(width)[None, None, :] + reach - offsets[:, 1, None, None]
-    batch = torch.arange(len(images))[:, None, None]
+    offsets, device = offsets.to(images.device), images.device
+    rows = torch.arange(height, device=device)[None, :, None] + reach - offsets[:, 0, None, None]
+    columns = torch.arange(width, device=device)[None, None, :] + reach - offsets[:, 1, None, None]
+    batch = torch.arange(len(images), device=device)[:, None, None]
     return wide.permute(0, 2, 3, 1)[batch, rows, columns].permute(0, 3, 1, 2)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from enn.devices import device_of
 from enn.policy import Policy
 from enn.student import ImageStudent, Lesson
 
@@ -54,7 +55,7 @@ def give_lessons(
         batch = {key: np.stack([one.observation[key] for one in running]) for key in expert.keys}
         advice = expert.act_batch(batch, deterministic=True)
         views = np.stack([one.look() for one in running])
-        memory = _stacked([one.memory for one in running], student.settings.hidden)
+        memory = _stacked([one.memory for one in running], student)
         own, memory = student.act(views, memory)
         still = []
         for index, one in enumerate(running):
@@ -75,10 +76,10 @@ def give_lessons(
     return lessons
 
 
-def _stacked(memories: list[Tensor | None], hidden: int) -> Tensor:
+def _stacked(memories: list[Tensor | None], student: ImageStudent) -> Tensor:
     import torch
 
-    empty = torch.zeros(1, 1, hidden)
+    empty = torch.zeros(1, 1, student.settings.hidden, device=device_of(student.network))
     return torch.cat([empty if memory is None else memory for memory in memories], 1)
 
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from enn.devices import device_of
+
 WORKING_SIZE = 96  # px: images are brought to this side
 _SHIFT = 6  # px, of the augmentation
 
@@ -53,9 +55,9 @@ class LumenSegmenter(nn.Module):
             Shape (size, size).
         """
         self.eval()
-        pixels = torch.as_tensor(np.array(image, np.float32))[None, None]
+        pixels = torch.as_tensor(np.array(image, np.float32))[None, None].to(device_of(self))
         small = torch.sigmoid(self(_resized(pixels, self.working_size)))
-        return _resized(small, image.shape[-1])[0, 0].numpy()
+        return _resized(small, image.shape[-1])[0, 0].cpu().numpy()
 
 
 def fit_segmenter(
@@ -68,6 +70,7 @@ def fit_segmenter(
     working_size: int = WORKING_SIZE,
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
+    device: torch.device | str = "cpu",
 ) -> tuple[LumenSegmenter, float]:
     """Trains a segmenter; images are shifted, stretched and their contrast changed at random.
 
@@ -80,6 +83,7 @@ def fit_segmenter(
         working_size: px, of the segmenter.
         seed: of everything.
         progress: called with each epoch's number and loss.
+        device: where the network is trained and stays.
 
     Returns:
         The segmenter, and the overlap (intersection over union) on the training images.
@@ -92,7 +96,7 @@ def fit_segmenter(
     generator = np.random.default_rng(seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        network = LumenSegmenter(working_size=working_size)
+        network = LumenSegmenter(working_size=working_size).to(device)
     x = _resized(torch.as_tensor(np.asarray(images, np.float32))[:, None], working_size)
     y = _resized(torch.as_tensor(np.asarray(lumens, np.float32))[:, None], working_size)
     optimiser = torch.optim.Adam(network.parameters(), learning_rate, fused=True)
@@ -103,7 +107,7 @@ def fit_segmenter(
         total = 0.0
         for rows in np.array_split(generator.permutation(len(x)), -(-len(x) // batch_size)):
             chosen = torch.as_tensor(rows)
-            pair = _augmented(torch.cat((x[chosen], y[chosen]), 1), generator)
+            pair = _augmented(torch.cat((x[chosen], y[chosen]), 1).to(device), generator)
             loss = functional.binary_cross_entropy_with_logits(network(pair[:, :1]), pair[:, 1:])
             optimiser.zero_grad()
             loss.backward()
@@ -132,10 +136,10 @@ def _augmented(pair: Tensor, generator: np.random.Generator) -> Tensor:
     affine[:, 0, 0], affine[:, 0, 1] = stretch[:, 0] * np.cos(angle), -np.sin(angle)
     affine[:, 1, 0], affine[:, 1, 1] = np.sin(angle), stretch[:, 1] * np.cos(angle)
     affine[:, :, 2] = shift
-    grid = functional.affine_grid(torch.as_tensor(affine), list(pair.shape), align_corners=False)
+    grid = functional.affine_grid(torch.as_tensor(affine).to(pair.device), list(pair.shape), align_corners=False)
     moved = functional.grid_sample(pair, grid, padding_mode="border", align_corners=False)
     noise = torch.as_tensor(generator.normal(0.0, 1.5, (count, 1, *pair.shape[2:])).astype(np.float32))
-    return torch.cat((moved[:, :1] + noise, moved[:, 1:]), 1)
+    return torch.cat((moved[:, :1] + noise.to(pair.device), moved[:, 1:]), 1)
 
 
 def _block(inputs: int, outputs: int) -> nn.Sequential:

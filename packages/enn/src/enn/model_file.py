@@ -21,6 +21,8 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor, nn
 
+from enn.devices import on_cpu
+
 Network = TypeVar("Network", bound=nn.Module)
 
 
@@ -29,17 +31,17 @@ class OlderFormatError(ValueError):
 
 
 def encoded(content: Any) -> bytes:
-    """The bytes of a file.
+    """The bytes of a file, which opens on any device.
 
     Args:
         content: numbers, strings, lists, tuples, dictionaries and tensors.
     """
     stream = io.BytesIO()
-    torch.save(content, stream)
+    torch.save(on_cpu(content), stream)
     return _digest_line(stream.getbuffer()) + stream.getvalue()
 
 
-def decoded(data: bytes, device: str = "cpu") -> Any:
+def decoded(data: bytes, device: torch.device | str = "cpu") -> Any:
     """The content of what `encoded` gave.
 
     Args:
@@ -81,7 +83,7 @@ def write_model(path: Path, content: dict[str, Any]) -> None:
         raise
 
 
-def read_model(path: Path, form: str, *, kind: str, verb: str, device: str = "cpu") -> dict[str, Any]:
+def read_model(path: Path, form: str, *, kind: str, verb: str, device: torch.device | str = "cpu") -> dict[str, Any]:
     """Reads what `write_model` wrote.
 
     Args:
@@ -145,7 +147,13 @@ def write_network(path: Path | str, form: str, network: nn.Module, metadata: dic
 
 
 def read_network(
-    path: Path | str, form: str, build: Callable[[dict[str, Any]], Network], *, kind: str, verb: str
+    path: Path | str,
+    form: str,
+    build: Callable[[dict[str, Any]], Network],
+    *,
+    kind: str,
+    verb: str,
+    device: torch.device | str = "cpu",
 ) -> tuple[Network, dict[str, Any]]:
     """Reads what `write_network` wrote.
 
@@ -155,6 +163,7 @@ def read_network(
         build: makes the network, its weights still to be filled in, from the settings' fields.
         kind: of model, as messages call it.
         verb: what makes one.
+        device: where the network goes.
 
     Returns:
         The network, and the metadata.
@@ -168,7 +177,7 @@ def read_network(
     try:
         network = build(content["settings"])
         network.load_state_dict(content["weights"])
-        return network, dict(content["metadata"])
+        return network.to(device), dict(content["metadata"])
     except UNFIT as error:
         raise another_architecture(path, error, verb=verb) from error
 

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
+from enn.devices import device_of, seeded
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
 from enn.trajectory import Trajectory, episode_numbers
@@ -136,7 +137,8 @@ class PathFollower:
     def act(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
         """Actions for what is seen, (N, size). Within -1 and 1, shape (N, actions)."""
         with torch.inference_mode():
-            actions: NDArray[np.float32] = self.network(torch.as_tensor(seen)).numpy()
+            rows = torch.as_tensor(seen).to(device_of(self.network))
+            actions: NDArray[np.float32] = self.network(rows).cpu().numpy()
         return np.clip(actions, -1.0, 1.0)
 
     def save(self, path: Path | str) -> None:
@@ -150,8 +152,8 @@ class PathFollower:
         write_model(Path(path), content)
 
     @classmethod
-    def load(cls, path: Path | str) -> PathFollower:
-        """Reads a path follower.
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> PathFollower:
+        """Reads a path follower onto a device.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -166,7 +168,7 @@ class PathFollower:
             network.load_state_dict(content["weights"])
         except UNFIT as error:
             raise another_architecture(path, error, verb="fit") from error
-        return cls(network, settings)
+        return cls(network.to(device), settings)
 
 
 class PathController:
@@ -213,6 +215,7 @@ def fit_path_follower(
     seed: int = 0,
     folder: Path | str | None = None,
     progress: Callable[[FitProgress], None] | None = None,
+    device: torch.device | str = "cpu",
 ) -> tuple[PathFollower, FitReport]:
     """Learns to follow paths from an expert's episodes.
 
@@ -223,6 +226,7 @@ def fit_path_follower(
         seed: of weights and shuffling.
         folder: for a checkpoint, from which an interrupted fit goes on.
         progress: called after every epoch.
+        device: where the network is fitted and stays.
 
     Returns:
         The follower, and what the fit was like.
@@ -246,13 +250,12 @@ def fit_path_follower(
     seen = torch.as_tensor(np.stack(rows))
     wanted = torch.as_tensor(np.concatenate([trajectory.actions for trajectory in trajectories]).astype(np.float32))
     episodes = episode_numbers(trajectories)
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        network = build(settings, wanted.shape[1])
+    with seeded(seed, device):
+        network = build(settings, wanted.shape[1]).to(device)
 
         def loss(samples: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
             index = torch.as_tensor(samples)
-            return nn.functional.mse_loss(network(seen[index]), wanted[index])
+            return nn.functional.mse_loss(network(seen[index].to(device)), wanted[index].to(device))
 
         report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
     return PathFollower(network, settings), report

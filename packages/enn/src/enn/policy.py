@@ -64,7 +64,7 @@ class Policy:
         self.metadata = dict(metadata or {})
         self.module.set_training_mode(False)
         if encoder is not None:
-            encoder.eval()
+            encoder.eval().to(module.device)
             self.keys: tuple[str, ...] = (*encoder.keys, *passthrough)
         elif isinstance(observation_space, gymnasium.spaces.Dict):
             self.keys = network.keys or tuple(observation_space)
@@ -127,8 +127,7 @@ class Policy:
         if self.encoder is None or not isinstance(tensors, dict):
             return tensors
         features = self.encoder({key: tensors[key] for key in self.encoder.keys})
-        seen = {"features": features} | {key: tensors[key] for key in self.passthrough}
-        return {key: value.to(self.module.device) for key, value in seen.items()}
+        return {"features": features} | {key: tensors[key] for key in self.passthrough}
 
     def _tensors(self, observations: Observation) -> dict[str, Tensor] | Tensor:
         space = self.observation_space
@@ -156,8 +155,7 @@ class Policy:
             )
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise ValueError(f"{name} is not finite: look at what makes the observations")
-        # an encoder lives on the CPU, whatever the network is on
-        return torch.as_tensor(values, device=self.module.device if self.encoder is None else "cpu")
+        return torch.as_tensor(values).to(self.module.device)
 
     def save(self, path: Path | str) -> None:
         """Writes settings, spaces and weights into one file, atomically."""
@@ -180,8 +178,8 @@ class Policy:
         write_model(Path(path), content)
 
     @classmethod
-    def load(cls, path: Path | str, device: str = "cpu") -> Policy:
-        """Reads a policy.
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> Policy:
+        """Reads a policy onto a device.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -198,6 +196,7 @@ class Policy:
 
                 encoder = Encoder(EncoderSettings(**content["encoder"]["settings"]))
                 encoder.load_state_dict(content["encoder"]["weights"])
+                encoder.to(device)
             module = build_network(network, _space(content["network_space"]), action_space).to(device)
             wanted = {key for key in module.state_dict() if _acts(network, key)}
             if wanted != content["weights"].keys():

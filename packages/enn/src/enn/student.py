@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from enn.devices import device_of
 from enn.egocentric import VIEW_SIZE, EgocentricView, without_wire
 from enn.lumen_segmentation import LumenSegmenter
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
@@ -114,13 +115,20 @@ class ImageStudent:
         settings: of the network.
         segmenter: finds the lumen in an episode's first image.
         seed: of the network's weights.
+        device: of both.
     """
 
-    def __init__(self, settings: StudentSettings, segmenter: LumenSegmenter, seed: int = 0) -> None:
-        self.settings, self.segmenter = settings, segmenter
+    def __init__(
+        self,
+        settings: StudentSettings,
+        segmenter: LumenSegmenter,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.settings, self.segmenter = settings, segmenter.to(device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.network = StudentNetwork(settings)
+            self.network = StudentNetwork(settings).to(device)
 
     @property
     def action_repeat(self) -> int:
@@ -147,8 +155,8 @@ class ImageStudent:
     @torch.inference_mode()
     def act(self, views: NDArray[np.float32], memory: Tensor | None) -> tuple[NDArray[np.float32], Tensor]:
         """Actions for one look of N episodes and the memory after it. Shapes (N, view) to (N, 2), (1, N, hidden)."""
-        actions, _, memory = self.network(torch.as_tensor(views)[:, None], memory)
-        return actions[:, 0].numpy(), memory
+        actions, _, memory = self.network(torch.as_tensor(views)[:, None].to(device_of(self.network)), memory)
+        return actions[:, 0].cpu().numpy(), memory
 
     def controller(self) -> StudentController:
         """The student over episodes; call `reset()` at the start of each."""
@@ -218,7 +226,7 @@ class ImageStudent:
     def _loss(self, lessons: Sequence[Lesson]) -> Tensor:
         pad = nn.utils.rnn.pad_sequence
         views, wanted, hints, counted = (
-            pad([torch.as_tensor(part) for part in parts], batch_first=True)
+            pad([torch.as_tensor(part) for part in parts], batch_first=True).to(device_of(self.network))
             for parts in (
                 [lesson.views for lesson in lessons],
                 [lesson.actions for lesson in lessons],
@@ -246,8 +254,8 @@ class ImageStudent:
         write_model(Path(path), content)
 
     @classmethod
-    def load(cls, path: Path | str) -> ImageStudent:
-        """Reads a student.
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> ImageStudent:
+        """Reads a student onto a device.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -257,7 +265,7 @@ class ImageStudent:
         try:
             segmenter = LumenSegmenter(*content["segmenter"]["settings"])
             segmenter.load_state_dict(content["segmenter"]["weights"])
-            student = cls(StudentSettings(**content["settings"]), segmenter)
+            student = cls(StudentSettings(**content["settings"]), segmenter, device=device)
             student.network.load_state_dict(content["weights"])
         except UNFIT as error:
             raise another_architecture(Path(path), error, verb="train") from error

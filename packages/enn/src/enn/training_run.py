@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import numpy as np
 import torch
+from stable_baselines3.common.utils import get_device
 
 from enn.bank import ResetBank
 from enn.case_bank import CaseBank
@@ -118,6 +119,7 @@ class TrainingRun:
         if training.encoder is not None:
             from enn.encoded import EncodedEnvs
 
+            training.encoder.to(get_device(settings.device))
             self.envs = EncodedEnvs(self.sampled, training.encoder, settings.passthrough)
         demonstrations = None
         if settings.demonstrations_in_replay > 0 and training.demonstrations:

@@ -76,7 +76,7 @@ class TrainingSettings:
         curve_every: decisions between rows of the curve.
         checkpoint_seconds: between checkpoints; 0: after every decision.
         tensorboard: writes event files into the folder.
-        device: of the networks, "cpu" or "cuda".
+        device: of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one.
     """
 
     algorithm: str = "sac"

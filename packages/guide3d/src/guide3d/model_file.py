@@ -25,6 +25,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.utils._pytree import tree_map_only
 
 from guide3d.atomic_file import whole_file
 
@@ -39,7 +40,7 @@ class OlderFormatError(ValueError):
 def write_content(path: Path | str, content: Any) -> None:
     """Writes numbers, strings, lists, tuples, dictionaries and tensors; a reader sees the former file or this one."""
     stream = io.BytesIO()
-    torch.save(content, stream)
+    torch.save(tree_map_only(Tensor, lambda tensor: tensor.detach().cpu(), content), stream)  # opens on any device
     with whole_file(path) as file:
         file.write(_digest_line(stream.getbuffer()))
         file.write(stream.getbuffer())

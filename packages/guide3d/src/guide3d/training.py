@@ -171,7 +171,7 @@ def fit(
         "seed": seed,
     }
     if (folder / LAST).is_file():
-        _resume(folder / LAST, identity, parts, report, ranks.device)
+        _resume(folder / LAST, identity, parts, report)
     shared = ranks.wrapped(module)
     while len(report.rows) < settings.epochs and not _out_of_patience(report, settings):
         epoch, started = len(report.rows), time.process_time()
@@ -219,7 +219,7 @@ def fit(
             progress(FitProgress(epoch + 1, settings.epochs, mean, validation))
     ranks.wait()
     try:
-        module.load_state_dict(read_content(folder / BEST, ranks.device))
+        module.load_state_dict(read_content(folder / BEST))
     except (OSError, *UNFIT) as error:
         raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start anew") from error
     module.eval()
@@ -301,11 +301,9 @@ def _out_of_patience(report: FitReport, settings: FitSettings) -> bool:
     return bool(settings.patience) and len(report.rows) - report.best_epoch >= settings.patience
 
 
-def _resume(
-    file: Path, identity: dict[str, Any], parts: dict[str, Any], report: FitReport, device: torch.device
-) -> None:
+def _resume(file: Path, identity: dict[str, Any], parts: dict[str, Any], report: FitReport) -> None:
     try:
-        content = read_content(file, device)
+        content = read_content(file)
         if content["format"] != FORMAT:
             raise KeyError("format")
         for name, mine in identity.items():

@@ -119,7 +119,7 @@ class NavigatorNetwork(nn.Module):
 
 
 class Navigator:
-    """A policy and the SplineFormer that it sees with.
+    """A policy and the SplineFormer that it sees with, on whose device it is.
 
     Args:
         settings: of the network.
@@ -139,7 +139,12 @@ class Navigator:
         self.settings, self.reader = settings, reader
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.network = NavigatorNetwork(settings).eval()
+            self.network = NavigatorNetwork(settings).eval().to(self.device)
+
+    @property
+    def device(self) -> torch.device:
+        """Where eye and policy compute."""
+        return self.reader.predictor.device
 
     def begin(
         self,
@@ -165,8 +170,8 @@ class Navigator:
     @torch.inference_mode()
     def act(self, looks: NDArray[np.float32], recalled: Tensor | None = None) -> tuple[NDArray[np.float32], Tensor]:
         """Actions for one look of N episodes, and what is remembered after it: (N, size) to (N, 2), (1, N, hidden)."""
-        actions, _, recalled = self.network(torch.as_tensor(looks)[:, None], recalled)
-        return actions[:, 0].numpy(), recalled
+        actions, _, recalled = self.network(torch.as_tensor(looks)[:, None].to(self.device), recalled)
+        return actions[:, 0].cpu().numpy(), recalled
 
     def controller(
         self,

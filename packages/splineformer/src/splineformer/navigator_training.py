@@ -134,7 +134,7 @@ def clone(
         optimiser, passes * batches, eta_min=settings.learning_rate / 10
     )
     losses = []
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[navigator.device] if navigator.device.type == "cuda" else []):
         torch.manual_seed(seed)
         network.train()
         for epoch in range(passes):
@@ -160,7 +160,7 @@ def clone(
 def _loss(navigator: Navigator, episodes: Sequence[Episode], settings: CloningSettings) -> Tensor:
     network = navigator.network
     looks, wanted, hints, counted = (
-        nn.utils.rnn.pad_sequence([torch.as_tensor(part) for part in parts], batch_first=True)
+        nn.utils.rnn.pad_sequence([torch.as_tensor(part) for part in parts], batch_first=True).to(navigator.device)
         for parts in (
             [episode.looks for episode in episodes],
             [episode.actions for episode in episodes],
@@ -169,7 +169,8 @@ def _loss(navigator: Navigator, episodes: Sequence[Episode], settings: CloningSe
         )
     )
     if settings.noise:
-        looks = looks + settings.noise * torch.randn_like(looks) / network.scale.clamp_min(1e-6)
+        noise = torch.randn(looks.shape).to(navigator.device)  # drawn on the CPU: the same on every device
+        looks = looks + settings.noise * noise / network.scale.clamp_min(1e-6)
     actions, told, _ = network(looks)
     error = functional.smooth_l1_loss(actions, wanted, reduction="none", beta=_BEND).sum(-1)
     if navigator.settings.hints:

@@ -144,11 +144,11 @@ class SplineObjective:
             )
         else:
             ordered = weights if isinstance(weights, OrderedWeights) else OrderedWeights()
-            self.shares = network.shares.double().numpy()
+            self.shares = network.shares.double().cpu().numpy()
             self.steps, self.step = network.settings.steps, network.step
             parameters = torch.linspace(0, 1, _CURVE_SAMPLES, dtype=torch.float64)
             self.curve_shares = parameters.numpy()
-            self.bases = collocation(network.knots.double(), parameters).float()
+            self.bases = collocation(network.knots.double().cpu(), parameters).float()
             self.targets = self._point_targets
             sights = [step.sight for step in network.refinements()]
             self._loss = lambda module, batch: ordered_loss(

@@ -1,0 +1,41 @@
+"""Devices: where a network lives, and files that know nothing of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import nn
+from torch.utils._pytree import tree_map_only
+
+
+def device_of(module: nn.Module) -> torch.device:
+    """The device of a network's weights, or of its buffers; the CPU where it has neither."""
+    for tensor in (*module.parameters(), *module.buffers()):
+        return tensor.device
+    return torch.device("cpu")
+
+
+def on_cpu(content: Any) -> Any:
+    """The same with every tensor on the CPU, so that a file that was written beside a GPU opens without one.
+
+    Args:
+        content: tensors in dictionaries, lists and tuples, beside anything else.
+    """
+    return tree_map_only(torch.Tensor, lambda tensor: tensor.detach().cpu(), content)
+
+
+@contextmanager
+def seeded(seed: int, device: torch.device | str = "cpu") -> Iterator[None]:
+    """Global random numbers from a seed inside, as they were outside; no GPU but the one named is woken.
+
+    Args:
+        seed: of what is drawn inside.
+        device: whose generator is put back, beside the CPU's.
+    """
+    place = torch.device(device)
+    with torch.random.fork_rng(devices=[place] if place.type == "cuda" else []):
+        torch.manual_seed(seed)
+        yield

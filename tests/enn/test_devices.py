@@ -1,0 +1,209 @@
+"""Every network of the package is trained and read on another device than the CPU, and its file opens anywhere."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from enn.behaviour_cloning import DESK_CLONING, clone
+from enn.cloned_policy import ClonedPolicy
+from enn.dagger import DaggerSettings, dagger, record
+from enn.devices import device_of, on_cpu
+from enn.encoder import EncoderSettings, fit_encoder, scripted_samples
+from enn.encoder_network import Encoder
+from enn.fitting import FitSettings
+from enn.force import DESK_FORCE, ForcePredictor, fit_force
+from enn.force_samples import force_samples
+from enn.lumen_segmentation import fit_segmenter
+from enn.path_following import PathFollower, PathFollowerSettings, fit_path_follower
+from enn.policy import Policy
+from enn.reinforcement import DESK_PPO, THESIS_SAC, Training, TrainingSettings
+from enn.student import ImageStudent, StudentSettings
+from enn.trajectory import Trajectory
+from tests.enn.drawn_point import DrawnPoint, expert
+from tests.enn.small_training import SMALL
+from tests.enn.test_encoder import Rod
+from tests.enn.test_student import WireEnv, lessons_of, vessels
+from tests.second_device import second_device
+
+
+def test_a_second_device_is_as_strict_as_a_gpu() -> None:
+    with second_device() as device:
+        network = torch.nn.Linear(3, 2).to(device)
+        assert device_of(network) == torch.device(device)
+        told = network(torch.ones(1, 3).to(device))
+        with pytest.raises(RuntimeError, match="same device"):
+            network(torch.ones(1, 3))
+        with pytest.raises(TypeError, match="numpy"):
+            told.detach().numpy()
+        told.sum().backward()
+        assert torch.device(device) == network.weight.grad.device
+        kept = on_cpu({"weights": network.state_dict(), "rest": [1, (told,)]})
+        assert kept["rest"][1][0].device.type == kept["weights"]["weight"].device.type == "cpu"
+
+
+def _small(preset: TrainingSettings, **changed: Any) -> TrainingSettings:
+    return dataclasses.replace(
+        preset, decisions=64, learning_starts=32, evaluate_every=64, evaluation_episodes=1, curve_every=64,
+        batch_size=8, hidden=(8, 8), **changed,
+    )  # fmt: skip
+
+
+TRAININGS = {
+    "sac": _small(SMALL),
+    "sac of images": _small(
+        THESIS_SAC,
+        extractor="multimodal",
+        variant="desk",
+        keys=("image", "place"),
+        n_envs=8,
+        gradient_steps=0.25,
+        buffer_size=400,
+    ),
+    "ppo": _small(DESK_PPO, n_steps=16, action_repeat=1, epochs=2),
+}
+
+
+@pytest.mark.parametrize("name", TRAININGS)
+def test_reinforcement_learning(name: str, point_env: Any, tmp_path: Path) -> None:
+    keys = ("image", "place") if "images" in name else ("place",)
+    results = {}
+    with second_device() as device:
+        for place in ("cpu", device):
+            folder = tmp_path / place.partition(":")[0]
+            settings = dataclasses.replace(TRAININGS[name], device=place, checkpoint_seconds=0.0)
+            results[place] = Training(settings, lambda: point_env(keys), folder, seed=3).run()
+    loaded = Policy.load(tmp_path / "elsewhere" / "policy.pt")  # outside: a file with tensors from there would not open
+    seen = {"place": np.zeros((2, 2), np.float32), "image": np.zeros((2, 1, 36, 36), np.uint8)}
+    seen = {key: seen[key] for key in keys}
+    there = Policy.load(tmp_path / "cpu" / "policy.pt").act_batch(seen)
+    np.testing.assert_allclose(loaded.act_batch(seen), there, atol=1e-4)
+
+
+def test_an_interrupted_training_goes_on_on_another_device(point_env: Any, tmp_path: Path) -> None:
+    class Stop(Exception):
+        pass
+
+    def stop(progress: Any) -> None:
+        if progress.decisions >= 48:
+            raise Stop
+
+    settings = dataclasses.replace(TRAININGS["sac"], checkpoint_seconds=0.0, evaluate_every=0)
+    with second_device() as device:
+        away = dataclasses.replace(settings, device=device)
+        with pytest.raises(Stop):
+            Training(away, point_env, tmp_path / "away", seed=1).run(stop)
+    result = Training(settings, point_env, tmp_path / "away", seed=1).run()
+    whole = Training(settings, point_env, tmp_path / "whole", seed=1).run()
+    seen = {"place": np.linspace(-1, 1, 8, dtype=np.float32).reshape(4, 2)}
+    np.testing.assert_allclose(result.policy.act_batch(seen), whole.policy.act_batch(seen), atol=1e-4)
+
+
+@functools.cache
+def _episodes(count: int = 6) -> tuple[Trajectory, ...]:
+    return tuple(record(DrawnPoint(), expert, seed=seed, keys=("image", "place")) for seed in range(count))
+
+
+def test_cloning_and_dagger(tmp_path: Path) -> None:
+    fit = FitSettings(epochs=2, batch_size=32, validation_share=0.3)
+    settings = dataclasses.replace(DESK_CLONING, fit=fit, shift_px=2, noise=1.0)
+    episodes, told = _episodes(), {}
+    features = [episode.observations["place"] for episode in episodes]
+    images = {"image": episodes[0].observations["image"][:3]}
+    with second_device() as device:
+        for place in ("cpu", device):
+            student, _ = clone(episodes, settings, expert_features=features, seed=1, device=place)
+            assert device_of(student.network) == torch.device(place)
+            told[place] = student.act_batch(images, False, np.random.default_rng(0)), student.features(images)
+        student.save(tmp_path / "student.pt")
+        read = ClonedPolicy.load(tmp_path / "student.pt", device)
+        assert device_of(read.network) == torch.device(device)
+        taught, _, _ = dagger(
+            DrawnPoint, expert, episodes, DaggerSettings(1, 1, cloning=settings), student=read, device=device
+        )
+        assert device_of(taught.network) == torch.device(device)
+    for here, there in zip(*told.values(), strict=True):
+        np.testing.assert_allclose(here, there, atol=1e-5)
+    acted = ClonedPolicy.load(tmp_path / "student.pt").act_batch(images, False, np.random.default_rng(0))
+    np.testing.assert_allclose(acted, told["cpu"][0], atol=1e-5)
+
+
+def test_force(tmp_path: Path) -> None:
+    episodes = list(_episodes())
+    features = [episode.observations["place"] for episode in episodes]
+    samples = force_samples(episodes, features=features)
+    settings = dataclasses.replace(DESK_FORCE, fit=FitSettings(epochs=2, batch_size=32, validation_share=0.0))
+    told = {}
+    with second_device() as device:
+        for place in ("cpu", device):
+            predictor, _ = fit_force(samples, settings, seed=2, device=place)
+            assert device_of(predictor.network) == torch.device(place)
+            told[place] = predictor.predict(samples.images)
+        predictor.save(tmp_path / "force.pt")
+        again = ForcePredictor.load(tmp_path / "force.pt", device).predict(samples.images)
+    for other in (told[device], again, ForcePredictor.load(tmp_path / "force.pt").predict(samples.images)):
+        np.testing.assert_allclose(told["cpu"], other, atol=1e-5)
+
+
+def test_path_follower(tmp_path: Path) -> None:
+    settings = PathFollowerSettings(fit=FitSettings(epochs=2, batch_size=32), hidden=(16,))
+    episodes = list(_episodes())
+    paths = [np.array([[0.0, 0, 0], [10, 5, 0], [20, 0, 0]])] * len(episodes)
+    seen, told = np.ones((3, settings.size), np.float32), {}
+    with second_device() as device:
+        for place in ("cpu", device):
+            follower, _ = fit_path_follower(episodes, paths, settings, device=place)
+            assert device_of(follower.network) == torch.device(place)
+            told[place] = follower.act(seen)
+        follower.save(tmp_path / "follower.pt")
+        again = PathFollower.load(tmp_path / "follower.pt", device).act(seen)
+    for other in (told[device], again, PathFollower.load(tmp_path / "follower.pt").act(seen)):
+        np.testing.assert_allclose(told["cpu"], other, atol=1e-5)
+
+
+def test_encoder_and_what_learns_through_it(tmp_path: Path) -> None:
+    samples = scripted_samples(Rod, 300, seed=0)
+    settings = EncoderSettings(epochs=1, hidden=16, features=8)
+    training = dataclasses.replace(TRAININGS["sac"], evaluate_every=0)
+    told, seen = {}, {}
+    with second_device() as device:
+        for place in ("cpu", device):
+            encoder, report = fit_encoder(samples, ("image", "joints"), settings, device=place)
+            assert device_of(encoder) == torch.device(place)
+            told[place] = report["tip_mm"]
+            encoder.save(tmp_path / "encoder.pt")
+            trained = dataclasses.replace(training, device=place, bank_share=0.0)
+            read = Encoder.load(tmp_path / "encoder.pt")  # the training brings it to its own device
+            policy = Training(trained, Rod, tmp_path / place[:3], seed=0, encoder=read).run().policy
+            seen[place] = policy.act_batch({key: samples.observations[key][:2] for key in policy.keys})
+    assert told["cpu"] == pytest.approx(told[device], rel=1e-4)
+    np.testing.assert_allclose(seen["cpu"], seen[device], atol=1e-3)
+    loaded = Policy.load(tmp_path / device[:3] / "policy.pt")
+    acted = loaded.act_batch({key: samples.observations[key][:2] for key in loaded.keys})
+    np.testing.assert_allclose(acted, seen[device], atol=1e-4)
+
+
+def test_segmenter_and_image_student(tmp_path: Path) -> None:
+    images, lumens = vessels(4, 0)
+    told = {}
+    with second_device() as device:
+        for place in ("cpu", device):
+            segmenter, _ = fit_segmenter(images, lumens, epochs=1, working_size=images.shape[-1], device=place)
+            assert device_of(segmenter) == torch.device(place)
+            student = ImageStudent(StudentSettings(hints=3, hidden=8, action_repeat=2), segmenter, device=place)
+            lessons = lessons_of(student, 0.5, 1, 3)
+            loss = student.fit(lessons, 2)
+            student.save(tmp_path / f"{place[:3]}.pt")
+            told[place] = loss, student.act(lessons[0].views[:1], None)[0]
+        env = WireEnv()
+        observation, _ = env.reset(seed=0)
+        ImageStudent.load(tmp_path / "cpu.pt", device).controller()(observation)
+    assert told["cpu"][0] == pytest.approx(told[device][0], rel=1e-3)
+    np.testing.assert_allclose(told["cpu"][1], told[device][1], atol=1e-4)
+    ImageStudent.load(tmp_path / f"{device[:3]}.pt")
