@@ -4,99 +4,40 @@
 In it:
 
 - ``manifest.json``, written last: a folder without it is unfinished, whatever else lies there.
-- ``.progress/``: one file a finished item, so that an interrupted stage goes on where it stopped; gone at the end.
+- ``.progress/``: marks of finished items, so that an interrupted stage goes on where it stopped; see `pipeline.marks`.
 - ``.lock``: held while a process works here. The kernel frees it when the process dies, so it never goes stale.
+- other names that begin with a dot: what the stage's parts hand to each other. All of it is gone at the end.
+
+``runs/<name>/.cache/digests/`` remembers the digests of every folder's files.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
 import logging
 import os
-import re
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.atomic import atomic_path, remove_unfinished, write_json
+from pipeline.atomic import remove_unfinished, write_json
 from pipeline.errors import FolderBusyError, StageError
+from pipeline.file_memory import digests_of
 from pipeline.interruption import stop_if_asked
+from pipeline.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
+from pipeline.marks import Marks
 from pipeline.progress import progress
-from pipeline.provenance import git_state, hash_file, hash_value, software_versions
 
 Item = TypeVar("Item")
 
-MANIFEST = "manifest.json"
-MANIFEST_VERSION = 1
-_PROGRESS = ".progress"
 _LOCK = ".lock"
 
 _LOGGER = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Identity:
-    """What a result depends on: two runs with the same identity give the same results."""
-
-    config_hash: str
-    input_hashes: dict[str, str]  # stage -> hash of its outputs
-    code_hash: str
-
-    @property
-    def fingerprint(self) -> str:
-        """One hash over all of it."""
-        return hash_value(asdict(self))
-
-
-@dataclass(frozen=True)
-class Manifest:
-    """The record of a finished stage."""
-
-    stage: str
-    run: str
-    budget: str
-    seed: int
-    config: dict[str, Any]
-    identity: Identity
-    outputs: dict[str, dict[str, Any]]  # relative path -> {"sha256": hex, "bytes": int}
-    wall_time_s: float
-    finished: str  # ISO 8601, UTC
-    git: dict[str, Any] = field(default_factory=git_state)
-    versions: dict[str, str] = field(default_factory=software_versions)
-    version: int = MANIFEST_VERSION
-
-    @property
-    def outputs_hash(self) -> str:
-        """Hash of the outputs' contents: what later stages depend on."""
-        return hash_value({path: entry["sha256"] for path, entry in self.outputs.items()})
-
-
-def read_manifest(folder: Path) -> Manifest | None:
-    """Reads the manifest of a finished stage.
-
-    Args:
-        folder: the stage's run folder.
-
-    Returns:
-        The manifest, or None when the stage has not finished there or its manifest cannot be read.
-    """
-    path = folder / MANIFEST
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content.get("version") != MANIFEST_VERSION:
-            return None
-        return Manifest(**{**content, "identity": Identity(**content["identity"])})
-    except FileNotFoundError:
-        return None
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        _LOGGER.warning("%s cannot be read (%s): the stage counts as not run", path, error)
-        return None
 
 
 class RunFolder:
@@ -109,7 +50,8 @@ class RunFolder:
         """
         self.path = path
         self.identity = identity
-        self._results: dict[str, Any] = {}
+        self._memory = digests_of(path)
+        self._marks = Marks(path, self._memory)
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -140,16 +82,19 @@ class RunFolder:
         """Tells whether the folder holds the finished results of this identity.
 
         Returns:
-            True when the manifest matches and every file it lists is there with its size.
+            True when the manifest matches and every file it lists is there with its content.
         """
         manifest = read_manifest(self.path)
         if manifest is None or manifest.identity != self.identity:
             return False
-        for name, entry in manifest.outputs.items():
-            file = self.path / name
-            if not file.is_file() or file.stat().st_size != entry["bytes"]:
-                _LOGGER.info("%s is missing or was changed", file)
-                return False
+        changed = manifest.changed_output(self.path, self._memory)
+        self._memory.save()
+        if changed is not None:
+            _LOGGER.warning("%s, so the stage runs again", changed)
+            return False
+        foreign = manifest.foreign_file(self.path)
+        if foreign is not None:
+            _LOGGER.warning("%s was not written by this stage: move it away, or later stages refuse to read", foreign)
         return True
 
     def prepare(self, *, force: bool = False) -> int:
@@ -161,16 +106,19 @@ class RunFolder:
         Returns:
             How many finished items are kept.
         """
-        (self.path / MANIFEST).unlink(missing_ok=True)  # first: from here on the folder is unfinished
-        marker = self.path / _PROGRESS / "identity.json"
-        with contextlib.suppress(FileNotFoundError, ValueError):
-            if not force and json.loads(marker.read_text()) == self.identity.fingerprint:
-                remove_unfinished(self.path)
-                return sum(1 for _ in marker.parent.glob("item-*.json"))
+        manifest = self.path / MANIFEST
+        if not force and not manifest.exists() and self._marks.belong_to(self.identity.fingerprint):
+            remove_unfinished(self.path)
+            kept = self._marks.verify()
+            self._memory.save()
+            return kept
+        # In this order a kill at any point leaves a folder that the next run clears: no mark, no manifest to trust.
+        self._marks.revoke()
+        manifest.unlink(missing_ok=True)
         for entry in self.path.iterdir():
             if entry.name != _LOCK:
                 shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
-        write_json(marker, self.identity.fingerprint)
+        self._marks.begin(self.identity.fingerprint)
         return 0
 
     def result_of(self, key: str) -> Any | None:
@@ -182,10 +130,7 @@ class RunFolder:
         Returns:
             The value given to ``mark_done`` ({} when none was), or None while the item is not done.
         """
-        if key not in self._results:
-            with contextlib.suppress(FileNotFoundError, ValueError):
-                self._results[key] = json.loads(self._item_file(key).read_text(encoding="utf-8"))["result"]
-        return self._results.get(key)
+        return self._marks.result(key)
 
     def pending(self, items: Sequence[Item], *, key: Callable[[Item], str] = str) -> list[Item]:
         """Lists the items that are not done yet, for stages that hand them to worker processes themselves.
@@ -205,16 +150,38 @@ class RunFolder:
             raise ValueError(f"items must have different keys, got {keys}")
         return [item for item, name in zip(items, keys, strict=True) if self.result_of(name) is None]
 
+    def noted(self, key: str) -> contextlib.AbstractContextManager[None]:
+        """Notes the files that this process writes while the body runs as an item's.
+
+        Args:
+            key: the item's key.
+        """
+        return self._marks.noted(key)
+
+    def journal(self, key: str) -> Path:
+        """Where another process that works on an item notes its files: see `pipeline.written_files.noted`.
+
+        Args:
+            key: the item's key.
+        """
+        return self._marks.journal(key)
+
     def mark_done(self, key: str, result: Any = None) -> None:
-        """Records that an item is finished; call it after its files are written.
+        """Records that an item is finished, with the files noted for it; call it after they are written.
 
         Args:
             key: the item's key.
             result: JSON value that the stage wants back in its summary, also after an interruption.
         """
-        kept = {} if result is None else result
-        write_json(self._item_file(key), {"key": key, "result": kept})
-        self._results[key] = kept
+        self._marks.mark(key, {} if result is None else result)
+
+    def forget(self, key: str) -> None:
+        """Has an item done again from nothing.
+
+        Args:
+            key: the item's key.
+        """
+        self._marks.forget(key)
 
     def resumable(
         self, items: Sequence[Item], *, key: Callable[[Item], str] = str, label: str = "items"
@@ -222,7 +189,7 @@ class RunFolder:
         """Passes on the items that are not done yet, with progress, and marks each as done when the loop comes back.
 
         An item whose body raises, or during which the process dies, stays to be done. A body with something to hand
-        to the summary calls ``mark_done(key, result)`` itself.
+        to the summary calls ``mark_done(key, result)`` itself, as its last act.
 
         Args:
             items: all items of the stage.
@@ -234,14 +201,16 @@ class RunFolder:
         """
         todo = self.pending(items, key=key)
         for item in progress(todo, label, done_before=len(items) - len(todo)):
-            yield item
+            with self.noted(key(item)):
+                yield item
             if self.result_of(key(item)) is None:
                 self.mark_done(key(item))
             stop_if_asked()
 
     def finish(
-        self, *, stage: str, run: str, budget: str, seed: int, config: dict[str, Any], started: float
-    ) -> Manifest:
+        self, *, stage: str, run: str, budget: str, seed: int, config: dict[str, Any], started: float,
+        overrides: Sequence[str] = (), variant: Sequence[str] = (),
+    ) -> Manifest:  # fmt: skip
         """Writes the manifest, the last act of a stage.
 
         Args:
@@ -251,6 +220,8 @@ class RunFolder:
             seed: the run's seed.
             config: the stage's settings.
             started: ``time.monotonic()`` when the work began.
+            overrides: what the user asked for.
+            variant: those of them that the folder is named after.
 
         Returns:
             The manifest as written.
@@ -258,46 +229,19 @@ class RunFolder:
         remove_unfinished(self.path)
         manifest = Manifest(
             stage=stage, run=run, budget=budget, seed=seed, config=config, identity=self.identity,
-            outputs=self._outputs(), wall_time_s=round(time.monotonic() - started, 3),
-            finished=datetime.now(UTC).isoformat(timespec="seconds"),
+            overrides=list(overrides), variant=list(variant), outputs=self._outputs(),
+            wall_time_s=round(time.monotonic() - started, 3), finished=datetime.now(UTC).isoformat(timespec="seconds"),
         )  # fmt: skip
-        with atomic_path(self.path / MANIFEST) as temporary:
-            temporary.write_text(json.dumps(asdict(manifest), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-        shutil.rmtree(self.path / _PROGRESS, ignore_errors=True)
+        write_json(self.path / MANIFEST, asdict(manifest))
+        self._memory.save()
+        for entry in self.path.iterdir():
+            if entry.name.startswith(".") and entry.name != _LOCK and entry.is_dir():
+                shutil.rmtree(entry, ignore_errors=True)
         return manifest
 
     def _outputs(self) -> dict[str, dict[str, Any]]:
-        files = sorted(p for p in self.path.rglob("*") if p.is_file())
-        relative = {p.relative_to(self.path).as_posix(): p for p in files}
         return {
-            name: {"sha256": hash_file(path), "bytes": path.stat().st_size}
-            for name, path in relative.items()
-            if name not in (MANIFEST, _LOCK) and not name.startswith(f"{_PROGRESS}/")
+            name: {"sha256": self._memory.digest(self.path / name), "bytes": (self.path / name).stat().st_size}
+            for name in files_below(self.path)
+            if name != MANIFEST
         }
-
-    def _item_file(self, key: str) -> Path:
-        safe = re.sub(r"[^A-Za-z0-9_.-]", "_", key)[:80]
-        return self.path / _PROGRESS / f"item-{safe}-{hash_value(key)[:10]}.json"
-
-
-def require_input(run_path: Path, stage: str, reader: str) -> tuple[Path, Manifest]:
-    """Finds the finished results of an earlier stage.
-
-    Args:
-        run_path: the folder of the run.
-        stage: the earlier stage.
-        reader: the stage that needs them.
-
-    Returns:
-        Its folder and its manifest.
-
-    Raises:
-        StageError: when it has not finished; the message names the command to run.
-    """
-    manifest = read_manifest(run_path / stage)
-    if manifest is None:
-        raise StageError(
-            f"stage {reader} needs the results of stage {stage}, and {run_path / stage} holds none: "
-            f"run `python -m pipeline stage={stage} name={run_path.name}` first"
-        )
-    return run_path / stage, manifest

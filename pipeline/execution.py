@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import enum
-import hashlib
 import logging
-import re
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts import Identity, RunFolder, require_input
+from pipeline.artifacts import RunFolder
 from pipeline.config import RunConfig
 from pipeline.errors import StageError
+from pipeline.manifest import Identity
 from pipeline.provenance import hash_sources, hash_value
 from pipeline.setting_checks import settings_that_matter
 from pipeline.stages import Stage, StageContext, load_stage, missing_module
+from pipeline.variants import Asked, require_input, telling, variant_of
 
 _LOGGER = logging.getLogger(__name__)
-
-_LONGEST_VARIANT = 100
-# Overrides that already choose the folder, or cannot change a result.
-_NOT_IN_VARIANT = {"stage", "name", "runs_dir", "force"}
 
 
 class Outcome(enum.Enum):
@@ -32,30 +29,13 @@ class Outcome(enum.Enum):
     UP_TO_DATE = "up to date"
 
 
-def variant_of(overrides: list[str]) -> str:
-    """Names a sweep job after its overrides, so that no two jobs share a folder.
-
-    Args:
-        overrides: the job's task overrides, e.g. ``["stage=phantoms", "seed=1"]``.
-
-    Returns:
-        For example ``seed=1``; empty when no override distinguishes the job. Long ones are cut and hashed.
-    """
-    parts = sorted(o.lstrip("+~") for o in overrides if o.lstrip("+~").split("=", 1)[0] not in _NOT_IN_VARIANT)
-    full = ",".join(parts)
-    readable = re.sub(r"[^A-Za-z0-9_.=,+-]", "_", full)
-    if readable == full and len(full) <= _LONGEST_VARIANT:
-        return full
-    # Replaced characters and cut ends could make two jobs look alike: the hash keeps them apart.
-    return f"{readable[:_LONGEST_VARIANT]}-{hashlib.sha256(full.encode()).hexdigest()[:8]}"
-
-
-def execute(config: RunConfig, *, variant: str = "") -> Outcome:
+def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool = False) -> Outcome:
     """Runs one stage, or finds that its results are up to date.
 
     Args:
         config: the run.
-        variant: name of the sweep job; empty outside a sweep.
+        overrides: that it was composed with, of the command line or of the sweep's job.
+        in_sweep: whether it is a job of a sweep, which gets a folder named after its overrides.
 
     Returns:
         How it ended.
@@ -66,11 +46,11 @@ def execute(config: RunConfig, *, variant: str = "") -> Outcome:
     stage = load_stage(config.stage.name)
     stage.check(config.stage)
     run_path = Path(config.runs_dir) / config.name
-    inputs = {name: require_input(run_path, name, stage.name) for name in stage.reads}
-    identity = _identity(
-        stage, config, run_path, {name: manifest.outputs_hash for name, (_, manifest) in inputs.items()}
-    )
-    folder = RunFolder(run_path / (f"{stage.name}@{variant}" if variant else stage.name), identity)
+    asked = Asked(tuple(overrides), in_sweep, config.seed, config.budget_name)
+    inputs = {name: require_input(run_path, name, stage.name, asked) for name in stage.reads}
+    identity = _identity(stage, config, run_path, {path.name: found.outputs_hash for path, found in inputs.values()})
+    variant = asked.variant(seeded=stage.seeded)
+    folder = RunFolder(run_path / "@".join([stage.name, *([variant_of(variant)] if variant else [])]), identity)
     with folder.locked():
         if not config.force and folder.is_up_to_date():
             _LOGGER.info("%s: up to date in %s", stage.name, folder.path)
@@ -87,18 +67,16 @@ def execute(config: RunConfig, *, variant: str = "") -> Outcome:
             raise StageError(str(error)) from error
         manifest = folder.finish(
             stage=stage.name, run=config.name, budget=config.budget_name, seed=config.seed,
-            config=asdict(config.stage), started=started,
+            config=asdict(config.stage), started=started, overrides=telling(overrides), variant=variant,
         )  # fmt: skip
         _LOGGER.info("%s: done in %.1f s, %d files", stage.name, manifest.wall_time_s, len(manifest.outputs))
     return Outcome.DONE
 
 
 def _identity(stage: Stage, config: RunConfig, run_path: Path, input_hashes: dict[str, str]) -> Identity:
-    settings: dict[str, Any] = {
-        "settings": settings_that_matter(config.stage),
-        "seed": config.seed,
-        "budget": config.budget_name,
-    }
+    settings: dict[str, Any] = {"settings": settings_that_matter(config.stage), "budget": config.budget_name}
+    if stage.seeded:
+        settings["seed"] = config.seed
     return Identity(
         config_hash=hash_value(settings),
         input_hashes={**input_hashes, **stage.further_inputs(run_path)},

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +31,7 @@ from pipeline.job_worker import Report
 if TYPE_CHECKING:
     from cathsim.fluoroscopy import BiplaneFluoroscope, XRayCamera
 
-DATASET, TAKES = "dataset", "takes"
+DATASET, TAKES = "dataset", ".takes"  # the latter until the stage is done
 _MM = 1e3
 _CURVE_SPACING = 0.25e-3  # m, of the samples that are projected: a little over a pixel
 _TRUTH = 5.0, 0.05  # mm and rad between the points of a true curve: chords within 0.01 mm
@@ -243,7 +242,6 @@ def assemble(folder: Path, acquisitions: Sequence[Acquisition], studio: Studio) 
             "acquisitions": kinds,
         },
     )
-    shutil.rmtree(folder / TAKES)
     return root
 
 

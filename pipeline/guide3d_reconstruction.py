@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import shutil
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,7 +35,7 @@ from pipeline.job_worker import Report
 Array = NDArray[np.float64]
 Record = dict[str, Any]
 
-PARTS, RECORDS = "parts", "reconstructions.json"
+PARTS, RECORDS = ".parts", "reconstructions.json"  # the former until the stage is done
 PLACES = 30  # along the wire at which errors are told, from the tip to its end
 ON_ANNOTATION, ON_CLICKS = ("global", "greedy"), ("global, clicks", "greedy, clicks")
 WAYS = (*ON_ANNOTATION, *ON_CLICKS)
@@ -181,5 +180,4 @@ def gather(folder: Path, source: Source, parts: Sequence[int]) -> list[Record]:
             curves[frame.acquisition, frame.number] = Views(frame.spline("a"), frame.spline("b"), space)
     write_curves(folder / RECONSTRUCTIONS, [frame.annotation for frame in data.frames], curves)
     write_text(gathered, json.dumps(records))
-    shutil.rmtree(folder / PARTS)
     return records

@@ -13,6 +13,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -20,6 +21,7 @@ from pydantic import ValidationError
 
 from pipeline.errors import PipelineError
 from pipeline.setting_checks import sentence
+from pipeline.written_files import noted
 
 _SECONDS_BETWEEN_MESSAGES = 0.5
 _EXIT_LEFT_ALONE = 1
@@ -104,13 +106,14 @@ class _ToStage(logging.Handler):
             self._pass_on(Message("log", record.getMessage(), level=record.levelno))
 
 
-def work(run: Callable[[Any, Report], Any], given: Any, connection: Connection) -> None:
+def work(run: Callable[[Any, Report], Any], given: Any, connection: Connection, notes: tuple[Path, Path]) -> None:
     """Runs a job in this process, which is its own.
 
     Args:
         run: the job's function.
         given: to it.
         connection: to the stage; its end means that the stage is no more.
+        notes: the stage's folder, and the file where the job's files below it are noted.
     """
     gate = threading.Lock()
 
@@ -132,7 +135,8 @@ def work(run: Callable[[Any, Report], Any], given: Any, connection: Connection) 
     if "torch" in sys.modules:  # preloaded
         sys.modules["torch"].set_num_threads(1)
     try:
-        result = run(given, report)
+        with noted(*notes):
+            result = run(given, report)
     except KeyboardInterrupt:
         pass  # asked to: whoever asked does not wait for a word
     except PipelineError as error:

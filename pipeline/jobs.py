@@ -98,8 +98,8 @@ def run_jobs(
         StageError: jobs failed or were killed; it names them, and the others are done.
         ValueError: two jobs have the same key, or one waits for a job that there is not.
     """
-    todo = folder.pending(jobs, key=lambda job: job.key)
     _check_order(jobs)
+    todo = _to_do(folder, jobs)
     states = [JobState(job.key, job.weight, done=job not in todo) for job in jobs]
     display = JobDisplay(label, states, workers=workers or available_workers())
     failures: dict[str, str] = {}
@@ -109,6 +109,16 @@ def run_jobs(
     if failures:
         raise StageError(_sentence(label, failures, len(jobs)))
     return {job.key: folder.result_of(job.key) for job in jobs}
+
+
+def _to_do(folder: RunFolder, jobs: Sequence[Job]) -> list[Job]:
+    """The jobs that are not done; what was made from one of those is made again, too."""
+    todo = {job.key for job in folder.pending(jobs, key=lambda job: job.key)}
+    for job in jobs:
+        if job.key not in todo and todo.intersection(job.after):
+            folder.forget(job.key)
+            todo.add(job.key)
+    return [job for job in jobs if job.key in todo]
 
 
 def _check_order(jobs: Sequence[Job]) -> None:
@@ -199,7 +209,8 @@ class _Pool:
 
     def _start(self, job: Job) -> None:
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=work, args=(job.run, job.given, theirs), name=job.key)
+        notes = (self._folder.path, self._folder.journal(job.key))
+        process = self._context.Process(target=work, args=(job.run, job.given, theirs, notes), name=job.key)
         process.start()
         theirs.close()  # or the end of the job's process would not end the connection
         self._running.append(_Running(job, process, ours, self._display.states[job.key]))

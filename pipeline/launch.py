@@ -22,10 +22,11 @@ from pydantic import ValidationError
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.errors import PipelineError
-from pipeline.execution import execute, variant_of
+from pipeline.execution import execute
 from pipeline.explain import one_line, system_error
 from pipeline.interruption import let_ctrl_c_interrupt
 from pipeline.stages import available_stages
+from pipeline.variants import variant_of
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -75,16 +76,16 @@ def task(composed: DictConfig) -> None:
     """
     hydra = HydraConfig.get()
     in_sweep = hydra.mode == RunMode.MULTIRUN
-    variant = variant_of(list(hydra.overrides.task)) if in_sweep else ""
+    overrides = list(hydra.overrides.task)
     if not in_sweep:
         let_ctrl_c_interrupt()
     try:
-        execute(run_config(composed), variant=variant)
+        execute(run_config(composed), overrides=overrides, in_sweep=in_sweep)
     except (PipelineError, OSError, ValidationError) as error:
         _LOGGER.debug("where it failed", exc_info=True)  # shown with hydra.verbose=true
         if not in_sweep:
             raise _Stop(error) from error
-        _LOGGER.error("%s failed: %s", variant or composed.stage.name, one_line(error, list(hydra.overrides.task)))
+        _LOGGER.error("%s failed: %s", variant_of(overrides) or composed.stage.name, one_line(error, overrides))
         raise
 
 

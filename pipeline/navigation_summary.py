@@ -49,7 +49,7 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
     main: dict[str, dict[str, Any]] = {}
     for operator, row, logs in (
         ("human", "expert_teleoperation", (context.run_path / HUMAN).rglob(f"*{SUFFIX}")),
-        ("sampling_expert", "sampling_expert", (context.run_path / "expert").rglob("*.mcap")),
+        ("sampling_expert", "sampling_expert", context.inputs["expert"].rglob("*.mcap")),
         ("policy", "enn_expert", _expert_logs(settings, context)),
     ):
         cells = _of_logs(logs, settings, operator)

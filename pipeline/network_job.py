@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.guide3d_folder import read_source
 from pipeline.job_worker import Report
 from pipeline.torchrun import train_together
+from pipeline.written_files import note
 
 if TYPE_CHECKING:
     from guide3d.training import FitProgress
@@ -108,6 +109,7 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
         words += ["--epochs", str(job.epochs)]
     if job.processes > 1:
         train_together(module, words, job.processes, report)
+        note(*(file for file in job.folder.rglob("*") if file.is_file()))
         return dict(json.loads(told.read_text(encoding="utf-8")))
     command = importlib.import_module(module)
 

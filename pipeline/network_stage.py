@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -13,7 +12,7 @@ from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stages import StageContext
 
-PICTURES = "pictures"
+PICTURES = ".cache/pictures"  # made again from the data set when needed
 
 Kind = TypeVar("Kind", bound=TrainingJob)
 Tables = Callable[[list[str], dict[str, Any]], dict[str, Any]]
@@ -72,4 +71,3 @@ def train_and_compare(
     outcomes = run_jobs(context.folder, list(jobs), workers=settings.workers, label=label, preload=preload)
     write_results(context.path, tables(settings.rows, outcomes))
     write_figures(context.path, figures(settings.rows, outcomes, context))
-    shutil.rmtree(context.path / PICTURES, ignore_errors=True)  # made again from the data set when needed

@@ -10,7 +10,7 @@ from typing import Any
 
 import jinja2
 
-from pipeline.artifacts import Manifest
+from pipeline.manifest import Manifest
 from pipeline.report.figures import ShownFigure
 from pipeline.report.tables import NOT_RUN, ReportTable, format_cell
 

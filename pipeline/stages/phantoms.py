@@ -194,5 +194,6 @@ STAGE = Stage(
         "figures.json",
     ),
     code=("cathsim.anatomy",),
+    seeded=False,
     check=check_phantoms,
 )

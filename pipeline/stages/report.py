@@ -6,8 +6,9 @@ import logging
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pipeline.artifacts import Manifest, read_manifest
 from pipeline.atomic import write_json, write_text
+from pipeline.file_memory import digests_of
+from pipeline.manifest import Manifest, read_manifest
 from pipeline.provenance import git_state, machine, software_versions
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.learning_section import LearningSection, learning_section
@@ -106,9 +107,15 @@ def _environment() -> Table:
 
 
 def _inputs(run_path: Path) -> dict[str, str]:
-    return {
-        name: manifest.identity.fingerprint + manifest.finished for name, manifest in finished_stages(run_path).items()
-    }
+    told = {}
+    for name, manifest in finished_stages(run_path).items():
+        memory = digests_of(run_path / name)
+        changed = manifest.changed_output(run_path / name, memory)
+        memory.save()
+        if changed is not None:
+            _LOGGER.warning("%s: run stage=%s again; the report shows what is there", changed, manifest.stage)
+        told[name] = manifest.identity.fingerprint + manifest.finished + (changed or "")
+    return told
 
 
 STAGE = Stage(
@@ -116,5 +123,6 @@ STAGE = Stage(
     run=run_report,
     writes=(PAGE, METRICS, f"{TABLES_FOLDER}/<table>.{{csv,tex}}", "figures/", f"{LEARNING_FOLDER}/<figure>.png"),
     code=("pipeline.report", "cathsim.metrics"),
+    seeded=False,
     further_inputs=_inputs,
 )

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 from typing import Any
 
 from pipeline.jobs import Job, run_jobs
-from pipeline.network_stage import PICTURES, training_job
+from pipeline.network_stage import training_job
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.report.shape_plots import draw_training
 from pipeline.report.splineformer_plots import draw_attention, draw_comparison, draw_errors
@@ -42,7 +41,6 @@ def run_splineformer(settings: SplineformerSettings, context: StageContext) -> N
     outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="splineformers", preload=PRELOAD)
     write_results(context.path, tables(settings, outcomes))
     write_figures(context.path, figures(settings, outcomes, context))
-    shutil.rmtree(context.path / PICTURES, ignore_errors=True)  # made again from the data set when needed
 
 
 def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:

@@ -199,5 +199,6 @@ STAGE = Stage(
     run=run_user_study,
     writes=("<phantom>/<target>.png", "results.json", "figures.json"),
     code=("pipeline.human", "pipeline.report.episode_tables", "cathsim.metrics", "cathsim.console.questionnaire"),
+    seeded=False,
     further_inputs=_recordings,
 )

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from pipeline.artifacts import require_input
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS
 from pipeline.errors import StageError
 from pipeline.stages import available_stages
+from pipeline.variants import require_input
 
 WRONG = {
     "no stage": ((), ["no stage given", "phantoms", "report"]),

@@ -129,7 +129,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     generate(GenerationJob(folder, chosen, studio()), Report())
     assert (record.read_bytes(), image.read_bytes()) == first
     assemble(folder, chosen, studio())
-    assert not (folder / TAKES).exists()
     assert assemble(folder, chosen, studio()) == folder / "dataset"  # done already
     return folder / "dataset"
 

@@ -67,8 +67,6 @@ def test_a_generated_run_leaves_data_curves_tables_and_figures(generated: Path) 
     assert max(errors) < 1.0
     shown = {entry["file"] for entry in json.loads((generated / "figures.json").read_text())}
     assert shown == {"samples.png", "reprojection.png", "segments.png", "overlays.png", "space.png"}
-    assert not (generated / "takes").exists()
-    assert not (generated / "parts").exists()
 
 
 def test_ones_own_data_set_is_read_where_it_lies(own: Path, tmp_path: Path) -> None:

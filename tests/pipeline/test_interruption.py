@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.artifacts import read_manifest
+from pipeline.manifest import read_manifest
 
 PHANTOMS = ("type_1", "type_2", "low_tortuosity", "bovine")
 STAGE = ("stage=phantoms", f"stage.phantoms=[{','.join(PHANTOMS)}]", "stage.resolution_mm=2.5", "stage.picture=false",

@@ -58,7 +58,6 @@ def test_shape_leaves_networks_tables_and_figures(run: Path, shapes: dict) -> No
     assert sorted(p.name for p in (run / "shape" / "fgrn").iterdir()) == [
         "examples.npz", "predictor.pt", "shape.json", "training.json",
     ]  # fmt: skip
-    assert not (run / "shape" / "pictures").exists()
 
 
 def test_segmentation_leaves_networks_tables_and_figures(run: Path, masks: dict) -> None:

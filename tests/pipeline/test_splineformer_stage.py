@@ -75,7 +75,6 @@ def test_tables_and_figures(run: Path, results: dict) -> None:
         assert cells["latency_ms"] > 0
     files = [entry["file"] for entry in json.loads((run / "splineformer" / "figures.json").read_text())]
     assert files == ["comparison.png", "errors.png", "attention.png", "training.png"]
-    assert not (run / "splineformer" / "pictures").exists()
 
 
 def test_finished_jobs_are_kept(run: Path, results: dict, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from hydra.errors import MissingConfigException
 
-from pipeline.execution import variant_of
 from pipeline.explain import one_line
 from pipeline.provenance import PROJECT_ROOT
+from pipeline.variants import variant_of
 from tests.conftest import PipelineProcess
 
 

@@ -1,0 +1,183 @@
+"""Variants of a stage: the folders that runs with different seeds and overrides leave beside each other.
+
+``runs/<name>/<stage>`` holds the results of seed 0. A run with another seed has ``<stage>@seed=<n>``, and a job of a
+sweep ``<stage>@<its overrides>``: none removes what another has left. A stage that reads an earlier one reads the
+variant that fits its own overrides best.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.errors import StageError
+from pipeline.file_memory import digests_of
+from pipeline.manifest import Manifest, read_manifest
+
+_LONGEST_VARIANT = 100
+# Overrides that already choose the folder, or cannot change a result.
+_NOT_IN_VARIANT = {"stage", "name", "runs_dir", "force"}
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def variant_of(overrides: Sequence[str]) -> str:
+    """Names a sweep job after its overrides, so that no two jobs share a folder.
+
+    Args:
+        overrides: the job's task overrides, e.g. ``["stage=phantoms", "seed=1"]``.
+
+    Returns:
+        For example ``seed=1``; empty when no override distinguishes the job. Long ones are cut and hashed.
+    """
+    full = ",".join(telling(overrides))
+    readable = re.sub(r"[^A-Za-z0-9_.=,+-]", "_", full)
+    if readable == full and len(full) <= _LONGEST_VARIANT:
+        return full
+    # Replaced characters and cut ends could make two jobs look alike: the hash keeps them apart.
+    return f"{readable[:_LONGEST_VARIANT]}-{hashlib.sha256(full.encode()).hexdigest()[:8]}"
+
+
+def telling(overrides: Sequence[str]) -> list[str]:
+    """The overrides that can change a result, sorted, without Hydra's marks for adding and deleting."""
+    bare = (override.lstrip("+~") for override in overrides)
+    return sorted(override for override in bare if override.split("=", 1)[0] not in _NOT_IN_VARIANT)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a run was asked for, as far as it chooses among folders.
+
+    Attributes:
+        overrides: of the command line or of the sweep's job.
+        in_sweep: whether it is a job of a sweep.
+        seed: of the run.
+        budget: of the run.
+    """
+
+    overrides: tuple[str, ...] = ()
+    in_sweep: bool = False
+    seed: int = 0
+    budget: str = "desk"
+
+    def variant(self, *, seeded: bool) -> list[str]:
+        """The overrides that the folder of its results is named after.
+
+        Args:
+            seeded: whether the stage's results depend on the seed.
+        """
+        if self.in_sweep:
+            return telling(self.overrides)
+        return [f"seed={self.seed}"] if seeded and self.seed else []
+
+    def fit(self, variant: Sequence[str]) -> tuple[int, int] | None:
+        """How well a variant of another stage fits.
+
+        Args:
+            variant: the overrides that its folder is named after; those of its own settings (``stage.…``) do not count.
+
+        Returns:
+            How many of its overrides were asked for, and minus how many are merely so by default, to be compared;
+            None: one of its overrides is something else than what was asked for.
+        """
+        said, default = _shared(self.overrides), {"seed": str(self.seed), "budget": self.budget}
+        wanted = _shared(variant)
+        if any(({**default, **said}).get(key) != value for key, value in wanted.items()):
+            return None
+        stated = sum(key in said for key in wanted)
+        return stated, stated - len(wanted)
+
+
+def require_input(run_path: Path, stage: str, reader: str, asked: Asked | None = None) -> tuple[Path, Manifest]:
+    """Finds the finished results of an earlier stage and checks that they are as it left them.
+
+    Args:
+        run_path: the folder of the run.
+        stage: the earlier stage.
+        reader: the stage that needs them.
+        asked: of the reader's run.
+
+    Returns:
+        Their folder and its manifest.
+
+    Raises:
+        StageError: it has not finished, several variants fit equally well, or a file was changed; the message names
+            the command to run.
+    """
+    asked = asked or Asked()
+    found = _variants(run_path, stage)
+    fits = {folder: fit for folder, manifest in found.items() if (fit := asked.fit(manifest.variant)) is not None}
+    plain = run_path / stage
+    if plain in fits and found[plain].seed != asked.seed and any("seed" in _shared(m.variant) for m in found.values()):
+        del fits[plain]  # the stage ran for several seeds: then another's is not meant
+    best = [folder for folder, fit in fits.items() if fit == max(fits.values())]
+    if not best:
+        raise StageError(_lack(run_path, stage, reader, asked, list(found)))
+    if len(best) > 1:
+        raise StageError(
+            f"stage {reader} could read {' or '.join(map(str, best))}: remove the one that is not meant, or say more "
+            "(seed=…, target=…)"
+        )
+    (folder,) = best
+    manifest = found[folder]
+    _require_unchanged(folder, manifest, reader)
+    if manifest.seed != asked.seed or folder != plain:
+        _LOGGER.info("%s reads %s (seed %d)", reader, folder.name, manifest.seed)
+    return folder, manifest
+
+
+def _variants(run_path: Path, stage: str) -> dict[Path, Manifest]:
+    folders = [run_path / stage, *sorted(run_path.glob(f"{stage}@*"))]
+    found = {folder: read_manifest(folder) for folder in folders}
+    return {folder: manifest for folder, manifest in found.items() if manifest is not None}
+
+
+def _require_unchanged(folder: Path, manifest: Manifest, reader: str) -> None:
+    memory = digests_of(folder)
+    changed = manifest.changed_output(folder, memory)
+    memory.save()
+    if changed is not None:
+        in_sweep = bool(manifest.variant) and manifest.variant == manifest.overrides
+        again = command(manifest.stage, folder.parent, [*manifest.overrides, "force=true"], in_sweep=in_sweep)
+        raise StageError(f"stage {reader} cannot read stage {manifest.stage}: {changed}; run {again} to make it again")
+    foreign = manifest.foreign_file(folder)
+    if foreign is not None:
+        raise StageError(
+            f"stage {reader} cannot read stage {manifest.stage}: {foreign} was not written by it; move that file away"
+        )
+
+
+def _lack(run_path: Path, stage: str, reader: str, asked: Asked, found: Sequence[Path]) -> str:
+    own = [override for override in telling(asked.overrides) if not override.startswith("stage.")]
+    run = command(stage, run_path, own, in_sweep=asked.in_sweep)
+    there = f"{run_path / stage} holds none"
+    if found:
+        wanted = ", ".join(own) or f"seed={asked.seed}"
+        there = f"none of {', '.join(folder.name for folder in found)} in {run_path} fits {wanted}"
+    return f"stage {reader} needs the results of stage {stage}, and {there}: run {run} first"
+
+
+def command(stage: str, run_path: Path, overrides: Sequence[str], *, in_sweep: bool) -> str:
+    """The command that runs a stage, in backquotes.
+
+    Args:
+        stage: its name.
+        run_path: the folder of the run.
+        overrides: beside stage, name and runs_dir.
+        in_sweep: whether it is a job of a sweep.
+    """
+    words = [f"stage={stage}", f"name={run_path.name}", *overrides]
+    if run_path.parent != Path("runs"):
+        words.append(f"runs_dir={run_path.parent}")
+    return f"`python -m pipeline {'-m ' if in_sweep else ''}{shlex.join(words)}`"
+
+
+def _shared(overrides: Sequence[str]) -> Mapping[str, str]:
+    """The overrides that mean the same to every stage, by key."""
+    pairs = (override.partition("=")[::2] for override in telling(overrides))
+    return {key: value for key, value in pairs if not key.startswith("stage.")}

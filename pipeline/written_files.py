@@ -1,0 +1,102 @@
+"""What a process writes below a folder, noted as it is opened, so that a finished item knows its files.
+
+The interpreter's audit events tell of every file that Python code opens for writing or renames, whichever library does
+it. Files that native code or another program writes under their final name are not seen: `note` names those.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+_WRITING = os.O_WRONLY | os.O_RDWR
+_state: dict[str, _Notes | None] = {"notes": None}
+_installed: list[bool] = []
+
+
+class _Notes:
+    """The journal under way."""
+
+    def __init__(self, folder: Path, journal: Path) -> None:
+        self._roots = {os.path.abspath(folder) + os.sep, os.path.realpath(folder) + os.sep}
+        journal.parent.mkdir(parents=True, exist_ok=True)
+        self._descriptor = os.open(journal, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+        self._seen: set[str] = set()
+
+    def add(self, path: Any) -> None:
+        try:
+            text = os.path.abspath(os.fsdecode(path))
+        except TypeError:  # a descriptor
+            return
+        for root in self._roots:
+            name = text.removeprefix(root)
+            if name != text and name not in self._seen and "\n" not in name:
+                self._seen.add(name)
+                os.write(self._descriptor, f"{name}\n".encode())  # at once: a killed process keeps its notes
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+def _hear(event: str, arguments: tuple[Any, ...]) -> None:
+    notes = _state["notes"]
+    if notes is None:
+        return
+    if event == "open":
+        if arguments[2] & _WRITING:
+            notes.add(arguments[0])
+    elif event == "os.rename":
+        notes.add(arguments[1])
+
+
+@contextlib.contextmanager
+def noted(folder: Path, journal: Path) -> Iterator[None]:
+    """Notes what this process writes while the body runs.
+
+    Args:
+        folder: below which it is noted.
+        journal: gets a line a file, its path relative to the folder; lines of earlier processes stay.
+    """
+    if not _installed:
+        sys.addaudithook(_hear)  # stays for the life of the process
+        _installed.append(True)
+    former, notes = _state["notes"], _Notes(folder, journal)
+    _state["notes"] = notes
+    try:
+        yield
+    finally:
+        if _state["notes"] is notes:  # a generator's body may end long after another has begun
+            _state["notes"] = former
+        notes.close()
+
+
+def note(*files: Path) -> None:
+    """Notes files that another program has written for this process; nothing where nobody asks for notes.
+
+    Args:
+        files: their paths.
+    """
+    if (notes := _state["notes"]) is not None:
+        for file in files:
+            notes.add(file)
+
+
+def read_journal(journal: Path) -> list[str]:
+    """What a journal holds.
+
+    Args:
+        journal: of `noted`.
+
+    Returns:
+        Paths relative to its folder, in the order in which they were first written; none without a journal.
+    """
+    try:
+        lines = journal.read_bytes().split(b"\n")
+    except FileNotFoundError:
+        return []
+    # What follows the last line's end was cut off by a kill: that file was not opened yet.
+    return list(dict.fromkeys(line.decode("utf-8", "surrogateescape") for line in lines[:-1] if line))

@@ -1,0 +1,126 @@
+"""Variants: each run reads the results that belong to it, checked, and no run removes those of another seed."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+from pipeline.artifacts import RunFolder
+from pipeline.errors import StageError
+from pipeline.manifest import Identity, read_manifest
+from pipeline.variants import Asked, require_input, variant_of
+
+
+def leave(run: Path, stage: str, *variant: str, seed: int = 0) -> Path:
+    """Leaves the finished results of a stage."""
+    place = run / "@".join([stage, *([variant_of(variant)] if variant else [])])
+    folder = RunFolder(place, Identity("config", {}, "code"))
+    with folder.locked():
+        folder.prepare()
+        (place / "type_1").mkdir()
+        (place / "type_1" / "policy.pt").write_text(f"{stage} {variant} {seed}")
+        (place / "results.json").write_text("{}")
+        folder.finish(
+            stage=stage, run=run.name, budget="desk", seed=seed, config={}, started=time.monotonic(),
+            overrides=["budget=smoke", *variant], variant=variant,
+        )  # fmt: skip
+    return place
+
+
+def read(run: Path, *overrides: str, in_sweep: bool = False, seed: int = 0) -> str:
+    return require_input(run, "enn", "force", Asked(overrides, in_sweep, seed))[0].name
+
+
+def test_every_seed_of_a_sweep_finds_its_own_teacher(tmp_path: Path) -> None:
+    for seed in (0, 1, 2):
+        leave(tmp_path, "enn", f"seed={seed}", "stage.seeds=1", seed=seed)
+    for seed in (0, 1, 2):
+        assert read(tmp_path, f"seed={seed}", in_sweep=True, seed=seed) == f"enn@seed={seed},stage.seeds=1"
+    assert read(tmp_path) == "enn@seed=0,stage.seeds=1"  # outside a sweep, by the default seed
+    assert read(tmp_path, "seed=2", seed=2) == "enn@seed=2,stage.seeds=1"
+
+
+def test_a_sweep_of_several_overrides_chooses_by_all_of_them(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        for target in ("bca", "lcca"):
+            leave(tmp_path, "enn", f"seed={seed}", f"target={target}", seed=seed)
+        leave(tmp_path, "enn", f"seed={seed}", seed=seed)
+    assert read(tmp_path, "seed=1", "target=lcca", in_sweep=True, seed=1) == "enn@seed=1,target=lcca"
+    assert read(tmp_path, "seed=1", "target=lsa", in_sweep=True, seed=1) == "enn@seed=1"
+    assert read(tmp_path, "seed=1", "stage.epochs=3", in_sweep=True, seed=1) == "enn@seed=1"
+    assert read(tmp_path, "+seed=1", "target=bca", "budget=desk", in_sweep=True, seed=1) == "enn@seed=1,target=bca"
+
+
+def test_what_was_run_once_serves_every_seed_until_the_stage_runs_for_several(tmp_path: Path) -> None:
+    leave(tmp_path, "enn")
+    assert read(tmp_path, "seed=3", seed=3) == "enn"
+    leave(tmp_path, "enn", "seed=1", seed=1)
+    assert read(tmp_path) == "enn"
+    assert read(tmp_path, "seed=1", seed=1) == "enn@seed=1"
+    with pytest.raises(
+        StageError,
+        match=r"none of enn, enn@seed=1 in .* fits seed=3: run `python -m pipeline stage=enn name=\S+ seed=3 runs_dir=",
+    ):
+        read(tmp_path, "seed=3", seed=3)
+
+
+def test_two_that_fit_equally_well_are_named(tmp_path: Path) -> None:
+    first = leave(tmp_path, "enn", "seed=1", "stage.decisions=500", seed=1)
+    second = leave(tmp_path, "enn", "seed=1", "stage.decisions=900", seed=1)
+    with pytest.raises(
+        StageError, match=r"stage force could read .* or .*: remove the one that is not meant"
+    ) as raised:
+        read(tmp_path, "seed=1", in_sweep=True, seed=1)
+    assert str(first) in str(raised.value)
+    assert str(second) in str(raised.value)
+
+
+@pytest.mark.parametrize("seeded", [True, False])
+def test_folders_of_runs(seeded: bool) -> None:
+    assert Asked(("stage=enn",), False, 0).variant(seeded=seeded) == []
+    assert Asked(("stage=enn", "seed=1"), False, 1).variant(seeded=seeded) == (["seed=1"] if seeded else [])
+    assert Asked(("stage=enn", "seed=1", "target=bca"), True, 1).variant(seeded=seeded) == ["seed=1", "target=bca"]
+
+
+@pytest.mark.parametrize("damage", ["a file gone", "a bit flipped", "a folder gone"])
+def test_damaged_inputs_are_refused_with_the_command_that_makes_them_again(damage: str, tmp_path: Path) -> None:
+    place = leave(tmp_path / "run", "enn", "seed=1", seed=1)
+    file = place / "type_1" / "policy.pt"
+    assert read(tmp_path / "run", "seed=1", seed=1) == "enn@seed=1"
+    if damage == "a file gone":
+        file.unlink()
+    elif damage == "a folder gone":
+        shutil.rmtree(file.parent)
+    else:
+        content = bytearray(file.read_bytes())
+        content[3] ^= 4
+        file.write_bytes(content)
+    words = "was changed" if damage == "a bit flipped" else "is missing"
+    with pytest.raises(StageError) as raised:
+        read(tmp_path / "run", "seed=1", seed=1)
+    assert str(raised.value) == (
+        f"stage force cannot read stage enn: {file} {words}; run `python -m pipeline stage=enn name=run budget=smoke "
+        f"seed=1 force=true runs_dir={tmp_path}` to make it again"
+    )
+
+
+def test_a_file_that_the_stage_did_not_write_is_not_taken_for_its_own(tmp_path: Path) -> None:
+    place = leave(tmp_path, "enn")
+    (place / "type_1" / "episode.rrd").write_text("no stage reads this")
+    assert read(tmp_path) == "enn"
+    (place / "type_1" / "other.pt").write_text("a policy from elsewhere")
+    with pytest.raises(StageError, match=r"other\.pt was not written by it; move that file away"):
+        read(tmp_path)
+
+
+def test_a_manifest_of_an_earlier_version_counts_as_not_run(tmp_path: Path, caplog) -> None:
+    place = leave(tmp_path, "enn")
+    text = (place / "manifest.json").read_text()
+    (place / "manifest.json").write_text(text.replace('"version": 2', '"version": 1'))
+    assert read_manifest(place) is None
+    assert "of another version of the project: the stage counts as not run" in caplog.text
+    with pytest.raises(StageError, match="holds none: run `python -m pipeline stage=enn"):
+        read(tmp_path)
