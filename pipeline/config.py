@@ -36,6 +36,7 @@ from pipeline.stage_settings import (
     UserStudySettings,
     ValidateSettings,
 )
+from pipeline.task import Task
 
 CONFIG_DIRECTORY = Path(__file__).resolve().parent.parent / "conf"
 BUDGETS = ("smoke", "desk", "thesis")
@@ -77,6 +78,7 @@ class RunConfig:
     stage: Any = MISSING  # one of the settings above
     phantom: OwnPhantom = field(default_factory=OwnPhantom)
     guide3d: Guide3dSource = field(default_factory=Guide3dSource)  # a bi-planar data set of one's own
+    task: Task = field(default_factory=Task)  # that stages take over as stage.task
     target: FolderName | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
     modality: FolderName | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
     budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml: sizes that the stages refer to
@@ -135,16 +137,16 @@ def run_config(composed: DictConfig) -> RunConfig:
     if STAGE_SETTINGS.get(config.stage.name) is not type(config.stage):
         raise ConfigurationError(f"stage.name cannot be {shown(config.stage.name)}: choose a stage by stage=NAME")
     # `+key=value` adds keys past the schema: refused here, or a misspelt setting would pass unnoticed.
-    groups: dict[str, Any] = {
-        "": config,
-        "stage.": config.stage,
-        "phantom.": config.phantom,
-        "guide3d.": config.guide3d,
-    }
-    for prefix, settings in groups.items():
-        node = composed[prefix.rstrip(".")] if prefix else composed
-        names = [item.name for item in dataclasses.fields(settings)]
-        extra = [str(key) for key in node if key not in names]
-        if extra:
-            raise ConfigurationError(f"unknown setting {prefix + extra[0]!r}: choose one of {', '.join(names)}")
+    _refuse_unknown("", composed, config)
     return config
+
+
+def _refuse_unknown(prefix: str, node: DictConfig, made: Any) -> None:
+    """Refuses keys that a dataclass, or one that it holds, does not have."""
+    names = [item.name for item in dataclasses.fields(made)]
+    extra = [str(key) for key in node if key not in names]
+    if extra:
+        raise ConfigurationError(f"unknown setting {prefix + extra[0]!r}: choose one of {', '.join(names)}")
+    for name in names:
+        if dataclasses.is_dataclass(getattr(made, name)):
+            _refuse_unknown(f"{prefix}{name}.", node[name], getattr(made, name))

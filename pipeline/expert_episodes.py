@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +16,16 @@ from pipeline.episodes.errors import EpisodeReadError
 from pipeline.errors import StageError
 from pipeline.learning_task import LearningTask
 from pipeline.replay import recorded_wire
+from pipeline.task import FEEDER, MOTION, TASK, TIP_MOTORS, Task, require_same_task, task_from
 from pipeline.training_job import EXPERT, POLICY
 
 if TYPE_CHECKING:
+    from cathsim import Guidewire
     from enn.policy import Policy
     from enn.trajectory import Trajectory
 
 CAMERA = "frontal"
+_MM = 1e3
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -144,7 +148,20 @@ def expert_logs(folder: Path) -> list[Path]:
 
 
 def load_expert(folder: Path) -> Policy:
-    """The policy of a training.
+    """The policy of a training of the stage enn.
+
+    Raises:
+        StageError: it cannot be read.
+    """
+    return load_policy(folder / POLICY, "enn")
+
+
+def load_policy(file: Path, maker: str) -> Policy:
+    """A policy of an earlier stage.
+
+    Args:
+        file: of the policy.
+        maker: the stage that trained it.
 
     Raises:
         StageError: it cannot be read.
@@ -152,9 +169,46 @@ def load_expert(folder: Path) -> Policy:
     from enn.policy import Policy
 
     try:
-        return Policy.load(folder / POLICY)
+        return Policy.load(file)
     except ValueError as error:
-        raise StageError(f"{error}; run stage=enn again") from error
+        raise StageError(f"{error}; run stage={maker} again") from error
+
+
+def require_expert(stage: str, asked: LearningTask, folder: Path) -> None:
+    """Refuses an expert that was trained for another task than a stage was asked for.
+
+    Args:
+        stage: that goes on from it.
+        asked: its task.
+        folder: of the expert's training, with its policy and its logs.
+
+    Raises:
+        StageError: names every difference; or there is no episode, or the policy cannot be read.
+    """
+    told = task_from(load_expert(folder).metadata.get(TASK))
+    if told is not None:
+        require_same_task(stage, asked.task, told, f"the expert policy of {asked.name}", "enn")
+    logs = expert_logs(folder) or sorted(folder.glob("evaluation/*/*.mcap"))
+    require_same_task(stage, asked.task, task_of_logs(logs).task, f"the expert's first episode of {asked.name}", "enn")
+
+
+def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]) -> None:
+    """Refuses episodes of the sampling expert with another wire or other actions than a stage learns with.
+
+    Where they started and when they were cut off does not matter: they show the way.
+
+    Args:
+        stage: that learns from them.
+        asked: its task.
+        logs: of the stage expert; those that cannot be read are left out elsewhere.
+
+    Raises:
+        StageError: names every difference.
+    """
+    for log in logs:
+        with contextlib.suppress(EpisodeReadError):
+            found = task_of_log(log).task
+            require_same_task(stage, asked.task, found, f"the episode {log}", "expert", MOTION)
 
 
 def task_of_logs(logs: Sequence[Path]) -> LearningTask:
@@ -177,30 +231,40 @@ def task_of_log(log: Path) -> LearningTask:
     """The task that an episode was recorded in.
 
     Args:
-        log: of the enn stage; without images they are taken to be 80 px wide.
+        log: of an episode; one of an earlier version without images is taken to have had those of 80 px.
 
     Raises:
         EpisodeReadError: the log is damaged or unfinished.
         StageError: its wire is none of this version's.
     """
-    from cathsim import GUIDEWIRES, load_guidewire
-
     with EpisodeReader(log) as reader:
         info, wire = reader.info, recorded_wire(reader.info)
         size = reader.camera(CAMERA).width if CAMERA in reader.cameras else 80
         actions = len(reader.step(0).action)
-    names = [name for name in GUIDEWIRES if load_guidewire(name) == wire]
-    if not names:
-        raise StageError(f"{log} was recorded with a wire that this version does not have: record it anew")
-    configuration: dict[str, Any] = dict(info.configuration)
-    return LearningTask(
-        phantom=info.phantom,
-        target=info.target,
-        wire=names[0],
-        actions="feeder" if actions == 2 else "tip_motors",
-        image_size=size,
-        max_steps=configuration["max_steps"],
-        success_radius=configuration["success_radius"],
-        start_jitter=configuration["start_jitter"],
-        start_rotation=configuration["start_rotation"],
+    told: dict[str, Any] = dict(info.configuration)
+    name, length_mm = _named(wire, log)
+    task = Task(
+        wire=name,
+        wire_length_mm=length_mm,
+        actions=FEEDER if actions == 2 else TIP_MOTORS,
+        image_size_px=told.get("image_size", size),
+        max_steps=told["max_steps"],
+        success_radius_mm=_MM * told["success_radius"],
+        start_jitter_mm=_MM * told["start_jitter"],
+        start_rotation_deg=math.degrees(told["start_rotation"]),
     )
+    return LearningTask(info.phantom, info.target, task)
+
+
+def _named(wire: Guidewire, log: Path) -> tuple[str, float]:
+    """The preset of a wire, and the length in mm that it was scaled to; 0: it was not."""
+    from cathsim import GUIDEWIRES, load_guidewire
+
+    presets = {name: load_guidewire(name) for name in GUIDEWIRES}
+    for name, preset in presets.items():
+        if preset == wire:
+            return name, 0.0
+    for name, preset in presets.items():
+        if preset.scaled(wire.length) == wire:
+            return name, _MM * wire.length
+    raise StageError(f"{log} was recorded with a wire that this version does not have: record it anew")

@@ -13,17 +13,18 @@ import csv
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.atomic import atomic_path, write_json
-from pipeline.expert_episodes import expert_logs, load_expert, read_episodes, task_of_logs
+from pipeline.expert_episodes import expert_logs, load_expert, read_episodes
 from pipeline.job_worker import Report
 from pipeline.learning_task import LearningTask
 from pipeline.seeds import disturbed_seeds, held_out_seeds
+from pipeline.task import TASK
 from pipeline.training_job import CURVE, EVALUATION, POLICY, RECORD
 from pipeline.trials import MODES, Origin, controllers, run_trials, summary
 
@@ -43,6 +44,7 @@ class ImitationJob:
 
     Attributes:
         folder: of the student.
+        task: of the expert's episodes, and of the student's own.
         expert: folder of the expert's training, with its policy and episodes.
         seed: of the fit.
         origin: kept in the logs.
@@ -58,6 +60,7 @@ class ImitationJob:
     """
 
     folder: Path
+    task: LearningTask
     expert: Path
     seed: int
     origin: Origin
@@ -88,12 +91,9 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
     told = job.folder / RECORD
     if (job.folder / POLICY).is_file() and told.is_file():
         student, outcome = ClonedPolicy.load(job.folder / POLICY), json.loads(told.read_text(encoding="utf-8"))
-        task = task_of_logs(logs)
     else:
-        episodes = read_episodes(logs, job.episodes)
-        task = task_of_logs(logs)
-        student, outcome = _student(job, task, episodes, report)
-    environment = task.environment(student.keys)
+        student, outcome = _student(job, read_episodes(logs, job.episodes), report)
+    environment = job.task.environment(student.keys)
     share = (1.0 - _FITTING) / len(MODES)
     for index, mode in enumerate(MODES):
         metrics = run_trials(
@@ -110,15 +110,13 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
     return outcome
 
 
-def _student(
-    job: ImitationJob, task: LearningTask, episodes: list[Trajectory], report: Report
-) -> tuple[ClonedPolicy, dict[str, Any]]:
+def _student(job: ImitationJob, episodes: list[Trajectory], report: Report) -> tuple[ClonedPolicy, dict[str, Any]]:
     """Fits the student and keeps it with a record of the fit."""
     from enn.behaviour_cloning import clone
     from enn.dagger import DaggerSettings, dagger
 
     began, worked = time.monotonic(), time.process_time()
-    settings = job_settings(job)
+    settings, task = job_settings(job), job.task
     expert = load_expert(job.expert)
     if job.disturbed_episodes:
         episodes = episodes + disturbed(task, expert, settings.network.keys, job.disturbed_episodes, job.seed)
@@ -156,7 +154,13 @@ def _student(
             {"episodes": one.episodes, "success_pct": 100 * one.success, "disagreement": one.disagreement}
             for one in rounds
         ]
-    student.metadata |= {"phantom": task.phantom, "target": task.target, "seed": job.seed, "row": job.origin.row}
+    student.metadata |= {
+        "phantom": task.phantom,
+        "target": task.target,
+        "seed": job.seed,
+        "row": job.origin.row,
+        TASK: asdict(task.task),
+    }
     outcome |= {"training_s": time.monotonic() - began, "cpu_s": time.process_time() - worked, "seed": job.seed}
     with atomic_path(job.folder / CURVE) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         table = csv.DictWriter(stream, ("epoch", "loss", "validation", "cpu_s"))

@@ -20,18 +20,16 @@ from pipeline.setting_kinds import (
     EpisodesOrNone,
     FolderName,
     FolderNames,
-    ImageSize,
     PathText,
     Processes,
     RisingEpisodes,
     SomeFolderNames,
-    SuccessRadius,
     Trainings,
     Units,
     Weight,
-    WireLength,
     one_of,
 )
+from pipeline.task import Task, task_in_random_arches
 
 # What forces are predicted from: the image alone, the same without the loss on features, three images, and more.
 FORCE_INPUTS = ("V", "V_plain", "V3", "V+M", "I+V", "I+V_action", "I")
@@ -60,13 +58,7 @@ class LearningSettings:
     demonstrations: bool = True  # desk: states along the sampling expert's episodes are starts of training episodes
     encoder_samples: Count = 15_000  # desk: images that the encoder is fitted to
     encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
-    wire: FolderName = "default"
-    actions: Annotated[str, one_of("feeder", "tip_motors")] = "feeder"  # or tip_motors, the thesis's 21 actions
-    image_size_px: ImageSize = 80
-    max_steps: Count = 300
-    success_radius_mm: SuccessRadius = 8.0
-    start_jitter_mm: Annotated[float, Ge(0), Le(50)] = 1.0
-    start_rotation_deg: Annotated[float, Ge(0), Le(180)] = 180.0  # the wire starts turned by up to this much either way
+    task: Task = field(default_factory=Task)
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
@@ -127,6 +119,7 @@ class ImitationSettings:
     phantoms: SomeFolderNames = field(default_factory=list)
     targets: SomeFolderNames = field(default_factory=list)
     expert: FolderName = "I+V+M"  # row of the stage enn whose episodes are learnt from
+    task: Task = field(default_factory=Task)  # that of the stage enn
     variant: _Variant = "desk"  # network and hyper-parameters: those that learn fast, or the thesis's
     observations: _StudentObservations = field(default_factory=lambda: ["image"])  # that the student sees
     episodes: RisingEpisodes = field(default_factory=list)  # expert's; the last is the table's
@@ -147,6 +140,7 @@ class ForceSettings:
     phantom: FolderName = "type_1"
     targets: SomeFolderNames = field(default_factory=list)
     expert: FolderName = "I+V+M"  # row of the stage enn whose policy steers
+    task: Task = field(default_factory=Task)  # that of the stage enn
     variant: _Variant = "desk"
     samples: _Samples = field(default_factory=list)  # to learn from; inputs beside the image are tried with the last
     test_samples: Decisions = 4_000  # of episodes that are not learnt from
@@ -184,9 +178,6 @@ class UnseenSettings:
     mesh_episodes: Annotated[int, Ge(1), Le(500)] = 20
     wires: FolderNames = field(default_factory=list)  # further wires: presets, "softer", "stiffer"
     wire_anatomies: Count = 10  # unseen arches that each is tried on
-    wire_length_mm: WireLength = 312.0  # reaches the targets of large arches
-    image_size_px: ImageSize = 192
-    max_steps: Count = 300
-    success_radius_mm: SuccessRadius = 8.0
+    task: Task = field(default_factory=task_in_random_arches)
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)

@@ -1,12 +1,13 @@
-"""The task that learning stages train and evaluate on, and the environments made from it."""
+"""A task with its anatomy and target, as learning stages train and evaluate on it, and its environments."""
 
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+from pipeline.task import Task
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
@@ -16,19 +17,13 @@ REWARD_OF_TRAINING, REWARD_OF_EVALUATION = "geodesic", "distance"  # the latter 
 
 @dataclass(frozen=True)
 class LearningTask:
-    """Anatomy, target, wire and rules of an episode.
+    """A task in an anatomy, with what only its training knows.
 
     Attributes:
         phantom: name of an anatomy.
         target: name of one of its targets.
-        wire: name of a guidewire.
-        actions: "feeder" (two) or "tip_motors" (twenty-one).
-        image_size: side of the images, px.
-        max_steps: an episode is cut off after so many.
-        success_radius: m.
+        task: wire, actions, images, limits and start.
         accuracy: preset of the simulator.
-        start_jitter: the wire starts advanced by up to this much, m.
-        start_rotation: ... and turned by up to this much either way, rad.
         reward: of training: "geodesic", shaped, or "distance", the thesis's.
         force_penalty: of the training's reward, a newton.
         path_penalty: of the training's reward, a metre of the tip's way: what makes ways short.
@@ -36,14 +31,8 @@ class LearningTask:
 
     phantom: str
     target: str
-    wire: str = "default"
-    actions: str = "feeder"
-    image_size: int = 80
-    max_steps: int = 300
-    success_radius: float = 0.008
+    task: Task = field(default_factory=Task)
     accuracy: str = "accurate"
-    start_jitter: float = 0.001
-    start_rotation: float = math.pi
     reward: str = REWARD_OF_TRAINING
     force_penalty: float = 0.0
     path_penalty: float = 0.0
@@ -66,18 +55,12 @@ class LearningTask:
         return NavigateEnv(
             self.phantom,
             self.target,
-            wire=self.wire,
             accuracy=self.accuracy,
-            actions=self.actions,
             observation=observation if isinstance(observation, str) else tuple(observation),
-            image_size=self.image_size,
-            max_steps=self.max_steps,
-            success_radius=self.success_radius,
-            start_jitter=self.start_jitter,
-            start_rotation=self.start_rotation,
             reward=self.reward if training else REWARD_OF_EVALUATION,
             force_penalty=self.force_penalty if training else 0.0,
             path_penalty=self.path_penalty if training else 0.0,
+            **self.task.arguments(),
         )
 
     def factory(self, observation: str | Sequence[str]) -> Callable[[], NavigateEnv]:

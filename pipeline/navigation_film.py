@@ -155,8 +155,8 @@ def film_trials(job: FilmJob, report: Report) -> dict[str, Any]:
             continue
         folder, test, target, number, seed = trial
         anatomy = test.anatomies[number // test.trials]
-        environment = test.rules.environment(anatomy, target, job.rig, ("tip",))
-        scene = Scene(environment, job.rig)
+        scene = test.rules.scene(anatomy, target, job.rig, ("tip",))
+        environment = scene.environment
         film = NavigationFilm(scene, reader)
         record_episode(
             environment,

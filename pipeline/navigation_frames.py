@@ -41,7 +41,7 @@ def frames_in(anatomy: Anatomy, job: ReaderJob, size_px: int) -> list[Frame]:
     phantom = phantom_of(anatomy)
     generator = np.random.default_rng((job.seed, int(phantom.hash[:8], 16)))
     steered = 0 if job.teacher is None else round(_STEERED * job.frames)
-    found = _laid(phantom, job, size_px, job.frames - steered, generator)
+    found = _laid(anatomy, job, size_px, job.frames - steered, generator)
     return found + _steered(anatomy, job, size_px, steered, generator)
 
 
@@ -59,7 +59,8 @@ def _steered(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generat
         if len(found) >= count:
             break
         target = job.taught[number % len(job.taught)]
-        environment = job.rules.environment(anatomy, target, job.rig, teacher.keys)
+        scene = job.rules.scene(anatomy, target, job.rig, teacher.keys)
+        environment = scene.environment
         observation, _ = environment.reset(seed=int(generator.integers(2**31)))
         clumsy, astray = generator.uniform(), generator.normal(0.0, 1.0, 2)
         over, step = False, 0
@@ -73,20 +74,21 @@ def _steered(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generat
             if step % _BETWEEN == 0 and not over:
                 simulation = environment.simulation
                 nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
-                frame = _frame(phantom, job.rig, nodes, size_px, int(generator.integers(2**31)))
+                frame = _frame(phantom, scene.rig, nodes, size_px, int(generator.integers(2**31)))
                 if frame is not None:
                     found.append(frame)
         environment.close()
     return found
 
 
-def _laid(phantom: Phantom, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator) -> list[Frame]:
+def _laid(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator) -> list[Frame]:
     """Pictures of wires that are laid along ways and moved on from there."""
-    from cathsim import ACCURACY, Simulation, load_guidewire
+    from cathsim import ACCURACY, Simulation
     from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
     from cathsim.laid_wire import lay_wire
 
-    wire = load_guidewire(job.rig.wire)
+    phantom, rules = phantom_of(anatomy), job.rules_in(anatomy)
+    wire, rig = rules.task.guidewire(), rules.rig(job.rig)
     simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"])
     ways = _ways(phantom, job.targets, simulation)
     found: list[Frame] = []
@@ -108,7 +110,7 @@ def _laid(phantom: Phantom, job: ReaderJob, size_px: int, count: int, generator:
             if not simulation.valid:
                 break
             nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
-            frame = _frame(phantom, job.rig, nodes, size_px, int(generator.integers(2**31)))
+            frame = _frame(phantom, rig, nodes, size_px, int(generator.integers(2**31)))
             if frame is not None:
                 found.append(frame)
     return found[:count]

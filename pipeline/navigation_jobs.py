@@ -161,7 +161,7 @@ def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
                 break
             report(len(episodes) / job.count, f"{len(episodes)} of {job.count} episodes")
             try:
-                seen = episode_of_log(log, job.rig, reader, settings)
+                seen = episode_of_log(log, job.rules.rig(job.rig), reader, settings)
             except EpisodeReadError:
                 continue
             episodes.append(seen)

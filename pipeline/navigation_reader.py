@@ -48,7 +48,8 @@ class ReaderJob:
         seed: of everything.
         teacher: file of a policy that steers some of the wires; None: all are laid.
         taught: targets to which it knows the way.
-        rules: of its episodes.
+        rules: of its episodes, and of the wires laid in random arches.
+        named: rules in the named phantoms, whose wire is laid there.
     """
 
     folder: Path
@@ -63,6 +64,11 @@ class ReaderJob:
     teacher: Path | None = None
     taught: tuple[str, ...] = ()
     rules: Rules = field(default_factory=Rules)
+    named: Rules = field(default_factory=Rules)
+
+    def rules_in(self, anatomy: tuple[str, int]) -> Rules:
+        """Those of an anatomy: a seed below 0 is a named phantom's."""
+        return self.named if anatomy[1] < 0 else self.rules
 
 
 def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:

@@ -21,10 +21,10 @@ from pipeline.setting_kinds import (
     RisingEpisodes,
     SomeFolderNames,
     Units,
-    WireLength,
     one_of,
 )
 from pipeline.splineformer_settings import SPLINEFORMER_VARIANTS
+from pipeline.task import Task, task_in_random_arches
 
 _Cameras = Annotated[list[Annotated[str, one_of("a", "b")]], UNIQUE, NOT_EMPTY]
 
@@ -61,7 +61,8 @@ class NavigationSettings:
     reader_epochs: CountOrNone = 3  # 0: it stays as it is
     hidden: Units = 128  # units of the other navigators
     action_repeat: Annotated[int, Ge(1), Le(100)] = 3  # steps of 0.1 s that they hold an action: an image a decision
-    wire_length_mm: WireLength = 312.0  # in random arches
+    task: Task = field(default_factory=Task)  # in named phantoms: that of the stage enn
+    arch_task: Task = field(default_factory=task_in_random_arches)  # that of the stage unseen
     pixel_cloning: bool = True  # the rival that clones from pixels
     film: bool = True
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core

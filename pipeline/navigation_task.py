@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from pipeline.learning_task import REWARD_OF_EVALUATION
 from pipeline.navigation_scene import Rig, Scene, scene_environment
+from pipeline.task import Task
 
 if TYPE_CHECKING:
-    from cathsim import NavigateEnv
     from cathsim.anatomy import Phantom
 
 RESOLUTION = 1e-3  # m, of the anatomies' grids
@@ -22,36 +20,32 @@ Anatomy = tuple[str, int]  # kind and seed; a seed below 0: the kind is a phanto
 
 @dataclass(frozen=True)
 class Rules:
-    """Rules of an episode.
+    """A task under the navigation's cameras.
 
     Attributes:
-        wire: preset.
-        wire_length: m, to which the wire is scaled; 0: as it is.
-        max_steps: an episode is cut off after so many.
-        success_radius: m.
-        start_jitter: the wire starts advanced by up to this much, m.
-        start_rotation: ... and turned by up to this much either way, rad.
+        task: wire, limits and start; its images are those of a teacher, the navigator's are the rig's.
     """
 
-    wire: str = "default"
-    wire_length: float = 0.0
-    max_steps: int = 300
-    success_radius: float = 0.008
-    start_jitter: float = 0.001
-    start_rotation: float = float(np.pi)
+    task: Task = field(default_factory=Task)
 
-    def environment(self, anatomy: Anatomy, target: str, rig: Rig, observation: Sequence[str]) -> NavigateEnv:
-        """An environment under the rig's cameras."""
-        from cathsim import load_guidewire
+    def rig(self, rig: Rig) -> Rig:
+        """The cameras, with the task's wire to be drawn."""
+        return replace(rig, wire=self.task.wire)
 
-        wire = load_guidewire(self.wire)
-        return scene_environment(
-            phantom_of(anatomy), target, rig, observation,
-            wire=wire.scaled(self.wire_length) if self.wire_length else wire,
-            max_steps=self.max_steps, success_radius=self.success_radius,
-            start_jitter=self.start_jitter, start_rotation=self.start_rotation,
-            reward=REWARD_OF_EVALUATION,
-        )  # fmt: skip
+    def scene(self, anatomy: Anatomy, target: str, rig: Rig, observation: Sequence[str]) -> Scene:
+        """An environment under the rig's cameras.
+
+        Args:
+            anatomy: kind and seed.
+            target: of the episodes.
+            rig: of the images; the wire that they show is the task's.
+            observation: of a teacher.
+        """
+        seen = self.rig(rig)
+        environment = scene_environment(
+            phantom_of(anatomy), target, seen, observation, reward=REWARD_OF_EVALUATION, **self.task.arguments()
+        )
+        return Scene(environment, seen)
 
 
 @dataclass(frozen=True)
@@ -92,7 +86,7 @@ def scenes_of(
         seeds: of the resets.
     """
     for (anatomy, target), seed in zip(cases, seeds, strict=True):
-        yield Scene(rules.environment(anatomy, target, rig, keys), rig), seed
+        yield rules.scene(anatomy, target, rig, keys), seed
 
 
 def room_for(anatomies: Sequence[Anatomy]) -> None:

@@ -55,8 +55,8 @@ def run_tests(
         failures: dict[str, int] = {}
         seeds = held_out_seeds(seed, len(test.anatomies) * test.trials)
         for place, anatomy in enumerate(test.anatomies):
-            environment = test.rules.environment(anatomy, target, rig, ("tip",))
-            scene = Scene(environment, rig)
+            scene = test.rules.scene(anatomy, target, rig, ("tip",))
+            environment = scene.environment
             logs_in = folder / EVALUATION / test.name / target / environment.phantom.name
             metrics += run_trials(
                 environment,

@@ -131,6 +131,7 @@ def describe_episode(
         control_dt=CONTROL_STEP,
         configuration={
             **asdict(environment.task),
+            "image_size": environment.fluoroscope.shape[0],
             "wire": asdict(environment.simulation.wire),
             "numerics": asdict(environment.simulation.numerics),
             **({} if environment.biplane is None else {"cameras": environment.biplane.fluoroscope.to_json()}),

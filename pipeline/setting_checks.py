@@ -130,8 +130,9 @@ def settings_that_matter(settings: Any) -> dict[str, Any]:
     Returns:
         Field name to value.
     """
+    everything = dataclasses.asdict(settings)
     return {
-        item.name: getattr(settings, item.name)
+        item.name: everything[item.name]
         for item in dataclasses.fields(settings)
         if item.metadata.get("affects_results", True)
     }

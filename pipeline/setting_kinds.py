@@ -80,8 +80,17 @@ Units = Annotated[int, Ge(1), Le(65_536)]  # of a network's layer
 Processes = Annotated[int, Ge(0), Le(1_024)]  # beside each other; 0: one a core
 ImageSize = Annotated[int, Ge(36), Le(4_096)]  # px; the learnt encoders' convolutions need 36
 
+
+def _wire_length(value: float) -> float:
+    if value and not 100 <= value <= 2_000:
+        raise ValueError(f"must be 0 (as long as the preset) or 100 to 2000 mm, got {value}")
+    return value
+
+
 SuccessRadius = Annotated[float, Gt(0), Le(100)]  # mm
-WireLength = Annotated[float, Ge(100), Le(2_000)]  # mm
+StartJitter = Annotated[float, Ge(0), Le(50)]  # mm
+StartRotation = Annotated[float, Ge(0), Le(180)]  # degrees
+WireLength = Annotated[float, AfterValidator(_wire_length)]  # mm; 0: the preset's own
 NoisePixels = Annotated[float, Ge(0), Le(100)]
 Weight = Annotated[float, Ge(0), Le(1e6)]
 

@@ -19,13 +19,13 @@ from pipeline.setting_kinds import (
     Episodes,
     FolderName,
     FolderNames,
-    ImageSize,
     PathText,
     Processes,
     Seed,
     SomeFolderNames,
     SuccessRadius,
 )
+from pipeline.task import Task
 
 COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
 
@@ -69,10 +69,7 @@ class ExpertSettings:
     targets: SomeFolderNames = field(default_factory=list)
     episodes: Episodes = 1  # a phantom and target
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # of the search; 0: one a core
-    max_steps: Count = 300
-    success_radius_mm: SuccessRadius = 8.0
-    wire: FolderName = "default"
-    image_size_px: ImageSize = 80
+    task: Task = field(default_factory=lambda: Task(start_rotation_deg=0.0))
     film: bool = True
     film_episodes: CountOrNone = 1  # films a phantom and target
 

@@ -15,7 +15,7 @@ import json
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +28,7 @@ from pipeline.job_worker import Report
 from pipeline.learning_task import LearningTask
 from pipeline.replay import ReplayError, recorded_wire, replay
 from pipeline.seeds import expert_seeds, held_out_seeds
+from pipeline.task import FEEDER, TASK
 from pipeline.trials import MODES, Origin, controllers, run_trials, summary
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ PRELOAD = ("cathsim", "enn.reinforcement", "enn.encoder", "pipeline.recording")
 _SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
 _SECONDS_A_DECISION = 1e-2
 _SAMPLES_SHARE = 0.4  # of the time that an encoder takes
-_NOWHERE = 1e-6  # m, a radius that no tip comes into
+_NOWHERE_MM = 1e-3  # a radius that no tip comes into
 _ACCURACY_OF_SAMPLES = "fast"  # an encoder learns shapes, and these it sees twice as fast
 _NEVER = 100_000  # steps that no roll-out takes
 
@@ -102,7 +103,7 @@ class TrainingJob:
     @property
     def weight(self) -> float:
         """Guess of its seconds, beside other jobs."""
-        steps = (2 * self.evaluation_episodes + self.expert_episodes) * self.task.max_steps / 3
+        steps = (2 * self.evaluation_episodes + self.expert_episodes) * self.task.task.max_steps / 3
         return self.settings.decisions * _SECONDS_A_DECISION + steps * _SECONDS_A_STEP
 
 
@@ -124,7 +125,8 @@ def fit(job: EncoderJob, report: Report) -> dict[str, Any]:
         return dict(json.loads(record.read_text(encoding="utf-8")))
     began = time.monotonic()
     # No roll-out is to end at a target, nor at a limit: one encoder serves them all.
-    task = replace(job.task, success_radius=_NOWHERE, max_steps=_NEVER, accuracy=_ACCURACY_OF_SAMPLES)
+    endless = replace(job.task.task, success_radius_mm=_NOWHERE_MM, max_steps=_NEVER)
+    task = replace(job.task, task=endless, accuracy=_ACCURACY_OF_SAMPLES)
     states = [found.simulation_states for found in repeat(job.demonstrations, job.task)]
     samples = scripted_samples(
         task.factory((*job.keys, *TRUTH)),
@@ -167,7 +169,12 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
         seed=job.seed,
         demonstrations=[] if (job.folder / RECORD).is_file() else _demonstrations(job),
         encoder=None if job.encoder is None else Encoder.load(job.encoder),
-        metadata={**job.origin.configuration("training"), "phantom": job.task.phantom, "target": job.task.target},
+        metadata={
+            **job.origin.configuration("training"),
+            "phantom": job.task.phantom,
+            "target": job.task.target,
+            TASK: asdict(job.task.task),
+        },
     )
     result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
@@ -229,21 +236,19 @@ def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...
     Returns:
         The episodes; none for tip motors, whose states no expert went through.
     """
-    from cathsim import load_guidewire
-
-    if task.actions != "feeder":
+    if task.task.actions != FEEDER:
         return []
     found = []
     for log in logs:
         try:
             with EpisodeReader(log) as reader:
-                if recorded_wire(reader.info) != load_guidewire(task.wire):
-                    raise ReplayError(f"it was recorded with another wire than {task.wire}")
+                if recorded_wire(reader.info) != task.task.guidewire():
+                    raise ReplayError(f"it was recorded with another wire than {task.task.wire}")
             found.append(
                 replay(
                     log,
                     observation,
-                    image_size=task.image_size,
+                    image_size=task.task.image_size_px,
                     reward=task.reward,
                     force_penalty=task.force_penalty,
                     path_penalty=task.path_penalty,

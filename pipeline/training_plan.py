@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import pkgutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import enn
 from pipeline.errors import ConfigurationError
+from pipeline.expert_episodes import require_demonstrations
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import LearningSettings
 from pipeline.learning_task import LearningTask
 from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
 from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.task import FEEDER, require_known_task
 from pipeline.training_job import PRELOAD, EncoderJob, TrainingJob, fit, train_and_evaluate
 from pipeline.trials import Origin
 
@@ -40,7 +41,6 @@ LEARNING_CODE = (
     ),
 )
 THESIS = "thesis"
-_MM = 1e3
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
 _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
 
@@ -84,15 +84,13 @@ def check_learning(settings: LearningSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
-    from cathsim import GUIDEWIRES
     from pipeline.stages.expert import TARGETS
 
     require_known_phantoms(settings.phantoms)
     unknown = [name for name in settings.targets if name not in TARGETS]
     if unknown:
         raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
-    if settings.wire not in GUIDEWIRES:
-        raise ConfigurationError(f"unknown wire {settings.wire!r}: choose from {', '.join(GUIDEWIRES)}")
+    require_known_task(settings.task)
     if settings.device == "cuda":
         import torch
 
@@ -126,13 +124,7 @@ def task_of(settings: LearningSettings, phantom: str, target: str, *, force_pena
     return LearningTask(
         phantom=phantom,
         target=target,
-        wire=settings.wire,
-        actions=settings.actions,
-        image_size=settings.image_size_px,
-        max_steps=settings.max_steps,
-        success_radius=settings.success_radius_mm / _MM,
-        start_jitter=settings.start_jitter_mm / _MM,
-        start_rotation=math.radians(settings.start_rotation_deg),
+        task=settings.task,
         reward=settings.reward,
         force_penalty=force_penalty,
         path_penalty=settings.path_penalty,
@@ -180,7 +172,7 @@ def run_cells(
     Returns:
         A cell's name to what its training told.
     """
-    _warn_of_missing_demonstrations(cells, settings, context)
+    _check_demonstrations(stage, cells, settings, context)
     encoders = _encoders([cell for cell in cells if cell.encoded], settings, context)
     jobs = [Job(key, fit, job, weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE) for key, job in encoders.items()]
     for cell in cells:
@@ -210,10 +202,15 @@ def run_cells(
     }
 
 
-def _warn_of_missing_demonstrations(cells: Sequence[Cell], settings: LearningSettings, context: StageContext) -> None:
+def _check_demonstrations(stage: str, cells: Sequence[Cell], settings: LearningSettings, context: StageContext) -> None:
+    """Warns of tasks without demonstrations, and refuses those of another wire; tip motors have none."""
     tasks = {cell.task.name: cell.task for cell in cells if cell.settings.bank_share > 0}
     for name, task in tasks.items():
-        if settings.demonstrations and task.actions == "feeder" and not demonstrations(task, context):
+        if not settings.demonstrations or task.task.actions != FEEDER:
+            continue
+        logs = demonstrations(task, context)
+        require_demonstrations(stage, task, logs)
+        if not logs:
             _LOGGER.warning(
                 "there are no expert episodes of %s, so it is learnt without demonstrations: run stage expert with "
                 "this phantom and target first",

@@ -15,7 +15,7 @@ import logging
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ import numpy as np
 from pipeline.atomic import atomic_path, write_json
 from pipeline.job_worker import Report
 from pipeline.seeds import fit_seed, held_out_seeds, unseen_lesson_seeds
+from pipeline.task import TASK
 from pipeline.trials import Controller, Origin, run_trials, summary
 from pipeline.unseen_demonstrations import read_demonstrations
 from pipeline.unseen_starts import read_starts
@@ -167,7 +168,7 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
         job.folder,
         seed=job.seed,
         demonstrations=[] if job.demonstrations is None else read_demonstrations(job.demonstrations, job.anatomies),
-        metadata=job.origin.configuration("training"),
+        metadata={**job.origin.configuration("training"), TASK: asdict(job.task.task)},
         starts=[] if job.starts is None else read_starts(job.starts, job.anatomies, job.task.targets),
         make_validation_env=validated if job.validated else None,
     )
@@ -280,7 +281,7 @@ def train_segmenter(job: StudentJob, report: Callable[[float, str], None]) -> tu
     for number, seed in enumerate(job.anatomies):
         report(0.1 * number / len(job.anatomies) / job.rounds, "images")
         phantom = SHELF.take(training_arch(seed), RESOLUTION)
-        projector = Projector.frontal(phantom.bounds, job.task.image_size)
+        projector = Projector.frontal(phantom.bounds, job.task.task.image_size_px)
         images.append(background_image(phantom.grid, projector, key=phantom.hash))
         lumens.append(lumen_path_length(phantom.grid, projector) > LUMEN_DEPTH)
     return fit_segmenter(

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pipeline.expert_episodes import require_demonstrations
 from pipeline.jobs import Job
 from pipeline.learning_settings import BaselinesSettings
 from pipeline.path_job import ROW, PathJob, follow
 from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import write_results
 from pipeline.stages import Stage, StageContext
+from pipeline.task import FEEDER
 from pipeline.training_plan import (
     LEARNING_CODE,
     THESIS,
@@ -41,7 +43,7 @@ def run_baselines(settings: BaselinesSettings, context: StageContext) -> None:
     followers = path_followers(settings, context) if settings.path_follower else []
     run_cells(cells, settings, context, stage="baselines", beside=followers)
     tables = tables_from_logs(context.path)
-    tables["task"] = {"episode_limit_rl": {"value": settings.max_steps}}
+    tables["task"] = {"episode_limit_rl": {"value": settings.task.max_steps}}
     write_results(context.path, tables)
 
 
@@ -111,14 +113,17 @@ def path_followers(settings: BaselinesSettings, context: StageContext) -> list[J
     for seed in training_seeds(context.seed, settings.seeds, settings.seeds):
         for phantom in settings.phantoms:
             for target in settings.targets:
-                task = replace(task_of(settings, phantom, target), actions="feeder")
+                task = task_of(settings, phantom, target)
+                task = replace(task, task=replace(task.task, actions=FEEDER))
+                shown = demonstrations(task, context)
+                require_demonstrations("baselines", task, shown)
                 name = f"{task.name}/{ROW}/seed{seed}"
                 job = PathJob(
                     folder=context.path / name,
                     task=task,
                     seed=seed,
                     origin=Origin("baselines", ROW, seed, settings.variant, {"force_weight": 0.0}),
-                    demonstrations=demonstrations(task, context),
+                    demonstrations=shown,
                     evaluation_episodes=settings.evaluation_episodes,
                 )
                 jobs.append(Job(name, follow, job, weight=settings.evaluation_episodes * SECONDS_AN_EPISODE))

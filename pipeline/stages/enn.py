@@ -10,6 +10,7 @@ from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import write_results
 from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
+from pipeline.task import FEEDER
 from pipeline.training_plan import (
     LEARNING_CODE,
     THESIS,
@@ -155,11 +156,10 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     Returns:
         Row to column to cell of the thesis's table.
     """
-    from cathsim import load_guidewire
     from enn.reinforcement import DESK_SAC, THESIS_SAC
 
     used = sized(THESIS_SAC if settings.variant == THESIS else DESK_SAC, settings.decisions, settings)
-    actions = 2 if settings.actions == "feeder" else 2 * load_guidewire(settings.wire).motor_joints + 1
+    actions = 2 if settings.task.actions == FEEDER else 2 * settings.task.guidewire().motor_joints + 1
     values = {
         "learning_rate": used.learning_rate,
         "buffer_size": used.buffer_size,

@@ -8,16 +8,17 @@ from typing import Any
 
 from pipeline.atomic import write_json
 from pipeline.errors import ConfigurationError
+from pipeline.learning_task import LearningTask
 from pipeline.report.episode_tables import episode_tables
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import demonstration_seeds
 from pipeline.stage_settings import ExpertSettings
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.task import require_feeder, require_known_task
 
 TARGETS = ("bca", "lcca", "lsa")
 OPERATOR = "sampling_expert"
-_MM = 1e3
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,12 @@ def check_expert(settings: ExpertSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
-    from cathsim import GUIDEWIRES
-
     require_known_phantoms(settings.phantoms)
     unknown = [name for name in settings.targets if name not in TARGETS]
     if unknown:
         raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
-    if settings.wire not in GUIDEWIRES:
-        raise ConfigurationError(f"unknown wire {settings.wire!r}: choose from {', '.join(GUIDEWIRES)}")
+    require_known_task(settings.task)
+    require_feeder(settings.task, "expert")
 
 
 def run_expert(settings: ExpertSettings, context: StageContext) -> None:
@@ -102,20 +101,11 @@ def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: 
     Returns:
         Its metrics.
     """
-    from cathsim import NavigateEnv
     from cathsim.planning.sampling import SamplingExpert
     from pipeline.film import Film
     from pipeline.recording import record_episode
 
-    environment = NavigateEnv(
-        trial.phantom,
-        trial.target,
-        wire=settings.wire,
-        observation="tip",
-        image_size=settings.image_size_px,
-        max_steps=settings.max_steps,
-        success_radius=settings.success_radius_mm / _MM,
-    )
+    environment = LearningTask(trial.phantom, trial.target, settings.task).environment("tip")
     expert = SamplingExpert(environment, seed=seed, threads=settings.threads or None)
     film = Film() if settings.film and trial.episode < settings.film_episodes else None
     try:
@@ -165,16 +155,14 @@ def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
     Returns:
         Row to column to cell.
     """
-    from cathsim import NavigationTask, load_guidewire
-
     values = {
-        "episode_limit_enn": settings.max_steps,
+        "episode_limit_enn": settings.task.max_steps,
         "evaluation_episodes": settings.episodes,
         "seed": seed,
-        "start_jitter_mm": NavigationTask().start_jitter * _MM,
-        "success_radius_mm": settings.success_radius_mm,
-        "image_size_px": settings.image_size_px,
-        "joint_observations": 4 * (load_guidewire(settings.wire).joints + 1),
+        "start_jitter_mm": settings.task.start_jitter_mm,
+        "success_radius_mm": settings.task.success_radius_mm,
+        "image_size_px": settings.task.image_size_px,
+        "joint_observations": 4 * (settings.task.guidewire().joints + 1),
         "actions": "2",
     }
     return {name: {"value": value} for name, value in values.items()}

@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import StageError
-from pipeline.expert_episodes import expert_folder, expert_logs, task_of_logs
+from pipeline.expert_episodes import expert_folder, require_expert
 from pipeline.force_job import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import ForceSettings
+from pipeline.learning_task import LearningTask
 from pipeline.report.imitation_plots import draw_calibration, draw_shares
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.task import require_known_task
 
 THESIS_INPUTS = "V"  # the image alone, with the loss on features and force
 GROUP = "Force prediction"
@@ -32,6 +33,7 @@ def check_force(settings: ForceSettings) -> None:
     """
     require_known_phantoms([settings.phantom])
     require_modalities(settings.expert)
+    require_known_task(settings.task)
 
 
 def run_force(settings: ForceSettings, context: StageContext) -> None:
@@ -62,12 +64,14 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
     steps = int(max(settings.samples[-1] * _MORE_STEPS, settings.test_samples * TEST_EVERY)) // len(settings.targets)
     recordings, logs, experts = [], [], []
     for target in settings.targets:
-        task = f"{settings.phantom}/{target}"
+        steered = LearningTask(settings.phantom, target, settings.task)
+        task = steered.name
         expert = expert_folder(context.inputs["enn"], task, settings.expert)
+        require_expert("force", steered, expert)
         folder = context.path / task / "episodes"
         given = RecordingJob(
             folder=folder,
-            task=task_of_logs(_logs(expert)),
+            task=steered,
             expert=expert,
             steps=steps + 1,
             noise=settings.noise,
@@ -97,14 +101,6 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
             Job(key, learn_force, fit, after=tuple(job.key for job in recordings), weight=count * _SECONDS_A_SAMPLE)
         )
     return recordings, fits
-
-
-def _logs(expert: Path) -> list[Path]:
-    """Logs of the expert's task: those with images, or else those of its evaluation."""
-    logs = expert_logs(expert) or sorted(expert.glob("evaluation/*/*.mcap"))
-    if not logs:
-        raise StageError(f"{expert} holds no episode: run stage=enn again")
-    return logs
 
 
 def row_of(samples: int) -> str:

@@ -6,16 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes
+from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
 from pipeline.imitation_job import PRELOAD, ImitationJob, imitate
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import ImitationSettings
+from pipeline.learning_task import LearningTask
 from pipeline.report.imitation_plots import draw_success
 from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.task import require_known_task
 from pipeline.trials import Origin
 
 CLONED, DISTURBED, DAGGER = "image_w_enn", "image_w_enn_disturbed", "dagger"
@@ -30,6 +32,7 @@ def check_imitation(settings: ImitationSettings) -> None:
     """
     require_known_phantoms(settings.phantoms)
     require_modalities(settings.expert)
+    require_known_task(settings.task)
 
 
 def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
@@ -63,10 +66,12 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
     jobs = []
     for phantom in settings.phantoms:
         for target in settings.targets:
-            task = f"{phantom}/{target}"
+            learnt = LearningTask(phantom, target, settings.task)
+            task = learnt.name
             expert = expert_folder(context.inputs["enn"], task, settings.expert)
             logs = expert_logs(expert)
             read_episodes(logs, 1)  # an empty folder is told before any work
+            require_expert("imitation", learnt, expert)
             most = min(settings.episodes[-1], len(logs))
             counts = sorted({min(count, most) for count in settings.episodes})
             rows: list[tuple[str, int, dict[str, int]]] = [(_row(count, most), count, {}) for count in counts]
@@ -79,6 +84,7 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
                 folder = context.path / task / row / f"seed{context.seed}"
                 given = ImitationJob(
                     folder=folder,
+                    task=learnt,
                     expert=expert,
                     seed=context.seed,
                     origin=Origin("imitation", row, context.seed, settings.variant),

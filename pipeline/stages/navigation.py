@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import ConfigurationError, StageError
-from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes
+from pipeline.expert_episodes import expert_folder, expert_logs, load_policy, read_episodes, require_expert
 from pipeline.human import FOLDER as HUMAN
 from pipeline.human import SUFFIX
 from pipeline.imitation_job import ImitationJob, imitate
 from pipeline.jobs import Job, run_jobs
+from pipeline.learning_task import LearningTask
 from pipeline.navigation_film import FilmJob, film_trials
 from pipeline.navigation_jobs import PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
 from pipeline.navigation_reader import ReaderJob, train_reader
@@ -25,6 +26,7 @@ from pipeline.report.results import write_figures, write_results
 from pipeline.seeds import reader_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.task import TASK, require_feeder, require_known_task, require_same_task, task_from
 from pipeline.training_job import POLICY
 from pipeline.trials import Origin
 from pipeline.unseen_task import TEST_PHANTOM, training_arch
@@ -44,6 +46,9 @@ def check_navigation(settings: NavigationSettings) -> None:
     unknown = [name for name in settings.targets if name not in ("bca", "lcca", "lsa")]
     if unknown:
         raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from bca, lcca, lsa")
+    for task in (settings.task, settings.arch_task):
+        require_known_task(task)
+        require_feeder(task, "navigation")
 
 
 def run_navigation(settings: NavigationSettings, context: StageContext) -> None:
@@ -75,17 +80,19 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
         StageError: an earlier stage left no expert, no episodes or no teacher.
     """
     path, rig, seed = context.path, rig_of(settings), context.seed
-    rules = Rules()
+    rules = Rules(settings.task)
     jobs = [_reader(settings, context, rig)]
     seen: list[Job] = []
     courses: list[Course] = []
     rivals: list[Job] = []
     for phantom in settings.phantoms:
         for target in settings.targets:
-            task = f"{phantom}/{target}"
+            learnt = LearningTask(phantom, target, settings.task)
+            task = learnt.name
             expert = expert_folder(context.inputs["enn"], task, settings.expert)
             logs = expert_logs(expert)
             read_episodes(logs, 1)  # an empty folder is told before any work
+            require_expert("navigation", learnt, expert)
             given = LogsJob(
                 file=path / LOGS / phantom / f"{target}.npz", reader=path / READER, rig=rig, logs=tuple(logs),
                 count=settings.episodes[-1], expert=expert / POLICY, anatomy=(phantom, NAMED), target=target,
@@ -96,7 +103,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             seen.append(Job(f"{LOGS}/{task}", see_logs, given, after=(READER,), weight=weight))
             courses.append(Course(expert / POLICY, ((phantom, NAMED),), (target,), rules))
             if settings.pixel_cloning:
-                rivals.append(_rival(settings, context, task, expert))
+                rivals.append(_rival(settings, context, learnt, expert))
     files, after = tuple(job.given.file for job in seen), tuple(job.key for job in seen)
     tests = trial_sets(settings)
     navigators: list[Job] = []
@@ -159,18 +166,20 @@ def _reader(settings: NavigationSettings, context: StageContext, rig: Rig) -> Jo
         epochs=settings.reader_epochs,
         targets=("bca", "lcca", "lsa"),
         seed=context.seed,
-        teacher=_teacher(context) if settings.arches else None,
+        teacher=_teacher(settings, context) if settings.arches else None,
         taught=tuple(settings.targets),
-        rules=_long(settings),
+        rules=Rules(settings.arch_task),
+        named=Rules(settings.task),
     )
     frames = len(given.anatomies) * settings.reader_frames
     return Job(READER, train_reader, given, weight=frames * (1 + settings.reader_epochs) * _SECONDS["frame"])
 
 
-def _rival(settings: NavigationSettings, context: StageContext, task: str, expert: Path) -> Job:
+def _rival(settings: NavigationSettings, context: StageContext, task: LearningTask, expert: Path) -> Job:
     """Behaviour cloning from pixels, from as many expert trials as the first navigator has."""
     given = ImitationJob(
-        folder=context.path / PIXELS / task,
+        folder=context.path / PIXELS / task.name,
+        task=task,
         expert=expert,
         seed=context.seed,
         origin=Origin("navigation", PIXELS, context.seed, "desk"),
@@ -180,23 +189,25 @@ def _rival(settings: NavigationSettings, context: StageContext, task: str, exper
         feature_matching=0.0,
         evaluation_episodes=settings.trials,
     )
-    return Job(f"{PIXELS}/{task}", imitate, given, weight=20.0)
+    return Job(f"{PIXELS}/{task.name}", imitate, given, weight=20.0)
 
 
 def _arches(settings: NavigationSettings, context: StageContext) -> Course:
     anatomies = tuple(training_arch(seed) for seed in training_arches(context.seed, settings.arches))
-    return Course(_teacher(context), anatomies, tuple(settings.targets), _long(settings), hints=True)
+    teacher, rules = _teacher(settings, context), Rules(settings.arch_task)
+    return Course(teacher, anatomies, tuple(settings.targets), rules, hints=True)
 
 
-def _teacher(context: StageContext) -> Path:
+def _teacher(settings: NavigationSettings, context: StageContext) -> Path:
+    """The roadmap policy of the stage unseen, which must know the task in random arches."""
     teacher = context.inputs["unseen"] / "roadmap" / f"seed{context.seed}" / POLICY
     if not teacher.is_file():
         raise StageError(f"there is no teacher {teacher}: run stage=unseen with this seed, or set stage.arches=0")
+    told = task_from(load_policy(teacher, "unseen").metadata.get(TASK))
+    if told is None:
+        raise StageError(f"{teacher} does not say what task it was trained for: run stage=unseen again")
+    require_same_task("navigation", settings.arch_task, told, "the teacher in random arches", "unseen")
     return teacher
-
-
-def _long(settings: NavigationSettings) -> Rules:
-    return Rules(wire_length=settings.wire_length_mm / 1e3)
 
 
 def trial_sets(settings: NavigationSettings) -> tuple[TrialSet, ...]:
@@ -206,11 +217,11 @@ def trial_sets(settings: NavigationSettings) -> tuple[TrialSet, ...]:
         settings: of the stage.
     """
     tests = [
-        TrialSet(name, ((name, NAMED),), settings.trials, Rules())
+        TrialSet(name, ((name, NAMED),), settings.trials, Rules(settings.task))
         for name in (*settings.phantoms, *settings.transfer_phantoms)
     ]
     unseen: tuple[Anatomy, ...] = tuple((TEST_PHANTOM, arch) for arch in unseen_arches(settings.test_arches))
-    return (*tests, *([TrialSet(UNSEEN, unseen, 1, _long(settings))] if unseen else []))
+    return (*tests, *([TrialSet(UNSEEN, unseen, 1, Rules(settings.arch_task))] if unseen else []))
 
 
 def _recordings(run_path: Path) -> dict[str, str]:

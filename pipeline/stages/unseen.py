@@ -18,6 +18,7 @@ from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.task import require_feeder, require_known_task
 from pipeline.training_plan import LEARNING_CODE
 from pipeline.trials import Origin
 from pipeline.unseen_demonstrations import DemonstrationsJob, record_demonstrations
@@ -74,6 +75,8 @@ def check_unseen(settings: UnseenSettings) -> None:
     unknown = [name for name in settings.wires if name not in wires]
     if unknown:
         raise ConfigurationError(f"unknown wire {', '.join(map(repr, unknown))}: choose from {', '.join(wires)}")
+    require_known_task(settings.task)
+    require_feeder(settings.task, "unseen")
 
 
 def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
@@ -101,13 +104,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
     Returns:
         In the order in which they should start.
     """
-    task = UnseenTask(
-        targets=tuple(settings.targets),
-        wire_length=settings.wire_length_mm / 1e3,
-        image_size=settings.image_size_px,
-        max_steps=settings.max_steps,
-        success_radius=settings.success_radius_mm / 1e3,
-    )
+    task = UnseenTask(tuple(settings.targets), settings.task)
     counts = [*counts_of(settings), *([settings.image_anatomies] if settings.image else [])]
     arches = training_arches(run_seed, max(counts))
     trained = arches[: max(settings.anatomies, settings.image_anatomies if settings.image else 0)]
@@ -257,14 +254,15 @@ def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
         Those that there are; a mesh that is not there is left out with a warning.
     """
     unseen = tuple(unseen_arches(settings.test_anatomies))
-    tests = [HeldOutSet(UNSEEN, unseen, modes=("deterministic", "stochastic"))]
-    tests += [HeldOutSet(name, (name,), settings.named_episodes) for name in settings.phantoms]
+    wire = settings.task.wire
+    tests = [HeldOutSet(UNSEEN, unseen, wire=wire, modes=("deterministic", "stochastic"))]
+    tests += [HeldOutSet(name, (name,), settings.named_episodes, wire) for name in settings.phantoms]
     if settings.mesh is not None:
         if Path(settings.mesh).is_file():
-            tests.append(HeldOutSet(REAL_MESH, (settings.mesh,), settings.mesh_episodes))
+            tests.append(HeldOutSet(REAL_MESH, (settings.mesh,), settings.mesh_episodes, wire))
         else:
             _LOGGER.warning("there is no mesh %s: the test on a scanned anatomy is left out", settings.mesh)
-    tests += [HeldOutSet(f"{UNSEEN} {wire}", unseen[: settings.wire_anatomies], wire=wire) for wire in settings.wires]
+    tests += [HeldOutSet(f"{UNSEEN} {kind}", unseen[: settings.wire_anatomies], wire=kind) for kind in settings.wires]
     return tuple(tests)
 
 

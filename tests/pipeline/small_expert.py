@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from pipeline.learning_task import LearningTask
 from pipeline.recording import record_episode
 from pipeline.seeds import expert_seeds
 from pipeline.stages import StageContext
+from pipeline.task import TASK as KEY
+from pipeline.task import Task
 
-TASK = LearningTask("type_1", "bca", max_steps=6, start_jitter=0.02)
+TASK = LearningTask("type_1", "bca", Task(max_steps=6, start_jitter_mm=20.0))
 
 
 def write_expert(folder: Path, *, episodes: int = 4, task: LearningTask = TASK) -> Path:
@@ -31,7 +34,9 @@ def write_expert(folder: Path, *, episodes: int = 4, task: LearningTask = TASK) 
     with torch.random.fork_rng():
         torch.manual_seed(0)
         network = build_network(settings, environment.observation_space, environment.action_space)
-    policy = Policy(settings, network, environment.observation_space, environment.action_space)
+    policy = Policy(
+        settings, network, environment.observation_space, environment.action_space, metadata={KEY: asdict(task.task)}
+    )
     policy.save(place / "policy.pt")
     generator = np.random.default_rng(0)
     for index in range(episodes):

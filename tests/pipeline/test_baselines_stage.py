@@ -16,6 +16,7 @@ from pipeline.learning_settings import BaselinesSettings
 from pipeline.learning_task import LearningTask
 from pipeline.path_job import PathJob, demonstrated, follow
 from pipeline.stages.baselines import plan, training_settings
+from pipeline.task import Task
 from pipeline.training_plan import check_learning
 from pipeline.trials import Origin
 from tests.pipeline.test_enn_stage import expert_run  # noqa: F401 - a fixture
@@ -37,7 +38,7 @@ def test_plan_is_the_table_of_the_thesis() -> None:
 
 
 def test_thesis_has_its_own_networks_and_actions() -> None:
-    thesis = settings(variant="thesis", actions="tip_motors", decisions=600_000, ppo_decisions=600_000)
+    thesis = settings(variant="thesis", task=Task(actions="tip_motors"), decisions=600_000, ppo_decisions=600_000)
     cells = {cell.row: cell for cell in plan(thesis, run_seed=0)}
     internal, image = cells["sac_internal"].settings, cells["ppo_sequential"].settings
     assert (internal.variant, internal.hidden, internal.activation) == ("baselines", (64, 64), "tanh")
@@ -116,7 +117,7 @@ def test_a_path_follower_leaves_damaged_logs_out_by_name(expert_run, tmp_path, c
 def test_a_tiny_run_fills_the_table(pipeline_process, expert_run) -> None:  # noqa: F811
     done = pipeline_process.run(
         "stage=baselines", "budget=smoke", "name=run", "stage.observations=[image]", "stage.decisions=48",
-        "stage.ppo_decisions=256", "stage.encoder_samples=150", "stage.max_steps=30",
+        "stage.ppo_decisions=256", "stage.encoder_samples=150", "stage.task.max_steps=30",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr + done.stdout
     folder = expert_run / "baselines"

@@ -13,14 +13,15 @@ from pipeline.learning_settings import EnnSettings
 from pipeline.learning_task import LearningTask
 from pipeline.recording import record_episode
 from pipeline.stages.enn import plan
+from pipeline.task import Task
 from pipeline.training_job import repeat
 from tests.pipeline.small_expert import context
 
-TASK = LearningTask("type_1", "bca", max_steps=3)
+TASK = LearningTask("type_1", "bca", Task(max_steps=3))
 
 
 def record(path: Path, wire: str = "default") -> Path:
-    environment = LearningTask("type_1", "bca", wire=wire, max_steps=3).environment("tip")
+    environment = LearningTask("type_1", "bca", Task(wire=wire, max_steps=3)).environment("tip")
     record_episode(
         environment, lambda observation, info: np.array([1.0, 0.0]), path, seed=0, operator="test", pictures=False
     )

@@ -10,6 +10,7 @@ import pytest
 from pipeline.errors import ConfigurationError
 from pipeline.learning_settings import EnnSettings
 from pipeline.stages.enn import architecture, check_enn, plan
+from pipeline.task import Task
 from pipeline.training_plan import training_seeds
 
 
@@ -68,7 +69,7 @@ def test_keys_of_a_sweep_leave_one_of_each() -> None:
         ({"modality": "Q"}, "unknown modality set 'Q'; there are I, V, M"),
         ({"target": "aorta"}, "unknown target 'aorta': choose from bca, lcca, lsa"),
         ({"phantom": "type_9"}, "unknown phantom 'type_9': choose from type_1"),
-        ({"wire": "rope"}, "unknown wire 'rope': choose from default"),
+        ({"task": Task(wire="rope")}, "unknown wire 'rope': choose from default"),
     ],
 )
 def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
@@ -99,7 +100,7 @@ def test_architecture_is_that_of_the_thesis() -> None:
 
 
 TINY = ("stage=enn", "budget=smoke", "name=run", "modality=I+V+M", "stage.decisions=48", "stage.encoder_samples=150",
-        "stage.max_steps=30", "stage.expert_episodes=1", "stage.tensorboard=true")  # fmt: skip
+        "stage.task.max_steps=30", "stage.expert_episodes=1", "stage.tensorboard=true")  # fmt: skip
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from pipeline.force_job import INPUTS, held_apart, learn_force, samples_of
 from pipeline.job_worker import Report
 from pipeline.learning_settings import ForceSettings
 from pipeline.stages import force
-from tests.pipeline.small_expert import context, in_this_process, write_expert
+from tests.pipeline.small_expert import TASK, context, in_this_process, write_expert
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +32,7 @@ def settings(**changed) -> ForceSettings:
         "epochs": 1,
         "inputs": ["V", "I+V", "V3"],
         "noise": 0.5,
+        "task": TASK.task,
     }
     return ForceSettings(**{**values, **changed})
 

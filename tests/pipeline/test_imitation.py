@@ -46,6 +46,7 @@ def settings(**changed) -> ImitationSettings:
         "dagger_rounds": 1,
         "dagger_episodes": 1,
         "disturbed_episodes": 1,
+        "task": TASK.task,
     }
     return ImitationSettings(**{**values, **changed})
 
@@ -124,10 +125,12 @@ def test_no_episodes_is_one_sentence(enn: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("changed", "sentence"),
-    [({"image_size": 48}, "another image size: its 'image' has shape"), ({"wire": "thesis"}, "another wire than")],
+    [({"image_size_px": 48}, "another image size: its 'image' has shape"), ({"wire": "thesis"}, "another wire than")],
 )
 def test_episodes_of_another_kind_are_one_sentence(enn: Path, tmp_path: Path, changed: dict, sentence: str) -> None:
-    other = write_expert(tmp_path / "other", episodes=1, task=replace(TASK, max_steps=1, **changed))
+    other = write_expert(
+        tmp_path / "other", episodes=1, task=replace(TASK, task=replace(TASK.task, max_steps=1, **changed))
+    )
     logs = [*expert_logs(expert_folder(enn, "type_1/bca", "I+V+M"))[:1], *expert_logs(other)]
     with pytest.raises(StageError, match=sentence):
         read_episodes(logs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import gymnasium
@@ -25,7 +25,10 @@ from pipeline.navigation_lessons import episode_of_log, read_lessons, write_epis
 from pipeline.navigation_reader import ReaderJob, load_reader
 from pipeline.navigation_scene import Rig, Scene, images_of_shape, scene_environment, with_shaft
 from pipeline.navigation_settings import NavigationSettings
+from pipeline.navigation_task import Rules
 from pipeline.stages import navigation
+from pipeline.task import TASK as KEY
+from pipeline.task import Task
 from splineformer.build import build, size_of
 from splineformer.navigator import NavigatorSettings
 from splineformer.navigator_reading import Reader
@@ -55,6 +58,8 @@ SETTINGS = NavigationSettings(
     reader_frames=4,
     reader_epochs=1,
     hidden=8,
+    task=TASK.task,
+    arch_task=Task(wire_length_mm=312.0, max_steps=9),
     arch_hidden=12,
 )
 RIG = Rig(("a",), 256)
@@ -76,7 +81,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings, actions = NetworkSettings(keys=("roadmap",), hidden=(8,)), environment.action_space
     assert isinstance(actions, gymnasium.spaces.Box)
     network = build_network(settings, environment.observation_space, actions)
-    teacher = Policy(settings, network, environment.observation_space, actions)
+    told = {KEY: asdict(SETTINGS.arch_task)}
+    teacher = Policy(settings, network, environment.observation_space, actions, metadata=told)
     teacher.save(folder / "unseen" / "roadmap" / "seed0" / "policy.pt")
     return folder
 
@@ -85,8 +91,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def results(run: Path) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(navigation, "run_jobs", in_this_process)
-        short = replace(navigation.Rules(), max_steps=9)
-        patch.setattr(navigation, "Rules", lambda **given: replace(short, **given))
         patch.setattr(navigation, "training_arch", lambda seed: ("random", 3))
         patch.setattr(navigation, "unseen_arches", lambda count: range(3, 3 + count))
         patch.setattr(navigation_frames, "_BETWEEN", 3)
@@ -119,7 +123,7 @@ def test_eye_learns_from_laid_and_from_steered_wires(run: Path, monkeypatch: pyt
     settings = replace(SETTINGS, reader_frames=5)
     job = navigation.plan(settings, context(run, "navigation", reads=READS))[0].given
     assert isinstance(job, ReaderJob)
-    job = replace(job, rules=replace(job.rules, max_steps=30))
+    job = replace(job, rules=Rules(replace(job.rules.task, max_steps=30)))
     frames = frames_in(("type_1", -1), job, 64)
     assert len(frames) == 5  # two laid ones first
     for pictures, curves in frames:

@@ -10,9 +10,10 @@ import pytest
 from pipeline.episodes import EpisodeReader
 from pipeline.learning_task import LearningTask
 from pipeline.seeds import held_out_seeds
+from pipeline.task import Task
 from pipeline.trials import Origin, run_trials, summary
 
-TASK = LearningTask("type_1", "bca", max_steps=6)
+TASK = LearningTask("type_1", "bca", Task(max_steps=6))
 ORIGIN = Origin("enn", "I+V+M", 3, "desk", {"training_force_penalty": 0.5})
 
 

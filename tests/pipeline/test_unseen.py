@@ -20,6 +20,7 @@ from pipeline.stages.unseen import (
     plan,
     training_settings,
 )
+from pipeline.task import Task
 from pipeline.trials import Origin
 from pipeline.unseen_jobs import (
     AnatomiesJob,
@@ -33,7 +34,7 @@ from pipeline.unseen_jobs import (
 from pipeline.unseen_starts import StartsJob, lay_starts, read_starts
 from pipeline.unseen_task import UnseenTask, training_arch
 
-TASK = UnseenTask(targets=("lcca",), wire_length=0.312, image_size=96, max_steps=16)
+TASK = UnseenTask(("lcca",), Task(wire_length_mm=312.0, image_size_px=96, max_steps=16))
 TESTS = (HeldOutSet("unseen", (1,)),)
 
 
@@ -113,12 +114,12 @@ def test_laid_starts_lie_before_the_target_and_are_laid_once(tmp_path: Path) -> 
     environment.reset(seed=0)
     whole = environment.task.remaining(environment.phantom, environment.simulation.tip)
     assert starts.shape[1] == len(begun)
-    assert TASK.success_radius < min(remaining) < 0.03
+    assert TASK.task.success_radius < min(remaining) < 0.03
     assert max(remaining) < 0.7 * whole
 
 
 def test_wires_of_the_tests() -> None:
-    task = UnseenTask(targets=("bca",), wire_length=0.312)
+    task = UnseenTask(("bca",), Task(wire_length_mm=312.0))
     default, softer, stiffer, thesis = (task.wire(kind) for kind in ("default", "softer", "stiffer", "thesis"))
     assert default.links == softer.links
     assert stiffer.tip_stiffness_nmm2 == pytest.approx(4 * softer.tip_stiffness_nmm2)

@@ -10,6 +10,7 @@ import pytest
 
 from pipeline import unseen_demonstrations
 from pipeline.job_worker import Report
+from pipeline.task import Task
 from pipeline.unseen_demonstrations import (
     DemonstrationsJob,
     demonstrate,
@@ -18,7 +19,7 @@ from pipeline.unseen_demonstrations import (
 )
 from pipeline.unseen_task import ROADMAP_KEYS, UnseenTask
 
-TASK = UnseenTask(targets=("bca", "lcca"), wire_length=0.312, max_steps=24)
+TASK = UnseenTask(("bca", "lcca"), Task(wire_length_mm=312.0, max_steps=24))
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +52,9 @@ def test_what_is_demonstrated_is_what_the_training_reads(tmp_path: Path, monkeyp
 
 
 def test_failures_are_kept_but_not_learnt_from(tmp_path: Path) -> None:
-    job = DemonstrationsJob(tmp_path, replace(TASK, max_steps=8), (0,), (0,), "bca", hold=4, seed=0)
+    job = DemonstrationsJob(
+        tmp_path, replace(TASK, task=replace(TASK.task, max_steps=8)), (0,), (0,), "bca", hold=4, seed=0
+    )
     assert record_demonstrations(job, Report()) == {"shown": 1, "reached": 0}
     assert [path.name for path in tmp_path.iterdir()] == ["bca_0.npz"]
     assert read_demonstrations(tmp_path, (0,)) == []

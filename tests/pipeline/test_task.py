@@ -1,0 +1,219 @@
+"""The task: one definition for all stages, what logs and policies say of it, and results of another task refused."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig, register_schemas, run_config
+from pipeline.errors import ConfigurationError, StageError
+from pipeline.expert_episodes import require_demonstrations, require_expert, task_of_log
+from pipeline.learning_settings import BaselinesSettings, EnnSettings, ForceSettings, ImitationSettings
+from pipeline.learning_task import LearningTask
+from pipeline.navigation_settings import NavigationSettings
+from pipeline.recording import record_episode
+from pipeline.stages import STAGE_NAMES, baselines, enn, force, imitation, navigation
+from pipeline.stages.expert import check_expert
+from pipeline.stages.unseen import check_unseen
+from pipeline.task import MOTION, Task, differences, require_same_task, task_from, task_in_random_arches
+from tests.pipeline.small_expert import TASK, context, write_expert
+
+
+def composed(*overrides: str) -> RunConfig:
+    register_schemas()
+    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIRECTORY)):
+        return run_config(compose("config", overrides=list(overrides)))
+
+
+def stages_of(*overrides: str) -> dict[str, Any]:
+    return {name: composed(f"stage={name}", *overrides).stage for name in STAGE_NAMES}
+
+
+@pytest.mark.parametrize("further", [(), ("task.max_steps=200", "task.success_radius_mm=4", "task.wire=thesis")])
+@pytest.mark.parametrize("budget", BUDGETS)
+def test_every_stage_has_the_task_of_what_it_goes_on_from(budget: str, further: tuple[str, ...]) -> None:
+    stages = stages_of(f"budget={budget}", *further)
+    for follower in ("imitation", "force", "navigation"):
+        assert stages[follower].task == stages["enn"].task, follower
+    assert stages["navigation"].arch_task == stages["unseen"].task
+    steered = stages["expert"].task
+    assert not differences(stages["enn"].task, steered, MOTION)
+    assert not differences(replace(stages["baselines"].task, actions="feeder"), steered, MOTION)
+    limits = stages["user_study"]
+    assert (limits.max_steps, limits.success_radius_mm) == (stages["enn"].task.max_steps, steered.success_radius_mm)
+
+
+def test_tasks_of_the_budgets() -> None:
+    desk, thesis = stages_of("budget=desk"), stages_of("budget=thesis")
+    for name in ("enn", "baselines", "imitation", "force", "navigation"):
+        assert desk[name].task == Task()
+    assert desk["expert"].task == Task(start_rotation_deg=0.0)
+    assert desk["unseen"].task == thesis["unseen"].task == task_in_random_arches()
+    chapter = Task(wire="thesis", start_rotation_deg=0.0)
+    assert thesis["enn"].task == thesis["expert"].task == chapter
+    own = replace(chapter, actions="tip_motors", image_size_px=128, max_steps=2000)  # reinforcement learning's
+    assert thesis["baselines"].task == own
+
+
+def test_one_stage_may_have_a_task_of_its_own() -> None:
+    stage = composed("stage=enn", "stage.task.max_steps=20", "task.image_size_px=96").stage
+    assert (stage.task.max_steps, stage.task.image_size_px) == (20, 96)
+    with pytest.raises(ConfigurationError, match=r"unknown setting 'stage\.task\.speed': choose one of wire, wire_len"):
+        composed("stage=enn", "+stage.task.speed=1")
+
+
+def test_arguments_are_in_metres_and_radians() -> None:
+    arguments = Task(wire_length_mm=312.0).arguments()
+    assert arguments.pop("wire").length == pytest.approx(0.312)
+    assert arguments == {
+        "actions": "feeder", "image_size": 80, "max_steps": 300, "success_radius": 0.008, "start_jitter": 0.001,
+        "start_rotation": pytest.approx(3.141592653589793, abs=0),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "values", [{"wire_length_mm": -1}, {"max_steps": 0}, {"max_steps": 2.5}, {"success_radius_mm": float("nan")},
+               {"image_size_px": 1}, {"start_rotation_deg": 1e300}, {"start_jitter_mm": "much"}]
+)  # fmt: skip
+def test_impossible_values_are_refused(values: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError, match=f"task.{next(iter(values))} must"):
+        Task(**values)
+
+
+def test_unknown_actions_and_wires_are_refused_by_name() -> None:
+    with pytest.raises(ConfigurationError, match=r"task\.actions has no 'magnets': choose from feeder, tip_motors"):
+        Task(actions="magnets")
+    for check in (check_expert, check_unseen, enn.check_enn, imitation.check_imitation, force.check_force):
+        name = check.__name__.removeprefix("check_")
+        settings = composed(f"stage={name}").stage
+        with pytest.raises(ConfigurationError, match="unknown wire 'rope': choose from default"):
+            check(replace(settings, task=Task(wire="rope")))
+    settings = composed("stage=unseen", "stage.task.actions=tip_motors").stage
+    with pytest.raises(ConfigurationError, match="stage unseen steers the feeder's two actions"):
+        check_unseen(settings)
+
+
+@pytest.mark.parametrize("pictures", [True, False])
+def test_a_log_says_what_its_task_was(tmp_path: Path, pictures: bool) -> None:
+    task = Task(
+        wire="thesis", wire_length_mm=300.0, actions="tip_motors", image_size_px=48, max_steps=2,
+        success_radius_mm=3.3, start_jitter_mm=0.7, start_rotation_deg=33.0,
+    )  # fmt: skip
+    learnt = LearningTask("type_1", "lcca", task)
+    environment = learnt.environment("tip")
+    record_episode(
+        environment, lambda *_: environment.action_space.sample() * 0, tmp_path / "one.mcap", seed=0, operator="test",
+        pictures=pictures,
+    )  # fmt: skip
+    told = task_of_log(tmp_path / "one.mcap")
+    assert (told.phantom, told.target) == ("type_1", "lcca")
+    assert not differences(told.task, task)
+    assert differences(told.task, replace(task, wire_length_mm=290.0)) == ["wire_length_mm"]
+    assert not differences(Task(wire="thesis", wire_length_mm=313.0), Task(wire="thesis", wire_length_mm=315.0))
+
+
+def test_every_difference_is_named_in_one_sentence() -> None:
+    found = Task(wire="thesis", max_steps=2000)
+    with pytest.raises(
+        StageError,
+        match=r"^stage navigation was asked for wire=default, max_steps=300, but the expert policy of type_1/bca was "
+        r"made by stage enn with wire=thesis, max_steps=2000: give both stages the same task \(task\.wire=…, "
+        r"task\.max_steps=…\), or run stage=enn again$",
+    ):
+        require_same_task("navigation", Task(), found, "the expert policy of type_1/bca", "enn")
+    require_same_task("navigation", Task(), replace(found, wire="default"), "the policy", "enn", MOTION)
+    assert task_from(asdict(found)) == found
+    assert task_from(None) is task_from({"wire": "thesis", "speed": 1}) is None
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run whose stage enn and whose sampling expert had a task of their own."""
+    folder = tmp_path_factory.mktemp("run")
+    write_expert(folder / "enn", episodes=1)
+    write_expert(folder, episodes=1)
+    (folder / "expert" / "type_1").mkdir(parents=True)
+    (folder / TASK.name / "I+V+M" / "seed0" / "expert").rename(folder / "expert" / "type_1" / "bca")
+    return folder
+
+
+CONSUMERS = {
+    "imitation": (imitation, ImitationSettings(phantoms=["type_1"], targets=["bca"], episodes=[1])),
+    "force": (force, ForceSettings(targets=["bca"], samples=[10])),
+    "navigation": (navigation, NavigationSettings(phantoms=["type_1"], targets=["bca"], episodes=[1], arches=0)),
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"wire": "thesis"}, "wire"),
+        ({"actions": "tip_motors"}, "actions"),
+        ({"image_size_px": 96}, "image_size_px"),
+        ({"max_steps": 7}, "max_steps"),
+        ({"success_radius_mm": 4.0}, "success_radius_mm"),
+        ({"start_jitter_mm": 1.0}, "start_jitter_mm"),
+        ({"start_rotation_deg": 0.0}, "start_rotation_deg"),
+        ({"wire_length_mm": 400.0}, "wire_length_mm"),
+    ],
+)
+@pytest.mark.parametrize("stage", CONSUMERS)
+def test_experts_of_another_task_are_refused(run: Path, stage: str, changed: dict[str, Any], named: str) -> None:
+    module, settings = CONSUMERS[stage]
+    reads = ("expert", "enn", "unseen", "splineformer")
+    module.plan(replace(settings, task=TASK.task), context(run, stage, reads=reads))
+    asked = replace(TASK.task, **changed)
+    with pytest.raises(
+        StageError, match=f"stage {stage} was asked for {named}=.*, but the expert policy of type_1/bca was made by"
+    ):
+        module.plan(replace(settings, task=asked), context(run, stage, reads=reads))
+
+
+def test_episodes_of_another_task_are_refused_where_the_policy_says_nothing(run: Path, tmp_path: Path) -> None:
+    from enn.policy import Policy
+
+    folder = write_expert(tmp_path / "enn", episodes=1)
+    policy = Policy.load(folder / "policy.pt")
+    policy.metadata = {}
+    policy.save(folder / "policy.pt")
+    require_expert("force", TASK, folder)
+    with pytest.raises(StageError, match="but the expert's first episode of type_1/bca was made by stage enn with m"):
+        require_expert("force", replace(TASK, task=replace(TASK.task, max_steps=5)), folder)
+
+
+def test_a_teacher_of_another_task_is_refused(run: Path) -> None:
+    place = write_expert(run / "other", episodes=0, task=replace(TASK, task=Task(max_steps=5)))
+    teacher = run / "unseen" / "roadmap" / "seed0" / "policy.pt"
+    teacher.parent.mkdir(parents=True, exist_ok=True)
+    (place / "policy.pt").replace(teacher)
+    settings = replace(CONSUMERS["navigation"][1], task=TASK.task, arches=1)
+    given = context(run, "navigation", reads=("expert", "enn", "unseen", "splineformer"))
+    with pytest.raises(
+        StageError,
+        match=r"navigation was asked for wire_length_mm=312\.0, image_size_px=192, max_steps=300, but the teacher in "
+        r"random arches was made by stage unseen with wire_length_mm=0\.0, image_size_px=80, max_steps=5:",
+    ):
+        navigation.plan(settings, given)
+    assert navigation.plan(replace(settings, arch_task=Task(max_steps=5)), given)
+
+
+def test_demonstrations_of_another_wire_are_refused(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    logs = sorted((run / "expert").rglob("*.mcap"))
+    anywhere = replace(TASK.task, max_steps=2000, start_rotation_deg=0.0, image_size_px=128)
+    require_demonstrations("baselines", replace(TASK, task=anywhere), logs)
+    settings = BaselinesSettings(phantoms=["type_1"], targets=["bca"], task=anywhere)
+    given = context(run, "baselines", reads=("expert",))
+    assert len(baselines.path_followers(settings, given)) == 1
+    other = replace(settings, task=replace(anywhere, wire="thesis"))
+    sentence = r"was asked for wire=thesis, but the episode .*000\.mcap was made by stage expert with wire=default"
+    with pytest.raises(StageError, match=f"stage baselines {sentence}"):
+        baselines.path_followers(other, given)
+    with pytest.raises(StageError, match=f"stage baselines {sentence}"):
+        baselines.run_baselines(replace(other, path_follower=False), given)
+    trained = EnnSettings(phantoms=["type_1"], targets=["bca"], task=other.task)
+    with pytest.raises(StageError, match=f"stage enn {sentence}"):
+        enn.run_enn(trained, context(run, "enn_again", reads=("expert",)))
