@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import typing
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,7 +27,8 @@ ZERO_IS_LEGAL = {
     "annotation_noise_px", "arches", "dagger_rounds", "demonstrations", "disturbed_episodes", "disturbed_images",
     "embed_limit_mb", "encoder_epochs", "epochs", "expert_episodes", "feature_matching", "film_episodes", "noise",
     "path_penalty", "random_seeds", "reader_arches", "reader_epochs", "spell_chance", "split_seed", "start_jitter_mm",
-    "start_rotation_deg", "test_arches", "test_images", "threads", "updates", "validation_noise_px", "workers",
+    "start_rotation_deg", "test_arches", "test_images", "threads", "updates", "validation_noise_px", "wire_length_mm",
+    "workers",
 }  # fmt: skip
 ZERO_IS_REFUSED_THERE = {("unseen", "epochs"), ("navigation", "epochs")}
 # Texts that are no names: paths, which may lie anywhere, and what is filled in.
@@ -55,10 +57,17 @@ def fields_of(owner: type, *kinds: Any) -> Iterator[tuple[str, bool]]:
     hints = typing.get_type_hints(owner)
     for item in dataclasses.fields(owner):
         kind = hints[item.name]
+        if dataclasses.is_dataclass(kind):
+            yield from ((f"{item.name}.{name}", several) for name, several in fields_of(kind, *kinds))
         if kind in kinds or any(kind == (wanted | None) for wanted in kinds):
             yield item.name, False
         elif typing.get_origin(kind) is list and typing.get_args(kind)[0] in kinds:
             yield item.name, True
+
+
+def key_of(name: str) -> str:
+    """A setting as an error names it: a task is the run's, or a stage's own."""
+    return f"task.{name.partition('.')[2]}" if "." in name else f"stage.{name}"
 
 
 @pytest.mark.parametrize("stage", list(STAGE_SETTINGS))
@@ -70,7 +79,7 @@ def test_every_number_that_cannot_be_meant_is_refused_with_one_sentence(
     for name, several in fields_of(STAGE_SETTINGS[stage], int, float):
         for value in (*NONSENSE, "0"):
             override = f"stage.{name}={f'[{value}]' if several else value}"
-            if value == "0" and name in ZERO_IS_LEGAL and (stage, name) not in ZERO_IS_REFUSED_THERE:
+            if value == "0" and name.rpartition(".")[2] in ZERO_IS_LEGAL and (stage, name) not in ZERO_IS_REFUSED_THERE:
                 given(config, override)
                 continue
             if value == "true" and name in {n for n, _ in fields_of(STAGE_SETTINGS[stage], float)}:
@@ -79,7 +88,7 @@ def test_every_number_that_cannot_be_meant_is_refused_with_one_sentence(
                 given(config, override)
             words = one_line(refused.value, [f"stage={stage}", override])
             assert "\n" not in words, words
-            assert f"stage.{name}" in words, words
+            assert key_of(name) in words, words
             assert len(words) < 300, words
 
 
@@ -97,7 +106,7 @@ def test_no_name_leads_out_of_the_run_folder(stage: str, composed: dict[str, Dic
             continue
         for value in BAD_NAMES:
             override = f"stage.{name}={[value] if several else repr(value)}"
-            with pytest.raises(ConfigurationError, match=rf"^stage\.{name}") as refused:
+            with pytest.raises(ConfigurationError, match=f"^{re.escape(key_of(name))}") as refused:
                 given(composed[stage], override)
             assert len(str(refused.value)) < 500
 
