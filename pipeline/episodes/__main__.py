@@ -6,6 +6,7 @@ Exit codes: 0 all is well, 1 a log is damaged, 2 wrong usage, a file that is not
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
 import sys
@@ -132,13 +133,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace, path: Path) -> int:
-    if not path.is_file():
-        _complain(f"{path} is no file: give the path of an episode log")
-        return USAGE
-    if not os.access(path, os.R_OK):
-        _complain(f"{path} may not be read: check its permissions")
-        return USAGE
     try:
+        if not path.is_file():
+            _complain(f"{path} is no file: give the path of an episode log")
+            return USAGE
+        if not os.access(path, os.R_OK):
+            _complain(f"{path} may not be read: check its permissions")
+            return USAGE
         if arguments.command == "info":
             return _show_info(path)
         if arguments.command == "check":
@@ -169,6 +170,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 fine, 1 damaged, 2 usage.
     """
     arguments = _parser().parse_args(argv)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a path or a log's text may hold what the terminal cannot
     files = arguments.files if hasattr(arguments, "files") else [arguments.file]
     try:
         code = max(_run(arguments, path) for path in files)

@@ -77,7 +77,9 @@ def _copy(path: Path, out: McapFile, *, leave_out: str) -> None:
         counts = dict.fromkeys(summary.channels, 0)
         renumbered = {}
         for channel in summary.channels.values():
-            schema = summary.schemas[channel.schema_id]
+            schema = summary.schemas.get(channel.schema_id)
+            if schema is None:
+                raise ContainerError(f"the schema of {channel.topic} is missing")
             renumbered[channel.id] = out.register(channel.topic, schema.name, schema.data, schema.encoding)
         parts: list[ChunkIndex | MetadataIndex] = list(summary.chunk_indexes)
         parts += [index for index in summary.metadata_indexes if index.name != leave_out]
@@ -87,6 +89,8 @@ def _copy(path: Path, out: McapFile, *, leave_out: str) -> None:
                 continue
             chunk = read_chunk(fd, part)
             for span in messages(chunk):
+                if span.channel_id not in renumbered:
+                    raise ContainerError(f"a message is of channel {span.channel_id}, which is not declared")
                 # sequence numbers count up along a topic, as the writer's steps do
                 sequence = counts[span.channel_id]
                 counts[span.channel_id] += 1

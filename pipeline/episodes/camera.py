@@ -15,6 +15,9 @@ from pipeline.episodes.schema import WORLD_FRAME
 
 FloatArray = NDArray[np.float64]
 
+LONGEST_EDGE = 8192
+"""Pixels along an edge of a camera's picture."""
+
 
 def camera_frame(name: str) -> str:
     """Name the frame of a camera: origin at the source, x right and y down in the image, z into it.
@@ -49,8 +52,10 @@ class Camera:
             if array.shape != shape or not np.isfinite(array).all():
                 raise ValueError(f"{name} must be {shape} and finite, got {array.shape}: {array.tolist()}")
             object.__setattr__(self, name, array)
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"an image needs at least 1 x 1 pixels, got {self.width} x {self.height}")
+        for name in ("width", "height"):
+            pixels = getattr(self, name)
+            if not isinstance(pixels, int | np.integer) or not 1 <= pixels <= LONGEST_EDGE:
+                raise ValueError(f"{name} must be a whole number of pixels from 1 to {LONGEST_EDGE}, got {pixels}")
         if not np.allclose(self.R @ self.R.T, np.eye(3), atol=1e-6):
             raise ValueError(f"R must be orthonormal, got R R^T = {(self.R @ self.R.T).tolist()}")
         product = self.K @ np.column_stack((self.R, self.t))

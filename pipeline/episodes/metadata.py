@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import zlib
 from collections.abc import Mapping
 from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import from_json
 
 from pipeline.episodes.camera import Camera
 from pipeline.episodes.errors import ContainerError
 from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, as_json
 from pipeline.episodes.schema import EPISODE_METADATA, SCHEMA_VERSION
+from pipeline.setting_checks import sentence, shown
+
+_LONGEST_REASON = 200
 
 
 class VersionError(ContainerError):
@@ -30,13 +35,19 @@ def _open(record: Mapping[str, str]) -> dict[str, Any]:
     if "schema_version" not in record:
         raise VersionError("it has no schema version, so it was not written as an episode log")
     schema_version = record["schema_version"]
-    if record.get("crc32") != _checksum(schema_version, record.get("json", "")):
+    text = record.get("json", "")
+    if record.get("crc32") != _checksum(schema_version, text):
         raise ContainerError("the checksum of its metadata does not match")
-    if not schema_version.isdecimal() or int(schema_version) > SCHEMA_VERSION:
+    if schema_version not in map(str, range(1, SCHEMA_VERSION + 1)):
+        found = shown(schema_version)[1:-1]
         raise VersionError(
-            f"it has schema version {schema_version}, this reader knows up to {SCHEMA_VERSION}: update the software"
+            f"it has schema version {found}, this reader knows up to {SCHEMA_VERSION}: update the software"
         )
-    values = json.loads(record["json"])
+    try:
+        # unlike the standard library's, this parser ends at 200 levels and refuses halves of surrogate pairs
+        values = from_json(text, allow_inf_nan=False)
+    except ValueError as error:
+        raise ContainerError(f"its metadata is no JSON that can be read ({error})") from error
     if not isinstance(values, dict):
         raise ContainerError("its metadata is no JSON object")
     return values
@@ -71,10 +82,22 @@ def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Came
     """
     values = _open(record)
     try:
-        cameras = {camera["name"]: Camera.from_json(camera) for camera in values["cameras"]}
+        cameras = {_name(camera): Camera.from_json(camera) for camera in values["cameras"]}
         return EpisodeInfo(**values["info"]), cameras
-    except (KeyError, TypeError, ValueError) as error:
-        raise ContainerError(f"the metadata record {EPISODE_METADATA} is incomplete ({error})") from error
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ContainerError(f"the metadata record {EPISODE_METADATA} cannot be used ({_reason(error)})") from error
+
+
+def _name(camera: Mapping[str, Any]) -> str:
+    if not isinstance(camera["name"], str):
+        raise ValueError(f"a camera's name must be text, got {shown(camera['name'])}")
+    return camera["name"]
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        return sentence(error, "")
+    return f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())[:_LONGEST_REASON]
 
 
 def seal_outcome(outcome: EpisodeOutcome) -> dict[str, str]:
@@ -105,8 +128,8 @@ def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
     values = _open(record)
     try:
         return EpisodeOutcome(**values)
-    except (TypeError, ValueError) as error:
-        raise ContainerError(f"the episode's outcome is incomplete ({error})") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ContainerError(f"the episode's outcome cannot be used ({_reason(error)})") from error
 
 
 def seal_annotation(values: Mapping[str, Any]) -> dict[str, str]:

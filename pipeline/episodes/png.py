@@ -11,6 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from pipeline.episodes.camera import LONGEST_EDGE
+
+_MOST_PIXELS = LONGEST_EDGE**2
+# What Pillow raises for damaged pictures, by experience.
+_UNREADABLE = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, IndexError, KeyError, TypeError)
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY = 0
 _LENGTH = struct.Struct(">I")
@@ -118,7 +123,9 @@ def decode_mask(data: bytes) -> NDArray[np.bool_]:
 def _open(data: bytes) -> Image.Image:
     try:
         picture = Image.open(io.BytesIO(data), formats=("PNG",))
+        if picture.width * picture.height > _MOST_PIXELS:
+            raise ValueError(f"it has {picture.width} x {picture.height} pixels, at most {_MOST_PIXELS} are read")
         picture.load()
-    except (OSError, SyntaxError, ValueError) as error:
+    except (*_UNREADABLE, Image.DecompressionBombError) as error:
         raise ValueError(f"not a readable PNG: {error}") from error
     return picture

@@ -20,7 +20,7 @@ from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.metadata import VersionError, open_episode, open_outcome
 from pipeline.episodes.png import decode_image, decode_mask
 from pipeline.episodes.protobuf_wire import DELIMITED, fields
-from pipeline.episodes.records import EpisodeOutcome, StepRecord
+from pipeline.episodes.records import MOST_STEPS, EpisodeOutcome, StepRecord
 from pipeline.episodes.scan import MessageSpan, Summary, messages, read_chunk, read_metadata, read_summary
 from pipeline.episodes.scene import PhantomMesh, decode_phantom
 from pipeline.episodes.schema import (
@@ -35,6 +35,7 @@ from pipeline.episodes.step_codec import decode_step
 
 _IMAGE_DATA = CompressedImage.DESCRIPTOR.fields_by_name["data"].number
 _Decoded = TypeVar("_Decoded")
+_MOST_POINTS = 1 << 26  # of a ragged field stacked over an episode: 1.5 GB
 _RAGGED = {"wire_points": "wire", "contact_positions": "contact", "contact_forces": "contact"}
 
 
@@ -77,6 +78,9 @@ class EpisodeReader:
             for channel_id in self._topics.values()
         }
         self._ends = {key: [index.message_end_time for index in chunks] for key, chunks in self._chunks.items()}
+        if not -1 <= self.last_step <= MOST_STEPS:
+            self.close()
+            raise damaged(self.path, f"the times of its steps do not fit its start, {self.info.start_time_ns} ns")
         self._cached: tuple[int, bytes, dict[tuple[int, int], MessageSpan]] = (-1, b"", {})
 
     def _metadata(self, name: str, parse: Callable[[dict[str, str]], _Decoded]) -> _Decoded:
@@ -324,6 +328,8 @@ class EpisodeReader:
             EpisodeReadError: the log is damaged, or holds no step.
         """
         records = list(self)
+        if not records:
+            raise damaged(self.path, "it holds no step")
         steps = np.array([record.step for record in records], dtype=np.int64)
         arrays: dict[str, NDArray[Any]] = {"step": steps}
         arrays["time_s"] = steps * self.info.interval_ns * 1e-9
@@ -333,20 +339,31 @@ class EpisodeReader:
             values = [getattr(record, name) for record in records]
             if name in _RAGGED:
                 counts = np.array([len(value) for value in values])
+                if counts.max() * len(values) > _MOST_POINTS:
+                    raise damaged(self.path, f"a step holds {counts.max()} {name}, too many to stack {len(values)}")
                 padded = np.full((len(values), counts.max(), 3), np.nan)
                 for row, value in zip(padded, values, strict=True):
                     row[: len(value)] = value
                 arrays[name], arrays[f"{_RAGGED[name]}_count"] = padded, counts
             else:
-                arrays[name] = np.array(values)
+                arrays[name] = self._stack(name, [np.asarray(value) for value in values])
         for key in dict.fromkeys(key for record in records for key in record.extra):
             arrays[f"extra/{key}"] = np.array([record.extra.get(key, np.nan) for record in records])
         for camera in self._cameras if pictures else ():
             if self.has(camera, "image"):
-                arrays[f"image/{camera}"] = np.stack(list(self.images(camera)))
+                arrays[f"image/{camera}"] = self._stack(f"image of camera {camera}", list(self.images(camera)))
             if self.has(camera, "mask"):
-                arrays[f"mask/{camera}"] = np.stack(list(self.masks(camera)))
+                arrays[f"mask/{camera}"] = self._stack(f"mask of camera {camera}", list(self.masks(camera)))
         return arrays
+
+    def _stack(self, name: str, values: list[NDArray[Any]]) -> NDArray[Any]:
+        """Stack what must be of one shape."""
+        if not values:
+            raise damaged(self.path, f"it holds no {name}")
+        shapes = dict.fromkeys(value.shape for value in values)
+        if len(shapes) > 1:
+            raise damaged(self.path, f"{name} changes its shape from step to step: {', '.join(map(str, shapes))}"[:300])
+        return np.stack(values)
 
     def close(self) -> None:
         """Close the file; closing again does nothing."""

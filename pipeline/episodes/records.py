@@ -7,12 +7,23 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from itertools import pairwise
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Le, Lt
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, ConfigDict
+from pydantic.dataclasses import dataclass as validated
 
 FloatArray = NDArray[np.float64]
+
+MOST_STEPS = 1_000_000
+"""Of an episode: 28 hours at ten steps a second. A log that claims more is damaged, not long."""
+
+_CHECKED = ConfigDict(allow_inf_nan=False, extra="forbid")
+_Step = Annotated[int, Ge(0), Le(MOST_STEPS)]
+_Truth = Annotated[bool, BeforeValidator(lambda value: bool(value) if isinstance(value, np.bool_) else value)]
 
 
 def _vector(name: str, value: Any, length: int | None) -> FloatArray:
@@ -67,8 +78,8 @@ class StepRecord:
     """further scalars, unit in the name"""
 
     def __post_init__(self) -> None:
-        if self.step < 0:
-            raise ValueError(f"step must be at least 0, got {self.step}")
+        if not 0 <= self.step <= MOST_STEPS:
+            raise ValueError(f"step must lie in 0 to {MOST_STEPS}, got {self.step}")
         put = object.__setattr__
         put(self, "action", _vector("action", self.action, None))
         put(self, "joint_positions", _vector("joint_positions", self.joint_positions, None))
@@ -124,7 +135,7 @@ def as_json(value: Any) -> str:
     return json.dumps(_finite(plain), sort_keys=True, allow_nan=False)
 
 
-@dataclass(frozen=True, kw_only=True)
+@validated(frozen=True, kw_only=True, config=_CHECKED)
 class EpisodeInfo:
     """What is known of an episode before its first step."""
 
@@ -135,19 +146,15 @@ class EpisodeInfo:
     seed: int
     operator: str
     """who steered: a policy's name, "sampling_expert", "human", ..."""
-    control_dt: float
+    control_dt: Annotated[float, Ge(1e-9), Le(3600)]
     """s, from one step to the next"""
-    start_time_ns: int = field(default_factory=time.time_ns)
+    start_time_ns: Annotated[int, Ge(0), Lt(2**62)] = field(default_factory=time.time_ns)
     """nanoseconds since the epoch"""
     configuration: Mapping[str, Any] = field(default_factory=dict)
-    versions: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, Any] = field(default_factory=dict)
     """software -> version"""
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.control_dt) and round(self.control_dt * 1e9) > 0):
-            raise ValueError(f"control_dt must be a positive time in seconds (at least 1e-9), got {self.control_dt}")
-        if not 0 <= self.start_time_ns < 2**62:
-            raise ValueError(f"start_time_ns must be nanoseconds since the epoch, got {self.start_time_ns}")
         # What is kept is what a reader will give back: plain JSON values.
         object.__setattr__(self, "configuration", json.loads(as_json(self.configuration)))
         object.__setattr__(self, "versions", {str(key): str(value) for key, value in self.versions.items()})
@@ -176,29 +183,27 @@ class EpisodeInfo:
 OUTCOME_STATES = ("finished", "interrupted")
 
 
-@dataclass(frozen=True, kw_only=True)
+@validated(frozen=True, kw_only=True, config=_CHECKED)
 class EpisodeOutcome:
     """How an episode ended."""
 
-    success: bool | None
+    success: _Truth | None
     """None: not known"""
-    steps: int
+    steps: _Step
     """actions taken: one less than the records, as record 0 is the state after reset"""
     metrics: Mapping[str, Any] = field(default_factory=dict)
     """numbers, strings or None; a non-finite number becomes None"""
     status: str = "finished"
     """"finished", or "interrupted" for a log whose writer was stopped"""
-    missing_steps: tuple[int, ...] = ()
-    """steps that a recovery found missing between the first and the last one"""
+    missing_steps: tuple[_Step, ...] = ()
+    """steps that a recovery found missing between the first and the last one, rising"""
 
     def __post_init__(self) -> None:
         if self.status not in OUTCOME_STATES:
             raise ValueError(f"status must be one of {', '.join(OUTCOME_STATES)}, got {self.status!r}")
-        if self.steps < 0:
-            raise ValueError(f"steps must be at least 0, got {self.steps}")
-        object.__setattr__(self, "success", None if self.success is None else bool(self.success))
+        if any(later <= step for step, later in pairwise(self.missing_steps)):
+            raise ValueError("missing_steps must rise")
         object.__setattr__(self, "metrics", json.loads(as_json(self.metrics)))
-        object.__setattr__(self, "missing_steps", tuple(int(step) for step in self.missing_steps))
 
     def to_json(self) -> dict[str, Any]:
         """Give the fields as plain JSON values."""

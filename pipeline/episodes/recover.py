@@ -18,7 +18,7 @@ from pipeline.episodes.camera import Camera
 from pipeline.episodes.container import McapFile
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError
 from pipeline.episodes.metadata import VersionError, open_episode, open_outcome, seal_episode, seal_outcome
-from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome
+from pipeline.episodes.records import MOST_STEPS, EpisodeInfo, EpisodeOutcome
 from pipeline.episodes.scan import find_record, messages, open_chunk, parse_record, read_summary, walk
 from pipeline.episodes.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
 from pipeline.episodes.writer import schema_data
@@ -233,7 +233,9 @@ def _copy(data: Any, findings: _Findings, out: McapFile, info: EpisodeInfo, came
             channel_id = renumbered.get(span.channel_id)
             if channel_id is None:
                 continue
-            step = (span.log_time_ns - info.start_time_ns) // info.interval_ns
+            step, beside = divmod(span.log_time_ns - info.start_time_ns, info.interval_ns)
+            if beside or not 0 <= step <= MOST_STEPS:
+                continue  # no time of a step: the message or the start is not what a writer wrote
             if span.channel_id == step_channel:
                 steps.append(step)
             out.add(channel_id, span.log_time_ns, step, chunk[span.start : span.end])

@@ -24,7 +24,9 @@ _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _FOOTER = struct.Struct("<BQQQI")
-_MAX_UNCOMPRESSED = 1 << 30
+_MAX_UNCOMPRESSED = 1 << 26  # a writer's chunks are far smaller, but for a mesh or a picture that is a chunk by itself
+_MAX_SUMMARY = 1 << 28
+_MAX_MESSAGES = 100_000  # of a chunk
 
 
 class MessageSpan(NamedTuple):
@@ -105,7 +107,7 @@ def read_summary(fd: int) -> Summary:
     if ending[_FOOTER.size :] != MCAP0_MAGIC or ending[0] != Opcode.FOOTER:
         raise ContainerError("it has no index at its end, so its writer was stopped or the file was cut off")
     _, length, start, _, crc = _FOOTER.unpack_from(ending)
-    if length != _FOOTER.size - 9 or not 0 < start <= size - tail:
+    if length != _FOOTER.size - 9 or not 0 < start <= size - tail or size - start > _MAX_SUMMARY:
         raise ContainerError("the end of its index is malformed")
     content = os.pread(fd, size - tail - start, start)
     if zlib.crc32(ending[: _FOOTER.size - 4], zlib.crc32(content)) != crc:
@@ -127,6 +129,11 @@ def read_summary(fd: int) -> Summary:
     return summary
 
 
+def _read(fd: int, length: int, offset: int) -> bytes:
+    """Bytes that an index names; none when they do not lie in the file, so that no more is asked for than is there."""
+    return os.pread(fd, length, offset) if offset + length <= os.fstat(fd).st_size else b""
+
+
 def read_metadata(fd: int, index: MetadataIndex) -> Metadata:
     """Read the metadata record that an index names.
 
@@ -140,8 +147,8 @@ def read_metadata(fd: int, index: MetadataIndex) -> Metadata:
     Raises:
         ContainerError: it is damaged.
     """
-    data = os.pread(fd, index.length, index.offset)
-    if len(data) != index.length or data[:1] != bytes((Opcode.METADATA,)):
+    data = _read(fd, index.length, index.offset)
+    if data[:1] != bytes((Opcode.METADATA,)):
         raise ContainerError(f"the metadata record {index.name} is not where the index says")
     metadata: Metadata = parse_record(Metadata, data[9:])
     return metadata
@@ -160,8 +167,8 @@ def read_chunk(fd: int, index: ChunkIndex) -> bytes:
     Raises:
         ContainerError: it is damaged.
     """
-    data = os.pread(fd, index.chunk_length, index.chunk_start_offset)
-    if len(data) != index.chunk_length or data[:1] != bytes((Opcode.CHUNK,)):
+    data = _read(fd, index.chunk_length, index.chunk_start_offset)
+    if data[:1] != bytes((Opcode.CHUNK,)):
         raise ContainerError(f"the chunk at byte {index.chunk_start_offset} is not where the index says")
     return open_chunk(data[9:], index.chunk_start_offset)
 
@@ -188,6 +195,8 @@ def open_chunk(content: bytes, offset: int) -> bytes:
         if size > _MAX_UNCOMPRESSED or struct.unpack_from("<Q", content, position)[0] != len(compressed):
             raise ContainerError(f"{where} has an impossible size")
         if compression == b"zstd":
+            if zstandard.get_frame_parameters(compressed).content_size not in (0, size):  # it would be believed
+                raise ContainerError(f"{where} has an impossible size")
             data = zstandard.ZstdDecompressor().decompress(compressed, max_output_size=size)
         elif compression == b"":
             data = compressed
@@ -212,7 +221,7 @@ def messages(chunk: bytes) -> Iterator[MessageSpan]:
     Raises:
         ContainerError: the records do not fill the chunk.
     """
-    position, size = 0, len(chunk)
+    position, size, count = 0, len(chunk), 0
     unpack, head = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size
     while position < size:
         if position + 9 > size:
@@ -223,6 +232,9 @@ def messages(chunk: bytes) -> Iterator[MessageSpan]:
             raise ContainerError("a chunk ends within a record")
         if opcode == Opcode.MESSAGE and length >= head - 9:
             _, _, channel_id, _, log_time_ns, _ = unpack(chunk, position)
+            count += 1
+            if count > _MAX_MESSAGES:
+                raise ContainerError(f"a chunk holds more than {_MAX_MESSAGES} messages")
             yield MessageSpan(channel_id, log_time_ns, position + head, end)
         position = end
 

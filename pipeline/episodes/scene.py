@@ -131,12 +131,16 @@ def decode_phantom(data: bytes) -> PhantomMesh:
         raise ValueError(
             f"the phantom's scene must hold phantom, target and entry; {', '.join(sorted(missing))} missing"
         )
+    if not (entities["phantom"].triangles and entities["target"].spheres and entities["entry"].spheres):
+        raise ValueError("the phantom's scene must hold triangles for the phantom and spheres for target and entry")
     triangles = entities["phantom"].triangles[0]
     vertices = np.array([(p.x, p.y, p.z) for p in triangles.points], dtype=np.float64).reshape(-1, 3)
     centres = {}
     for name in ("target", "entry"):
         position = entities[name].spheres[0].pose.position
         centres[name] = np.array([position.x, position.y, position.z])
+    if len(triangles.indices) % 3:
+        raise ValueError(f"the phantom's faces must have three corners each, got {len(triangles.indices)} corners")
     faces = np.array(triangles.indices, dtype=np.uint32).reshape(-1, 3)
     return PhantomMesh(vertices=vertices, faces=faces, target=centres["target"], entry=centres["entry"])
 

@@ -85,6 +85,7 @@ def encode_step(record: StepRecord) -> bytes:
 
 
 _BY_NUMBER: dict[int, tuple[str, StepField]] = {field.number: (name, field) for name, field in STEP_FIELDS.items()}
+_WHOLE = ("step", "terminated", "truncated")
 _NO_DOUBLES = np.zeros(0)
 
 
@@ -141,9 +142,9 @@ def _decode_fields(data: bytes) -> tuple[Mapping[str, Any], float]:
         name, field = _BY_NUMBER.get(number, ("", StepField(0, 0)))
         if not name:
             continue
-        if wire_type == VARINT:
+        if wire_type == VARINT and name in _WHOLE:
             scalars[name] = start
-        elif wire_type == FIXED64 and not field.shape:
+        elif wire_type == FIXED64 and not field.shape and name not in _WHOLE:
             scalars[name] = _DOUBLE.unpack_from(data, start)[0]
         elif field.shape and wire_type in (DELIMITED, FIXED64):
             # An unpacked repeated field, or one in pieces, is legal too: its parts are joined.

@@ -199,7 +199,7 @@ def test_wrong_steps_are_refused_and_not_recorded(episode, tmp_path):
 def test_wrong_arguments_are_refused(episode, tmp_path):
     with pytest.raises(ValueError, match="flush_every must be 1 to 10"):
         episode.writer(tmp_path / "a.mcap", flush_every=11)
-    with pytest.raises(ValueError, match="control_dt must be a positive time"):
+    with pytest.raises(ValueError, match="control_dt"):
         replace(episode.info, control_dt=0.0)
     with pytest.raises(ValueError, match="finished, interrupted, got 'lost'"):
         replace(episode.outcome, status="lost")
