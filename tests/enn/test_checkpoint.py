@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,9 @@ import numpy as np
 import pytest
 import torch
 
+from enn import checkpoint
 from enn.checkpoint import CheckpointError, CheckpointFolder
+from enn.model_file import encoded
 from enn.reinforcement import DESK_PPO, DESK_SAC, Progress, Training, TrainingResult, TrainingSettings
 
 SAC = dataclasses.replace(
@@ -156,7 +161,7 @@ def test_a_write_that_fails_half_way_leaves_the_former_one(tmp_path: Path, monke
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("enn.checkpoint.torch.save", full)
+        patch.setattr("enn.checkpoint.encoded", full)
         with pytest.raises(OSError, match="No space left"):
             folder.write({"step": 2}, [("a.0", 2, np.arange(5))])
     state, pieces = CheckpointFolder(tmp_path, {"hidden": (2, 2)}).read()
@@ -204,12 +209,113 @@ def test_a_damaged_checkpoint_is_one_clear_sentence(kind: str, point_env: Any, t
     if kind == "index":
         (folder / "index.json").write_text('{"format": "enn-ch')
     elif kind == "format":
-        (folder / "index.json").write_text('{"format": "other"}')
+        (folder / "index.json").write_text('{"format": "enn-checkpoint-1", "number": 3}')
     else:
         file = next(folder.glob("state-*.pt" if kind == "state" else "observation_*.npy"))
         data = bytearray(file.read_bytes())
         data[len(data) // 2] ^= 0xFF
         file.write_bytes(data)
-    expected = "is not of format" if kind == "format" else "is damaged"
+    expected = "is of an older format, enn-checkpoint-1" if kind == "format" else "is damaged"
     with pytest.raises(CheckpointError, match=f"{expected}.*remove it to train from the start"):
         Training(SAC, point_env, tmp_path, seed=0).run()
+
+
+def _index_with(change: Callable[[dict[str, Any]], Any], folder: Path) -> None:
+    """Changes the index of a checkpoint, and gives it the digest that belongs to the changed one."""
+    index = json.loads((folder / "index.json").read_text())["index"]
+    index = change(index) or index
+    (folder / "index.json").write_text(json.dumps({"sha256": checkpoint._digest(index), "index": index}))
+
+
+BAD_INDEXES: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "no number": lambda index: index.pop("number") and None,
+    "no state": lambda index: index.pop("state") and None,
+    "no pieces": lambda index: index.pop("pieces") and None,
+    "no architecture": lambda index: index.pop("architecture") and None,
+    "a number too many": lambda index: index.update(more=1),
+    "number is text": lambda index: index.update(number="three"),
+    "number is negative": lambda index: index.update(number=-1),
+    "number is infinite": lambda index: index.update(number=float("inf")),
+    "number is a fraction": lambda index: index.update(number=1.5),
+    "pieces are a list": lambda index: index.update(pieces=[1]),
+    "architecture is null": lambda index: index.update(architecture=None),
+    "state elsewhere": lambda index: index["state"].update(file="../../state-1.pt"),
+    "state absolute": lambda index: index["state"].update(file="/tmp/state-1.pt"),
+    "state not there": lambda index: index["state"].update(file="state-99.pt"),
+    "digest of another": lambda index: index["state"].update(sha256="0" * 64),
+    "digest is a number": lambda index: index["state"].update(sha256=5),
+    "a list": lambda index: [1, 2],
+    "text": lambda index: "index",
+}
+
+
+@pytest.mark.parametrize("kind", BAD_INDEXES)
+def test_a_wrong_index_is_one_clear_sentence(kind: str, tmp_path: Path) -> None:
+    folder = CheckpointFolder(tmp_path, {"hidden": (2, 2)})
+    folder.write({"step": 1}, [("a.0", 1, np.arange(4))])
+    _index_with(BAD_INDEXES[kind], tmp_path)
+    with pytest.raises(CheckpointError, match=r"^the checkpoint in \S+ is damaged \(.*\): remove it to train from the"):
+        CheckpointFolder(tmp_path, {"hidden": (2, 2)}).read()
+
+
+@pytest.mark.parametrize("text", ["", "null", "[]", "7", '"a"', "{}", "[" * 100_000, '{"a":' * 100_000, "\x00", "{"])
+def test_an_index_that_is_none_is_one_clear_sentence(text: str, tmp_path: Path) -> None:
+    (tmp_path / "index.json").write_text(text)
+    with pytest.raises(CheckpointError, match=r"is damaged \(index\.json.*\): remove it to train from the start"):
+        CheckpointFolder(tmp_path, {}).read()
+
+
+def test_a_wrong_bit_anywhere_is_refused(point_env: Any, tmp_path: Path) -> None:
+    _interrupted(SAC, point_env, tmp_path)
+    folder = tmp_path / "checkpoint"
+    architecture = json.loads((folder / "index.json").read_text())["index"]["architecture"]
+    before = CheckpointFolder(folder, architecture).read()
+    generator = np.random.default_rng(0)
+    for file in sorted(folder.iterdir()):
+        whole = file.read_bytes()
+        for bit in generator.integers(0, 8 * len(whole), 60).tolist():
+            data = bytearray(whole)
+            data[bit // 8] ^= 1 << bit % 8
+            file.write_bytes(data)
+            # an exponent's e is one bit from E: the same index in other letters
+            if file.name == "index.json" and json.loads(whole) == _json_or_none(data):
+                continue
+            with pytest.raises(CheckpointError, match="remove"):
+                CheckpointFolder(folder, architecture).read()
+        file.write_bytes(whole)
+    assert CheckpointFolder(folder, architecture).read()[0]["curve"] == before[0]["curve"]
+
+
+def _json_or_none(data: bytes) -> Any:
+    try:
+        return json.loads(data)
+    except ValueError:
+        return None
+
+
+def test_a_state_of_another_version_is_one_clear_sentence(point_env: Any, tmp_path: Path) -> None:
+    _interrupted(SAC, point_env, tmp_path)
+    folder = tmp_path / "checkpoint"
+    architecture = json.loads((folder / "index.json").read_text())["index"]["architecture"]
+    state, _ = CheckpointFolder(folder, architecture).read()
+    for change in ({"learner": {}}, {"counters": (1, 2)}, {"envs": None}, {"random": {}}, {"judge": 3}):
+        CheckpointFolder(folder, architecture).write(state | change)
+        with pytest.raises(CheckpointError, match=r"its state cannot be taken up: .*: remove it to train from the"):
+            Training(SAC, point_env, tmp_path, seed=0).run()
+
+
+def test_reading_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
+    class Runs:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return Path.touch, (tmp_path / "ran",)
+
+    folder = CheckpointFolder(tmp_path / "checkpoint", {})
+    folder.write({"step": 1})
+    file = next((tmp_path / "checkpoint").glob("state-*.pt"))
+    file.write_bytes(encoded({"state": Runs(), "kinds": {}}))
+    _index_with(
+        lambda index: index["state"].update(sha256=hashlib.sha256(file.read_bytes()).hexdigest()), folder.folder
+    )
+    with pytest.raises(CheckpointError, match="is damaged"):
+        folder.read()
+    assert not (tmp_path / "ran").exists()

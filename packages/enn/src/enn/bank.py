@@ -78,7 +78,7 @@ class ResetBank:
         """Takes note of how an episode ended that started as the task says."""
 
     def state(self) -> dict[str, Any]:
-        """Contents and random state, to be pickled; for `restore`."""
+        """Contents and random state, as plain data; for `restore`."""
         return {
             "states": None if self._states is None else self._states[: self._count].copy(),
             "next": self._next,

@@ -74,7 +74,7 @@ class CaseBank(ResetBank):
         self._failing[case] = MEMORY * self._failing[case] + (1 - MEMORY) * (not success)
 
     def state(self) -> dict[str, Any]:
-        """Contents and random state, to be pickled; for `restore`."""
+        """Contents and random state, as plain data; for `restore`."""
         return {
             "cases": {case: bank.state() for case, bank in self._cases.items()},
             "failing": self._failing.copy(),

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import os
-import pickle
 import shutil
-import zlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
-from enn.devices import on_cpu
+from enn.model_file import decoded, encoded
+from enn.plain_state import plain, restored
 
-FORMAT = "enn-checkpoint-1"
+FORMAT = "enn-checkpoint-2"
+OLDER = ("enn-checkpoint-1",)
 INDEX = "index.json"
 
 
@@ -25,14 +27,41 @@ class CheckpointError(ValueError):
     """A checkpoint is damaged, or of a training that this one cannot go on with."""
 
 
+class _Part(BaseModel):
+    """A file of a checkpoint: its name in the folder, and the digest of its bytes."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+    file: Annotated[str, Field(pattern=r"^[\w.]+-\d+\.(pt|npy)$")]
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class _Piece(_Part):
+    """A piece of a large array."""
+
+    version: int
+    rows: Annotated[int, Field(ge=0)]
+
+
+class _Index(BaseModel):
+    """What a checkpoint consists of."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+    format: Literal["enn-checkpoint-2"] = FORMAT
+    number: Annotated[int, Field(ge=1)]
+    architecture: dict[str, Any]
+    state: _Part
+    pieces: dict[str, _Piece]
+
+
 class CheckpointFolder:
     """One checkpoint in a folder, replaced as a whole.
 
-        checkpoint/index.json         names, sizes and checksums of the files below; written last, by renaming
+        checkpoint/index.json         names, sizes and digests of the files below; written last, by renaming
         checkpoint/state-<n>.pt       weights, optimisers, random states, environments, curve, best policy
         checkpoint/<array>-<n>.npy    pieces of large arrays; those that did not change are kept from before
 
-    A killed write leaves files that no index names; the next one removes them.
+    All of it is data: reading it runs no code. A killed write leaves files that no index names; the next one removes
+    them.
 
     Args:
         folder: where it lives.
@@ -42,7 +71,7 @@ class CheckpointFolder:
     def __init__(self, folder: Path, architecture: dict[str, Any]) -> None:
         self.folder = folder
         self.architecture = json.loads(json.dumps(architecture))
-        self._written: dict[str, dict[str, Any]] = {}
+        self._written: dict[str, _Piece] = {}
         self._number = 0
 
     def exists(self) -> bool:
@@ -53,43 +82,34 @@ class CheckpointFolder:
         """Writes a checkpoint; the former one stays valid until this is complete.
 
         Args:
-            state: anything that pickles.
+            state: what `enn.plain_state.plain` takes.
             pieces: name, version and array; a piece whose version was written before is not written again.
+
+        Raises:
+            TypeError: the state has something in it that is no plain data.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         if not self._number and self.exists():
-            self._number = int(self._index()["number"])
+            self._number = self._index().number
         self._number += 1
-        entries: dict[str, dict[str, Any]] = {}
+        entries: dict[str, _Piece] = {}
         for name, version, array in pieces:
             entry = self._written.get(name)
-            if entry is None or entry["version"] != version or entry["rows"] != len(array):
-                file = self.folder / f"{_plain(name)}-{self._number}.npy"
-                with file.open("wb") as stream:
-                    np.save(stream, array, allow_pickle=False)
-                    _flush(stream)
-                # rows are filled in one by one, so an unchanged version has unchanged bytes
-                checksum = zlib.adler32(np.ascontiguousarray(array).data.cast("B"))
-                entry = {"file": file.name, "version": version, "rows": len(array), "checksum": checksum}
+            # rows are filled in one by one, so an unchanged version has unchanged bytes
+            if entry is None or entry.version != version or entry.rows != len(array):
+                stream = io.BytesIO()
+                np.save(stream, array, allow_pickle=False)
+                file = f"{_plain_name(name)}-{self._number}.npy"
+                entry = _Piece(file=file, sha256=self._put(file, stream.getvalue()), version=version, rows=len(array))
             entries[name] = entry
-        file = self.folder / f"state-{self._number}.pt"
-        with file.open("wb") as stream:
-            torch.save(on_cpu(state), stream)
-            _flush(stream)
-        index = {
-            "format": FORMAT,
-            "number": self._number,
-            "architecture": self.architecture,
-            "state": {"file": file.name, "checksum": zlib.adler32(file.read_bytes())},
-            "pieces": entries,
-        }
-        temporary = self.folder / f".{INDEX}.tmp"
-        with temporary.open("w") as stream:
-            json.dump(index, stream)
-            _flush(stream)
-        os.replace(temporary, self.folder / INDEX)
+        file = f"state-{self._number}.pt"
+        part = _Part(file=file, sha256=self._put(file, encoded(plain(state))))
+        index = _Index(number=self._number, architecture=self.architecture, state=part, pieces=entries).model_dump()
+        temporary = f".{INDEX}.tmp"
+        self._put(temporary, json.dumps({"sha256": _digest(index), "index": index}).encode())
+        os.replace(self.folder / temporary, self.folder / INDEX)
         self._written = entries
-        named = {INDEX, file.name, *(entry["file"] for entry in entries.values())}
+        named = {INDEX, file, *(entry.file for entry in entries.values())}
         for other in self.folder.iterdir():
             if other.name not in named:
                 other.unlink(missing_ok=True)
@@ -102,57 +122,69 @@ class CheckpointFolder:
         """
         index = self._index()
         for name, mine in self.architecture.items():
-            theirs = index["architecture"].get(name)
+            theirs = index.architecture.get(name)
             if theirs != mine:
                 raise CheckpointError(
                     f"the checkpoint in {self.folder} is of another architecture: its {name} is {theirs}, this "
                     f"training's {mine}; take another folder, or remove the checkpoint"
                 )
-        entry: dict[str, Any] = index["state"]
-        file = self.folder / entry["file"]
+        pieces: dict[str, NDArray[Any]] = {}
+        part: _Part = index.state
         try:
-            data = file.read_bytes()
-            if zlib.adler32(data) != entry["checksum"]:
-                raise ValueError("its checksum differs")
-            with file.open("rb") as stream:
-                state = torch.load(stream, map_location="cpu", weights_only=False)
-            pieces: dict[str, NDArray[Any]] = {}
-            for name, entry in index["pieces"].items():
-                file = self.folder / entry["file"]
-                array = np.load(file, allow_pickle=False)
-                if zlib.adler32(np.ascontiguousarray(array).data.cast("B")) != entry["checksum"]:
-                    raise ValueError("its checksum differs")
-                pieces[name] = array
-        except (OSError, ValueError, EOFError, RuntimeError, pickle.UnpicklingError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise CheckpointError(
-                f"the checkpoint in {self.folder} is damaged ({file.name}: {reason}): remove it to train from the start"
-            ) from error
-        self._written, self._number = index["pieces"], int(index["number"])
+            state = restored(decoded(self._bytes(part)))
+            for name, part in index.pieces.items():
+                pieces[name] = np.load(io.BytesIO(self._bytes(part)), allow_pickle=False)
+        except Exception as error:  # whatever else a file with the right digest holds: it is of no use
+            raise self.unusable(f"{part.file}: {_reason(error)}") from error
+        self._written, self._number = index.pieces, index.number
         return state, pieces
+
+    def unusable(self, reason: str) -> CheckpointError:
+        """The error of a checkpoint that cannot be gone on from, and what to do."""
+        return CheckpointError(
+            f"the checkpoint in {self.folder} is damaged ({reason}): remove it to train from the start"
+        )
 
     def remove(self) -> None:
         """Removes it, once the training is finished."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _index(self) -> dict[str, Any]:
+    def _put(self, name: str, data: bytes) -> str:
+        """Writes a file of the folder; its digest."""
+        with (self.folder / name).open("wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        return hashlib.sha256(data).hexdigest()
+
+    def _bytes(self, part: _Part) -> bytes:
+        data = (self.folder / part.file).read_bytes()
+        if hashlib.sha256(data).hexdigest() != part.sha256:
+            raise ValueError("its digest does not match")
+        return data
+
+    def _index(self) -> _Index:
         try:
-            index = json.loads((self.folder / INDEX).read_text())
-        except (OSError, ValueError) as error:
+            content = json.loads((self.folder / INDEX).read_text())
+            form = content.get("format")  # which earlier versions had here
+            if form is None and content["sha256"] == _digest(content["index"]):
+                return _Index.model_validate(content["index"])
+        except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError) as error:
+            raise self.unusable(INDEX) from error
+        if form in OLDER:
             raise CheckpointError(
-                f"the checkpoint in {self.folder} is damaged ({INDEX}): remove it to train from the start"
-            ) from error
-        if not isinstance(index, dict) or index.get("format") != FORMAT:
-            raise CheckpointError(
-                f"the checkpoint in {self.folder} is not of format {FORMAT}: remove it to train from the start"
+                f"the checkpoint in {self.folder} is of an older format, {form}: remove it to train from the start"
             )
-        return index
+        raise self.unusable(f"{INDEX}: its digest does not match")
 
 
-def _plain(name: str) -> str:
+def _digest(index: Any) -> str:
+    return hashlib.sha256(json.dumps(index, sort_keys=True).encode()).hexdigest()
+
+
+def _plain_name(name: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "._" else "_" for letter in name)
 
 
-def _flush(stream: Any) -> None:
-    stream.flush()
-    os.fsync(stream.fileno())
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

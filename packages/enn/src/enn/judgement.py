@@ -103,7 +103,7 @@ class Judge:
         return dict(self.best["evaluation"])
 
     def state(self) -> dict[str, Any]:
-        """Best weights and counts, to be pickled; for `restore`."""
+        """Best weights and counts, as plain data; for `restore`."""
         return {"best": self.best, "perfect": self.perfect, "judged": self.judged}
 
     def restore(self, state: dict[str, Any]) -> None:

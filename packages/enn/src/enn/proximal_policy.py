@@ -137,7 +137,7 @@ class PpoLearner:
         return dict(self._values)
 
     def state(self) -> dict[str, Any]:
-        """Everything but the roll-out, to be pickled; for `restore`."""
+        """Everything but the roll-out, as plain data; for `restore`."""
         return {
             "policy": self.policy.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),

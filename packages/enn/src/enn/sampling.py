@@ -209,7 +209,7 @@ class SampledEnvs(VecEnv):
         )
 
     def state(self) -> dict[str, Any]:
-        """Everything that the rest of the sampling depends on, to be pickled; for `restore`.
+        """Everything that the rest of the sampling depends on, as plain data; for `restore`.
 
         Environments without `state()` cannot be saved: `restore` starts new episodes in them. Wrappers are taken
         to have no state of their own.

@@ -217,7 +217,7 @@ class SacLearner:
         return {f"train/{name}": float(value) for name, value in self.model.losses.items()}
 
     def state(self) -> dict[str, Any]:
-        """Everything but the replay buffer's large arrays, to be pickled; for `restore`."""
+        """Everything but the replay buffer's large arrays, as plain data; for `restore`."""
         model = self.model
         entropy = model.log_ent_coef if model.ent_coef_optimizer is not None else None
         return {

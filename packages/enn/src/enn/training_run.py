@@ -21,6 +21,7 @@ from enn.case_bank import CaseBank
 from enn.checkpoint import CheckpointFolder
 from enn.demonstrations import demonstration_replay, fill_bank
 from enn.judgement import Judge
+from enn.model_file import UNFIT
 from enn.policy import Policy
 from enn.proximal_policy import PpoLearner
 from enn.random_states import random_states, restore_random_states
@@ -165,7 +166,12 @@ class TrainingRun:
             training.folder.mkdir(parents=True, exist_ok=True)
             self.checkpoint = CheckpointFolder(training.folder / "checkpoint", self._architecture())
         if self.checkpoint is not None and self.checkpoint.exists():
-            self._restore(*self.checkpoint.read())
+            state, pieces = self.checkpoint.read()
+            try:
+                self._restore(state, pieces)
+            except UNFIT as error:
+                reason = " ".join(str(error).split())[:200]
+                raise self.checkpoint.unusable(f"its state cannot be taken up: {reason}") from error
         else:
             if bank is not None:
                 fill_bank(bank, training.demonstrations)
