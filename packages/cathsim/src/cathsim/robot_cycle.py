@@ -74,12 +74,13 @@ class FeedCycle:
         self._back = 0.0
 
     def state(self) -> dict[str, float]:
-        """Where the cycle stands, for `restore`."""
-        return {name: value for name, value in vars(self).items() if name != "settings"}
+        """Where the cycle stands, as plain numbers, for `restore`."""
+        return {name: value for name, value in vars(self).items() if name != "settings"} | {"phase": int(self.phase)}
 
     def restore(self, state: dict[str, float]) -> None:
         """Returns to a saved place."""
         vars(self).update(state)
+        self.phase = Phase(state["phase"])
 
     def tick(self, measured: Measured, translation: float, rotation: float) -> None:
         """Moves the set points on by one time step.
