@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class PipelineError(Exception):
     """Anything that stops a stage and that the user can mend."""
@@ -17,3 +20,19 @@ class StageError(PipelineError):
 
 class FolderBusyError(PipelineError):
     """Another process is working in the same run folder."""
+
+
+@contextmanager
+def stopping_the_stage(*kinds: type[Exception]) -> Iterator[None]:
+    """Lets what a package refuses with a sentence for the user stop the stage with that sentence.
+
+    Args:
+        kinds: of errors whose message is such a sentence: a damaged checkpoint, and what to remove.
+
+    Raises:
+        StageError: in place of one of them.
+    """
+    try:
+        yield
+    except kinds as error:
+        raise StageError(str(error)) from error

@@ -24,6 +24,7 @@ import numpy as np
 from pipeline.atomic import write_json
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
+from pipeline.errors import stopping_the_stage
 from pipeline.job_worker import Report
 from pipeline.learning_task import LearningTask
 from pipeline.replay import ReplayError, recorded_wire, replay
@@ -156,6 +157,7 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
     Returns:
         ``training_s`` and ``decisions``, ``deterministic`` and ``stochastic`` summaries.
     """
+    from enn.checkpoint import CheckpointError
     from enn.encoder import Encoder
     from enn.reinforcement import Training
 
@@ -176,7 +178,8 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
             TASK: asdict(job.task.task),
         },
     )
-    result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
+    with stopping_the_stage(CheckpointError):
+        result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
     done, rest = trained, (1.0 - trained) / (2 * job.evaluation_episodes + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)

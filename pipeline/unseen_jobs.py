@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.atomic import atomic_path, write_json
+from pipeline.errors import stopping_the_stage
 from pipeline.job_worker import Report
 from pipeline.seeds import fit_seed, held_out_seeds, unseen_lesson_seeds
 from pipeline.task import TASK
@@ -156,6 +157,7 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
         ``training_s`` and a summary for each test set, target and mode.
     """
     from cathsim.variety import SHELF
+    from enn.checkpoint import CheckpointError
     from enn.reinforcement import Training
 
     for leftover in job.folder.glob(".*.tmp"):
@@ -172,7 +174,8 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
         starts=[] if job.starts is None else read_starts(job.starts, job.anatomies, job.task.targets),
         make_validation_env=validated if job.validated else None,
     )
-    result = training.run(lambda p: report(0.7 * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"))
+    with stopping_the_stage(CheckpointError):
+        result = training.run(lambda p: report(0.7 * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"))
 
     def controllers(mode: str) -> Callable[[int], Controller]:
         return lambda seed: result.policy.controller(deterministic=mode == "deterministic", seed=seed)

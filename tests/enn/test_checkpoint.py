@@ -319,3 +319,17 @@ def test_reading_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="is damaged"):
         folder.read()
     assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("training.json", "{"), ("training.json", "[1]"), ("training.json", "{}"), ("training.csv", "decisions\nmany\n")],
+)
+def test_a_damaged_record_of_a_finished_training_is_one_clear_sentence(
+    name: str, text: str, point_env: Any, tmp_path: Path
+) -> None:
+    settings = dataclasses.replace(SAC, decisions=120, evaluate_every=0)
+    Training(settings, point_env, tmp_path, seed=1).run()
+    (tmp_path / name).write_text(text)
+    with pytest.raises(CheckpointError, match=r"is finished, but its training\.json or training\.csv is damaged"):
+        Training(settings, point_env, tmp_path, seed=1).run()

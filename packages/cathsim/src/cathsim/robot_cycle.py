@@ -80,7 +80,7 @@ class FeedCycle:
     def restore(self, state: dict[str, float]) -> None:
         """Returns to a saved place."""
         vars(self).update(state)
-        self.phase = Phase(state["phase"])
+        self.phase = Phase(int(state["phase"]))
 
     def tick(self, measured: Measured, translation: float, rotation: float) -> None:
         """Moves the set points on by one time step.

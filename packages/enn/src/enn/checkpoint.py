@@ -9,7 +9,7 @@ import os
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from enn.model_file import decoded, encoded
 from enn.plain_state import plain, restored
 
-FORMAT = "enn-checkpoint-2"
+FORMAT: Final = "enn-checkpoint-2"
 OLDER = ("enn-checkpoint-1",)
 INDEX = "index.json"
 

@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium
 from numpy.typing import NDArray
 
+from enn.checkpoint import CheckpointError
 from enn.policy import Policy
 from enn.training_curve import read_curve
 from enn.training_run import Progress, TrainingResult, TrainingRun
@@ -74,7 +75,8 @@ class Training:
 
         Raises:
             NotFiniteError: an observation or a reward was not finite.
-            CheckpointError: the folder's checkpoint is damaged or of another training.
+            CheckpointError: the folder's checkpoint, or its record of a finished training, is damaged or of another
+                training.
         """
         if self.folder is not None and (self.folder / "training.json").is_file():
             return self._finished()
@@ -86,10 +88,13 @@ class Training:
 
     def _finished(self) -> TrainingResult:
         assert self.folder is not None
-        record = json.loads((self.folder / "training.json").read_text())
-        return TrainingResult(
-            Policy.load(self.folder / "policy.pt"),
-            read_curve(self.folder / "training.csv"),
-            record["timings"],
-            record["evaluation"],
-        )
+        policy = Policy.load(self.folder / "policy.pt")
+        try:
+            record = json.loads((self.folder / "training.json").read_text())
+            curve = read_curve(self.folder / "training.csv")
+            return TrainingResult(policy, curve, dict(record["timings"]), record["evaluation"])
+        except (KeyError, RecursionError, TypeError, ValueError) as error:
+            raise CheckpointError(
+                f"the training in {self.folder} is finished, but its training.json or training.csv is damaged: remove "
+                "both to train again"
+            ) from error

@@ -1,0 +1,68 @@
+"""Files are data: nothing in the sources reads a file in a way that would run code out of it."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted(
+    file for folder in ("packages", "pipeline", "benchmarks") for file in (PROJECT_ROOT / folder).rglob("*.py")
+)
+PICKLERS = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+UNSAFE_YAML = {"load", "load_all", "unsafe_load", "full_load"}
+
+
+def unsafe_calls(text: str) -> Iterator[str]:
+    """Yields the calls that may run code out of a file."""
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Call):
+            continue
+        for keyword in node.keywords:
+            value = keyword.value.value if isinstance(keyword.value, ast.Constant) else "not written out"
+            if keyword.arg == "weights_only" and value is not True:
+                yield f"line {node.lineno}: weights_only is {value}"
+            if keyword.arg == "allow_pickle" and value is not False:
+                yield f"line {node.lineno}: allow_pickle is {value}"
+        name = ast.unparse(node.func)
+        module, _, function = name.rpartition(".")
+        if module in PICKLERS and function in ("load", "loads", "Unpickler", "open"):
+            yield f"line {node.lineno}: {name}"
+        if name == "torch.load" and not any(keyword.arg == "weights_only" for keyword in node.keywords):
+            yield f"line {node.lineno}: torch.load without weights_only"
+        if name in {f"yaml.{unsafe}" for unsafe in UNSAFE_YAML}:
+            yield f"line {node.lineno}: {name}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "torch.load(file, weights_only=False)",
+        "torch.load(file)",
+        "np.load(path, allow_pickle=True)",
+        "np.load(path, allow_pickle=sure)",
+        "pickle.load(stream)",
+        "def f():\n    return pickle.loads(data)",
+        "joblib.load(file)",
+        "yaml.load(stream, Loader=yaml.Loader)",
+    ],
+)
+def test_an_unsafe_call_would_be_found(text: str) -> None:
+    assert list(unsafe_calls(text))
+
+
+def test_safe_calls_are_let_pass() -> None:
+    assert not list(unsafe_calls("torch.load(f, weights_only=True); np.load(p, allow_pickle=False); yaml.safe_load(s)"))
+
+
+def test_no_file_runs_code() -> None:
+    assert len(SOURCES) > 200
+    offences = [
+        f"{file.relative_to(PROJECT_ROOT)}, {call}"
+        for file in SOURCES
+        for call in unsafe_calls(file.read_text(encoding="utf-8"))
+    ]
+    assert not offences
