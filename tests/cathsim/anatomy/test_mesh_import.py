@@ -12,6 +12,7 @@ import trimesh
 
 from cathsim.anatomy import ImportReport, MeshRefusedError, Phantom, import_mesh, load_phantom
 from cathsim.anatomy import mesh_import as importer
+from cathsim.anatomy.library import phantom_described, phantom_description
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh_reading import Triangles, clean_triangles
 from cathsim.anatomy.mesh_samples import sample_surface
@@ -144,6 +145,20 @@ def test_the_pose_is_near_the_patients(imported: tuple[Disguise, Phantom]):
     assert found.targets["lsa"].position[0] > found.targets["lcca"].position[0] > found.targets["bca"].position[0]
     assert found.entry().direction[2] > 0.9
     assert np.abs(found.bounds.mean(axis=0)).max() < 5e-3
+
+
+def test_it_can_be_described_and_a_changed_file_is_refused(
+    plain: tuple[Path, Phantom], cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path, found = plain
+    monkeypatch.setenv("CATHSIM_CACHE", str(cache))
+    told = json.loads(json.dumps(phantom_description(found)))
+    assert phantom_described(told).hash == found.hash
+    moved = tmp_path / "arch_0.stl"
+    moved.write_bytes(path.read_bytes()[:-1] + b"\x01")
+    told["mesh"]["path"] = str(moved)
+    with pytest.raises(ValueError, match="phantom 'arch_0' is another than the one described"):
+        phantom_described(told)
 
 
 def test_it_is_cached_with_its_report(plain: tuple[Path, Phantom], cache: Path, monkeypatch: pytest.MonkeyPatch):

@@ -71,20 +71,15 @@ FLOWS: dict[str, BloodFlow] = {
 }
 
 
-def blood_flow(blood: str | BloodFlow | None) -> BloodFlow | None:
-    """The flow of a name, or the one given.
-
-    Args:
-        blood: a name of `FLOWS`, a `BloodFlow`, or None for no blood.
+def blood_flow(name: str) -> BloodFlow:
+    """The flow of a name.
 
     Raises:
-        ValueError: there is no flow of that name.
+        ValueError: there is none.
     """
-    if isinstance(blood, str):
-        if blood not in FLOWS:
-            raise ValueError(f"unknown blood '{blood}'; there are {', '.join(FLOWS)}, a BloodFlow, and None")
-        return FLOWS[blood]
-    return blood
+    if name not in FLOWS:
+        raise ValueError(f"unknown blood '{name}'; there are {', '.join(FLOWS)}, a BloodFlow, and None")
+    return FLOWS[name]
 
 
 def outlet_shares(tree: VesselTree, given: Mapping[str, float] | None = None) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -12,13 +13,15 @@ import numpy as np
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.blood import BloodFlow, blood_flow
-from cathsim.contact.hulls import Decomposition
+from cathsim.contact.hulls import Decomposition, decomposition
+from cathsim.description import Specified, chosen, described
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.history import History
 from cathsim.navigation import NavigationTask, navigation_task, require_reach
 from cathsim.observables import BiplaneView, Fluoroscope, make_observable
-from cathsim.presets import Accuracy, accuracy
+from cathsim.presets import Accuracy
+from cathsim.presets import accuracy as preset
 from cathsim.roadmap import Roadmap
 from cathsim.robot import DRIVES, FollowerRobot
 from cathsim.simulation import CONTROL_STEP, Simulation
@@ -28,7 +31,7 @@ ROTATION_STEP = np.radians(15.0)  # rad at full action
 ACTIONS = ("feeder", "tip_motors")
 
 
-class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
+class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     """A guidewire is fed through an introducer sheath into an aorta; its tip is to reach a target in a branch.
 
     One step lasts 0.1 s of simulated time, the feeder moving at constant speed.
@@ -150,26 +153,28 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
             )
         if drive not in DRIVES:
             raise ValueError(f"unknown drive '{drive}'; there are {', '.join(DRIVES)}")
-        asked = navigation_task(target, task_fields, task)
-        self.phantom = load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom
+        asked = navigation_task(target, task_fields, described(task))
+        self.phantom = chosen("phantom", phantom, Phantom, partial(load_phantom, seed=phantom_seed))
+        wire_name = wire if isinstance(wire, str) else "default"
         asked.goal(self.phantom)  # refuses an unknown target before anything is built
         self.simulation = Simulation(
             self.phantom,
-            load_guidewire(wire) if isinstance(wire, str) else wire,
-            _numerics(accuracy),
+            chosen("wire", wire, Guidewire, load_guidewire),
+            chosen("accuracy", accuracy, Accuracy, preset),
             entry=entry,
-            contact=contact,
+            contact=contact if isinstance(contact, str) else chosen("contact", contact, Decomposition, decomposition),
             tip_motors=actions == "tip_motors",
-            blood=blood_flow(blood),
+            blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),
         )
         self.render_mode = render_mode
         self._contact_info = contact_info
         self.robot = FollowerRobot() if drive == "robot" else None
         self.fluoroscope = Fluoroscope(self.simulation, image_size)
-        if isinstance(cameras, str):
-            material = wire_material(wire if isinstance(wire, str) else "default", self.simulation.wire.radius)
-            cameras = BiplaneFluoroscope.of(self.phantom, cameras, size=image_size, material=material)
-        self.biplane = None if cameras is None else BiplaneView(self.simulation, cameras)
+        self.biplane = None
+        if cameras is not None:
+            material = wire_material(wire_name, self.simulation.wire.radius)
+            pair = partial(BiplaneFluoroscope.of, self.phantom, size=image_size, material=material)
+            self.biplane = BiplaneView(self.simulation, chosen("cameras", cameras, BiplaneFluoroscope, pair))
         self.roadmap = Roadmap(self.simulation, asked.target, registration_noise)
         names = [observation] if isinstance(observation, str) else list(observation)
         self._reads_way = "history" in names
@@ -417,7 +422,3 @@ class NavigateEnv(gymnasium.Env[Any, np.ndarray]):
 def _distance(a: np.ndarray, b: np.ndarray) -> float:
     x, y, z = (a - b).tolist()
     return float((x * x + y * y + z * z) ** 0.5)
-
-
-def _numerics(preset: str | Accuracy) -> Accuracy:
-    return accuracy(preset) if isinstance(preset, str) else preset

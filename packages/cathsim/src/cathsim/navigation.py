@@ -145,7 +145,10 @@ def navigation_task(
     Raises:
         ValueError: a field that there is not.
     """
-    task = task or NavigationTask()
+    if task is None:
+        task = NavigationTask()
+    elif not isinstance(task, NavigationTask):
+        raise ValueError(f"task must be a NavigationTask, got {task!r}")
     known = [field.name for field in dataclasses.fields(task)]
     unknown = sorted(set(fields) - set(known))
     if unknown:

@@ -12,6 +12,7 @@ import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike, as_target
+from cathsim.description import Specified, chosen, described
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire, load_guidewire
 
@@ -63,7 +64,7 @@ class PhantomShelf:
 SHELF = PhantomShelf()
 
 
-class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
+class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     """`NavigateEnv` in an anatomy, towards a target and with a wire that each reset draws anew.
 
     Phantoms are built at first use and shared by every environment of the process, which keeps the last 64 of them
@@ -101,8 +102,9 @@ class NavigateManyEnv(gymnasium.Env[Any, np.ndarray]):
         for name in ("phantom", "target", "wire", "phantom_seed"):
             if name in arguments:
                 raise ValueError(f"an environment over many anatomies takes {name}s, a list, instead of {name}")
-        self.phantoms, self.targets = tuple(phantoms), tuple(as_target(target) for target in targets)
-        self.wires = tuple(load_guidewire(wire) if isinstance(wire, str) else wire for wire in wires)
+        self.phantoms = tuple(described(phantom) for phantom in phantoms)
+        self.targets = tuple(as_target(target) for target in targets)
+        self.wires = tuple(chosen("a wire", wire, Guidewire, load_guidewire) for wire in wires)
         self.resolution = resolution
         self._arguments = arguments
         self.case = 0

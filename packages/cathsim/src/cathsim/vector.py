@@ -11,11 +11,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
+from cathsim.description import Specified
 from cathsim.environment import NavigateEnv
 from cathsim.variety import NavigateManyEnv
 
 
-class ThreadedVectorEnv(VectorEnv[Any, Any, np.ndarray]):
+class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
     """`num_envs` navigation environments in threads; nothing is pickled or copied between processes.
 
     Results do not depend on the number of threads. An environment that has ended is reset by the next step, which

@@ -7,8 +7,10 @@ import hashlib
 import json
 import math
 import threading
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -101,11 +103,84 @@ def load_phantom(
         raise ValueError(
             f"with parameters of your own give a name of your own and no seed; got name {name!r} and seed {seed!r}."
         )
+    return _load_arch(name, parameters, resolution, cache_dir)
+
+
+def _load_arch(name: str, parameters: ArchParameters, resolution: float, cache_dir: Path | None = None) -> Phantom:
     if not (isinstance(resolution, int | float) and math.isfinite(resolution)):
         raise ValueError(f"resolution must be a finite length in m, got {resolution!r}.")
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
     with _loading:  # threads asking at once for one phantom get one object
         return _load(name, parameters, float(resolution), directory)
+
+
+def phantom_description(phantom: Phantom) -> dict[str, Any]:
+    """What a phantom was built from, as JSON holds it.
+
+    Args:
+        phantom: of this library, of `build_phantom`, or from a mesh's file.
+
+    Returns:
+        For `phantom_described`: name, hash, resolution (m), and measures or the arguments of the import.
+
+    Raises:
+        ValueError: it was put together by hand.
+    """
+    told = {"name": phantom.name, "hash": phantom.hash, "resolution": phantom.grid.spacing}
+    if phantom.source is not None:
+        return {**told, "mesh": dict(phantom.source)}
+    parameters = phantom.parameters
+    if parameters is None or phantom_hash(parameters, phantom.grid.spacing) != phantom.hash:
+        raise ValueError(
+            f"phantom {phantom.name!r} was put together by hand and cannot be written as JSON: load it by its name, "
+            "with ArchParameters of your own, or from a mesh's file."
+        )
+    return told if NAMED.get(phantom.name) == parameters else {**told, "parameters": dataclasses.asdict(parameters)}
+
+
+def phantom_described(told: Mapping[str, Any]) -> Phantom:
+    """The phantom of a description.
+
+    Args:
+        told: from `phantom_description`.
+
+    Returns:
+        The phantom, loaded or built again.
+
+    Raises:
+        ValueError: it is another by now: a mesh's file, or the generator, has changed.
+    """
+    name, resolution = told["name"], told["resolution"]
+    if "mesh" in told:
+        return _described_mesh(told)
+    if "parameters" in told:
+        measures = dict(told["parameters"])
+        if measures.get("aneurysm") is not None:
+            measures["aneurysm"] = Aneurysm(**measures["aneurysm"])
+        phantom = _load_arch(name, ArchParameters(**measures), resolution)
+    else:
+        phantom = _load_arch(name, _parameters_of(name, None), resolution)
+    _require_same(told, phantom.hash)
+    return phantom
+
+
+def _described_mesh(told: Mapping[str, Any]) -> Phantom:
+    from .mesh_import import import_mesh, mesh_digest
+
+    path, unit, names = (told["mesh"][key] for key in ("path", "unit", "names"))
+    names = None if names is None else tuple(one if isinstance(one, str) else tuple(one) for one in names)
+    # before the import, which takes its time
+    _require_same(told, mesh_digest(Path(path), unit, names, float(told["resolution"])))
+    renamed = dict(names) if names and not isinstance(names[0], str) else names
+    return import_mesh(path, unit=unit, names=renamed, resolution=told["resolution"])
+
+
+def _require_same(told: Mapping[str, Any], digest: str) -> None:
+    if digest != told["hash"]:
+        raise ValueError(
+            f"phantom {told['name']!r} is another than the one described (hash {digest} instead of {told['hash']}): "
+            "its mesh or the generator of arches has changed since."
+        )
 
 
 def phantom_hash(parameters: ArchParameters, resolution: float) -> str:

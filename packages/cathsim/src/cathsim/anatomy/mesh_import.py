@@ -76,10 +76,13 @@ def import_mesh(
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
     chosen: tuple | None = None if not names else tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
     with _importing:
-        return _load(path, _digest(path, unit, chosen, float(resolution)), unit, chosen, float(resolution), directory)
+        return _load(
+            path, mesh_digest(path, unit, chosen, float(resolution)), unit, chosen, float(resolution), directory
+        )
 
 
-def _digest(path: Path, unit: str | None, names: tuple | None, resolution: float) -> str:
+def mesh_digest(path: Path, unit: str | None, names: tuple | None, resolution: float) -> str:
+    """The hash of the phantom that an import gives: of the file's content and the settings."""
     digest = hashlib.blake2b(digest_size=16)
     settings = {"importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution}
     digest.update(json.dumps(settings).encode())
@@ -106,7 +109,7 @@ def _load(
             picture = build.picture(error.reason, directory / "refused" / f"{path.stem}-{digest[:12]}.png")
             raise MeshRefusedError(error.reason, picture) from None
         cache.write(phantom)
-    return phantom
+    return replace(phantom, source={"path": str(path.resolve()), "unit": unit, "names": names})
 
 
 @dataclass(eq=False)

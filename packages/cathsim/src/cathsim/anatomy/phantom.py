@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,6 +83,7 @@ class Phantom:
         targets: places to reach, by name; those at the open ends of branches are added where they are missing.
         entries: places to come in, by name.
         imported: the account of the import, for a phantom from a mesh.
+        source: what it was imported with, for a phantom from a mesh: path, unit, names.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Phantom:
     targets: dict[str, Target]
     entries: dict[str, Entry]
     imported: ImportReport | None = None
+    source: Mapping[str, Any] | None = field(default=None, repr=False)
     _load_field: Callable[[str], NDArray[np.float32] | None] | None = field(default=None, repr=False)
     _fields: dict[str, NDArray[np.float32]] = field(default_factory=dict, repr=False)
     _points: PointFields = field(default_factory=PointFields, repr=False)

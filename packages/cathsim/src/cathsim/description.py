@@ -1,0 +1,149 @@
+"""Arguments of environments as plain JSON values, and environments made again from them.
+
+Settings are described by their class and fields, phantoms by what they were built from: arch's measures or mesh.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from cathsim.anatomy import Phantom
+from cathsim.anatomy.library import phantom_described, phantom_description
+from cathsim.fluoroscopy import BiplaneFluoroscope
+
+Kind = TypeVar("Kind")
+
+CLASS = "class"  # the key of a described object's class; its other keys are fields or arguments
+
+
+def describe(value: Any) -> Any:
+    """A value as JSON holds it.
+
+    Args:
+        value: an environment's argument, or a list or mapping of such.
+
+    Returns:
+        What `described` takes.
+
+    Raises:
+        ValueError: it cannot be made again from a description.
+    """
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): describe(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [describe(one) for one in value]
+    if isinstance(value, Phantom):
+        return {CLASS: "Phantom", **phantom_description(value)}
+    if isinstance(value, BiplaneFluoroscope):
+        if value.recipe is None:
+            raise ValueError(
+                "a BiplaneFluoroscope of cameras of your own cannot be written as JSON: make it with "
+                "BiplaneFluoroscope.of, or name cameras 'guide3d' or 'clinical'"
+            )
+        return {CLASS: "BiplaneFluoroscope", **describe(value.recipe)}
+    kind = type(value)
+    if not dataclasses.is_dataclass(value) or "<" in kind.__qualname__ or kind.__module__ == "__main__":
+        raise ValueError(
+            f"a {kind.__name__} cannot be written as JSON: expected a name, a number, a Phantom, or settings whose "
+            "class a module can be asked for"
+        )
+    fields = {one.name: describe(getattr(value, one.name)) for one in dataclasses.fields(value) if one.init}
+    return {CLASS: f"{kind.__module__}:{kind.__qualname__}", **fields}
+
+
+def described(value: Any) -> Any:
+    """The value that `describe` has described; other values as they are.
+
+    Raises:
+        ValueError: a class or phantom that there is not, or that is another by now.
+    """
+    if isinstance(value, list | tuple):
+        return tuple(described(one) for one in value)
+    if not isinstance(value, Mapping) or CLASS not in value:
+        return value
+    kind = value[CLASS]
+    if kind == "Phantom":
+        return phantom_described({key: one for key, one in value.items() if key != CLASS})
+    arguments = {key: described(one) for key, one in value.items() if key != CLASS}
+    if kind == "BiplaneFluoroscope":
+        return BiplaneFluoroscope.of(**arguments)
+    module, _, name = str(kind).partition(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError):
+        found = None
+    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+        raise ValueError(f"there is no settings class {kind!r}: expected module:class of a dataclass")
+    try:
+        return found(**arguments)
+    except TypeError as error:
+        raise ValueError(f"{kind} cannot be made of {', '.join(arguments)}: {error}") from None
+
+
+def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], Kind]) -> Kind:
+    """An argument that is a name, an object, or an object's description.
+
+    Args:
+        argument: its name.
+        value: what was given.
+        kind: of the object.
+        named: gives the object of a name.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if isinstance(value, str):
+        return named(value)
+    value = described(value)
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise ValueError(f"{argument} must be a name or {article} {kind.__name__}, got {value!r}")
+    return value
+
+
+@dataclasses.dataclass
+class Specification(EnvSpec):
+    """An `EnvSpec` whose JSON describes phantoms and settings among the arguments; `make` takes both."""
+
+    @classmethod
+    def of(cls, spec: EnvSpec) -> Specification:
+        """The same specification."""
+        return cls(**{one.name: getattr(spec, one.name) for one in dataclasses.fields(spec) if one.init})
+
+    def to_json(self) -> str:
+        """As JSON, for `EnvSpec.from_json`.
+
+        Raises:
+            ValueError: an argument cannot be described.
+        """
+        plain = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.init}
+        plain["kwargs"] = describe(self.kwargs)
+        plain["additional_wrappers"] = [describe(vars(wrapper)) for wrapper in self.additional_wrappers]
+        self._check_can_jsonify(plain)
+        return json.dumps(plain)
+
+
+class Specified:
+    """Keeps the specification that Gymnasium gives an environment as a `Specification`."""
+
+    _specification: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What makes an equal environment: `gymnasium.make(EnvSpec.from_json(env.spec.to_json()))`."""
+        return self._specification
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._specification = None if spec is None else Specification.of(spec)
