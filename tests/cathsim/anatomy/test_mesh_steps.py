@@ -28,11 +28,11 @@ def test_welding_and_closing():
     soup = Triangles(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3))  # no two faces share a vertex
     mesh, _ = clean_triangles(soup)
     assert len(mesh.vertices) == 8
-    closed, borders = close_openings(mesh)
-    assert borders == 0
+    closed, openings = close_openings(mesh)
+    assert len(openings) == 0
     opened = Triangles(mesh.vertices, mesh.faces[2:])
-    closed, borders = close_openings(opened)
-    assert borders == 1
+    closed, openings = close_openings(opened)
+    assert openings.shape == (1, 3)
     assert len(closed.faces) == len(opened.faces) + 4
     edges = np.sort(closed.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 _COVER = 1.5  # a way accounts for the lumen within so many radii of it ...
 _COVER_MORE = 1e-3  # ... and this, m
 _LEAST_LENGTH = 7e-3  # m that an end must stand out of what is accounted for
+_LEAST_TO_OPENING = 2e-3  # m that it must where the surface is open there, so that a bulge cannot be meant
 _MOST_ENDS = 24
 
 Array = NDArray[np.float64]
@@ -52,8 +53,11 @@ class LumenPaths:
         """Middles (..., 3) m of voxels (..., 3)."""
         return self.origin + voxels * self.spacing
 
-    def ends(self) -> Voxels:
+    def ends(self, openings: Voxels | None = None) -> Voxels:
         """Where the lumen ends.
+
+        Args:
+            openings: voxels (n, 3) of the lumen at openings of its surface, where even a short vessel ends.
 
         Returns:
             Voxels (k, 3); each lies at the far end of a vessel, the first one furthest from the widest place.
@@ -67,21 +71,34 @@ class LumenPaths:
         ways = self._ways(tuple(far))
         open_ = self.inside & np.isfinite(away)
         found = [np.array(far)]
-        covered = np.zeros_like(self.inside)
+        covered = np.zeros_like(self.inside)  # what was looked at
         self._cover(covered, np.array([far]))
+        led_to = covered.copy()  # what ways to ends account for
+
+        def beyond(candidate: Voxels, known: Mask) -> tuple[Voxels, float]:
+            """The part of the way to a place beyond what is known, and how far the place stands out of it, m."""
+            way = np.array(ways.traceback(tuple(candidate)))
+            inside = np.flatnonzero(known[tuple(way.T)])
+            leaves = int(inside[-1]) if len(inside) else 0
+            return way[leaves:], float(away[tuple(candidate)] - away[tuple(way[leaves])])
+
         while len(found) < _MOST_ENDS:
             left = open_ & ~covered
             if not left.any():
                 break
             candidate = np.array(np.unravel_index(int(np.argmax(np.where(left, away, -1.0))), self.inside.shape))
-            way = np.array(ways.traceback(tuple(candidate)))
-            known = np.flatnonzero(covered[tuple(way.T)])
-            leaves = int(known[-1]) if len(known) else 0
-            stands_out = away[tuple(candidate)] - away[tuple(way[leaves])]
-            self._cover(covered, way[leaves:])
+            way, stands_out = beyond(candidate, covered)
+            self._cover(covered, way)
             covered[tuple(candidate)] = True
             if stands_out >= _LEAST_LENGTH:
                 found.append(candidate)
+                self._cover(led_to, way)
+        for candidate in np.empty((0, 3), int) if openings is None else openings:
+            if open_[tuple(candidate)] and not led_to[tuple(candidate)] and len(found) < _MOST_ENDS:
+                way, stands_out = beyond(candidate, led_to)
+                if stands_out >= _LEAST_TO_OPENING:
+                    found.append(candidate)
+                    self._cover(led_to, way)
         return np.array(found)
 
     def ways(self, root: Voxels, ends: Voxels) -> list[Voxels]:

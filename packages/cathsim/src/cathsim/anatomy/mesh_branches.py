@@ -141,12 +141,13 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
 
     others = [number for number in range(len(ways)) if number != main]
     leaves = {number: shared(number, main) for number in others}
+    trunk = Vessel(points[main], depths[main], main)
     # Ways that leave the main vessel together and part again within its lumen are branches of their own.
     families: list[list[int]] = []
     for number in sorted(others, key=lambda n: leaves[n]):
         for family in families:
             fork = shared(number, family[0])
-            if fork > leaves[number] and _apart(points[number][: fork + 1], points[main], depths[main]):
+            if fork > leaves[number] and _beside(trunk, points[number][: fork + 1][-1]) > 0:
                 family.append(number)
                 break
         else:
@@ -169,28 +170,50 @@ def _join_common_origins(aorta: Vessel) -> None:
             here, there = _leaving(narrow, aorta), _leaving(wide, aorta)
             gap = float(np.linalg.norm(narrow.points[here] - wide.points[there]))
             if gap < _ONE_LUMEN * max(narrow.depth[here], wide.depth[there]):
+                if _take_off_by_itself(narrow, wide, aorta):
+                    break
                 narrow.start = float(arc_length(wide.points)[there])
                 aorta.children.remove(narrow)
                 wide.children.append(narrow)
                 wide.children.sort(key=lambda child: child.start)
                 break
+    aorta.children.sort(key=lambda child: child.start)
+
+
+def _take_off_by_itself(narrow: Vessel, wide: Vessel, aorta: Vessel) -> bool:
+    """Leads a branch's way straight to the aorta where it parts from a wider one right above the aorta's wall.
+
+    A way prefers the wide mouth of its neighbour to a narrow one of its own.
+
+    Returns:
+        False, and nothing is changed, where the two have a trunk of more than its radius in common.
+    """
+    here = next((i for i, point in enumerate(narrow.points) if _beside(wide, point) > 0), None)
+    if here is None:
+        return False
+    place = narrow.points[here]
+    if _beside(aorta, place) > wide.depth[_leaving(wide, aorta)]:
+        return False
+    foot = int(np.argmin(np.linalg.norm(aorta.points - place, axis=1)))
+    share = np.linspace(0.0, 1.0, max(int(np.linalg.norm(place - aorta.points[foot]) / 1e-3), 2), endpoint=False)
+    back = aorta.points[foot] + share[:, None] * (place - aorta.points[foot])
+    depths = aorta.depth[foot] + share * (narrow.depth[here] - aorta.depth[foot])
+    narrow.points = np.concatenate([back, narrow.points[here:]])
+    narrow.depth = np.concatenate([depths, narrow.depth[here:]])
+    narrow.start = float(arc_length(aorta.points)[foot])
+    return True
+
+
+def _beside(vessel: Vessel, point: Array) -> float:
+    """How far a point lies outside a vessel, m; negative inside."""
+    distance = np.linalg.norm(vessel.points - point, axis=1)
+    nearest = int(np.argmin(distance))
+    return float(distance[nearest] - vessel.depth[nearest])
 
 
 def _leaving(vessel: Vessel, parent: Vessel) -> int:
     """First point of a vessel outside its parent's lumen."""
-    for index, point in enumerate(vessel.points):
-        distance = np.linalg.norm(parent.points - point, axis=1)
-        nearest = int(np.argmin(distance))
-        if distance[nearest] > parent.depth[nearest]:
-            return index
-    return len(vessel.points) - 1
-
-
-def _apart(way: Array, main: Array, depth: Array) -> bool:
-    """Whether a way's last point lies outside the main vessel."""
-    distance = np.linalg.norm(main - way[-1], axis=1)
-    nearest = int(np.argmin(distance))
-    return bool(distance[nearest] > depth[nearest])
+    return next((i for i, point in enumerate(vessel.points) if _beside(parent, point) > 0), len(vessel.points) - 1)
 
 
 def continued(trunk: Vessel, onward: Vessel) -> None:

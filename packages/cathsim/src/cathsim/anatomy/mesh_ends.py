@@ -19,6 +19,10 @@ _CLOSING = 0.4  # of the usual reach: where the wall comes nearer than this, it 
 _LOOK_BACK = 6e-3  # m, and two radii: how far further in that is
 _CENTRING = 6  # steps to the middle of the first plane
 _LONGEST = 6  # radii that an end is followed
+_BEYOND = 1.75  # radii from the middle of an end to where its way leads: further off the sweep left its vessel
+_STARTS = (1.5, 2.0, 2.5, 3.0, 1.2)  # depths before the tip of a short vessel at which the sweep begins, in this order
+_SHORT_BEYOND = 1.5  # radii, as _BEYOND, for those
+_FAR_BEYOND = 2.5  # radii beyond which an end that was found otherwise is none, either
 
 Array = NDArray[np.float64]
 
@@ -52,14 +56,51 @@ def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) 
     Returns:
         The end, or None where the vessel's wall surrounds it nowhere.
     """
-    step = 0.5 * cavity.spacing
     from_end = arc_length(way[::-1])[::-1]
     start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
     radius = float(depth[start])
     # The way bends to its corner a little before that.
     start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
     first = max(start - 4, min(start, 2))
-    start = first + int(np.argmax(depth[first : start + 1]))
+    end = _followed(cavity, wall, way, first + int(np.argmax(depth[first : start + 1])), radius)
+    if end is not None and _gap(end, way[-1]) <= _BEYOND:
+        return end
+    # A short vessel reaches its full width nowhere before it opens into a wider one, and the sweep began in that one.
+    for ratio in _STARTS:
+        start = int(np.flatnonzero(from_end >= ratio * depth)[-1]) if (from_end >= ratio * depth).any() else 0
+        short = _followed(cavity, wall, way, start, float(depth[start]))
+        if short is not None and _gap(short, way[-1]) <= _SHORT_BEYOND:
+            return short
+    return end if end is not None and _gap(end, way[-1]) <= _FAR_BEYOND else None
+
+
+def severs(end: VesselEnd, way: Array) -> bool:
+    """Whether a cut at an end would sever a way that leads on beyond it: then it is no end.
+
+    Args:
+        end: where the lumen would be cut.
+        way: (n, 3) m, from one end of the lumen to another.
+
+    Returns:
+        True where the way passes through the end and goes on for longer than from an end to its corner.
+    """
+    height = (way - end.centre) @ end.normal
+    aside = np.linalg.norm(way - end.centre - height[:, None] * end.normal, axis=1)
+    through = np.flatnonzero((height[1:] > 0) != (height[:-1] > 0))
+    for index in through[aside[through] < end.radius]:
+        beyond = way[index + 1 :] if height[index + 1] > 0 else way[: index + 1]
+        if max(_gap(end, point) for point in (beyond[0], beyond[-1])) > _BEYOND:
+            return True
+    return False
+
+
+def _gap(end: VesselEnd, place: Array) -> float:
+    return float(np.linalg.norm(end.centre - place)) / end.radius
+
+
+def _followed(cavity: Cavity, wall: NDArray[np.bool_], way: Array, start: int, radius: float) -> VesselEnd | None:
+    """The end of the vessel in which a place of a way lies, None where its wall does not surround it there."""
+    step = 0.5 * cavity.spacing
     inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
     centres, normal, reach = _sweep(cavity, wall, inner[-1], _direction(inner, 1.5 * radius), radius, step)
     if len(centres) < 3:

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .centreline import LumenPaths
+from .centreline import LumenPaths, Voxels
 from .mesh_branches import Vessel, build_vessels, turned
 from .mesh_cavity import Cavity, find_cavity
 from .mesh_distance import distance_grid, lumen_samples, trim_cavity
-from .mesh_ends import VesselEnd, find_end
+from .mesh_ends import VesselEnd, find_end, severs
 from .mesh_naming import ascending_score, name_vessels, ordered_names, renamed, world_rotation
 from .mesh_reading import clean_triangles, close_openings, read_triangles
 from .mesh_refusal import MeshRefusedError, draw_refusal
@@ -33,9 +33,11 @@ from .phantom_cache import PhantomCache, default_cache_directory
 
 logger = logging.getLogger(__name__)
 
-IMPORT_VERSION = 1  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 2  # raise it whenever the same file gives another phantom
 FINEST, COARSEST = 5e-4, 2.5e-3  # m, resolutions
 LEAST_WIDTH = 1e-3  # m: a lumen of a smaller radius is too narrow for a wire to be steered in
+_TORN_OFF = 0.03  # of the lumen: a part of this size that no coarse voxel joins to the rest is no speck
+_AT_OPENING = 3.0  # coarse voxels between the middle of an opening and the lumen's nearest one
 _SAMPLES = 0.7  # voxels between points on the surface
 _MOST_VOXELS = 40_000_000
 
@@ -132,7 +134,7 @@ class _Import:
         self.surface = mesh.corners.mean(axis=1)
         if len(mesh.faces) < 4:
             raise MeshRefusedError(f"{self.path.name} holds no surface; its faces have no area.")
-        mesh, borders = close_openings(mesh)
+        mesh, openings = close_openings(mesh)
         reason = "given"
         if self.unit is None:
             self.unit, reason = detect_unit(mesh)
@@ -148,7 +150,8 @@ class _Import:
             )
         self.samples = sample_surface(mesh.corners, _SAMPLES * spacing)
         self.cavity = cavity = find_cavity(self.samples, spacing)
-        ends = _find_ends(cavity)
+        ends, lost = _find_ends(cavity, openings * scale)
+        notes += lost
         inside = trim_cavity(cavity, ends)
         surface = lumen_samples(self.samples, cavity, inside, ends)
         aorta, ends = _find_vessels(cavity, inside, ends)
@@ -169,7 +172,14 @@ class _Import:
         final = renamed(automatic, own)
         least = max(LEAST_WIDTH, 1.25 * self.resolution)
         tree, left_out = grow_tree(aorta, final, grid, TreeSettings(least))
-        narrowest = float(tree.root.radius.min())
+        thinnest = int(np.argmin(tree.root.radius))
+        narrowest = float(tree.root.radius[thinnest])
+        if narrowest < least and grid.sample(tree.root.points[thinnest]) <= 0:
+            place = (tree.root.points[thinnest] - offset) @ rotation / scale
+            raise MeshRefusedError(
+                f"the aorta cannot be followed at ({', '.join(f'{x:.4g}' for x in place)}) of the file: its surface is "
+                "torn, doubled or badly closed there; repair it, or cut the mesh to the arch and its branches."
+            )
         if narrowest < least:
             raise MeshRefusedError(
                 f"the aorta narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire ({least * 1e3:.2f} mm "
@@ -187,7 +197,7 @@ class _Import:
             unit_reason=reason,
             faces=faces,
             kind=cavity.kind,
-            borders=borders,
+            borders=len(openings),
             rotation=tuple(tuple(float(x) for x in row) for row in rotation),  # type: ignore[misc]
             offset=tuple(float(x) for x in offset),  # type: ignore[arg-type]
             scale=scale,
@@ -211,28 +221,55 @@ class _Import:
         return draw_refusal(surface, found, f"{self.path.name}: {reason}", path)
 
 
-def _find_ends(cavity: Cavity) -> list[VesselEnd]:
-    """The ends of all vessels; a lumen of fewer than three has no branch to steer into."""
-    from scipy.ndimage import binary_dilation
+def _find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[str, ...]]:
+    """The ends of all vessels, and notes on those that were given up.
+
+    A lumen of fewer than three ends has no branch to steer into.
+    """
+    from scipy.ndimage import binary_dilation, label
 
     paths = _coarse(cavity, cavity.inside)
-    voxels = paths.ends()
+    labels, _ = label(paths.inside, np.ones((3, 3, 3)))
+    parts = np.sort(np.bincount(labels[paths.inside]))[::-1]
+    if parts[1] > _TORN_OFF * parts.sum():
+        raise MeshRefusedError(
+            f"the lumen narrows to less than {1e3 * paths.spacing:.1f} mm of width between two parts of it, too narrow "
+            "for a wire at this resolution; take a finer one, or check the unit."
+        )
+    voxels = paths.ends(_voxels_at(paths, openings))
     if len(voxels) < 2:
         raise MeshRefusedError("the lumen is no vessel: it has no two ends; expected an aorta with its branches.")
     ways = paths.ways(voxels[0], voxels[1:])
     longest = max(ways, key=len)
     wall = binary_dilation(cavity.wall)
-    ends: list[VesselEnd] = []
+    found: list[VesselEnd] = []
+    lost = 0
     for way in [longest[::-1], *ways]:
         end = find_end(cavity, wall, paths.points(way), paths.depth[tuple(way.T)])
-        if end is not None and not any(_same(end, other) for other in ends):
-            ends.append(end)
+        if end is None:
+            lost += 1
+        elif not any(_same(end, other) for other in found):
+            found.append(end)
+    ends = [end for end in found if not any(severs(end, paths.points(way)) for way in ways)]
+    lost += len(found) - len(ends)
     if len(ends) < 3:
         raise MeshRefusedError(
             f"the lumen has {len(ends)} ends, an aorta with a branch has at least three; "
             "a vessel without a side branch offers no target."
         )
-    return ends
+    return ends, (f"{lost} of {len(voxels)} ends of vessels left out: the wall does not surround them",) if lost else ()
+
+
+def _voxels_at(paths: LumenPaths, places: Array) -> Voxels:
+    """The lumen's voxels (k, 3) next to those of some places (n, 3) m that lie at the lumen, the widest first."""
+    lumen = np.argwhere(paths.inside)
+    if len(places) == 0:
+        return lumen[:0]
+    from scipy.spatial import cKDTree
+
+    away, nearest = cKDTree(paths.points(lumen)).query(places)
+    at = lumen[nearest[away < _AT_OPENING * paths.spacing]]
+    return at[np.argsort(-paths.depth[tuple(at.T)], kind="stable")]
 
 
 def _same(end: VesselEnd, other: VesselEnd) -> bool:

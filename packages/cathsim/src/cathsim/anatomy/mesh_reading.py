@@ -156,14 +156,14 @@ def _cluster(mesh: Triangles, cell: float) -> Triangles:
     return Triangles(vertices, faces[np.sort(order[first])])
 
 
-def close_openings(mesh: Triangles) -> tuple[Triangles, int]:
+def close_openings(mesh: Triangles) -> tuple[Triangles, Array]:
     """Closes every border of a surface by a cone from the border's edges to their middle.
 
     Args:
         mesh: welded triangles.
 
     Returns:
-        The triangles with the cones' added, and how many borders there were.
+        The triangles with the cones' added, and the middles (k, 3) of the borders.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -173,12 +173,12 @@ def close_openings(mesh: Triangles) -> tuple[Triangles, int]:
     key, count = np.unique(edges[:, 0] * size + edges[:, 1], return_counts=True)
     border = np.stack(np.divmod(key[count == 1], size), axis=1)
     if len(border) == 0:
-        return mesh, 0
+        return mesh, np.empty((0, 3))
     links = coo_array((np.ones(len(border)), (border[:, 0], border[:, 1])), shape=(size, size))
     _, label = connected_components(links, directed=False)
-    loops, loop = np.unique(label[border[:, 0]], return_inverse=True)
+    _, loop = np.unique(label[border[:, 0]], return_inverse=True)
     middle = mesh.vertices[border].mean(axis=1)
     weight = np.bincount(loop)
     apex = np.stack([np.bincount(loop, middle[:, k]) / weight for k in range(3)], axis=1)
     cones = np.column_stack([border, size + loop])
-    return Triangles(np.concatenate([mesh.vertices, apex]), np.concatenate([mesh.faces, cones])), len(loops)
+    return Triangles(np.concatenate([mesh.vertices, apex]), np.concatenate([mesh.faces, cones])), apex

@@ -9,7 +9,7 @@ from .vessel_tree import VesselTree
 
 OTHER_DISTANCE = 0.030  # m beyond the ostium, in branches that the named phantoms do not have
 ENTRY_CHORD = 0.010  # m of centreline that give an entry its direction: a cut end is often flared or aslant
-_LEAST = 5e-3  # m beyond the ostium: nearer than this a place is no target
+_LEAST = 3e-3  # m beyond the ostium: nearer than this a place is no target
 
 
 def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...]]:
