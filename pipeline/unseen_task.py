@@ -66,8 +66,18 @@ class UnseenTask:
             **self.task.rules(),
         )
 
-    def test_environment(self, phantom: str | int, target: str, wire: str, observation: tuple[str, ...]) -> NavigateEnv:
-        """An environment of a test: a named phantom, a mesh's path, or the seed of a random arch."""
+    def test_environment(
+        self, phantom: str | int, target: str, wire: str, observation: tuple[str, ...], registration_noise: float = 0.0
+    ) -> NavigateEnv:
+        """An environment of a test.
+
+        Args:
+            phantom: a named phantom, a mesh's path, or the seed of a random arch.
+            target: name.
+            wire: as `wire` takes it.
+            observation: names.
+            registration_noise: of the roadmap, m an axis.
+        """
         from cathsim import NavigateEnv
 
         named = {"phantom": phantom} if isinstance(phantom, str) else {"phantom": TEST_PHANTOM, "phantom_seed": phantom}
@@ -77,5 +87,6 @@ class UnseenTask:
             wire=self.wire(wire),
             observation=observation,
             reward=REWARD_OF_EVALUATION,
+            registration_noise=registration_noise,
             **self.task.rules(),
         )

@@ -1,4 +1,10 @@
-"""The unseen stage: one policy for every target, trained on random anatomies, tested on those it has never seen."""
+"""The unseen stage: one policy for every target, trained on random anatomies, tested on those it has never seen.
+
+Rows say what a policy sees. `roadmap`: the way, walls, wire, force and tip as the simulator has them; the rows
+`roadmap <k>` are the curve's, each trained on k arches for equally many decisions. `image_true_mask`: images without
+noise, the lumen always filled, and the simulator's own mask of the wire. `xray`: noisy X-ray images, no mask, and one
+contrast run before the episode.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +13,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from pipeline.config import UnseenSettings
 from pipeline.errors import ConfigurationError
@@ -26,22 +30,22 @@ from pipeline.unseen_jobs import (
     POLICY,
     PRELOAD,
     AnatomiesJob,
-    HeldOutSet,
     RoadmapJob,
-    StudentJob,
     build_anatomies,
     train_roadmap,
-    train_student,
 )
 from pipeline.unseen_starts import StartsJob, lay_starts
+from pipeline.unseen_student import StudentJob, train_student
+from pipeline.unseen_summary import IMAGE, MISREGISTERED, ROADMAP, UNSEEN, XRAY, curve, registration
 from pipeline.unseen_task import ROADMAP_KEYS, TEST_PHANTOM, UnseenTask, training_arch
+from pipeline.unseen_trials import HeldOutSet
 
 if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
 
-ROADMAP, IMAGE, DEMONSTRATIONS, STARTS = "roadmap", "image", "demonstrations", "starts"
+DEMONSTRATIONS, STARTS = "demonstrations", "starts"
 ROADMAP_TESTS = "roadmap tests"
-UNSEEN, REAL_MESH = "unseen", "real_mesh"
+REAL_MESH = "real_mesh"
 TARGETS = ("bca", "lcca", "lsa")
 ACTION_REPEAT = 3  # steps of a decision
 STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
@@ -50,7 +54,8 @@ _PARTS = 2  # jobs that demonstrate beside each other
 DEMONSTRATED = "lcca"  # the target that is hard to find without
 BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
 # guesses
-_SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 10.0, "lesson": 0.6, "test": 0.4}
+_SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 10.0, "lesson": 0.6, "test": 0.4,
+            "xray": 1.5}  # fmt: skip
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -86,28 +91,32 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
         settings: of the stage.
         context: where to write.
     """
-    jobs = plan(settings, context.path, context.seed)
+    jobs = plan(settings, context.path, context.seed, context.budget)
     outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="anatomies and policies", preload=PRELOAD)
     tables = tables_from_logs(context.path)
     tables["generalisation_curve"] = curve(jobs, outcomes)
+    if settings.registration_noise_mm:
+        tables["registration"] = registration(settings, outcomes[ROADMAP_TESTS]["tests"])
     write_results(context.path, tables)
 
 
-def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
-    """The jobs: anatomies first, then the roadmap policies, the student's teacher before the others.
+def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) -> list[Job]:
+    """The jobs: anatomies first, then the roadmap policies, the students' teacher before the others.
 
     Args:
         settings: of the stage.
         folder: of the stage.
         run_seed: of the run; also which random arches are trained on.
+        variant: kept in the logs: the budget, whose sizes the policies have.
 
     Returns:
         In the order in which they should start.
     """
     task = UnseenTask(tuple(settings.targets), settings.task)
-    counts = [*counts_of(settings), *([settings.image_anatomies] if settings.image else [])]
-    arches = training_arches(run_seed, max(counts))
-    trained = arches[: max(settings.anatomies, settings.image_anatomies if settings.image else 0)]
+    students = [IMAGE] * settings.image + [XRAY] * settings.xray
+    most = max(count for _, count, _ in policies_of(settings))
+    arches = training_arches(run_seed, max(most, settings.image_anatomies))
+    trained = arches[: max(most, settings.image_anatomies if students else 0)]
     tested = unseen_arches(settings.test_anatomies)
     validated = validation_arches(settings.validation_anatomies)
     jobs = []
@@ -129,38 +138,38 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
             after=(f"training/{part[0]}",),
             weight=len(part) * _SECONDS["starts"],
         )
-        for part in _parts(trained[: max(counts_of(settings))])
+        for part in _parts(trained[:most])
     ]
     jobs += laid
     shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, arches, run_seed)
     jobs += [replace(job, after=built) for job in shown]
     taught = (*built, *(job.key for job in (*laid, *shown)))
-    main, curve_only = test_sets(settings), test_sets(settings)[:1]
-    plain = tuple(replace(test, modes=("deterministic",)) for test in curve_only)
-    for count in counts_of(settings):
-        row = ROADMAP if count == settings.anatomies else f"{ROADMAP} {count}"
+    main = test_sets(settings)
+    plain = (replace(main[0], modes=("deterministic",)),)
+    for row, count, decisions in policies_of(settings):
         given = RoadmapJob(
             folder=folder / row / f"seed{run_seed}",
             task=task,
             anatomies=tuple(arches[:count]),
-            settings=training_settings(settings, count),
+            settings=training_settings(settings, count, decisions),
             seed=run_seed,
-            origin=Origin("unseen", row, run_seed, "desk"),
-            tests=main if row == ROADMAP else plain,
+            origin=Origin("unseen", row, run_seed, variant),
+            tests=(*main, *misregistered(settings)) if row == ROADMAP else plain,
             demonstrations=folder / DEMONSTRATIONS if shown else None,
             starts=folder / STARTS,
             validated=tuple(validated),
         )
-        tests, weight = _tests(given.tests, settings), given.settings.decisions * _SECONDS["decision"]
-        if row == ROADMAP:  # its tests are a job of their own, so that the student need not wait for them
+        tests, weight = _tests(given.tests, settings), decisions * _SECONDS["decision"]
+        if row == ROADMAP:  # its tests are a job of their own, so that the students need not wait for them
             jobs.append(Job(row, train_roadmap, replace(given, tests=()), after=taught, weight=weight))
             jobs.append(Job(ROADMAP_TESTS, train_roadmap, given, after=(row,), weight=tests))
-        else:
-            jobs.append(Job(row, train_roadmap, given, after=taught, weight=weight + tests))
-    if settings.image:  # the longest chain of jobs: next after its teacher
-        teacher = next(place for place, job in enumerate(jobs) if job.key == ROADMAP)
+        else:  # never beside another one that keeps as many arches in memory
+            after = (*taught, *([ROADMAP] if count == settings.anatomies else []))
+            jobs.append(Job(row, train_roadmap, given, after=after, weight=weight + tests))
+    teacher = next(place for place, job in enumerate(jobs) if job.key == ROADMAP)
+    for row in students:  # the longest chain of jobs: next after their teacher
         student = StudentJob(
-            folder=folder / IMAGE / f"seed{run_seed}",
+            folder=folder / row / f"seed{run_seed}",
             expert=folder / ROADMAP / f"seed{run_seed}" / POLICY,
             task=task,
             anatomies=tuple(arches[: settings.image_anatomies]),
@@ -169,17 +178,26 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int) -> list[Job]:
             lessons=settings.lessons,
             epochs=settings.epochs,
             seed=run_seed,
-            origin=Origin("unseen", IMAGE, run_seed, "desk"),
+            origin=Origin("unseen", row, run_seed, variant),
             tests=tuple(replace(test, modes=("deterministic",)) for test in main),
+            xray=row == XRAY,
+            wire_epochs=settings.wire_epochs,
         )
-        weight = settings.rounds * settings.lessons * _SECONDS["lesson"] + _tests(student.tests, settings)
-        jobs.insert(teacher + 1, Job(IMAGE, train_student, student, after=(ROADMAP,), weight=weight))
+        weight = settings.rounds * settings.lessons * _SECONDS["xray" if student.xray else "lesson"]
+        weight += _tests(student.tests, settings)
+        jobs.insert(teacher + 1, Job(row, train_student, student, after=(ROADMAP,), weight=weight))
     return jobs
 
 
-def counts_of(settings: UnseenSettings) -> list[int]:
-    """Numbers of training anatomies of the roadmap policies, the main one's first."""
-    return [settings.anatomies, *(count for count in settings.curve if count != settings.anatomies)]
+def policies_of(settings: UnseenSettings) -> list[tuple[str, int, int]]:
+    """Row, training anatomies and decisions of the roadmap policies, the main one first.
+
+    Those of the curve all have equally many decisions; where it has points, the main one's number of anatomies is one
+    of them.
+    """
+    counts = sorted({*settings.curve, settings.anatomies}) if settings.curve else []
+    further = [(f"{ROADMAP} {count}", count, settings.curve_decisions) for count in counts]
+    return [(ROADMAP, settings.anatomies, settings.decisions), *further]
 
 
 def _parts(whole: Sequence[Any]) -> list[Any]:
@@ -211,18 +229,16 @@ def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
     return episodes * len(settings.targets) * _SECONDS["test"]
 
 
-def training_settings(settings: UnseenSettings, anatomies: int) -> TrainingSettings:
+def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) -> TrainingSettings:
     """Those of the roadmap policies: a wider network than for one anatomy, and a bank that knows of its cases.
-
-    The policies of the curve have decisions of their own: few anatomies are soon learnt.
 
     Args:
         settings: of the stage.
         anatomies: how many the policy is trained on.
+        decisions: of the training.
     """
     from enn.reinforcement import DESK_SAC
 
-    decisions = settings.decisions if anatomies == settings.anatomies else settings.curve_decisions
     return replace(
         DESK_SAC,
         keys=ROADMAP_KEYS,
@@ -266,28 +282,18 @@ def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
     return tuple(tests)
 
 
-def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Success on unseen arches against the number of anatomies trained on.
+def misregistered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
+    """The tests of the roadmap policy with errors of the registration, on the same arches and starts as without.
 
     Args:
-        jobs: of the stage.
-        outcomes: a job's key to what it told.
-
-    Returns:
-        Row "<policy>/<number of training anatomies>" to columns.
+        settings: of the stage.
     """
-    table: dict[str, dict[str, Any]] = {}
-    for job in jobs:
-        if not isinstance(job.given, RoadmapJob | StudentJob) or not job.given.tests:
-            continue
-        rows = [
-            row for row in outcomes[job.key]["tests"] if row["test_set"] == UNSEEN and row["mode"] == "deterministic"
-        ]
-        columns: dict[str, Any] = {"success_pct": float(np.average([r["success_pct"] for r in rows]))}
-        columns |= {f"success_{row['target']}_pct": row["success_pct"] for row in rows if row["target"] != "lsa"}
-        kind = IMAGE if isinstance(job.given, StudentJob) else ROADMAP
-        table[f"{kind}/{len(job.given.anatomies)}"] = {**columns, "n": sum(row["n"] for row in rows)}
-    return dict(sorted(table.items(), key=lambda item: (item[0].split("/")[0] != ROADMAP, int(item[0].split("/")[1]))))
+    arches = tuple(unseen_arches(settings.test_anatomies))
+    return tuple(
+        HeldOutSet(f"{MISREGISTERED} {noise:g} mm", arches, registration_noise=noise / 1e3)
+        for noise in settings.registration_noise_mm
+        if noise
+    )
 
 
 STAGE = Stage(
@@ -306,10 +312,15 @@ STAGE = Stage(
         "enn.lessons",
         "enn.lumen_segmentation",
         "enn.student",
+        "enn.wire_segmentation",
         "pipeline.unseen_demonstrations",
         "pipeline.unseen_jobs",
         "pipeline.unseen_starts",
+        "pipeline.unseen_student",
+        "pipeline.unseen_summary",
         "pipeline.unseen_task",
+        "pipeline.unseen_trials",
+        "pipeline.unseen_xray",
     ),
     check=check_unseen,
 )

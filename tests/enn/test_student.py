@@ -14,7 +14,8 @@ from enn.egocentric import VIEW_SIZE
 from enn.lessons import give_lessons
 from enn.lumen_segmentation import LumenSegmenter, fit_segmenter, overlap
 from enn.model_file import write_model
-from enn.student import IMAGE_KEYS, ImageStudent, Lesson, StudentSettings
+from enn.student import IMAGE_KEYS, XRAY_KEYS, ImageStudent, Lesson, StudentSettings
+from enn.wire_segmentation import fit_wire_segmenter
 
 SIZE = 32
 SMALL = StudentSettings(hints=3, hidden=24, action_repeat=2, batch_size=8, learning_rate=1e-2)
@@ -159,3 +160,53 @@ def test_says_what_is_wrong(segmenter: LumenSegmenter, tmp_path: Path) -> None:
     write_model(tmp_path / "other.pt", {"format": "something else"})
     with pytest.raises(ValueError, match="is no student of format"):
         ImageStudent.load(tmp_path / "other.pt")
+
+
+class XrayWireEnv(WireEnv):
+    """The same wire in noise, without its mask: the student has what was there before instead."""
+
+    observation_space = gymnasium.spaces.Dict(
+        {name: gymnasium.spaces.Box(0, 255, (1, SIZE, SIZE), np.uint8) for name in XRAY_KEYS}
+        | {"roadmap": gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)}
+    )
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        told = super()._observe()
+        mask = told.pop("mask")
+        noise = self.np_random.normal(0.0, 2.0, (3, 1, SIZE, SIZE))
+        band = 40.0 * (np.abs(np.arange(SIZE) - self.column) < 4)[None, None] * np.ones((1, SIZE, 1))
+        pictures = {"image": 130.0 - 30 * (mask > 0), "plain": np.full(mask.shape, 130.0), "contrast": 150 - band}
+        seen = {
+            name: np.clip(np.rint(grey + one), 0, 255).astype(np.uint8)
+            for (name, grey), one in zip(pictures.items(), noise, strict=True)
+        }
+        return {**told, **seen}
+
+
+def test_a_student_of_x_ray_images_needs_no_mask(segmenter: LumenSegmenter, tmp_path: Path) -> None:
+    env = XrayWireEnv()
+    frames = []
+    for seed in range(40):
+        observation, _ = env.reset(seed=seed)
+        env.tip = float(env.np_random.uniform(2, 29))
+        mask = WireEnv._observe(env)["mask"]
+        observation = env._observe()
+        frames.append((observation["image"][0], observation["plain"][0], mask[0]))
+    wire, score = fit_wire_segmenter(*(np.stack(one) for one in zip(*frames, strict=True)), epochs=12)
+    assert score > 0.9
+    student = ImageStudent(SMALL, segmenter, wire=wire)
+    assert (student.keys, "mask" in env.observation_space.spaces) == (XRAY_KEYS, False)
+
+    def lessons(share: float, seed: int) -> list[Lesson]:
+        seeds, generator = range(100 * seed, 100 * seed + 12), np.random.default_rng(seed)
+        return give_lessons([XrayWireEnv() for _ in range(4)], Expert(), student, seeds, expert_share=share,
+                            noise=0.1, generator=generator)  # fmt: skip
+
+    student.fit(lessons(1.0, 1) + lessons(0.0, 3), 20)
+    assert np.mean([lesson.success for lesson in lessons(0.0, 4)]) > 0.8
+    student.save(tmp_path / "student.pt")
+    twin = ImageStudent.load(tmp_path / "student.pt")
+    observation, _ = XrayWireEnv().reset(seed=7)
+    np.testing.assert_array_equal(student.controller()(observation), twin.controller()(observation))
+    with pytest.raises(ValueError, match="the student sees image, plain, contrast, goal_image, but contrast, goal_im"):
+        student.begin({key: observation[key] for key in ("image", "plain")})

@@ -364,7 +364,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         return task.step_reward(distance, before - self._remaining, force, moved, success=success)
 
     def _way_left(self) -> float:
-        return self.task.remaining(self.phantom, self.simulation.tip)
+        # the scan tells it, so its registration counts here, too
+        return self.task.remaining(self.phantom, self.simulation.tip + self.roadmap.offset)
 
     def observe(self) -> Any:
         """The observation of the moment."""

@@ -147,6 +147,7 @@ class EgocentricView:
         mask: NDArray[np.uint8],
         target_image: NDArray[np.uint8],
         lumen: NDArray[np.floating],
+        empty: NDArray[np.uint8] | None = None,
     ) -> None:
         """Begins an episode with its first images.
 
@@ -155,12 +156,14 @@ class EgocentricView:
             mask: the wire's pixels, not 0. Shape (1, size, size).
             target_image: the target's dot alone. Shape (1, size, size).
             lumen: probability of the vessel's lumen. Shape (size, size).
+            empty: grey, from before the wire came in, shape (1, size, size); None: `image` with the wire filled in.
 
         Raises:
             ValueError: images of different sizes, or without a target's dot.
         """
         size = image.shape[-1]
         shapes = {image.shape, mask.shape, target_image.shape, (1, *lumen.shape)}
+        shapes |= set() if empty is None else {empty.shape}
         if shapes != {(1, size, size)}:
             raise ValueError(f"expected images of one shape (1, size, size), got {sorted(shapes)}")
         weight = target_image[0].astype(float)
@@ -169,7 +172,7 @@ class EgocentricView:
         self.size = size
         rows, columns = np.mgrid[:size, :size]
         self.target = np.array([(weight * rows).sum(), (weight * columns).sum()]) / weight.sum() / size
-        self._empty = without_wire(image[0], mask[0] > 0)
+        self._empty = without_wire(image[0], mask[0] > 0) if empty is None else empty[0].astype(float)
         self._lumen = np.asarray(lumen, float)
         grid = (np.arange(MAP_SIZE) + 0.5) * size / MAP_SIZE - 0.5
         small = sample(self._lumen, np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1))

@@ -29,7 +29,7 @@ def give_lessons(
     """Plays an episode from each seed, as many side by side as there are environments.
 
     Args:
-        envs: with the student's images and the expert's one observation among their observations; they are reset.
+        envs: with the student's keys and the expert's one observation among their observations; they are reset.
         expert: says at each decision what it would do; its first key is what the student learns to tell as hints.
         student: steers the episodes that the expert does not; its action repeat must be the expert's.
         seeds: of the episodes.
@@ -95,7 +95,7 @@ class _Pupil:
         self.rows: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
 
     def look(self) -> NDArray[np.float32]:
-        return self.view.look(self.observation["image"], self.observation["mask"], self.action)
+        return self.view.look(self.observation["image"], self.student.mask(self.observation), self.action)
 
     def hold(self, action: NDArray[Any], view: NDArray[Any], advice: NDArray[Any], hint: NDArray[Any]) -> Lesson | None:
         """Carries an action out; the lesson once the episode has ended."""

@@ -1,4 +1,9 @@
-"""Image student: a recurrent network that steers by the egocentric view alone, taught by an expert with a roadmap."""
+"""Image student: a recurrent network that steers by the egocentric view alone, taught by an expert with a roadmap.
+
+There are two kinds. One is told the wire's pixels and finds the lumen in the episode's first image. The other has X-ray
+images alone, and from before the episode a contrast run: an image without wire or contrast medium, and one with
+contrast medium in the vessels. It finds wire and lumen by networks of its own.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +22,11 @@ from enn.devices import device_of
 from enn.egocentric import VIEW_SIZE, EgocentricView, without_wire
 from enn.lumen_segmentation import LumenSegmenter
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
+from enn.wire_segmentation import WireSegmenter
 
-FORMAT = "enn-image-student-1"
-IMAGE_KEYS = ("image", "mask", "goal_image")  # all that the student sees
+FORMAT = "enn-image-student-2"
+IMAGE_KEYS = ("image", "mask", "goal_image")  # all that a student sees that is told the wire's pixels
+XRAY_KEYS = ("image", "plain", "contrast", "goal_image")  # ... and one that must find wire and vessel itself
 
 
 @dataclass(frozen=True)
@@ -109,13 +116,14 @@ class Lesson:
 
 
 class ImageStudent:
-    """Network and segmenter together: from images to actions.
+    """Network and segmenters together: from images to actions.
 
     Args:
         settings: of the network.
-        segmenter: finds the lumen in an episode's first image.
+        segmenter: finds the lumen in an episode's first image, or in that of a contrast run.
         seed: of the network's weights.
-        device: of both.
+        device: of all networks.
+        wire: finds the wire in every image; None: the mask is observed.
     """
 
     def __init__(
@@ -124,8 +132,10 @@ class ImageStudent:
         segmenter: LumenSegmenter,
         seed: int = 0,
         device: torch.device | str = "cpu",
+        wire: WireSegmenter | None = None,
     ) -> None:
         self.settings, self.segmenter = settings, segmenter.to(device)
+        self.wire = None if wire is None else wire.to(device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = StudentNetwork(settings).to(device)
@@ -135,21 +145,36 @@ class ImageStudent:
         """Environment steps a decision."""
         return self.settings.action_repeat
 
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the observations that it sees."""
+        return IMAGE_KEYS if self.wire is None else XRAY_KEYS
+
+    def mask(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+        """The wire's pixels, not 0, as observed or found. Shape (1, size, size)."""
+        if self.wire is None:
+            return observation["mask"]
+        return self.wire.mask(observation["image"][0], observation["plain"][0])[None]
+
     def begin(self, observation: Mapping[str, NDArray[Any]]) -> EgocentricView:
         """The view of an episode, from its first observation.
 
         Raises:
             ValueError: an image is missing.
         """
-        missing = [key for key in IMAGE_KEYS if key not in observation]
+        missing = [key for key in self.keys if key not in observation]
         if missing:
             raise ValueError(
-                f"the student sees {', '.join(IMAGE_KEYS)}, but {', '.join(missing)} is missing: make the environment "
+                f"the student sees {', '.join(self.keys)}, but {', '.join(missing)} is missing: make the environment "
                 "with these observations"
             )
-        image, mask, dot = (observation[key] for key in IMAGE_KEYS)
+        image, mask, dot = observation["image"], self.mask(observation), observation["goal_image"]
         view = EgocentricView()
-        view.start(image, mask, dot, self.segmenter.lumen(without_wire(image[0], mask[0] > 0)))
+        if self.wire is None:
+            view.start(image, mask, dot, self.segmenter.lumen(without_wire(image[0], mask[0] > 0)))
+        else:
+            lumen = self.segmenter.lumen(observation["contrast"][0])
+            view.start(image, mask, dot, lumen, empty=observation["plain"])
         return view
 
     @torch.inference_mode()
@@ -250,6 +275,7 @@ class ImageStudent:
                 "settings": [self.segmenter.width, self.segmenter.working_size],
                 "weights": self.segmenter.state_dict(),
             },
+            "wire": None if self.wire is None else {"width": self.wire.width, "weights": self.wire.state_dict()},
         }
         write_model(Path(path), content)
 
@@ -265,7 +291,11 @@ class ImageStudent:
         try:
             segmenter = LumenSegmenter(*content["segmenter"]["settings"])
             segmenter.load_state_dict(content["segmenter"]["weights"])
-            student = cls(StudentSettings(**content["settings"]), segmenter, device=device)
+            wire = None
+            if content["wire"] is not None:
+                wire = WireSegmenter(content["wire"]["width"])
+                wire.load_state_dict(content["wire"]["weights"])
+            student = cls(StudentSettings(**content["settings"]), segmenter, device=device, wire=wire)
             student.network.load_state_dict(content["weights"])
         except UNFIT as error:
             raise another_architecture(Path(path), error, verb="train") from error
@@ -295,7 +325,7 @@ class StudentController:
         if self._view is None:
             self._view = self.student.begin(observation)
         if self._left == 0:
-            seen = self._view.look(observation["image"], observation["mask"], self._action)
+            seen = self._view.look(observation["image"], self.student.mask(observation), self._action)
             actions, self._memory = self.student.act(seen[None], self._memory)
             self._action = actions[0]
             self._left = self.student.action_repeat

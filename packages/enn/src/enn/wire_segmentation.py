@@ -1,0 +1,166 @@
+"""Wire segmentation: which pixels of a noisy fluoroscopic image show the guidewire, by a small network.
+
+It sees how much darker the image is than one taken before the wire came in, so that only wire and noise are left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from enn.devices import device_of
+
+DARKENING = 10.0  # grey levels that count as one
+_DILATIONS = (2, 4, 8)
+_CROP = 96  # px, side of what an update sees of an image
+_LEAST, _GAP = 0.2, 2  # a thin tip is doubtful, and a wire that is cut in two is worse than one too wide; px
+_RARE = -3.0  # logit of a pixel before training: few show the wire
+_ON_WIRE = 0.8  # share of the crops with a part of the wire in their middle third
+
+
+class WireSegmenter(nn.Module):
+    """Probability of the wire for every pixel; it looks 16 px in every direction.
+
+    Args:
+        width: channels of each layer.
+    """
+
+    def __init__(self, width: int = 8) -> None:
+        super().__init__()
+        self.width = width
+        layers: list[nn.Module] = [nn.Conv2d(1, width, 5, padding=2), nn.ReLU()]
+        for dilation in _DILATIONS:
+            layers += [nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation), nn.ReLU()]
+        head = nn.Conv2d(width, 1, 1)
+        nn.init.constant_(head.bias, _RARE)  # type: ignore[arg-type]  # else it soon learns to say no everywhere
+        self.layers = nn.Sequential(*layers, head)
+
+    def forward(self, darker: Tensor) -> Tensor:
+        """Logits from grey levels that were lost to the wire. Shape (N, 1, height, width) to the same."""
+        return self.layers(darker / DARKENING)
+
+    @torch.inference_mode()
+    def mask(self, image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The wire's pixels in an image; gaps of up to four pixels are closed.
+
+        Args:
+            image: grey. Shape (height, width).
+            plain: without the wire, from the same camera. Shape (height, width).
+
+        Returns:
+            255 on the wire, 0 elsewhere. Shape (height, width).
+
+        Raises:
+            ValueError: images of different shapes.
+        """
+        if image.shape != plain.shape:
+            raise ValueError(f"expected two images of one shape, got {image.shape} and {plain.shape}")
+        self.eval()
+        darker = torch.as_tensor(plain.astype(np.float32) - image)[None, None].to(device_of(self))
+        wire = torch.sigmoid(self(darker))
+        wider = functional.max_pool2d(wire, 2 * _GAP + 1, 1, _GAP)
+        closed = torch.maximum(wire, -functional.max_pool2d(-wider, 2 * _GAP + 1, 1, _GAP))
+        return (closed[0, 0] > _LEAST).to(torch.uint8).cpu().numpy() * np.uint8(255)
+
+
+def fit_wire_segmenter(
+    images: NDArray[np.uint8],
+    plains: NDArray[np.uint8],
+    masks: NDArray[np.uint8],
+    *,
+    epochs: int = 6,
+    batch_size: int = 8,
+    learning_rate: float = 5e-3,
+    seed: int = 0,
+    progress: Callable[[int, float], None] | None = None,
+    device: torch.device | str = "cpu",
+) -> tuple[WireSegmenter, float]:
+    """Trains a segmenter on parts of images, mirrored and turned by right angles at random.
+
+    Args:
+        images: grey levels with a wire. Shape (n, size, size).
+        plains: the same without it. Shape (n, size, size).
+        masks: the wire's pixels, not 0. Shape (n, size, size).
+        epochs: passes over the images.
+        batch_size: images an update.
+        learning_rate: of Adam at its largest; it rises first and falls to nothing.
+        seed: of everything.
+        progress: called with each epoch's number and loss.
+        device: where the network is trained and stays.
+
+    Returns:
+        The segmenter, and the Dice score of its masks on the training images.
+
+    Raises:
+        ValueError: no images, or of other shapes than the masks.
+    """
+    shapes = {images.shape, plains.shape, masks.shape}
+    if len(shapes) != 1 or images.ndim != 3 or not len(images):
+        raise ValueError(f"expected images and masks of one shape (n, size, size), got {sorted(shapes)}")
+    generator = np.random.default_rng(seed)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = WireSegmenter().to(device)
+    optimiser = torch.optim.Adam(network.parameters(), learning_rate, fused=True)
+    batches = -(-len(images) // batch_size)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, learning_rate, total_steps=epochs * batches)
+    network.train()
+    for epoch in range(epochs):
+        total = 0.0
+        for rows in np.array_split(generator.permutation(len(images)), batches):
+            parts = [_part(images[k], plains[k], masks[k], generator) for k in rows]
+            darker, wire = (torch.as_tensor(np.stack(one))[:, None].to(device) for one in zip(*parts, strict=True))
+            loss = _loss(network(darker), wire)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            total += float(loss.detach()) * len(rows) / len(images)
+        if progress is not None:
+            progress(epoch, total)
+    network.eval()
+    return network, dice(network, images, plains, masks)
+
+
+def dice(
+    network: WireSegmenter, images: NDArray[np.uint8], plains: NDArray[np.uint8], masks: NDArray[np.uint8]
+) -> float:
+    """Dice score of the segmented wires and the true ones, all images together."""
+    both = either = 0
+    for image, plain, mask in zip(images, plains, masks, strict=True):
+        found, true = network.mask(image, plain) > 0, mask > 0
+        both += int((found & true).sum())
+        either += int(found.sum() + true.sum())
+    return 2 * both / max(either, 1)
+
+
+def _part(
+    image: NDArray[np.uint8], plain: NDArray[np.uint8], mask: NDArray[np.uint8], generator: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What is darker in a square of an image, and the wire there; mirrored and turned at random."""
+    size = image.shape[-1]
+    side = min(_CROP, size)
+    corner = generator.integers(0, size - side + 1, 2)
+    seen = np.argwhere(mask)
+    if len(seen) and generator.random() < _ON_WIRE:
+        middle = seen[generator.integers(len(seen))] - side // 2 + generator.integers(-side // 6, side // 6 + 1, 2)
+        corner = np.clip(middle, 0, size - side)
+    square = slice(corner[0], corner[0] + side), slice(corner[1], corner[1] + side)
+    both = np.stack((plain[square].astype(np.float32) - image[square], (mask[square] > 0).astype(np.float32)))
+    both = np.rot90(both, int(generator.integers(4)), (1, 2))
+    if generator.random() < 0.5:
+        both = both[:, :, ::-1]
+    darker, wire = np.ascontiguousarray(both)
+    return darker, wire
+
+
+def _loss(logits: Tensor, wire: Tensor) -> Tensor:
+    """Cross-entropy, and one less the Dice score, which does not mind how few pixels show the wire."""
+    found = torch.sigmoid(logits)
+    overlap = (2 * (found * wire).sum() + 1) / (found.sum() + wire.sum() + 1)
+    return functional.binary_cross_entropy_with_logits(logits, wire) + 1 - overlap
