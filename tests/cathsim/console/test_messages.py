@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cathsim.console import CRITERIA, check_answers
-from cathsim.console.messages import LONGEST_REQUEST, frame_message, read_request, surface_message
+from cathsim.console.messages import frame_message, surface_message
+from cathsim.console.requests import LONGEST_REQUEST, read_request
 
 GOOD = {criterion.key: 3 for criterion in CRITERIA}
 
@@ -54,8 +55,15 @@ def test_a_request_has_its_fields() -> None:
         ("[]", "needs a type, one of controls"),
         ('{"type": ["x"]}', "needs a type, one of controls"),
         ('{"type": "shutdown"}', "needs a type, one of controls.*got 'shutdown'"),
-        ('{"type": "controls", "advance": 1}', "'controls' needs the fields"),
-        ('{"type": "restart", "more": 1}', "'restart' needs the fields"),
+        ('{"type": "controls", "advance": 1}', "'controls' needs the field rotate"),
+        ('{"type": "restart", "more": 1}', "'restart' has no field more"),
+        ('{"type": "choose", "phantom": "type_1", "target": [5]}', r"target should be a valid string, got \[5\]"),
+        ('{"type": "controls", "advance": NaN, "rotate": 0, "sequence": 1}', "advance should be a finite number"),
+        ('{"type": "controls", "advance": true, "rotate": 0, "sequence": 1}', "advance should be a valid number"),
+        ('{"type": "controls", "advance": 1, "rotate": 0, "sequence": 1e30}', "sequence should be"),
+        ('{"type": "answers", "answers": [1]}', "answers should be"),
+        ('{"type": "answers", "answers": {"a": {"b": 1}}}', "answers"),
+        ('{"type": "choose", "phantom": "\\ud800", "target": "bca"}', "must be JSON"),
         ('{"type": "restart"}' + " " * LONGEST_REQUEST, "may have 16384 characters"),
     ],
 )

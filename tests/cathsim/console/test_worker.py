@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -117,8 +118,43 @@ def test_phantom_and_target_are_chosen(loop: RealTimeLoop, page: Any, wait_until
     assert page.told("task")[-1]["target"] in page.told("task")[0]["targets"]
     with pytest.raises(ValueError, match="unknown phantom 'moon'; there are type_1"):
         loop.request({"type": "choose", "phantom": "moon", "target": "bca"})
-    with pytest.raises(ValueError, match="answers must be an object"):
+    with pytest.raises(ValueError, match="answers should be a valid dictionary"):
         loop.request({"type": "answers", "answers": [1, 2]})
+
+
+def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wait_until(lambda: page.told("task"))
+    for request in ({"type": "choose", "phantom": "type_1", "target": 5}, {"type": "choose"}, {"type": 5}, {}):
+        with pytest.raises(ValueError, match="request"):
+            loop.request(request)
+
+    def broken(*arguments: Any) -> None:
+        raise KeyError("nothing of that name")
+
+    monkeypatch.setattr(loop, "_choose", broken)
+    loop.request({"type": "choose", "phantom": "type_1", "target": "lcca"})
+    wait_until(lambda: [n for n in page.told("notice") if "'choose' failed (KeyError" in n["text"]])
+    monkeypatch.setattr(loop, "_next_picture", broken)
+    wait_until(lambda: [n for n in page.told("notice") if "it starts anew" in n["text"]])
+    monkeypatch.setattr(loop, "_restart", broken)
+    time.sleep(0.1)
+    monkeypatch.undo()
+    finish(loop, page, wait_until)
+    assert loop.is_alive()
+
+
+def test_a_thousand_wishes_are_one_of_each_kind(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
+    wait_until(lambda: page.told("task"))
+    for number in range(1000):
+        loop.request({"type": "restart"})
+        loop.request({"type": "choose", "phantom": "type_1", "target": "lcca" if number == 999 else "bca"})
+        hold(loop, number)
+        assert len(loop._inbox) <= 4
+    loop.request({"type": "release"})
+    assert not loop.panel.touched, "a release is obeyed at once, whatever waits"
+    wait_until(lambda: page.told("task")[-1]["target"] == "lcca")
 
 
 def test_stopping_keeps_what_was_going_on(page: Any, memory: Any, wait_until: Wait) -> None:

@@ -1,4 +1,4 @@
-"""What goes over the websocket: binary pictures and surfaces to the page, JSON in both directions.
+"""What goes over the websocket to the page in binary: pictures and surfaces.
 
 A picture is `FRME`, the length of a JSON header (uint32), the header padded with spaces to a multiple of 4, the wire's
 points (float32, n x 3, m) and a JPEG. A surface is `MESH`, the numbers of vertices and faces (uint32), vertices and
@@ -15,16 +15,6 @@ from typing import Any
 import numpy as np
 
 FRAME_MAGIC, SURFACE_MAGIC = b"FRME", b"MESH"
-LONGEST_REQUEST = 16_384  # characters
-# request -> its fields beside "type"
-REQUESTS: dict[str, tuple[str, ...]] = {
-    "controls": ("advance", "rotate", "sequence"),
-    "release": (),
-    "choose": ("phantom", "target"),
-    "restart": (),
-    "replay": (),
-    "answers": ("answers",),
-}
 
 
 def frame_message(header: Mapping[str, Any], points: np.ndarray, jpeg: bytes) -> bytes:
@@ -58,30 +48,3 @@ def surface_message(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray
     return b"".join(
         (head, vertices.astype("<f4").tobytes(), normals.astype("<f4").tobytes(), faces.astype("<u4").tobytes())
     )
-
-
-def read_request(text: str) -> dict[str, Any]:
-    """Reads what the page asks for.
-
-    Args:
-        text: JSON.
-
-    Returns:
-        The request, with exactly the fields that its type has.
-
-    Raises:
-        ValueError: it is no request; one sentence says why.
-    """
-    if len(text) > LONGEST_REQUEST:
-        raise ValueError(f"a request may have {LONGEST_REQUEST} characters, got {len(text)}")
-    try:
-        request = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ValueError("a request must be JSON") from error
-    kind = request.get("type") if isinstance(request, dict) else None
-    if not isinstance(kind, str) or kind not in REQUESTS:
-        raise ValueError(f"a request needs a type, one of {', '.join(REQUESTS)}, got {kind!r}")
-    wanted = {"type", *REQUESTS[kind]}
-    if set(request) != wanted:
-        raise ValueError(f"request '{kind}' needs the fields {sorted(wanted)}, got {sorted(request)}")
-    return request

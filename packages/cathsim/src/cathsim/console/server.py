@@ -6,8 +6,9 @@ import asyncio
 import contextlib
 import logging
 import threading
-from collections import deque
-from collections.abc import AsyncIterator
+import time
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,15 @@ from fastapi.responses import FileResponse, PlainTextResponse, Response
 from fastapi.staticfiles import StaticFiles
 
 from cathsim.console.access import Access
-from cathsim.console.messages import read_request
+from cathsim.console.requests import read_request
 from cathsim.console.worker import RealTimeLoop
 
 PAGE = Path(__file__).with_name("page")
 # codes of the websocket's end that the page understands
-REFUSED, OCCUPIED = 4401, 4409
+REFUSED, OCCUPIED, FLOODED, FAILED = 4401, 4409, 4429, 1011
+# A page sends a reading a picture of its screen at most, from a gamepad: up to 240 a second.
+MOST_A_SECOND, MOST_AT_ONCE = 300, 600
+_MOST_NOTICES = 8  # that wait for a page that does not read
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; connect-src 'self' ws: wss:; img-src 'self' blob: data:; "
     "frame-ancestors 'none'",
@@ -34,12 +38,16 @@ _LOGGER = logging.getLogger(__name__)
 
 
 class Desk:
-    """Between the loop's thread and the operator's websocket: the latest picture, and messages that must arrive."""
+    """Between the loop's thread and the operator's websocket: the latest picture, and the latest message of each kind.
+
+    A page that does not read lets nothing pile up: what tells a state is replaced by what tells a newer one, and of
+    notices the last few are kept.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._frame: bytes | None = None
-        self._messages: deque[dict[str, Any] | bytes] = deque()
+        self._messages: OrderedDict[str, dict[str, Any] | bytes] = OrderedDict()
         self._ready: tuple[asyncio.AbstractEventLoop, asyncio.Event] | None = None
 
     def take(self) -> bool:
@@ -67,7 +75,12 @@ class Desk:
         """Takes a message from the loop."""
         with self._lock:
             if self._ready is not None:
-                self._messages.append(message)
+                key = _kind(message)
+                self._messages.pop(key, None)
+                self._messages[key] = message
+                notices = [kind for kind in self._messages if kind.startswith(_NOTICE)]
+                for kind in notices[:-_MOST_NOTICES]:
+                    del self._messages[kind]
                 self._wake()
 
     def _wake(self) -> None:
@@ -84,12 +97,43 @@ class Desk:
         await ready[1].wait()
         with self._lock:
             ready[1].clear()
-            batch: list[dict[str, Any] | bytes] = [*self._messages]
+            batch: list[dict[str, Any] | bytes] = [*self._messages.values()]
             self._messages.clear()
             if self._frame is not None:
                 batch.append(self._frame)
                 self._frame = None
             return batch
+
+
+_NOTICE = "notice"
+
+
+def _kind(message: dict[str, Any] | bytes) -> str:
+    """What a newer message of the same kind replaces."""
+    if isinstance(message, bytes):
+        return "surface"
+    return f"{_NOTICE} {message['text']}" if message["type"] == _NOTICE else str(message["type"])
+
+
+class Pace:
+    """Counts what a page sends: a bucket of `MOST_AT_ONCE` that fills up by `MOST_A_SECOND`.
+
+    Args:
+        clock: gives the time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._left, self._at = clock, float(MOST_AT_ONCE), clock()
+
+    def allows(self) -> bool:
+        """Whether one more message may come."""
+        now = self._clock()
+        self._left = min(self._left + MOST_A_SECOND * (now - self._at), MOST_AT_ONCE)
+        self._at = now
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
 
 
 def create_app(loop: RealTimeLoop, desk: Desk, access: Access) -> FastAPI:
@@ -148,22 +192,36 @@ def create_app(loop: RealTimeLoop, desk: Desk, access: Access) -> FastAPI:
 
 
 async def _send(socket: WebSocket, desk: Desk) -> None:
-    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+    try:
         while True:
             for message in await desk.next():
                 if isinstance(message, bytes):
                     await socket.send_bytes(message)
                 else:
                     await socket.send_json(message)
+    except (WebSocketDisconnect, RuntimeError):
+        return  # the page is gone
+    except Exception:  # a page without pictures would stand still for ever: it connects again
+        _LOGGER.exception("a message could not be sent")
+        await socket.close(FAILED, "a message could not be sent: connecting again")
 
 
 async def _receive(socket: WebSocket, loop: RealTimeLoop, desk: Desk) -> None:
-    with contextlib.suppress(WebSocketDisconnect):
+    pace = Pace()
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # the second: it was closed from this side
         while True:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
+                return
+            if not pace.allows():
+                loop.panel.release()
+                await socket.close(FLOODED, f"more than {MOST_A_SECOND} messages a second: close what sends them")
                 return
             try:
                 loop.request(read_request(message.get("text") or ""))
             except ValueError as error:
                 desk.say({"type": "notice", "kind": "error", "text": str(error)})
+            except Exception as error:  # a message must not end the connection
+                _LOGGER.exception("a request failed")
+                text = f"the request failed ({type(error).__name__}: {error})"
+                desk.say({"type": "notice", "kind": "error", "text": text})

@@ -7,26 +7,28 @@ already shows what the controls do. The log has one record a control step, as ev
 from __future__ import annotations
 
 import logging
-import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
 from cathsim.console.controls import ControlPanel, Controls
+from cathsim.console.inbox import Inbox
 from cathsim.console.messages import frame_message
 from cathsim.console.picture import FluoroscopyMonitor, surface_of
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, between
 from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
+from cathsim.console.requests import check_request
 from cathsim.environment import NavigateEnv
 from cathsim.simulation import CONTROL_STEP
 
 PICTURES = 3  # a control step
 FRAME = CONTROL_STEP / PICTURES  # s
 REPLAY = "replay"
+_SECONDS_TO_NEXT_START = 1.0
 _BEHIND = 0.15  # s: a loop that is further behind than this does not hurry to catch up
 _MM = 1e3
 
@@ -99,7 +101,7 @@ class RealTimeLoop(threading.Thread):
         self._setup, self._page, self._recorder, self._note = setup, page, recorder, note
         self._phantoms = list(dict.fromkeys([*phantoms, setup.phantom]))
         self.panel = ControlPanel()
-        self._requests: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._inbox = Inbox()
         self._stopped = threading.Event()
         self._seed = setup.seed
         self._frame = 0
@@ -112,44 +114,43 @@ class RealTimeLoop(threading.Thread):
     # -- requests, from other threads ---------------------------------------------------------------------------------
 
     def request(self, request: dict[str, Any]) -> None:
-        """Takes a request that `read_request` has read.
+        """Takes a request of the page.
 
         Raises:
             ValueError: its values are impossible.
         """
+        request = check_request(request)
         kind = request["type"]
         if kind == "controls":
             self.panel.set(Controls(request["advance"], request["rotate"], request["sequence"]))
-            self._requests.put(None)  # the first touch starts the clock at once
+            self._inbox.put("touch")  # the first one starts the clock at once
         elif kind == "release":
             self.panel.release()
         elif kind == "choose":
             if request["phantom"] not in self._phantoms:
                 raise ValueError(f"unknown phantom {request['phantom']!r}; there are {', '.join(self._phantoms)}")
-            self._requests.put(lambda: self._choose(request["phantom"], request["target"]))
+            self._inbox.put(kind, lambda: self._choose(request["phantom"], request["target"]))
         elif kind == "answers":
-            answers = check_answers(request["answers"]) if isinstance(request["answers"], dict) else None
-            if answers is None:
-                raise ValueError("answers must be an object with a number for each criterion")
-            self._requests.put(lambda: self._answer(answers))
+            answers = check_answers(request["answers"])
+            self._inbox.put(kind, lambda: self._answer(answers))
         elif kind == "restart":
-            self._requests.put(self._restart)
+            self._inbox.put(kind, self._restart)
         else:
-            self._requests.put(self._replay)
+            self._inbox.put(kind, self._replay)
 
     def operator_came(self) -> None:
         """A page has opened: it is told everything."""
-        self._requests.put(self._introduce)
+        self._inbox.put("came", self._introduce)
 
     def operator_left(self) -> None:
         """The page is gone: the controls are released, and what was going on is broken off."""
         self.panel.release()
-        self._requests.put(self._restart_if_running)
+        self._inbox.put("left", self._restart_if_running)
 
     def stop(self) -> None:
         """Ends the loop; an episode that is going on is kept as an interrupted one."""
         self._stopped.set()
-        self._requests.put(None)
+        self._inbox.put("stop")
         if self.is_alive():
             self.join(timeout=10.0)
 
@@ -159,33 +160,44 @@ class RealTimeLoop(threading.Thread):
         """Shows a picture every 33 ms until it is stopped."""
         due = time.monotonic()
         while not self._stopped.is_set():
-            started = self._serve(due)
-            now = time.monotonic()
-            due = now if started or now - due > _BEHIND else due
             try:
+                started = self._serve(due)
+                now = time.monotonic()
+                due = now if started or now - due > _BEHIND else due
                 self._next_picture()
             except Exception:  # one that ended the thread would leave a page that never moves again
                 _LOGGER.exception("a picture failed")
-                self._say(type="notice", kind="error", text="the simulation failed: it starts anew")
-                self._restart()
+                self._start_anew()
             due += FRAME
         self._procedure.break_off()
+
+    def _start_anew(self) -> None:
+        """After a failure; where that fails, too, it is tried again a second later."""
+        try:
+            self._say(type="notice", kind="error", text="the simulation failed: it starts anew")
+            self._restart()
+        except Exception:
+            _LOGGER.exception("a new start failed")
+            self._stopped.wait(_SECONDS_TO_NEXT_START)
 
     def _serve(self, due: float) -> bool:
         """Waits until a time, serving requests; returns early, and true, when the operator starts a procedure."""
         while not self._stopped.is_set():
-            try:
-                request = self._requests.get(timeout=max(due - time.monotonic(), 0.0))
-            except queue.Empty:
+            asked = self._inbox.get(due - time.monotonic())
+            if asked is None:
                 return False
-            if request is None:
+            kind, work = asked
+            if work is None:
                 if self._procedure.state == READY and self._shown is None and self.panel.touched:
                     return True
                 continue
             try:
-                request()
+                work()
             except ValueError as error:
                 self._say(type="notice", kind="error", text=str(error))
+            except Exception as error:  # what a wish runs into must not end the loop
+                _LOGGER.exception("the request '%s' failed", kind)
+                self._say(type="notice", kind="error", text=f"'{kind}' failed ({type(error).__name__}: {error})")
         return False
 
     def _open(self, phantom: Phantom, target: str) -> None:

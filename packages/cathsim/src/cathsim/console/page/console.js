@@ -44,7 +44,7 @@ function connect() {
   socket.onclose = ({ code, reason }) => {
     setState("", "NO SIGNAL");
     tell(reason || "No connection to the console: is it still running? Trying again …", "error", true);
-    if (code === 4401) { refused = true; return; }
+    if (code === 4401 || code === 4429) { refused = code === 4401; return; }
     setTimeout(connect, RECONNECT);
   };
 }

@@ -1,0 +1,109 @@
+"""What the page asks for over the websocket: JSON of a few kinds, checked before anything is done about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+LONGEST_REQUEST = 16_384  # characters
+_LONGEST_VALUE = 60  # characters of a wrong value that are told
+_LARGEST_SEQUENCE = 2**53  # the whole numbers that JavaScript counts exactly
+
+_Name = Annotated[str, Field(min_length=1, max_length=100)]
+_Axis = Annotated[float, Field(ge=-1e6, le=1e6)]  # beyond -1 to 1 it counts as full speed
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Controls(_Request):
+    type: Literal["controls"]
+    advance: _Axis
+    rotate: _Axis
+    sequence: Annotated[int, Field(ge=0, le=_LARGEST_SEQUENCE)]
+
+
+class _Choose(_Request):
+    type: Literal["choose"]
+    phantom: _Name
+    target: _Name
+
+
+class _Answers(_Request):
+    type: Literal["answers"]
+    answers: Annotated[dict[_Name, int | str], Field(max_length=50)]
+
+
+class _Plain(_Request):
+    type: Literal["release", "restart", "replay"]
+
+
+KINDS = ("controls", "release", "choose", "restart", "replay", "answers")
+_REQUESTS: TypeAdapter[Any] = TypeAdapter(
+    Annotated[_Controls | _Choose | _Answers | _Plain, Field(discriminator="type")]
+)
+
+
+def read_request(text: str) -> dict[str, Any]:
+    """Reads what the page asks for.
+
+    Args:
+        text: JSON.
+
+    Returns:
+        The request, with exactly the fields that its type has, each of its kind.
+
+    Raises:
+        ValueError: it is no request; one sentence says why.
+    """
+    if len(text) > LONGEST_REQUEST:
+        raise ValueError(f"a request may have {LONGEST_REQUEST} characters, got {len(text)}")
+    try:
+        request: dict[str, Any] = _REQUESTS.validate_json(text).model_dump()
+    except ValidationError as error:
+        raise ValueError(_sentence(error)) from error
+    return request
+
+
+def check_request(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Checks a request that did not come as JSON.
+
+    Args:
+        request: its type and fields.
+
+    Returns:
+        It.
+
+    Raises:
+        ValueError: it is no request; one sentence says why.
+    """
+    try:
+        checked: dict[str, Any] = _REQUESTS.validate_python(dict(request)).model_dump()
+    except ValidationError as error:
+        raise ValueError(_sentence(error)) from error
+    return checked
+
+
+def _sentence(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    if first["type"] == "json_invalid":
+        return "a request must be JSON"
+    kind = first["loc"][0] if first["loc"] else ""
+    if not kind:
+        given = first["input"].get("type") if isinstance(first["input"], dict) else None
+        return f"a request needs a type, one of {', '.join(KINDS)}, got {_shown(given)}"
+    field = ".".join(str(part) for part in first["loc"][1:])[:_LONGEST_VALUE]
+    if first["type"] == "missing":
+        return f"request '{kind}' needs the field {field}"
+    if first["type"] == "extra_forbidden":
+        return f"request '{kind}' has no field {field}"
+    must = first["msg"].removeprefix("Input should ")
+    return f"request '{kind}' is refused: {field} should {must}, got {_shown(first['input'])}"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}…"
