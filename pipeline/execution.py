@@ -14,8 +14,9 @@ from pipeline.artifacts import RunFolder
 from pipeline.config import RunConfig
 from pipeline.errors import StageError
 from pipeline.manifest import Identity
-from pipeline.provenance import hash_sources, hash_value
+from pipeline.provenance import hash_value
 from pipeline.setting_checks import settings_that_matter
+from pipeline.source_closure import source_closure
 from pipeline.stages import Stage, StageContext, load_stage, missing_module
 from pipeline.variants import Asked, require_input, telling, variant_of
 
@@ -80,7 +81,7 @@ def _identity(stage: Stage, config: RunConfig, run_path: Path, input_hashes: dic
     return Identity(
         config_hash=hash_value(settings),
         input_hashes={**input_hashes, **stage.further_inputs(run_path)},
-        code_hash=hash_sources((f"pipeline.stages.{stage.name}", *stage.code)),
+        code_hash=source_closure(run_path).hash(f"pipeline.stages.{stage.name}"),
     )
 
 

@@ -18,15 +18,6 @@ if TYPE_CHECKING:
     from guide3d.training import FitProgress
 
 PREDICTOR, TRAINING = "predictor.pt", "training.json"
-# What a trained network depends on: not the whole package, whose calibration and matching it never meets.
-CODE = tuple(
-    f"guide3d.{name}"
-    for name in (
-        "build", "dataset", "dataset_split", "frame", "losses", "masks", "metrics", "modeling", "model_file",
-        "network_training", "picture_store", "polyline", "predictor", "preprocessing", "recipes",
-        "segmentation_metrics", "segmentation_samples", "shape_samples", "train", "training",
-    )
-)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

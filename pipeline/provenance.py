@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.metadata
-import importlib.util
 import json
 import os
 import platform
@@ -14,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 PROJECT_ROOT = Path(__file__).resolve().parent.parent
-_SOURCE_SUFFIXES = {".py", ".c", ".h", ".yaml", ".j2", ".css", ".proto"}
 _REPORTED_DISTRIBUTIONS = ("numpy", "scipy", "mujoco", "gymnasium", "dm_control", "scikit-image", "trimesh", "torch",
                            "stable-baselines3", "mcap", "hydra-core")  # fmt: skip
 
@@ -42,35 +40,6 @@ def hash_file(path: Path) -> str:
     """
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def hash_sources(modules: tuple[str, ...]) -> str:
-    """Hashes the source files of modules and packages, so that an edit puts the results that used them out of date.
-
-    Args:
-        modules: import names, e.g. ``cathsim.anatomy``; a package counts with everything below it.
-
-    Returns:
-        SHA-256 in hex over the files' relative names and contents.
-
-    Raises:
-        ModuleNotFoundError: when a module is not installed.
-    """
-    digest = hashlib.sha256()
-    for module in modules:
-        spec = importlib.util.find_spec(module)
-        if spec is None:
-            raise ModuleNotFoundError(f"No module named {module!r}", name=module)
-        if spec.submodule_search_locations:
-            root = Path(next(iter(spec.submodule_search_locations)))
-            files = sorted(p for p in root.rglob("*") if p.suffix in _SOURCE_SUFFIXES and "__pycache__" not in p.parts)
-        else:
-            root = Path(str(spec.origin)).parent
-            files = [Path(str(spec.origin))]
-        for file in files:
-            digest.update(f"{module}:{file.relative_to(root)}\0".encode())
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 @functools.cache

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import logging
-import pkgutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import enn
 from pipeline.errors import ConfigurationError
 from pipeline.expert_episodes import require_demonstrations
 from pipeline.jobs import Job, run_jobs
@@ -26,20 +24,6 @@ if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
 
 ENCODERS = "encoders"
-# Modules of `enn` that no training of a policy uses: an edit there must not cost hours.
-_OTHER_LEARNING = {
-    "behaviour_cloning", "cloned_policy", "dagger", "egocentric", "fitting", "force", "force_samples", "image_network",
-    "lessons", "lumen_segmentation", "path_following", "student",
-}  # fmt: skip
-# What the results of trainings depend on.
-LEARNING_CODE = (
-    "cathsim",
-    *(f"enn.{module.name}" for module in pkgutil.iter_modules(enn.__path__) if module.name not in _OTHER_LEARNING),
-    *(
-        f"pipeline.{name}"
-        for name in ("learning_task", "recording", "replay", "training_job", "training_plan", "trials")
-    ),
-)
 THESIS = "thesis"
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
 _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning

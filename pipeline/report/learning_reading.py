@@ -15,8 +15,8 @@ from typing import Any
 
 from pipeline.atomic import write_json
 from pipeline.interruption import stop_if_asked
-from pipeline.provenance import hash_sources
 from pipeline.report.learning_logs import COMPARED, DEMONSTRATION, Evaluation, UnusableLogError, read_evaluation
+from pipeline.source_closure import SourceClosure
 
 CACHE = Path(".cache", "learning.json")  # below the run: a stage's own folder is emptied when it runs again
 PARALLEL_FROM = 200  # logs; fewer are read sooner than processes start
@@ -123,7 +123,8 @@ class _Memory:
 
     def __init__(self, file: Path | None) -> None:
         self._file = file
-        self._code = hash_sources(("pipeline.report.learning_logs", "cathsim.metrics"))
+        sources = SourceClosure(file and file.with_name("sources.json"))
+        self._code = sources.hash("pipeline.report.learning_logs", "cathsim.metrics")
         self._entries = self._load()
         self._new: dict[str, Any] = {}
 

@@ -55,7 +55,6 @@ class Stage:
     run: Callable[[Any, StageContext], None]  # settings, context
     reads: tuple[str, ...] = ()  # stages that must have finished
     writes: tuple[str, ...] = ()  # what lies in its folder afterwards
-    code: tuple[str, ...] = ()  # import names whose sources its results depend on, beside its own module
     check: Callable[[Any], None] = no_check  # refuses settings with a ConfigurationError before anything is written
     seeded: bool = True  # whether its results depend on the run's seed: then each seed has a folder of its own
     further_inputs: Callable[[Path], dict[str, str]] = no_further_inputs  # hashes of whatever else it reads

@@ -14,7 +14,6 @@ from pipeline.report.results import write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.task import FEEDER
 from pipeline.training_plan import (
-    LEARNING_CODE,
     THESIS,
     Cell,
     check_learning,
@@ -141,6 +140,5 @@ STAGE = Stage(
         "<phantom>/<target>/path_follower/seed<k>/{follower.pt, evaluation/deterministic/NNN.mcap}",
         "results.json",
     ),
-    code=(*LEARNING_CODE, "enn.path_following", "enn.fitting", "pipeline.path_job"),
     check=check_learning,
 )

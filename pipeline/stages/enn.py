@@ -12,7 +12,6 @@ from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.task import FEEDER
 from pipeline.training_plan import (
-    LEARNING_CODE,
     THESIS,
     Cell,
     check_learning,
@@ -186,6 +185,5 @@ STAGE = Stage(
         "<phantom>/<target>/<row>/seed<k>/expert/NNN.mcap",
         "results.json",
     ),
-    code=LEARNING_CODE,
     check=check_enn,
 )

@@ -228,6 +228,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=("cathsim", "pipeline.report.episode_tables"),
     check=check_expert,
 )

@@ -188,26 +188,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=(
-        "cathsim",
-        *(
-            f"enn.{name}"
-            for name in (
-                "dagger",
-                "features",
-                "fitting",
-                "force",
-                "force_samples",
-                "image_network",
-                "model_file",
-                "normalisation",
-                "policy",
-                "trajectory",
-            )
-        ),
-        "pipeline.expert_episodes",
-        "pipeline.force_job",
-        "pipeline.recording",
-    ),
     check=check_force,
 )

@@ -145,23 +145,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=(
-        "cathsim",
-        *(
-            f"guide3d.{name}"
-            for name in (
-                "annotation_files", "bspline", "camera", "curve_fitting", "cvat", "dataset", "distortion", "epipolar",
-                "frame", "greedy_matching", "matching", "metrics", "polyline", "reconstruction", "triangulation",
-                "true_curves", "view_checks",
-            )
-        ),
-        *(
-            f"pipeline.guide3d_{name}"
-            for name in (
-                "annotation", "figures", "folder", "generator", "own", "plan", "reconstruction", "tables", "wire"
-            )
-        ),
-        "pipeline.report.guide3d_plots",
-    ),
     check=check_guide3d,
 )  # fmt: skip

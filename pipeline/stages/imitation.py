@@ -214,27 +214,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=(
-        "cathsim",
-        *(
-            f"enn.{name}"
-            for name in (
-                "behaviour_cloning",
-                "cloned_policy",
-                "dagger",
-                "features",
-                "fitting",
-                "image_network",
-                "model_file",
-                "normalisation",
-                "policy",
-                "trajectory",
-            )
-        ),
-        "pipeline.expert_episodes",
-        "pipeline.imitation_job",
-        "pipeline.recording",
-        "pipeline.trials",
-    ),
     check=check_imitation,
 )

@@ -193,7 +193,6 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=("cathsim.anatomy",),
     seeded=False,
     check=check_phantoms,
 )

@@ -122,7 +122,6 @@ STAGE = Stage(
     name="report",
     run=run_report,
     writes=(PAGE, METRICS, f"{TABLES_FOLDER}/<table>.{{csv,tex}}", "figures/", f"{LEARNING_FOLDER}/<figure>.png"),
-    code=("pipeline.report", "cathsim.metrics"),
     seeded=False,
     further_inputs=_inputs,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.jobs import Job
-from pipeline.network_job import CODE, NetworkJob
+from pipeline.network_job import NetworkJob
 from pipeline.network_settings import SegmentationSettings
 from pipeline.network_stage import train_and_compare, training_job
 from pipeline.report.results import Figure
@@ -100,12 +100,5 @@ STAGE = Stage(
         "examples.png, kinds.png, training.png",
         "results.json",
         "figures.json",
-    ),
-    code=(
-        *CODE,
-        "pipeline.network_job",
-        "pipeline.network_stage",
-        "pipeline.segmentation_job",
-        "pipeline.report.segmentation_plots",
     ),
 )

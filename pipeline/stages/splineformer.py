@@ -155,13 +155,4 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=(
-        "guide3d",
-        "splineformer",
-        "pipeline.network_job",
-        "pipeline.network_stage",
-        "pipeline.splineformer_job",
-        "pipeline.splineformer_comparison",
-        "pipeline.report.splineformer_plots",
-    ),
 )

@@ -14,16 +14,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.config import UnseenSettings
 from pipeline.errors import ConfigurationError
 from pipeline.jobs import Job, run_jobs
+from pipeline.learning_settings import UnseenSettings
 from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.task import require_feeder, require_known_task
-from pipeline.training_plan import LEARNING_CODE
 from pipeline.trials import Origin
 from pipeline.unseen_demonstrations import DemonstrationsJob, record_demonstrations
 from pipeline.unseen_jobs import (
@@ -305,22 +304,6 @@ STAGE = Stage(
         "<row>/seed<k>/{policy.pt or student.pt, training.csv, training.json}",
         "<row>/seed<k>/evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap",
         "results.json",
-    ),
-    code=(
-        *LEARNING_CODE,
-        "enn.egocentric",
-        "enn.lessons",
-        "enn.lumen_segmentation",
-        "enn.student",
-        "enn.wire_segmentation",
-        "pipeline.unseen_demonstrations",
-        "pipeline.unseen_jobs",
-        "pipeline.unseen_starts",
-        "pipeline.unseen_student",
-        "pipeline.unseen_summary",
-        "pipeline.unseen_task",
-        "pipeline.unseen_trials",
-        "pipeline.unseen_xray",
     ),
     check=check_unseen,
 )

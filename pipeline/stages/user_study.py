@@ -198,7 +198,6 @@ STAGE = Stage(
     name="user_study",
     run=run_user_study,
     writes=("<phantom>/<target>.png", "results.json", "figures.json"),
-    code=("pipeline.human", "pipeline.report.episode_tables", "cathsim.metrics", "cathsim.console.questionnaire"),
     seeded=False,
     further_inputs=_recordings,
 )

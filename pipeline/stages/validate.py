@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.atomic import write_text
 from pipeline.errors import StageError
-from pipeline.provenance import PROJECT_ROOT
+from pipeline.provenance import PROJECT_ROOT, hash_file
 from pipeline.report.force_plots import draw_boxes, draw_distribution, draw_heat
 from pipeline.report.force_statistics import EpisodeForces, compare, pooled, read_forces, table_rows, verdict
 from pipeline.report.results import Figure, write_figures, write_results
@@ -312,6 +312,10 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
     return shown
 
 
+def _benchmark(run_path: Path) -> dict[str, str]:
+    return {f"benchmarks/{file.name}": hash_file(file) for file in (PROJECT_ROOT / "benchmarks").glob("rod*.py")}
+
+
 STAGE = Stage(
     name="validate",
     run=run_validate,
@@ -322,6 +326,6 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
-    code=("cathsim", "pipeline.report.force_statistics", "pipeline.report.force_plots"),
     check=check_validate,
+    further_inputs=_benchmark,
 )

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-import pytest
-
 from pipeline.progress import progress, progress_line
-from pipeline.provenance import git_state, hash_file, hash_sources, hash_value, machine, software_versions
+from pipeline.provenance import git_state, hash_file, hash_value, machine, software_versions
 from pipeline.setting_checks import settings_that_matter
 from pipeline.stage_settings import ExpertSettings
 
@@ -21,22 +18,6 @@ def test_hash_of_a_value_ignores_the_order_of_keys() -> None:
 def test_hash_of_a_file_is_sha256(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"abc")
     assert hash_file(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-
-
-def test_hash_of_sources_follows_edits_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "sourced_example"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "kernel.c").write_text("int x;")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    first = hash_sources(("sourced_example",))
-    (package / "notes.txt").write_text("not source")
-    assert hash_sources(("sourced_example",)) == first
-    (package / "kernel.c").write_text("int y;")
-    assert hash_sources(("sourced_example",)) != first
-    sys.modules.pop("sourced_example", None)
-    with pytest.raises(ModuleNotFoundError, match="no_such_package"):
-        hash_sources(("no_such_package",))
 
 
 def test_versions_commit_and_machine_are_recorded() -> None:
