@@ -15,10 +15,11 @@ from cathsim.anatomy.point_target import TargetLike
 from cathsim.blood import BloodFlow, blood_flow
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.description import Specified, chosen, described
+from cathsim.display import MODES, Display
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.history import History
-from cathsim.navigation import NavigationTask, navigation_task, require_reach
+from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
 from cathsim.observables import BiplaneView, Fluoroscope, make_observable
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
@@ -105,7 +106,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         observation: see above.
         image_size: side of the images, px (the thesis uses 80 and 128; the public biplane data set has 1,024).
         cameras: None, "guide3d", "clinical", or a `BiplaneFluoroscope`: two C-arms beside the frontal view.
-        render_mode: "rgb_array" (a 3-D view, needs EGL or OSMesa) or "fluoroscopy".
+        render_mode: "rgb_array" (a 3-D view, needs EGL or OSMesa), "fluoroscopy" (the frontal image) or "human" (a
+            window that shows every step at the speed of the simulated time; the extra `human` brings pygame for it).
         phantom_seed: of the random phantom.
         blood: None, "steady", "pulsatile", or a `BloodFlow`: its drag on the wire.
         contact: "sdf", "hulls" (convex hulls of the wall, made in minutes and cached), or a `Decomposition`.
@@ -116,12 +118,9 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
             replace the task's: success_radius, max_steps, start_jitter, start_rotation, reward, force_penalty,
             path_penalty.
-
-    ## Versions
-    v0: first.
     """
 
-    metadata = {"render_modes": ["rgb_array", "fluoroscopy"], "render_fps": round(1 / CONTROL_STEP)}  # noqa: RUF012
+    metadata = {"render_modes": list(MODES), "render_fps": round(1 / CONTROL_STEP)}  # noqa: RUF012
 
     def __init__(
         self,
@@ -145,17 +144,11 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         task: NavigationTask | None = None,
         **task_fields: Any,
     ) -> None:
-        if actions not in ACTIONS:
-            raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(
-                f"unknown render_mode '{render_mode}'; there are {', '.join(self.metadata['render_modes'])}"
-            )
-        if drive not in DRIVES:
-            raise ValueError(f"unknown drive '{drive}'; there are {', '.join(DRIVES)}")
+        for name, value, known in (("actions", actions, ACTIONS), ("drive", drive, DRIVES)):
+            if value not in known:
+                raise ValueError(f"unknown {name} '{value}'; there are {', '.join(known)}")
         asked = navigation_task(target, task_fields, described(task))
         self.phantom = chosen("phantom", phantom, Phantom, partial(load_phantom, seed=phantom_seed))
-        wire_name = wire if isinstance(wire, str) else "default"
         asked.goal(self.phantom)  # refuses an unknown target before anything is built
         self.simulation = Simulation(
             self.phantom,
@@ -166,13 +159,13 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             tip_motors=actions == "tip_motors",
             blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),
         )
-        self.render_mode = render_mode
-        self._contact_info = contact_info
+        self.render_mode, self._contact_info = render_mode, contact_info
         self.robot = FollowerRobot() if drive == "robot" else None
         self.fluoroscope = Fluoroscope(self.simulation, image_size)
+        self._display = Display(render_mode, self.fluoroscope, self.robot)
         self.biplane = None
         if cameras is not None:
-            material = wire_material(wire_name, self.simulation.wire.radius)
+            material = wire_material(wire if isinstance(wire, str) else "default", self.simulation.wire.radius)
             pair = partial(BiplaneFluoroscope.of, self.phantom, size=image_size, material=material)
             self.biplane = BiplaneView(self.simulation, chosen("cameras", cameras, BiplaneFluoroscope, pair))
         self.roadmap = Roadmap(self.simulation, asked.target, registration_noise)
@@ -181,9 +174,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.task = asked
         # its way through the geodesic field costs something: only where it is wanted
         self.history = History(self.simulation, self._way_left) if self._reads_way else None
-        self._view: Any = None
-        self.steps = 0
-        self.ended = True
+        self.steps, self.ended = 0, True
 
         self._motors = self.simulation.motors
         self._action_shape = (self._motors + 1,) if self._motors else (2,)
@@ -216,8 +207,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     def _set_task(self, task: NavigationTask) -> None:
         goal = task.goal(self.phantom)
         require_reach(task, self.simulation)
-        self._task, self._goal = task, goal
-        self._remaining = 0.0
+        self._task, self._goal, self._remaining = task, goal, 0.0
         self.roadmap.aim(task.target)
         self._hold_field()
 
@@ -238,10 +228,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             ValueError: an option that there is not, a start of another wire, or a target that there is not, that lies
                 outside the lumen or is out of the wire's reach.
         """
-        unknown = sorted(set(options or {}) - {"start", "target"})
-        if unknown:
-            raise ValueError(f"reset knows no option {', '.join(unknown)}; there are start, target")
-        start, target = (options or {}).get("start"), (options or {}).get("target")
+        options = dict(options or {})
+        start, target = options.pop("start", None), options.pop("target", None)
+        if options:
+            raise ValueError(f"reset knows no option {', '.join(sorted(options))}; there are start, target")
         task = self._own_task if target is None else dataclasses.replace(self._own_task, target=target)
         if task != self._task:
             self._set_task(task)
@@ -258,12 +248,12 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.roadmap.reset(self.np_random)
         if self.history is not None:
             self.history.begin()
-        self.steps = 0
-        self.ended = False
+        self.steps, self.ended = 0, False
         tip = self.simulation.tip
         if self.task.reads_progress:
             self._remaining = self.task.remaining(self.phantom, tip)
-        return self.observe(), self._info(tip, _distance(tip, self._goal), success=False, invalid=False)
+        self._display.show(self._goal)
+        return self.observe(), self._info(tip, straight_distance(tip, self._goal), success=False, invalid=False)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by 0.1 s.
@@ -299,11 +289,12 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         if self.history is not None:
             self.history.advance(translation / TRANSLATION_STEP, rotation / ROTATION_STEP)
         tip = simulation.tip
-        distance = _distance(tip, self._goal)
+        distance = straight_distance(tip, self._goal)
         success = distance <= task.success_radius and not invalid
         reward = self._reward(before, tip, distance, success=success)
         truncated = not success and (invalid or self.steps >= task.max_steps)
         self.ended = success or truncated
+        self._display.show(self._goal)
         return self.observe(), reward, success, truncated, self._info(tip, distance, success=success, invalid=invalid)
 
     def start_state(self) -> np.ndarray:
@@ -335,9 +326,6 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
         Returns:
             The observation of that moment.
-
-        Raises:
-            ValueError: the state is of another wire.
         """
         if state["target"] != self.task.target:
             self._set_task(dataclasses.replace(self._own_task, target=state["target"]))
@@ -360,7 +348,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         if task.reads_progress:
             self._remaining = task.remaining(self.phantom, tip)
         force = float(self.simulation.summary.force_max)
-        moved = _distance(tip, before_step)
+        moved = straight_distance(tip, before_step)
         return task.step_reward(distance, before - self._remaining, force, moved, success=success)
 
     def _way_left(self) -> float:
@@ -394,32 +382,19 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         return info
 
     def render(self) -> np.ndarray | None:
-        """A picture as `render_mode` says. Shape (height, width, 3), uint8."""
-        if self.render_mode == "fluoroscopy":
-            return np.repeat(self.fluoroscope.image()[:, :, None], 3, axis=2)
-        if self.render_mode == "rgb_array":
-            if self._view is None:
-                from cathsim.view import View
-
-                self._view = View(self.phantom, robot=self.robot)
-            return self._view.render(self.simulation, self._goal)
-        return None
+        """A picture as `render_mode` says, shape (height, width, 3), uint8; "human" shows it in the window instead."""
+        if self.render_mode == "human":
+            self._display.show(self._goal)
+            return None
+        return self._display.picture(self._goal)
 
     def __getstate__(self) -> dict[str, Any]:
-        # a picture's OpenGL context stays where it is, and the phantom has the field
-        return {**self.__dict__, "_view": None, "_field": None}
+        return {**self.__dict__, "_field": None}  # the phantom has it
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._hold_field()
 
     def close(self) -> None:
-        """Frees the renderer."""
-        if self._view is not None:
-            self._view.close()
-            self._view = None
-
-
-def _distance(a: np.ndarray, b: np.ndarray) -> float:
-    x, y, z = (a - b).tolist()
-    return float((x * x + y * y + z * z) ** 0.5)
+        """Frees the renderer and closes the window."""
+        self._display.close()

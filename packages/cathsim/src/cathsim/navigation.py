@@ -108,6 +108,12 @@ class NavigationTask:
         return float(phantom.geodesic_distance(tip, self.target))
 
 
+def straight_distance(a: np.ndarray, b: np.ndarray) -> float:
+    """Euclidean distance of two points (3,)."""
+    x, y, z = (a - b).tolist()
+    return float((x * x + y * y + z * z) ** 0.5)
+
+
 def require_reach(task: NavigationTask, simulation: Simulation) -> None:
     """Refuses a wire that is too short for the task's target, fed in all the way and on the shortest way.
 
