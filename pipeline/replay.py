@@ -6,15 +6,18 @@ simulator is deterministic, so the tip must go through the very same positions, 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import ValidationError
 
-from pipeline.episodes import EpisodeReader
+from pipeline.episodes import EpisodeReader, EpisodeReadError
 from pipeline.errors import StageError
+from pipeline.setting_checks import sentence, shown
 
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
@@ -74,6 +77,11 @@ def replay(
     )
     _require_same(log, info, env)
     actions = arrays["action"][1:].astype(np.float32)
+    if actions.shape[1:] != env.action_space.shape or not np.isfinite(actions).all():
+        raise ReplayError(
+            f"{log} holds actions of shape {actions.shape[1:]}, the environment takes finite ones of "
+            f"{env.action_space.shape}: record it anew"
+        )
     tips, forces = arrays["tip"], arrays["resultant_force_norm"][1:]
     seen, moment = env.reset(seed=info.seed)
     _compare(log, 0, tips[0], moment["tip"])
@@ -133,41 +141,69 @@ def replay_environment(
     task = _task(info)
     changed: dict[str, Any] = {"reward": reward, "force_penalty": force_penalty, "path_penalty": path_penalty}
     task = dataclasses.replace(task, **{name: value for name, value in changed.items() if value is not None})
-    return NavigateEnv(
-        info.phantom,
-        task=task,
-        entry=info.entry,
-        wire=recorded_wire(info),
-        accuracy=_accuracy(info.configuration),
-        actions="feeder" if len(action) == 2 else "tip_motors",
-        observation=tuple(observation) or ("tip",),
-        image_size=size,
-    )
+    wire, accuracy = recorded_wire(info), _accuracy(info)
+    with told(info, "phantom, entry or camera"):
+        return NavigateEnv(
+            info.phantom,
+            task=task,
+            entry=info.entry,
+            wire=wire,
+            accuracy=accuracy,
+            actions="feeder" if len(action) == 2 else "tip_motors",
+            observation=tuple(observation) or ("tip",),
+            image_size=size,
+        )
+
+
+@contextlib.contextmanager
+def told(info: EpisodeInfo, what: str) -> Iterator[None]:
+    """Words what a log says of itself and what cannot be used, e.g. because it was written by another version.
+
+    Args:
+        info: of the log.
+        what: that is read of it.
+
+    Raises:
+        EpisodeReadError: in place of what the body raises over values of the wrong kind.
+    """
+    try:
+        yield
+    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        if isinstance(error, EpisodeReadError):
+            raise
+        reason = sentence(error) if isinstance(error, ValidationError) else f"{type(error).__name__}: {error}"
+        raise EpisodeReadError(
+            f"the log of seed {info.seed} in {shown(info.phantom)} says a {what} that cannot be used "
+            f"({shown(reason)}): record it anew"
+        ) from error
 
 
 def _task(info: EpisodeInfo) -> NavigationTask:
     from cathsim import NavigationTask
 
     fields = {field.name for field in dataclasses.fields(NavigationTask)}
-    return NavigationTask(**{name: value for name, value in info.configuration.items() if name in fields})
+    with told(info, "task"):
+        return NavigationTask(**{name: value for name, value in info.configuration.items() if name in fields})
 
 
 def recorded_wire(info: EpisodeInfo) -> Guidewire:
     """The guidewire that an episode was recorded with."""
     from cathsim import Guidewire
 
-    values = info.configuration["wire"]
-    fields: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
-    }
-    return Guidewire(**fields)
+    with told(info, "wire"):
+        values = info.configuration["wire"]
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+        }
+        return Guidewire(**fields)
 
 
-def _accuracy(configuration: Mapping[str, Any]) -> Any:
+def _accuracy(info: EpisodeInfo) -> Any:
     from cathsim.presets import Accuracy
 
-    numerics = configuration.get("numerics")  # logs of the first version were all recorded with the default
-    return Accuracy(**numerics) if numerics else "accurate"
+    numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
+    with told(info, "time stepping"):
+        return Accuracy(**numerics) if numerics else "accurate"
 
 
 def _require_same(log: Path | str, info: EpisodeInfo, env: NavigateEnv) -> None:

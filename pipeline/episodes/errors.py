@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pipeline.errors import PipelineError
 
-class EpisodeWriteError(OSError):
+
+class EpisodeWriteError(PipelineError, OSError):
     """A log cannot be written; what was flushed before is safe in its partial file."""
 
 
-class EpisodeReadError(ValueError):
+class EpisodeReadError(PipelineError, ValueError):
     """A log cannot be read, because it is damaged, foreign or too new."""
 
 
-class ViewerError(RuntimeError):
+class ViewerError(PipelineError, RuntimeError):
     """A log cannot be shown: the viewer's package is missing, or its file cannot be written."""
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.setting_checks import shown
+
 SIGNIFICANCE = 0.05
 SAFE_FORCE_N = 2.0
 _SHAPIRO_LIMIT = 5000  # samples beyond which scipy no longer vouches for the p-value
@@ -95,7 +97,7 @@ def episode_forces(path: Path) -> EpisodeForces:
     Returns:
         Its forces. The state after reset, which is no step, is left out.
     """
-    from pipeline.episodes import EpisodeReader
+    from pipeline.episodes import EpisodeReader, EpisodeReadError
 
     with EpisodeReader(path) as log:
         arrays, info = log.load_arrays(pictures=False), log.info
@@ -103,7 +105,10 @@ def episode_forces(path: Path) -> EpisodeForces:
     points = arrays["contact_positions"][steps].reshape(-1, 3)
     norms = np.linalg.norm(arrays["contact_forces"][steps].reshape(-1, 3), axis=1)
     there = np.isfinite(norms)  # the arrays are padded with NaN
-    free = info.configuration.get("expert", {}).get("free_force")
+    expert = info.configuration.get("expert", {})
+    free = expert.get("free_force") if isinstance(expert, dict) else None
+    if free is not None and not isinstance(free, int | float):
+        raise EpisodeReadError(f"{path} says an expert's free force of {shown(free)}, not a number: record it anew")
     return EpisodeForces(
         phantom=info.phantom,
         target=info.target,

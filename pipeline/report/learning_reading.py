@@ -76,6 +76,9 @@ def _read_one(job: tuple[Path, Path]) -> Evaluation | ValueError:
         return read_evaluation(*job)
     except (EpisodeReadError, UnusableLogError) as error:
         return error
+    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        # checksums are right, so another program wrote what no version of this one would
+        return UnusableLogError(f"what it says cannot be used ({type(error).__name__}: {error})")
 
 
 def _read_all(jobs: list[tuple[Path, Path]], processes: int | None) -> Iterator[Evaluation | ValueError]:

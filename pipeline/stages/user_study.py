@@ -66,6 +66,7 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
     Returns:
         What they hold.
     """
+    from cathsim.console.questionnaire import check_answers
     from cathsim.console.recorder import OPERATOR
     from cathsim.metrics import EpisodeMetrics
     from pipeline.episodes import EpisodeReader, EpisodeReadError
@@ -86,16 +87,27 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
             _LOGGER.warning("left out: %s is an episode of %s", path, info.operator)
             study.unreadable += 1
             continue
-        if answered is not None:
-            answers.append((info.start_time_ns, answered))
-        if outcome.status != "finished" or not outcome.metrics:
+        try:
+            counted = EpisodeMetrics(**outcome.metrics) if outcome.metrics else None
+            for name, value in outcome.metrics.items():
+                if name != "target" and not isinstance(value, int | float):
+                    raise ValueError(f"the metric {name} is {value!r}")
+            radius_mm = _MM * float(info.configuration.get("success_radius", 0.0))
+            checked = None if answered is None else check_answers(answered)
+        except (TypeError, ValueError, OverflowError) as error:
+            _LOGGER.warning("left out: %s says what cannot be used (%s)", path, error)
+            study.unreadable += 1
+            continue
+        if checked is not None:
+            answers.append((info.start_time_ns, checked))
+        if outcome.status != "finished" or counted is None:
             study.broken_off += 1
             continue
         task = f"{info.phantom}/{info.target}"
         study.logs.setdefault(task, []).append(path)
-        limit, radius = info.configuration.get("max_steps"), info.configuration.get("success_radius", 0.0)
-        if limit == settings.max_steps and abs(radius * _MM - settings.success_radius_mm) < 1e-6:
-            study.counted.setdefault(task, []).append(EpisodeMetrics(**outcome.metrics))
+        limit = info.configuration.get("max_steps")
+        if limit == settings.max_steps and abs(radius_mm - settings.success_radius_mm) < 1e-6:
+            study.counted.setdefault(task, []).append(counted)
         else:
             study.other_settings += 1
     study.answers = [answered for _, answered in sorted(answers, key=lambda entry: entry[0])]
