@@ -13,6 +13,7 @@ from typing import Any
 from pipeline.artifacts import RunFolder
 from pipeline.config import RunConfig
 from pipeline.errors import StageError
+from pipeline.gpus import CPU, check_device
 from pipeline.manifest import Identity
 from pipeline.provenance import hash_value
 from pipeline.setting_checks import settings_that_matter
@@ -46,6 +47,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     """
     stage = load_stage(config.stage.name)
     stage.check(config.stage)
+    check_device(getattr(config.stage, "device", CPU))  # every stage with networks has one
     run_path = Path(config.runs_dir) / config.name
     asked = Asked(tuple(overrides), in_sweep, config.seed, config.budget_name)
     inputs = {name: require_input(run_path, name, stage.name, asked) for name in stage.reads}

@@ -147,21 +147,22 @@ def expert_logs(folder: Path) -> list[Path]:
     return sorted((folder / EXPERT).glob("*.mcap"))
 
 
-def load_expert(folder: Path) -> Policy:
-    """The policy of a training of the stage enn.
+def load_expert(folder: Path, device: str = "cpu") -> Policy:
+    """The policy of a training of the stage enn, on a device.
 
     Raises:
         StageError: it cannot be read.
     """
-    return load_policy(folder / POLICY, "enn")
+    return load_policy(folder / POLICY, "enn", device)
 
 
-def load_policy(file: Path, maker: str) -> Policy:
+def load_policy(file: Path, maker: str, device: str = "cpu") -> Policy:
     """A policy of an earlier stage.
 
     Args:
         file: of the policy.
         maker: the stage that trained it.
+        device: where it goes.
 
     Raises:
         StageError: it cannot be read.
@@ -169,7 +170,7 @@ def load_policy(file: Path, maker: str) -> Policy:
     from enn.policy import Policy
 
     try:
-        return Policy.load(file)
+        return Policy.load(file, device)
     except ValueError as error:
         raise StageError(f"{error}; run stage={maker} again") from error
 

@@ -106,7 +106,7 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
     """
     from enn.dagger import Disturbed
 
-    expert = load_expert(job.expert)
+    expert = load_expert(job.expert, report.device)
     environment = job.task.environment(expert.keys)
     steps = episode = 0
     while steps < job.steps:
@@ -155,7 +155,10 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
         return dict(json.loads(told.read_text(encoding="utf-8")))
     began, worked = time.monotonic(), time.process_time()
     learnt, tested = held_apart(job)
-    training, test = samples_of(job, learnt, seen_features=True), samples_of(job, tested, seen_features=False)
+    training, test = (
+        samples_of(job, learnt, seen_features=True, device=report.device),
+        samples_of(job, tested, seen_features=False),
+    )
     chosen = training.drawn(min(job.samples, len(training)), job.seed)
     if len(chosen) < job.samples:
         _LOGGER.warning("%d samples were asked for, the episodes have %d", job.samples, len(chosen))
@@ -168,6 +171,7 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
         preset,
         seed=job.seed,
         folder=job.folder / "fit",
+        device=report.device,
         progress=lambda now: report(now.epoch / (now.epochs + 1), f"epoch {now.epoch}, loss {now.loss:.3f}"),
     )
     predicted = predictor.predict(test.images, test.vectors)
@@ -176,7 +180,7 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
     with torch.random.fork_rng():
         torch.manual_seed(job.seed)
         fresh = ForceNetwork(predictor.network.settings)  # its scales are those of no data: newtons
-    untrained = ForcePredictor(fresh).predict(test.images, test.vectors)
+    untrained = ForcePredictor(fresh.to(report.device)).predict(test.images, test.vectors)
     forces = test.forces.astype(np.float64)
     outcome = {
         "samples": len(chosen),
@@ -225,13 +229,16 @@ def held_apart(job: ForceJob) -> tuple[list[list[Trajectory]], list[list[Traject
     return learnt, tested
 
 
-def samples_of(job: ForceJob, episodes: Sequence[list[Trajectory]], *, seen_features: bool) -> ForceSamples:
+def samples_of(
+    job: ForceJob, episodes: Sequence[list[Trajectory]], *, seen_features: bool, device: str = "cpu"
+) -> ForceSamples:
     """Samples with what a network sees, and where wanted with what it is to match.
 
     Args:
         job: of the fit.
         episodes: a list a task.
         seen_features: whether the features to match are computed.
+        device: where the expert computes them.
     """
     from enn.force_samples import force_samples, principal_components
 
@@ -240,7 +247,7 @@ def samples_of(job: ForceJob, episodes: Sequence[list[Trajectory]], *, seen_feat
     everything = [episode for of_task in episodes for episode in of_task]
     if matched and seen_features:
         shapes = principal_components([one.observations["shape"] for one in everything], SHAPE_COMPONENTS)
-        expert = load_expert(job.expert)
+        expert = load_expert(job.expert, device)
         features = [
             np.concatenate((expert.features({key: one.observations[key] for key in expert.keys}), shape), axis=1)
             for one, shape in zip(everything, shapes, strict=True)

@@ -90,7 +90,10 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
     logs = expert_logs(job.expert)
     told = job.folder / RECORD
     if (job.folder / POLICY).is_file() and told.is_file():
-        student, outcome = ClonedPolicy.load(job.folder / POLICY), json.loads(told.read_text(encoding="utf-8"))
+        student, outcome = (
+            ClonedPolicy.load(job.folder / POLICY, report.device),
+            json.loads(told.read_text(encoding="utf-8")),
+        )
     else:
         student, outcome = _student(job, read_episodes(logs, job.episodes), report)
     environment = job.task.environment(student.keys)
@@ -117,7 +120,7 @@ def _student(job: ImitationJob, episodes: list[Trajectory], report: Report) -> t
 
     began, worked = time.monotonic(), time.process_time()
     settings, task = job_settings(job), job.task
-    expert = load_expert(job.expert)
+    expert = load_expert(job.expert, report.device)
     if job.disturbed_episodes:
         episodes = episodes + disturbed(task, expert, settings.network.keys, job.disturbed_episodes, job.seed)
     features = None
@@ -130,6 +133,7 @@ def _student(job: ImitationJob, episodes: list[Trajectory], report: Report) -> t
         expert_features=features,
         seed=job.seed,
         folder=job.folder / "fit",
+        device=report.device,
         progress=lambda told: report(
             _FITTING / parts * told.epoch / told.epochs, f"epoch {told.epoch}, loss {told.loss:.3f}"
         ),
@@ -144,6 +148,7 @@ def _student(job: ImitationJob, episodes: list[Trajectory], report: Report) -> t
             DaggerSettings(rounds=job.dagger_rounds, episodes=job.dagger_episodes, cloning=settings),
             student=student,
             seed=job.seed,
+            device=report.device,
             progress=lambda index, told: report(
                 _FITTING * (index + told.epoch / told.epochs) / parts, f"DAgger round {index}, epoch {told.epoch}"
             ),

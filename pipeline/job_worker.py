@@ -20,6 +20,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.errors import PipelineError
+from pipeline.gpus import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
 from pipeline.setting_checks import sentence
 from pipeline.written_files import noted
 
@@ -37,16 +38,18 @@ class Message:
     level: int = logging.INFO
     traceback: str = ""
     result: Any = None
+    gpu_bytes: int = 0  # that the process uses of its GPU's memory
 
 
 class Report:
-    """Where a job tells how far it is; the same place tells the job to stop."""
+    """Where a job tells how far it is; the same place tells the job where to compute, and to stop."""
 
-    def __init__(self, send: Callable[[Message], None] | None = None) -> None:
+    def __init__(self, send: Callable[[Message], None] | None = None, device: str = "cpu") -> None:
         """Args:
         send: takes the messages; None: nobody listens.
+        device: where the job's networks belong: "cpu", or "cuda", which is the job's own GPU.
         """
-        self._send = send
+        self._send, self.device = send, device
         self._asked = False  # no lock: a signal's handler sets it
         self._last = 0.0
 
@@ -65,7 +68,8 @@ class Report:
         now = time.monotonic()
         if self._send is not None and now - self._last >= _SECONDS_BETWEEN_MESSAGES:
             self._last = now
-            self._send(Message("progress", text, fraction=min(max(float(fraction), 0.0), 1.0)))
+            share = min(max(float(fraction), 0.0), 1.0)
+            self._send(Message("progress", text, fraction=share, gpu_bytes=_gpu_bytes()))
 
     def part(self, start: float, end: float, label: str = "") -> Callable[[float, str], None]:
         """A report for a part of the job.
@@ -106,7 +110,21 @@ class _ToStage(logging.Handler):
             self._pass_on(Message("log", record.getMessage(), level=record.levelno))
 
 
-def work(run: Callable[[Any, Report], Any], given: Any, connection: Connection, notes: tuple[Path, Path]) -> None:
+def _gpu_bytes() -> int:
+    """The most that this process has used of its GPU's memory."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None or not torch.cuda.is_initialized():
+        return 0
+    return int(torch.cuda.max_memory_reserved()) + CUDA_CONTEXT_BYTES
+
+
+def work(
+    run: Callable[[Any, Report], Any],
+    given: Any,
+    connection: Connection,
+    notes: tuple[Path, Path],
+    gpus: tuple[str, ...] = (),
+) -> None:
     """Runs a job in this process, which is its own.
 
     Args:
@@ -114,14 +132,16 @@ def work(run: Callable[[Any, Report], Any], given: Any, connection: Connection, 
         given: to it.
         connection: to the stage; its end means that the stage is no more.
         notes: the stage's folder, and the file where the job's files below it are noted.
+        gpus: that it computes on, as `CUDA_VISIBLE_DEVICES` calls them; none: it sees no GPU.
     """
+    os.environ[VISIBLE] = ",".join(gpus)  # before torch looks for GPUs, which it does only when it needs one
     gate = threading.Lock()
 
     def send(message: Message) -> None:
         with gate, contextlib.suppress(OSError):
             connection.send(message)
 
-    report = Report(send)
+    report = Report(send, CUDA if gpus else CPU)
 
     def asked(number: int, frame: FrameType | None) -> None:
         report.stop()

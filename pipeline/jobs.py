@@ -30,6 +30,7 @@ from typing import Any
 
 from pipeline.artifacts import RunFolder
 from pipeline.errors import StageError
+from pipeline.gpus import CPU, Gpu, GpuShare, find_gpus, gpus_of
 from pipeline.interruption import stop_if_asked
 from pipeline.job_progress import JobDisplay, JobState
 from pipeline.job_worker import Message, Report, work
@@ -54,6 +55,8 @@ class Job:
         given: to `run`; picklable.
         after: keys of jobs that must be done before.
         weight: how long it takes beside the others, for the estimate of the end.
+        gpu_gb: GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none.
+        gpus: how many GPUs it computes on.
     """
 
     key: str
@@ -61,6 +64,8 @@ class Job:
     given: Any = None
     after: tuple[str, ...] = ()
     weight: float = 1.0
+    gpu_gb: float = 0.0
+    gpus: int = 1
 
 
 @dataclass
@@ -80,9 +85,18 @@ def available_workers() -> int:
 
 
 def run_jobs(
-    folder: RunFolder, jobs: Sequence[Job], *, workers: int = 0, label: str = "jobs", preload: Sequence[str] = ()
+    folder: RunFolder,
+    jobs: Sequence[Job],
+    *,
+    workers: int = 0,
+    label: str = "jobs",
+    preload: Sequence[str] = (),
+    device: str = CPU,
+    find: Callable[[], Sequence[Gpu]] = find_gpus,
 ) -> dict[str, Any]:
     """Runs the jobs that are not done yet, several beside each other.
+
+    Beside GPUs a job that needs one starts when one has room for what it needs; it sees no other.
 
     Args:
         folder: of the stage; keeps what is done.
@@ -90,6 +104,8 @@ def run_jobs(
         workers: processes beside each other; 0: one a core.
         label: what the jobs are, for the progress line.
         preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
+        device: of their networks, as `stage.device` has it.
+        find: tells which GPUs there are.
 
     Returns:
         Key to what each job returned, also those of an earlier, interrupted run.
@@ -104,8 +120,12 @@ def run_jobs(
     display = JobDisplay(label, states, workers=workers or available_workers())
     failures: dict[str, str] = {}
     if todo:
+        share = GpuShare([] if device == CPU else gpus_of(device, find()))
+        if share.gpus:
+            for job in todo:
+                share.require_room(job.key, job.gpu_gb, job.gpus)
         with display, _one_thread():
-            failures = _Pool(folder, todo, display, preload).run()
+            failures = _Pool(folder, todo, display, preload, share).run()
     if failures:
         raise StageError(_sentence(label, failures, len(jobs)))
     return {job.key: folder.result_of(job.key) for job in jobs}
@@ -169,8 +189,10 @@ def _ctrl_c_ignored() -> Iterator[None]:
 class _Pool:
     """The processes of the jobs under way."""
 
-    def __init__(self, folder: RunFolder, todo: Sequence[Job], display: JobDisplay, preload: Sequence[str]) -> None:
-        self._folder, self._waiting, self._display = folder, list(todo), display
+    def __init__(
+        self, folder: RunFolder, todo: Sequence[Job], display: JobDisplay, preload: Sequence[str], share: GpuShare
+    ) -> None:
+        self._folder, self._waiting, self._display, self._share = folder, list(todo), display, share
         self._running: list[_Running] = []
         self._failures: dict[str, str] = {}
         # A forked copy of this process would inherit the lock, the log's file and the threads of libraries.
@@ -201,16 +223,25 @@ class _Pool:
                 self._waiting.remove(job)
                 self._fail(job.key, f"it needs {broken[0]}")
             elif len(self._running) < self._display.workers and self._is_ready(job):
-                self._waiting.remove(job)
-                self._start(job)
+                gpus = self._gpus(job)
+                if gpus is not None:
+                    self._waiting.remove(job)
+                    self._start(job, gpus)
 
     def _is_ready(self, job: Job) -> bool:
         return all(self._folder.result_of(key) is not None for key in job.after)
 
-    def _start(self, job: Job) -> None:
+    def _gpus(self, job: Job) -> tuple[str, ...] | None:
+        """What the job's GPUs are called: none where it needs none; None while they have no room for it."""
+        if not (self._share.gpus and job.gpu_gb):
+            return ()
+        taken = self._share.take(job.key, job.gpu_gb, job.gpus)
+        return None if taken is None else tuple(gpu.visible for gpu in taken)
+
+    def _start(self, job: Job, gpus: tuple[str, ...]) -> None:
         ours, theirs = self._context.Pipe()
         notes = (self._folder.path, self._folder.journal(job.key))
-        process = self._context.Process(target=work, args=(job.run, job.given, theirs, notes), name=job.key)
+        process = self._context.Process(target=work, args=(job.run, job.given, theirs, notes, gpus), name=job.key)
         process.start()
         theirs.close()  # or the end of the job's process would not end the connection
         self._running.append(_Running(job, process, ours, self._display.states[job.key]))
@@ -228,6 +259,8 @@ class _Pool:
     def _take(self, running: _Running, message: Message) -> None:
         if message.kind == "progress":
             running.state.update(message.fraction, message.text)
+            if message.gpu_bytes:
+                self._share.measured(running.job.key, message.gpu_bytes)
         elif message.kind == "log":
             _LOGGER.log(message.level, "%s: %s", running.job.key, message.text)
         elif message.kind == "failed":
@@ -242,6 +275,7 @@ class _Pool:
         self._running.remove(running)
         running.process.join(SECONDS_TO_STOP)
         running.connection.close()
+        self._share.give_back(running.job.key)
         if running.answered and running.failure is None:
             self._folder.mark_done(running.job.key, running.result)
             running.state.finish()

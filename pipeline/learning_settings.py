@@ -16,6 +16,7 @@ from pipeline.setting_kinds import (
     Count,
     CountOrNone,
     Decisions,
+    Device,
     Episodes,
     EpisodesOrNone,
     FolderName,
@@ -64,7 +65,7 @@ class LearningSettings:
     path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training
-    device: Annotated[str, one_of("cpu", "cuda")] = "cpu"  # of the networks, or cuda
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.gpus
     target: FolderName | None = None  # filled in by target=… and phantom.name=…: the only one
     phantom: FolderName | None = None
 
@@ -131,6 +132,7 @@ class ImitationSettings:
     epochs: CountOrNone = 0  # 0: the variant's own number
     evaluation_episodes: Episodes = 30
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # fits beside each other; 0: one a core
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.gpus
 
 
 @validated()
@@ -150,6 +152,7 @@ class ForceSettings:
     epochs: CountOrNone = 0  # 0: the variant's own number
     inputs: _ForceInputs = field(default_factory=lambda: ["V"])  # V: the image alone, as the thesis; see the stage
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.gpus
 
 
 @validated()
@@ -185,4 +188,5 @@ class UnseenSettings:
     registration_noise_mm: _Noises = field(default_factory=lambda: [0.0, 1.0, 2.0, 4.0])
     task: Task = field(default_factory=task_in_random_arches)
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.gpus
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)

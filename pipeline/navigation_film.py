@@ -146,7 +146,7 @@ def film_trials(job: FilmJob, report: Report) -> dict[str, Any]:
     from pipeline.recording import record_episode
     from splineformer.navigator import Navigator
 
-    reader = load_reader(job.reader)
+    reader = load_reader(job.reader, report.device)
     told: dict[str, Any] = {}
     for part, (kind, folders) in enumerate(((SUCCESS, job.navigators), (FAILURE, job.navigators[::-1]))):
         report(part / 2, kind)

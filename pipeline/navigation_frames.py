@@ -27,7 +27,7 @@ _CURVE_M = 0.5e-3  # between the points of a true curve
 Frame = tuple[np.ndarray, np.ndarray]  # pictures, and curves
 
 
-def frames_in(anatomy: Anatomy, job: ReaderJob, size_px: int) -> list[Frame]:
+def frames_in(anatomy: Anatomy, job: ReaderJob, size_px: int, device: str = "cpu") -> list[Frame]:
     """Pictures of wires in an anatomy: laid ones, then steered ones.
 
     Args:
@@ -42,17 +42,19 @@ def frames_in(anatomy: Anatomy, job: ReaderJob, size_px: int) -> list[Frame]:
     generator = np.random.default_rng((job.seed, int(phantom.hash[:8], 16)))
     steered = 0 if job.teacher is None else round(_STEERED * job.frames)
     found = _laid(anatomy, job, size_px, job.frames - steered, generator)
-    return found + _steered(anatomy, job, size_px, steered, generator)
+    return found + _steered(anatomy, job, size_px, steered, generator, device)
 
 
-def _steered(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator) -> list[Frame]:
+def _steered(
+    anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator, device: str
+) -> list[Frame]:
     """Pictures of episodes that a teacher steers, each with a hand of its own clumsiness, from none to nothing else."""
     from enn.policy import Policy
 
     if not count:
         return []
     assert job.teacher is not None
-    teacher = Policy.load(job.teacher)
+    teacher = Policy.load(job.teacher, device)
     phantom = phantom_of(anatomy)
     found: list[Frame] = []
     for number in range(4 * count):

@@ -152,8 +152,8 @@ def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
     from splineformer.navigator import Navigator
 
     if not job.file.is_file():
-        reader = load_reader(job.reader)
-        teacher = Policy.load(job.expert)
+        reader = load_reader(job.reader, report.device)
+        teacher = Policy.load(job.expert, report.device)
         settings = settings_of(reader, job)
         episodes: list[Episode] = []
         for log in job.logs:
@@ -196,7 +196,7 @@ def navigate(job: NavigatorJob, report: Report) -> dict[str, Any]:
     Returns:
         How it was trained, and ``tests``: a row for each set of trials and target.
     """
-    reader = load_reader(job.reader)
+    reader = load_reader(job.reader, report.device)
     told = job.folder / RECORD
     if told.is_file():
         from splineformer.navigator import Navigator
@@ -224,7 +224,8 @@ def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, d
     from splineformer.navigator_training import LESSONS, CloningSettings, clone
 
     began, worked = time.monotonic(), time.process_time()
-    teachers = [Policy.load(course.teacher) for course in job.courses]
+    device = str(reader.predictor.device)
+    teachers = [Policy.load(course.teacher, device) for course in job.courses]
     room_for([anatomy for course in job.courses for anatomy in course.anatomies])
     hints = max((_hints(course, teacher) for course, teacher in zip(job.courses, teachers, strict=True)), default=0)
     settings = settings_of(reader, job, hints)

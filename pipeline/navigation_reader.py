@@ -78,6 +78,7 @@ def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:
         ``images``, and before and after the tip's and the curve's mean and median error on anatomies kept apart, px of
         1,024.
     """
+    from guide3d.distributed import Ranks
     from guide3d.training import FitProgress, finished, fit
     from splineformer.predictor import Predictor
     from splineformer.recipes import recipe_of
@@ -85,7 +86,7 @@ def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:
 
     if (job.folder / RECORD).is_file():
         return dict(json.loads((job.folder / RECORD).read_text(encoding="utf-8")))
-    predictor = _taken_over(job.splineformer)
+    predictor = _taken_over(job.splineformer, report.device)
     outcome: dict[str, Any] = {"images": 0, "epochs": job.epochs}
     if job.epochs:
         pictures, curves, apart = _frames(job, predictor, report.part(0.0, _PREPARING, "frames"))
@@ -103,8 +104,11 @@ def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:
         def tell(now: FitProgress) -> None:
             report(_PREPARING + (1 - _PREPARING) * now.epoch / now.epochs, f"epoch {now.epoch}, loss {now.loss:.3g}")
 
-        fitted = fit(predictor.network, objective, settings, folder=job.folder / "fit", seed=job.seed, progress=tell)
-        predictor = Predictor(predictor.network, source_px=predictor.source_px)
+        ranks = Ranks.join(report.device)
+        fitted = fit(
+            predictor.network, objective, settings, folder=job.folder / "fit", seed=job.seed, ranks=ranks, progress=tell
+        )
+        predictor = Predictor(predictor.network, source_px=predictor.source_px, device=report.device)
         outcome |= {"images": len(curves), "cpu_min": fitted.cpu_s / 60}
         outcome |= {f"{name}_after": value for name, value in errors(predictor, pictures, curves, apart).items()}
     predictor.save(job.folder / PREDICTOR, navigation_epochs=job.epochs)
@@ -114,11 +118,12 @@ def train_reader(job: ReaderJob, report: Report) -> dict[str, Any]:
     return outcome
 
 
-def load_reader(folder: Path) -> Any:
+def load_reader(folder: Path, device: str = "cpu") -> Any:
     """The reader of a finished job.
 
     Args:
         folder: of the job.
+        device: where it reads.
     """
     import torch
 
@@ -126,14 +131,14 @@ def load_reader(folder: Path) -> Any:
     from splineformer.predictor import Predictor
 
     torch.set_num_threads(1)
-    return Reader(Predictor.load(folder / PREDICTOR))
+    return Reader(Predictor.load(folder / PREDICTOR, device=device))
 
 
-def _taken_over(path: Path) -> Predictor:
+def _taken_over(path: Path, device: str) -> Predictor:
     from splineformer.predictor import Predictor
 
     try:
-        return Predictor.load(path)
+        return Predictor.load(path, device=device)
     except (FileNotFoundError, ValueError) as error:
         raise StageError(f"{error}; run stage=splineformer again") from error
 
@@ -177,7 +182,9 @@ def _frames(job: ReaderJob, predictor: Predictor, report: Any) -> tuple[np.ndarr
         held = max(1, round(_VALIDATION * len(job.anatomies)))
         for number, (kind, seed) in enumerate(job.anatomies):
             report(number / len(job.anatomies), f"frames in {kind} {max(seed, 0)}")
-            for images, lines in frames_in((kind, seed), job, predictor.network.settings.image_px):
+            for images, lines in frames_in(
+                (kind, seed), job, predictor.network.settings.image_px, str(predictor.device)
+            ):
                 pictures.append(images)
                 curves.append(lines)
                 apart.append(number >= len(job.anatomies) - held and len(job.anatomies) > 1)

@@ -14,6 +14,7 @@ from pipeline.setting_kinds import (
     UNIQUE,
     Count,
     CountOrNone,
+    Device,
     Episodes,
     FolderName,
     FolderNames,
@@ -66,6 +67,7 @@ class NavigationSettings:
     pixel_cloning: bool = True  # the rival that clones from pixels
     film: bool = True
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.gpus
 
     @property
     def in_space(self) -> bool:

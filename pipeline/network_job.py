@@ -34,7 +34,6 @@ class TrainingJob:
         split_seed: of the split.
         seed: of the training.
         processes: that train together.
-        device: of the training.
     """
 
     folder: Path
@@ -46,7 +45,6 @@ class TrainingJob:
     split_seed: int
     seed: int
     processes: int = 1
-    device: str = "auto"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +87,7 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
     source = read_source(job.guide3d)
     words = [
         str(job.guide3d / source.root), *words, "--size", job.size, "--output", str(job.folder),
-        "--pictures", str(job.pictures), "--device", job.device, "--seed", str(job.seed),
+        "--pictures", str(job.pictures), "--device", report.device, "--seed", str(job.seed),
         "--split-seed", str(job.split_seed),
     ]  # fmt: skip
     for name in places:

@@ -8,7 +8,7 @@ from typing import Annotated
 from annotated_types import Ge, Le
 
 from pipeline.setting_checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.setting_kinds import NOT_EMPTY, UNIQUE, CountOrNone, PathText, Processes, Seed, one_of
+from pipeline.setting_kinds import NOT_EMPTY, UNIQUE, CountOrNone, Device, PathText, Processes, Seed, one_of
 
 # What predicts a shape: the shape network as the thesis's table has it, with the thesis's loss alone, and 3D-FGRN.
 SHAPE_ROWS = ("spherical", "cartesian", "spherical_angles", "fgrn")
@@ -28,7 +28,7 @@ class NetworkSettings:
     epochs: CountOrNone = 0  # 0: the recipe's own number
     split_seed: Seed = 0  # of the split by acquisition
     processes: Annotated[int, Ge(1), Le(64)] = 1  # that train one network together, by torchrun: one a GPU
-    device: Annotated[str, one_of("auto", "cpu", "cuda")] = "auto"  # a GPU where there is one; or cpu, cuda
+    device: Device = field(default="auto", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.gpus
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+from pipeline.gpu_memory import network_gb
 from pipeline.jobs import Job, run_jobs
 from pipeline.network_job import TrainingJob
 from pipeline.network_settings import NetworkSettings
@@ -42,9 +43,18 @@ def training_job(
         split_seed=settings.split_seed,
         seed=context.seed,
         processes=settings.processes,
-        device=settings.device,
         **further,
     )
+
+
+def on_gpus(network: str, settings: NetworkSettings | SplineformerSettings) -> dict[str, Any]:
+    """What a training needs of GPUs, as fields of its job: one of them for each of its processes.
+
+    Args:
+        network: row of the stage.
+        settings: of the stage.
+    """
+    return {"gpu_gb": network_gb(network, settings.size), "gpus": settings.processes}
 
 
 def train_and_compare(
@@ -68,6 +78,8 @@ def train_and_compare(
         label: of the progress.
         preload: modules that the jobs need.
     """
-    outcomes = run_jobs(context.folder, list(jobs), workers=settings.workers, label=label, preload=preload)
+    outcomes = run_jobs(
+        context.folder, list(jobs), workers=settings.workers, label=label, preload=preload, device=settings.device
+    )
     write_results(context.path, tables(settings.rows, outcomes))
     write_figures(context.path, figures(settings.rows, outcomes, context))

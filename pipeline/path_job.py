@@ -78,9 +78,9 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
     path = plan_path(phantom.grid, phantom.entry("descending").position, phantom.target(job.task.target).position)
     if episodes:
         report(0.0, "fit")
-        follower, _ = fit_path_follower(episodes, [path.points] * len(episodes), seed=job.seed)
+        follower, _ = fit_path_follower(episodes, [path.points] * len(episodes), seed=job.seed, device=report.device)
         follower.save(file)
-    follower = PathFollower.load(file)
+    follower = PathFollower.load(file, report.device)
     environment = job.task.environment("tip")
     metrics = run_trials(
         environment,

@@ -43,7 +43,7 @@ def learn_segmentation(job: NetworkJob, report: Report) -> dict[str, Any]:
     training = train_network(job, report)
     data = open_dataset(job.guide3d)
     parts = split(data, seed=job.split_seed)
-    predictor = SegmentationPredictor.load(job.folder / PREDICTOR)
+    predictor = SegmentationPredictor.load(job.folder / PREDICTOR, report.device)
     stores = [PictureStore(data.frames, camera, predictor.preprocessing, job.pictures) for camera in VIEWS]
     width = float(predictor.metadata["mask_px"])
     items = images_of(data, parts.test, job.test_images).tolist()

@@ -13,6 +13,7 @@ from annotated_types import Ge, Gt, Le
 from pydantic import AfterValidator
 
 _LONGEST_NAME = 100  # file systems take 255 bytes, and what is made of a name gets more letters
+_DEVICE = re.compile(r"auto|cpu|cuda(:[0-9]{1,3})?")
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 
@@ -55,6 +56,12 @@ def _list_check(problem: Callable[[list[Any]], str | None]) -> AfterValidator:
     return AfterValidator(check)
 
 
+def _device(value: str) -> str:
+    if not _DEVICE.fullmatch(value):
+        raise ValueError(f"has no {value!r}: choose from auto, cpu, cuda, or one GPU such as cuda:1")
+    return value
+
+
 NOT_EMPTY = _list_check(lambda values: None if values else "is empty: name at least one")
 UNIQUE = _list_check(
     lambda values: f"names something twice: {', '.join(map(str, values))}" if len(set(values)) < len(values) else None
@@ -63,6 +70,7 @@ RISING = _list_check(
     lambda values: f"must rise, got {', '.join(map(str, values))}" if values != sorted(values) else None
 )
 
+Device = Annotated[str, AfterValidator(_device)]  # of networks: see `pipeline.gpus`
 PathText = Annotated[str, AfterValidator(path_text)]
 FolderName = Annotated[str, AfterValidator(folder_name)]
 FolderNames = Annotated[list[FolderName], UNIQUE]

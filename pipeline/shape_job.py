@@ -49,7 +49,7 @@ def learn_shape(job: NetworkJob, report: Report) -> dict[str, Any]:
     true = {index: curve for index, frame in enumerate(data.frames) if (curve := curve_of(frame)) is not None}
     parts = split(data, seed=job.split_seed)
     fgrn = job.network == "fgrn"
-    predictor: Any = (FGRNPredictor if fgrn else ShapePredictor).load(job.folder / PREDICTOR)
+    predictor: Any = (FGRNPredictor if fgrn else ShapePredictor).load(job.folder / PREDICTOR, report.device)
     clips = clips_of(data, parts.test, true, 1 if fgrn else predictor.network.frames, 1)
     store = PictureStore(data.frames, CAMERA, predictor.preprocessing, job.pictures)
     readable = store.healthy(clips.frames).all(axis=1)

@@ -71,7 +71,7 @@ def compare(job: ComparisonJob, report: Report) -> dict[str, Any]:
         Disturbance to reader to means and standard deviations, and the errors of single images.
     """
     data = open_dataset(job.guide3d)
-    readers = _readers(job, data)
+    readers = _readers(job, data, report.device)
     outcome: dict[str, Any] = {}
     for number, kind in enumerate(job.disturbances):
         file = job.folder / f"{kind}.json"
@@ -88,7 +88,7 @@ def _part(report: Report, number: int, of: int) -> Callable[[float, str], None]:
     return lambda share, words: report((number + share) / of, words)
 
 
-def _readers(job: ComparisonJob, data: Dataset) -> dict[str, Reader]:
+def _readers(job: ComparisonJob, data: Dataset, device: str) -> dict[str, Reader]:
     from guide3d.dataset import split
     from guide3d.predictor import SegmentationPredictor
     from splineformer.predictor import Predictor
@@ -97,7 +97,7 @@ def _readers(job: ComparisonJob, data: Dataset) -> dict[str, Reader]:
     file = job.rival_folder / PREDICTOR
     if not file.is_file():
         raise StageError(f"{file} is missing: let the stage segmentation train {job.rival}, or choose another rival")
-    segmenter = SegmentationPredictor.load(file)
+    segmenter = SegmentationPredictor.load(file, device)
     learnt = [index for name in split(data, seed=job.split_seed).train for index in data.acquisitions[name]]
     ends = {camera: np.mean([data.frames[i].polyline(camera)[-1] for i in learnt], axis=0) for camera in "ab"}
 
@@ -108,7 +108,7 @@ def _readers(job: ComparisonJob, data: Dataset) -> dict[str, Reader]:
 
     readers: dict[str, Reader] = {job.rival: traced}
     for name, folder in job.variants.items():
-        predictor = Predictor.load(folder / PREDICTOR)
+        predictor = Predictor.load(folder / PREDICTOR, device=device)
 
         def read(image: np.ndarray, camera: str, predictor: Predictor = predictor) -> Read:
             told = predictor(image)

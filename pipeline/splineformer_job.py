@@ -56,7 +56,7 @@ def learn_variant(job: VariantJob, report: Report) -> dict[str, Any]:
     from splineformer.predictor import Predictor
 
     data = open_dataset(job.guide3d)
-    predictor = Predictor.load(job.folder / PREDICTOR)
+    predictor = Predictor.load(job.folder / PREDICTOR, device=report.device)
     report(0.92, "speed")
     outcome = {
         "variant": job.network,
@@ -66,7 +66,7 @@ def learn_variant(job: VariantJob, report: Report) -> dict[str, Any]:
         "best_epoch": training["best_epoch"],
         "cpu_min": training["rows"][-1]["cpu_s"] / 60,
         "curve": [[row["epoch"], row["loss"], row["validation"]] for row in training["rows"]],
-        **speed(predictor, data),
+        **speed(Predictor.load(job.folder / PREDICTOR), data),
         **round_trips(predictor, data, job.seed),
         **kinds_told(predictor, data, job, report),
     }
@@ -99,7 +99,7 @@ def round_trips(predictor: Predictor, data: Dataset, seed: int) -> dict[str, flo
     for number, index in enumerate(draws.tolist()):
         points = data.frames[index].polyline("ab"[number % 2])
         if isinstance(network, OrderedSplineFormer):
-            tokens = tokens_on_knots(points, network.knots.double().numpy())
+            tokens = tokens_on_knots(points, network.knots.double().cpu().numpy())
         else:
             tokens = tokens_of_polyline(points)
         errors.append(round_trip_px(points, tokens))

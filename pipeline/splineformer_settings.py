@@ -9,7 +9,7 @@ from annotated_types import Ge, Le
 
 from pipeline.errors import ConfigurationError
 from pipeline.setting_checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.setting_kinds import NOT_EMPTY, UNIQUE, CountOrNone, Processes, Seed, one_of
+from pipeline.setting_kinds import NOT_EMPTY, UNIQUE, CountOrNone, Device, Processes, Seed, one_of
 
 SPLINEFORMER_VARIANTS = ("published", "ordered")
 SPLINEFORMER_SIZES = ("thesis", "thesis_large", "desk", "smoke")
@@ -34,7 +34,7 @@ class SplineformerSettings:
     disturbed_images: CountOrNone = 0  # of those, under each disturbance; 0: all
     split_seed: Seed = 0  # of the split by acquisition: that of the segmentation
     processes: Annotated[int, Ge(1), Le(64)] = 1  # that train one network together, by torchrun: one a GPU
-    device: Annotated[str, one_of("auto", "cpu", "cuda")] = "auto"  # a GPU where there is one; or cpu, cuda
+    device: Device = field(default="auto", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.gpus
     tensorboard: bool = field(default=False, metadata=NO_EFFECT_ON_RESULTS)
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
 

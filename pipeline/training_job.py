@@ -139,7 +139,11 @@ def fit(job: EncoderJob, report: Report) -> dict[str, Any]:
     settings = EncoderSettings(seed=job.seed)
     settings = replace(settings, epochs=job.epochs or settings.epochs)
     fitted, told = fit_encoder(
-        samples, job.keys, settings, lambda done, errors: report.part(_SAMPLES_SHARE, 1.0, "fit")(done, "")
+        samples,
+        job.keys,
+        settings,
+        lambda done, errors: report.part(_SAMPLES_SHARE, 1.0, "fit")(done, ""),
+        device=report.device,
     )
     fitted.save(job.file)
     said = {**told, "wall_s": time.monotonic() - began}
@@ -165,7 +169,7 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
         leftover.unlink()
     trained = _training_share(job)
     training = Training(
-        job.settings,
+        replace(job.settings, device=report.device),
         job.task.factory(job.observation),
         job.folder,
         seed=job.seed,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import ConfigurationError
 from pipeline.expert_episodes import require_demonstrations
+from pipeline.gpu_memory import policy_gb
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import LearningSettings
 from pipeline.learning_task import LearningTask
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 ENCODERS = "encoders"
 THESIS = "thesis"
+_CHANNELS = {"image": 1, "mask": 1, "sequential": 3}  # of the observations that are images
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
 _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
 
@@ -60,7 +62,7 @@ class Cell:
 
 
 def check_learning(settings: LearningSettings) -> None:
-    """Refuses unknown phantoms, targets and wires, and a GPU where there is none.
+    """Refuses unknown phantoms, targets and wires.
 
     Args:
         settings: of the stage.
@@ -75,14 +77,6 @@ def check_learning(settings: LearningSettings) -> None:
     if unknown:
         raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
     require_known_task(settings.task)
-    if settings.device == "cuda":
-        import torch
-
-        if not torch.cuda.is_available():
-            raise ConfigurationError(
-                "stage.device=cuda, but torch finds no GPU: install a CUDA build of torch (README, With a GPU), or "
-                "leave it at cpu"
-            )
 
 
 def training_seeds(run_seed: int, count: int, most: int) -> range:
@@ -136,7 +130,6 @@ def sized(preset: TrainingSettings, decisions: int, settings: LearningSettings, 
         evaluation_episodes=min(preset.evaluation_episodes, settings.evaluation_episodes),
         curve_every=min(preset.curve_every, decisions),
         tensorboard=settings.tensorboard,
-        device=settings.device,
         **changed,
     )
 
@@ -158,7 +151,10 @@ def run_cells(
     """
     _check_demonstrations(stage, cells, settings, context)
     encoders = _encoders([cell for cell in cells if cell.encoded], settings, context)
-    jobs = [Job(key, fit, job, weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE) for key, job in encoders.items()]
+    jobs = [
+        Job(key, fit, job, weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE, gpu_gb=_gpu_gb(settings, job.keys))
+        for key, job in encoders.items()
+    ]
     for cell in cells:
         held_out_seeds(cell.seed, settings.evaluation_episodes)  # too many, or too large a seed: told before any work
         expert_seeds(cell.seed, cell.expert_episodes)
@@ -176,14 +172,33 @@ def run_cells(
             expert_episodes=cell.expert_episodes,
         )
         jobs.append(
-            Job(cell.name, train_and_evaluate, given, after=() if encoder is None else (encoder,), weight=given.weight)
+            Job(
+                cell.name,
+                train_and_evaluate,
+                given,
+                after=() if encoder is None else (encoder,),
+                weight=given.weight,
+                gpu_gb=_gpu_gb(settings, cell.keys, 0 if cell.encoded else cell.settings.batch_size),
+            )
         )
     jobs += beside
-    results = run_jobs(context.folder, jobs, workers=settings.workers, label=f"{stage} trainings", preload=PRELOAD)
+    results = run_jobs(
+        context.folder,
+        jobs,
+        workers=settings.workers,
+        label=f"{stage} trainings",
+        preload=PRELOAD,
+        device=settings.device,
+    )
     return {
         cell.name: {**results[cell.name], "encoder_s": results[_encoder_key(cell)]["wall_s"] if cell.encoded else 0.0}
         for cell in cells
     }
+
+
+def _gpu_gb(settings: LearningSettings, keys: Sequence[str], batch: int = 0) -> float:
+    channels = sum(_CHANNELS.get(key, 0) for key in keys)
+    return policy_gb(settings.task.image_size_px, channels, batch)
 
 
 def _check_demonstrations(stage: str, cells: Sequence[Cell], settings: LearningSettings, context: StageContext) -> None:

@@ -10,7 +10,7 @@ A policy's folder, ``<row>/seed<k>/``, draws as::
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,7 +100,7 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     validated = partial(job.task.training_environment, job.validated, ROADMAP_KEYS, "accurate")
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies) + len(job.validated))  # all take turns
     training = Training(
-        job.settings,
+        replace(job.settings, device=report.device),
         partial(job.task.training_environment, job.anatomies, ROADMAP_KEYS),
         job.folder,
         seed=job.seed,

@@ -96,15 +96,15 @@ def train_student(job: StudentJob, report: Report) -> dict[str, Any]:
 
     if (job.folder / RECORD).is_file():
         spent = float(json.loads((job.folder / RECORD).read_text(encoding="utf-8"))["wall_s"])
-        student = ImageStudent.load(job.folder / STUDENT)
+        student = ImageStudent.load(job.folder / STUDENT, report.device)
     else:
-        student, spent = teach(job, report.part(0.0, 0.8, "lessons"))
+        student, spent = teach(job, report.part(0.0, 0.8, "lessons"), report.device)
     tests = report.part(0.8, 1.0, "tests")
     tested = run_tests(job, lambda mode: lambda seed: student.controller(), job.observations(), tests, job.seen)
     return {"training_s": spent, "tests": tested}
 
 
-def teach(job: StudentJob, report: Callable[[float, str], None]) -> tuple[ImageStudent, float]:
+def teach(job: StudentJob, report: Callable[[float, str], None], device: str = "cpu") -> tuple[ImageStudent, float]:
     """All rounds of lessons, going on after the last finished one.
 
     Returns:
@@ -116,18 +116,18 @@ def teach(job: StudentJob, report: Callable[[float, str], None]) -> tuple[ImageS
     from enn.student import ImageStudent, StudentSettings
 
     began = time.monotonic()
-    expert = Policy.load(job.expert)
+    expert = Policy.load(job.expert, device)
     rows: list[dict[str, Any]] = _read_rows(job.folder / CURVE)
     earlier = float(rows[-1]["wall_s"]) if rows else 0.0
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies))  # all take turns
     if rows:
-        student = ImageStudent.load(job.folder / STUDENT)
+        student = ImageStudent.load(job.folder / STUDENT, device)
     else:
-        segmenter, overlap = train_segmenter(job, report)
-        wire = None if not job.xray else find_wires(job, expert, report)
+        segmenter, overlap = train_segmenter(job, report, device)
+        wire = None if not job.xray else find_wires(job, expert, report, device)
         hints = int(np.prod(expert.observation_space[expert.keys[0]].shape))  # type: ignore[index]
         settings = StudentSettings(hints=hints, action_repeat=expert.action_repeat)
-        student = ImageStudent(settings, segmenter, job.seed, wire=wire)
+        student = ImageStudent(settings, segmenter, job.seed, device, wire)
         _LOGGER.info("the segmenter's overlap with its training lumens is %.3f", overlap)
     lessons = [lesson for row in rows for lesson in _read_lessons(_round(job, int(row["round"])))]
     observation = job.observations(*expert.keys)
@@ -173,7 +173,9 @@ def teach(job: StudentJob, report: Callable[[float, str], None]) -> tuple[ImageS
     return student, spent
 
 
-def train_segmenter(job: StudentJob, report: Callable[[float, str], None]) -> tuple[LumenSegmenter, float]:
+def train_segmenter(
+    job: StudentJob, report: Callable[[float, str], None], device: str = "cpu"
+) -> tuple[LumenSegmenter, float]:
     """Trains the network that finds the lumen, on images of the training anatomies without a wire: of contrast runs, or
     without noise.
 
@@ -201,17 +203,21 @@ def train_segmenter(job: StudentJob, report: Callable[[float, str], None]) -> tu
         np.stack(lumens).astype(np.float32),
         epochs=job.segmenter_epochs,
         seed=job.seed,
+        device=device,
         progress=lambda epoch, _: report((0.1 + 0.1 * epoch / job.segmenter_epochs) / job.rounds, "segmenter"),
     )
 
 
-def find_wires(job: StudentJob, expert: Policy, report: Callable[[float, str], None]) -> WireSegmenter:
+def find_wires(
+    job: StudentJob, expert: Policy, report: Callable[[float, str], None], device: str = "cpu"
+) -> WireSegmenter:
     """Trains the network that finds the wire, on an episode in each training anatomy."""
     environment = job.task.training_environment(job.anatomies, job.observations(*expert.keys))
     targets = len(job.task.targets)
     cases = [environment.case_of(place, place % targets) for place in range(len(job.anatomies))]
     network, score = train_wire_segmenter(
         job.seen(environment, with_mask=True), expert, cases, epochs=job.wire_epochs, seed=job.seed,
+        device=device,
         report=lambda share, text: report((0.1 + 0.1 * share) / job.rounds, text),
     )  # fmt: skip
     environment.close()

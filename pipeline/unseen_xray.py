@@ -180,6 +180,7 @@ def train_wire_segmenter(
     epochs: int,
     seed: int,
     report: Callable[[float, str], None],
+    device: str = "cpu",
 ) -> tuple[WireSegmenter, float]:
     """Trains the network that finds the wire, on X-ray images of the training anatomies.
 
@@ -190,6 +191,7 @@ def train_wire_segmenter(
         epochs: over the images.
         seed: of everything.
         report: takes the share done and a few words.
+        device: where the network is trained and stays.
 
     Returns:
         The network, and the Dice score of its masks on the images that it was trained on.
@@ -201,5 +203,9 @@ def train_wire_segmenter(
         environment, expert, cases, generator, lambda done: report(0.7 * done / len(cases), "X-ray images of wires")
     )
     return fit_wire_segmenter(
-        *frames, epochs=epochs, seed=seed, progress=lambda epoch, _: report(0.7 + 0.3 * epoch / epochs, "segmenter")
+        *frames,
+        epochs=epochs,
+        seed=seed,
+        device=device,
+        progress=lambda epoch, _: report(0.7 + 0.3 * epoch / epochs, "segmenter"),
     )

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pipeline.expert_episodes import require_demonstrations
+from pipeline.gpu_memory import policy_gb
 from pipeline.jobs import Job
 from pipeline.learning_settings import BaselinesSettings
 from pipeline.path_job import ROW, PathJob, follow
@@ -125,7 +126,15 @@ def path_followers(settings: BaselinesSettings, context: StageContext) -> list[J
                     demonstrations=shown,
                     evaluation_episodes=settings.evaluation_episodes,
                 )
-                jobs.append(Job(name, follow, job, weight=settings.evaluation_episodes * SECONDS_AN_EPISODE))
+                jobs.append(
+                    Job(
+                        name,
+                        follow,
+                        job,
+                        weight=settings.evaluation_episodes * SECONDS_AN_EPISODE,
+                        gpu_gb=policy_gb(settings.task.image_size_px, 0),
+                    )
+                )
     return jobs
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.expert_episodes import expert_folder, require_expert
 from pipeline.force_job import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
+from pipeline.gpu_memory import LEARNT_BATCH, policy_gb
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import ForceSettings
 from pipeline.learning_task import LearningTask
@@ -22,6 +23,7 @@ THESIS_INPUTS = "V"  # the image alone, with the loss on features and force
 GROUP = "Force prediction"
 # Episodes are drawn apart for the test, and their lengths vary: so much more is recorded than is learnt from.
 _MORE_STEPS = 1.1 * TEST_EVERY / (TEST_EVERY - 1)
+FRAMES = 3  # that a network sees at most
 _SECONDS_A_STEP, _SECONDS_A_SAMPLE = 4e-3, 6e-3
 
 
@@ -45,7 +47,12 @@ def run_force(settings: ForceSettings, context: StageContext) -> None:
     """
     recordings, fits = plan(settings, context)
     outcomes = run_jobs(
-        context.folder, [*recordings, *fits], workers=settings.workers, label="force jobs", preload=PRELOAD
+        context.folder,
+        [*recordings, *fits],
+        workers=settings.workers,
+        label="force jobs",
+        preload=PRELOAD,
+        device=settings.device,
     )
     write_results(context.path, tables(fits, outcomes))
     write_figures(context.path, figures(fits, outcomes, context.path))
@@ -63,6 +70,7 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
     """
     steps = int(max(settings.samples[-1] * _MORE_STEPS, settings.test_samples * TEST_EVERY)) // len(settings.targets)
     recordings, logs, experts = [], [], []
+    gpu_gb = policy_gb(settings.task.image_size_px, FRAMES, LEARNT_BATCH)
     for target in settings.targets:
         steered = LearningTask(settings.phantom, target, settings.task)
         task = steered.name
@@ -78,7 +86,9 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
             spell_chance=settings.spell_chance,
             seed=context.seed,
         )
-        recordings.append(Job(f"{task}/episodes", record_disturbed, given, weight=steps * _SECONDS_A_STEP))
+        recordings.append(
+            Job(f"{task}/episodes", record_disturbed, given, weight=steps * _SECONDS_A_STEP, gpu_gb=gpu_gb)
+        )
         logs.append(folder)
         experts.append(expert)
     fits = []
@@ -98,7 +108,14 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
             seed=context.seed,
         )
         fits.append(
-            Job(key, learn_force, fit, after=tuple(job.key for job in recordings), weight=count * _SECONDS_A_SAMPLE)
+            Job(
+                key,
+                learn_force,
+                fit,
+                after=tuple(job.key for job in recordings),
+                weight=count * _SECONDS_A_SAMPLE,
+                gpu_gb=gpu_gb,
+            )
         )
     return recordings, fits
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
+from pipeline.gpu_memory import LEARNT_BATCH, policy_gb
 from pipeline.imitation_job import PRELOAD, ImitationJob, imitate
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import ImitationSettings
@@ -43,7 +44,9 @@ def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
         context: where the expert's episodes lie and where to write.
     """
     jobs = plan(settings, context)
-    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="students", preload=PRELOAD)
+    outcomes = run_jobs(
+        context.folder, jobs, workers=settings.workers, label="students", preload=PRELOAD, device=settings.device
+    )
     tables: dict[str, Any] = tables_from_logs(context.path)
     tables["bc_architecture"] = architecture(settings)
     tables["bc_hyperparameters"] = hyperparameters(settings)
@@ -80,6 +83,7 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
             if settings.dagger_rounds:
                 rounds = {"dagger_rounds": settings.dagger_rounds, "dagger_episodes": settings.dagger_episodes}
                 rows.append((DAGGER, counts[0], rounds))
+            gpu_gb = policy_gb(settings.task.image_size_px, len(settings.observations), LEARNT_BATCH)
             for row, count, further in rows:
                 folder = context.path / task / row / f"seed{context.seed}"
                 given = ImitationJob(
@@ -96,7 +100,8 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
                     evaluation_episodes=settings.evaluation_episodes,
                     **further,
                 )
-                jobs.append(Job(f"{task}/{row}", imitate, given, weight=count + 3.0 * sum(further.values())))
+                weight = count + 3.0 * sum(further.values())
+                jobs.append(Job(f"{task}/{row}", imitate, given, weight=weight, gpu_gb=gpu_gb))
     return jobs
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.expert_episodes import expert_folder, expert_logs, load_policy, read_episodes, require_expert
+from pipeline.gpu_memory import LEARNT_BATCH, network_gb, policy_gb
 from pipeline.human import FOLDER as HUMAN
 from pipeline.human import SUFFIX
 from pipeline.imitation_job import ImitationJob, imitate
@@ -59,7 +60,9 @@ def run_navigation(settings: NavigationSettings, context: StageContext) -> None:
         context: where experts, teachers and the SplineFormer lie, and where to write.
     """
     jobs = plan(settings, context)
-    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD)
+    outcomes = run_jobs(
+        context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD, device=settings.device
+    )
     write_results(context.path, tables(settings, context, outcomes))
     write_figures(context.path, figures(settings, context.path, outcomes))
 
@@ -82,6 +85,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     path, rig, seed = context.path, rig_of(settings), context.seed
     rules = Rules(settings.task)
     jobs = [_reader(settings, context, rig)]
+    reading = network_gb(settings.splineformer, "desk")
     seen: list[Job] = []
     courses: list[Course] = []
     rivals: list[Job] = []
@@ -100,7 +104,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
                 action_repeat=settings.action_repeat, seed=seed,
             )  # fmt: skip
             weight = settings.episodes[-1] * _SECONDS["episode"]
-            seen.append(Job(f"{LOGS}/{task}", see_logs, given, after=(READER,), weight=weight))
+            seen.append(Job(f"{LOGS}/{task}", see_logs, given, after=(READER,), weight=weight, gpu_gb=reading))
             courses.append(Course(expert / POLICY, ((phantom, NAMED),), (target,), rules))
             if settings.pixel_cloning:
                 rivals.append(_rival(settings, context, learnt, expert))
@@ -116,7 +120,9 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             **{"hidden": settings.hidden, "logs": (), "episodes": 0, "courses": (), "rounds": 0, "lessons": 0, **given},
         )  # fmt: skip
         trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)
-        navigators.append(Job(row, navigate, job, after=after, weight=weight + trials * _SECONDS["trial"]))
+        navigators.append(
+            Job(row, navigate, job, after=after, weight=weight + trials * _SECONDS["trial"], gpu_gb=reading)
+        )
 
     learnt_in = tuple(test for test in tests if test.name in settings.phantoms)
     named = tuple(test for test in tests if test.name != UNSEEN)
@@ -149,7 +155,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
         rows = [job.key for job in navigators]
         shown = tuple(path / row for row in order if row in rows)
         filmed = FilmJob(path / FILMS, path / READER, rig, shown, tests, tuple(settings.targets))
-        jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0))
+        jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0, gpu_gb=reading))
     return jobs
 
 
@@ -172,7 +178,13 @@ def _reader(settings: NavigationSettings, context: StageContext, rig: Rig) -> Jo
         named=Rules(settings.task),
     )
     frames = len(given.anatomies) * settings.reader_frames
-    return Job(READER, train_reader, given, weight=frames * (1 + settings.reader_epochs) * _SECONDS["frame"])
+    return Job(
+        READER,
+        train_reader,
+        given,
+        weight=frames * (1 + settings.reader_epochs) * _SECONDS["frame"],
+        gpu_gb=network_gb(variant, "desk"),
+    )
 
 
 def _rival(settings: NavigationSettings, context: StageContext, task: LearningTask, expert: Path) -> Job:
@@ -189,7 +201,13 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
         feature_matching=0.0,
         evaluation_episodes=settings.trials,
     )
-    return Job(f"{PIXELS}/{task.name}", imitate, given, weight=20.0)
+    return Job(
+        f"{PIXELS}/{task.name}",
+        imitate,
+        given,
+        weight=20.0,
+        gpu_gb=policy_gb(settings.task.image_size_px, 1, LEARNT_BATCH),
+    )
 
 
 def _arches(settings: NavigationSettings, context: StageContext) -> Course:

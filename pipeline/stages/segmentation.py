@@ -7,7 +7,7 @@ from typing import Any
 from pipeline.jobs import Job
 from pipeline.network_job import NetworkJob
 from pipeline.network_settings import SegmentationSettings
-from pipeline.network_stage import train_and_compare, training_job
+from pipeline.network_stage import on_gpus, train_and_compare, training_job
 from pipeline.report.results import Figure
 from pipeline.report.segmentation_plots import draw_examples, draw_kinds
 from pipeline.report.shape_plots import draw_training
@@ -32,7 +32,12 @@ def run_segmentation(settings: SegmentationSettings, context: StageContext) -> N
 def plan(settings: SegmentationSettings, context: StageContext) -> list[Job]:
     """A training a row."""
     return [
-        Job(row, learn_segmentation, training_job(NetworkJob, row, settings, context, test_images=settings.test_images))
+        Job(
+            row,
+            learn_segmentation,
+            training_job(NetworkJob, row, settings, context, test_images=settings.test_images),
+            **on_gpus(row, settings),
+        )
         for row in settings.rows
     ]
 

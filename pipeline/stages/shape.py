@@ -7,7 +7,7 @@ from typing import Any
 from pipeline.jobs import Job
 from pipeline.network_job import NetworkJob
 from pipeline.network_settings import ShapeSettings
-from pipeline.network_stage import train_and_compare, training_job
+from pipeline.network_stage import on_gpus, train_and_compare, training_job
 from pipeline.report.results import Figure
 from pipeline.report.shape_plots import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.shape_job import METRICS, PRELOAD, learn_shape
@@ -40,7 +40,7 @@ def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
     for row in settings.rows:
         small = row == "fgrn"
         given = training_job(NetworkJob, row, settings, context, pretrained=None if small else settings.pretrained)
-        jobs.append(Job(row, learn_shape, given, weight=0.2 if small else 1.0))
+        jobs.append(Job(row, learn_shape, given, weight=0.2 if small else 1.0, **on_gpus(row, settings)))
     return jobs
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.jobs import Job, run_jobs
-from pipeline.network_stage import training_job
+from pipeline.network_stage import on_gpus, training_job
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.report.shape_plots import draw_training
 from pipeline.report.splineformer_plots import draw_attention, draw_comparison, draw_errors
@@ -38,7 +38,9 @@ def run_splineformer(settings: SplineformerSettings, context: StageContext) -> N
         context: where data set and segmentation lie, and where to write.
     """
     jobs = plan(settings, context)
-    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="splineformers", preload=PRELOAD)
+    outcomes = run_jobs(
+        context.folder, jobs, workers=settings.workers, label="splineformers", preload=PRELOAD, device=settings.device
+    )
     write_results(context.path, tables(settings, outcomes))
     write_figures(context.path, figures(settings, outcomes, context))
 
@@ -57,6 +59,7 @@ def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
             learn_variant,
             training_job(VariantJob, variant, settings, context, tensorboard=settings.tensorboard),
             weight=4.0,
+            **on_gpus(variant, settings),
         )
         for variant in settings.variants
     ]
@@ -72,7 +75,8 @@ def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
         split_seed=settings.split_seed,
         seed=context.seed,
     )
-    return [*jobs, Job(COMPARISON, compare, given, after=tuple(settings.variants))]
+    gpu_gb = max(job.gpu_gb for job in jobs)  # it reads with all of them, and learns nothing
+    return [*jobs, Job(COMPARISON, compare, given, after=tuple(settings.variants), gpu_gb=gpu_gb)]
 
 
 def tables(settings: SplineformerSettings, outcomes: dict[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import ConfigurationError
+from pipeline.gpu_memory import policy_gb
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import UnseenSettings
 from pipeline.report.learning_tables import tables_from_logs
@@ -91,7 +92,14 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
         context: where to write.
     """
     jobs = plan(settings, context.path, context.seed, context.budget)
-    outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label="anatomies and policies", preload=PRELOAD)
+    outcomes = run_jobs(
+        context.folder,
+        jobs,
+        workers=settings.workers,
+        label="anatomies and policies",
+        preload=PRELOAD,
+        device=settings.device,
+    )
     tables = tables_from_logs(context.path)
     tables["generalisation_curve"] = curve(jobs, outcomes)
     if settings.registration_noise_mm:
@@ -145,6 +153,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     taught = (*built, *(job.key for job in (*laid, *shown)))
     main = test_sets(settings)
     plain = (replace(main[0], modes=("deterministic",)),)
+    vectors, images = policy_gb(settings.task.image_size_px, 0), policy_gb(settings.task.image_size_px, 1)
     for row, count, decisions in policies_of(settings):
         given = RoadmapJob(
             folder=folder / row / f"seed{run_seed}",
@@ -160,11 +169,11 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
         )
         tests, weight = _tests(given.tests, settings), decisions * _SECONDS["decision"]
         if row == ROADMAP:  # its tests are a job of their own, so that the students need not wait for them
-            jobs.append(Job(row, train_roadmap, replace(given, tests=()), after=taught, weight=weight))
-            jobs.append(Job(ROADMAP_TESTS, train_roadmap, given, after=(row,), weight=tests))
+            jobs.append(Job(row, train_roadmap, replace(given, tests=()), after=taught, weight=weight, gpu_gb=vectors))
+            jobs.append(Job(ROADMAP_TESTS, train_roadmap, given, after=(row,), weight=tests, gpu_gb=vectors))
         else:  # never beside another one that keeps as many arches in memory
             after = (*taught, *([ROADMAP] if count == settings.anatomies else []))
-            jobs.append(Job(row, train_roadmap, given, after=after, weight=weight + tests))
+            jobs.append(Job(row, train_roadmap, given, after=after, weight=weight + tests, gpu_gb=vectors))
     teacher = next(place for place, job in enumerate(jobs) if job.key == ROADMAP)
     for row in students:  # the longest chain of jobs: next after their teacher
         student = StudentJob(
@@ -184,7 +193,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
         )
         weight = settings.rounds * settings.lessons * _SECONDS["xray" if student.xray else "lesson"]
         weight += _tests(student.tests, settings)
-        jobs.insert(teacher + 1, Job(row, train_student, student, after=(ROADMAP,), weight=weight))
+        jobs.insert(teacher + 1, Job(row, train_student, student, after=(ROADMAP,), weight=weight, gpu_gb=images))
     return jobs
 
 

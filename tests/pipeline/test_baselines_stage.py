@@ -17,7 +17,6 @@ from pipeline.learning_task import LearningTask
 from pipeline.path_job import PathJob, demonstrated, follow
 from pipeline.stages.baselines import plan, training_settings
 from pipeline.task import Task
-from pipeline.training_plan import check_learning
 from pipeline.trials import Origin
 from tests.pipeline.test_enn_stage import expert_run  # noqa: F401 - a fixture
 
@@ -83,16 +82,6 @@ def test_unknown_observations_are_one_sentence() -> None:
         settings(observations=["sound"])
     with pytest.raises(ConfigurationError, match=r"stage\.algorithms has no 'dqn': choose from ppo, sac"):
         settings(algorithms=["dqn"])
-
-
-def test_a_gpu_that_is_not_there_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    wanted = settings(device="cuda")
-    assert {cell.settings.device for cell in plan(wanted, run_seed=0)} == {"cuda"}
-    with pytest.raises(ConfigurationError, match=r"stage\.device=cuda, but torch finds no GPU: install a CUDA build"):
-        check_learning(wanted)
-    with pytest.raises(ConfigurationError, match=r"stage\.device has no 'tpu': choose from cpu, cuda"):
-        settings(device="tpu")
 
 
 def path_job(folder: Path, logs: tuple[Path, ...]) -> PathJob:

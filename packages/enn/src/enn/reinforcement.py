@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium
 from numpy.typing import NDArray
+from stable_baselines3.common.utils import get_device
 
 from enn.checkpoint import CheckpointError
 from enn.policy import Policy
@@ -88,7 +89,7 @@ class Training:
 
     def _finished(self) -> TrainingResult:
         assert self.folder is not None
-        policy = Policy.load(self.folder / "policy.pt")
+        policy = Policy.load(self.folder / "policy.pt", get_device(self.settings.device))
         try:
             record = json.loads((self.folder / "training.json").read_text())
             curve = read_curve(self.folder / "training.csv")
