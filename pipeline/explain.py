@@ -7,7 +7,7 @@ import difflib
 import errno
 import re
 
-from hydra.errors import ConfigCompositionException, MissingConfigException, OverrideParseException
+from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
 from omegaconf.errors import ValidationError as OmegaConfValidationError
 from pydantic import ValidationError
 
@@ -81,7 +81,7 @@ def system_error(error: BaseException | None) -> OSError | None:
         The exception itself or the first of its causes that is an OSError; None when there is none.
     """
     while error is not None:
-        if isinstance(error, OSError):
+        if isinstance(error, OSError) and not isinstance(error, HydraException):  # Hydra's own for what it misses
             return error
         error = error.__cause__
     return None
