@@ -122,14 +122,16 @@ class _Connection:
         self.closed = True
 
 
-def test_a_package_s_refusal_in_a_job_is_one_sentence(run_python: Callable[[str], str]) -> None:
+def test_a_package_s_refusal_in_a_job_is_one_sentence(run_python: Callable[[str], str], tmp_path: Path) -> None:
     said = run_python(
         "import json\n"
+        "from pathlib import Path\n"
         "from tests.pipeline.test_system_errors import _Connection, _wrong_job\n"
         "from pipeline.job_worker import work\n"
         "connection = _Connection()\n"
         "connection.closed = True\n"
-        "work(_wrong_job, -1, connection)\n"
+        f"folder = Path({str(tmp_path)!r})\n"
+        "work(_wrong_job, -1, connection, (folder, folder / 'journal'))\n"
         "print(json.dumps([vars(message) for message in connection.sent]))\n"
     )
     (message,) = json.loads(said)

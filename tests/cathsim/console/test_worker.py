@@ -172,3 +172,6 @@ def test_unknown_names_are_refused_before_anything_starts(page: Any) -> None:
         RealTimeLoop(Setup(target="moon"), page)
     with pytest.raises(ValueError, match="moon"):
         RealTimeLoop(Setup(phantom="moon"), page)
+    for wrong in ({"seed": -1}, {"seed": 2**70}, {"max_steps": 0}, {"max_steps": 10**9}):
+        with pytest.raises(ValueError, match=f"{next(iter(wrong))} must lie in"):
+            Setup(**wrong)  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Protocol
 
 from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
@@ -24,6 +24,7 @@ from cathsim.console.recorder import Recorder
 from cathsim.console.requests import check_request
 from cathsim.environment import NavigateEnv
 from cathsim.simulation import CONTROL_STEP
+from cathsim.validation import Count, Seed, settings
 
 PICTURES = 3  # a control step
 FRAME = CONTROL_STEP / PICTURES  # s
@@ -47,7 +48,7 @@ class Page(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@settings
 class Setup:
     """What the operator starts with.
 
@@ -64,8 +65,8 @@ class Setup:
     target: str = "bca"
     wire: str = "default"
     accuracy: str = "accurate"
-    max_steps: int = 300
-    seed: int = 0
+    max_steps: Count = 300
+    seed: Seed = 0
 
     def environment(self, phantom: Phantom, target: str) -> NavigateEnv:
         """The environment of a procedure; its image is that of other recorded episodes."""
