@@ -28,8 +28,8 @@ RUN = $(GL) $(PY) -m pipeline
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
-	@sed -nE 's/^([a-z][a-z_ -]*):.*##[ ]*(.*)/  \1@\2/p' $(firstword $(MAKEFILE_LIST)) | column -t -s@ 2>/dev/null \
-		|| sed -nE 's/^([a-z][a-z_ -]*):.*##[ ]*(.*)/  \1: \2/p' $(firstword $(MAKEFILE_LIST))
+	@sed -nE 's/^([a-z][a-z0-9_ -]*):.*##[ ]*(.*)/  \1@\2/p' $(firstword $(MAKEFILE_LIST)) | column -t -s@ 2>/dev/null \
+		|| sed -nE 's/^([a-z][a-z0-9_ -]*):.*##[ ]*(.*)/  \1: \2/p' $(firstword $(MAKEFILE_LIST))
 
 setup: $(INSTALLED)  ## virtual environment, pinned packages, native build, system libraries
 

@@ -38,7 +38,9 @@ from pipeline.stage_settings import (
 )
 from pipeline.task import Task
 
-CONFIG_DIRECTORY = Path(__file__).resolve().parent.parent / "conf"
+_PACKAGE = Path(__file__).resolve().parent
+# Inside the package where it was installed from a wheel, beside it in a checkout.
+CONFIG_DIRECTORY = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
 BUDGETS = ("smoke", "desk", "thesis")
 
 # Every stage's settings, by the stage's name.

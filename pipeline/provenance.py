@@ -58,6 +58,8 @@ def git_state() -> dict[str, Any]:
 
 
 def _git(*arguments: str) -> str | None:
+    if not (PROJECT_ROOT / ".git").exists():  # installed: a repository around it is somebody else's
+        return None
     try:
         done = subprocess.run(
             ["git", "-C", str(PROJECT_ROOT), *arguments], capture_output=True, text=True, timeout=10, check=False

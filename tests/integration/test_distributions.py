@@ -6,9 +6,16 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
+import numpy
 import pytest
+
+from pipeline.config import BUDGETS
+from pipeline.manifest import read_manifest
+from pipeline.source_closure import SourceClosure
+from pipeline.stages import STAGE_NAMES
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
@@ -95,3 +102,72 @@ def test_guide3d_installs_alone(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_cathsim_installs_alone_with_its_native_code(tmp_path: Path) -> None:
     assert install_and_use("cathsim", USE_CATHSIM, tmp_path).startswith("0.")
+
+
+DISTRIBUTIONS = ("cathsim", "enn", "guide3d", "splineformer")
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all five distributions as their wheels unpack, built from copies of this tree."""
+    folder = tmp_path_factory.mktemp("wheels")
+    ignored = shutil.ignore_patterns("build", "*.so", "*.egg-info", "__pycache__")
+    source = folder / "source"
+    source.mkdir()
+    for name in ("pipeline", "conf", *(f"packages/{name}" for name in DISTRIBUTIONS)):
+        shutil.copytree(PROJECT_ROOT / name, source / name, ignore=ignored)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copyfile(PROJECT_ROOT / name, source / name)
+    places = [source, *(source / "packages" / name for name in DISTRIBUTIONS)]
+    pip = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation"]
+    done = subprocess.run(
+        [*pip, "-w", folder / "wheels", *places], capture_output=True, text=True, timeout=600, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    for wheel in (folder / "wheels").glob("*.whl"):
+        zipfile.ZipFile(wheel).extractall(folder / "installed")
+    shutil.rmtree(source)
+    return folder / "installed"
+
+
+def run_installed(installed: Path, cwd: Path, *arguments: str) -> str:
+    """Runs Python with the unpacked wheels and the libraries; -S leaves this tree's editable installs out."""
+    libraries = Path(numpy.__file__).parents[1]
+    environment = {**os.environ, "PYTHONPATH": f"{installed}:{libraries}", "CATHSIM_CACHE": str(cwd / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-S", *arguments], cwd=cwd, env=environment, capture_output=True, text=True, timeout=300,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_the_pipeline_runs_from_its_wheel(installed: Path, tmp_path: Path) -> None:
+    where = run_installed(installed, tmp_path, "-c", "import cathsim, enn, guide3d, pipeline; print(pipeline.__file__)")
+    assert where.startswith(str(installed))
+    told = run_installed(installed, tmp_path, "-m", "pipeline", "--help")
+    for word in (*STAGE_NAMES, *BUDGETS, "demo"):
+        assert word in told
+    run_installed(installed, tmp_path, "-m", "pipeline", "stage=phantoms", "budget=smoke", "stage.phantoms=[type_1]")
+    run_installed(installed, tmp_path, "-m", "pipeline", "stage=report", "budget=smoke")
+    run = tmp_path / "runs" / "smoke"
+    manifest = read_manifest(run / "phantoms")
+    assert manifest is not None
+    assert manifest.git["commit"] == "unknown"
+    # Results of the installed code and of this tree are told apart by the code alone.
+    assert manifest.identity.code_hash == SourceClosure().hash("pipeline.stages.phantoms")
+    assert "Type" in (run / "report" / "index.html").read_text()
+
+
+@pytest.mark.slow
+def test_wheels_hold_every_data_file_of_the_tree(installed: Path) -> None:
+    roots = {"pipeline": PROJECT_ROOT / "pipeline", "pipeline/conf": PROJECT_ROOT / "conf"}
+    roots |= {name: PROJECT_ROOT / "packages" / name / "src" / name for name in DISTRIBUTIONS}
+    for inside, root in roots.items():
+        wanted = {
+            path.relative_to(root) for path in root.rglob("*") if path.is_file() and "__pycache__" not in path.parts
+        }
+        wanted = {path for path in wanted if path.suffix not in (".so", ".pyc") and "egg-info" not in str(path)}
+        missing = sorted(str(path) for path in wanted if not (installed / inside / path).is_file())
+        assert not missing, inside
