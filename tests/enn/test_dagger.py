@@ -56,5 +56,5 @@ def test_disturbance_is_seeded_and_spells_push() -> None:
 def test_refuses_nothing_to_start_from() -> None:
     with pytest.raises(ValueError, match="no episodes to learn from"):
         dagger(DrawnPoint, expert, [], DaggerSettings(cloning=QUICK))
-    with pytest.raises(ValueError, match="rounds and episodes must be at least 1"):
+    with pytest.raises(ValueError, match="rounds must be greater than or equal to 1, got 0"):
         DaggerSettings(rounds=0)

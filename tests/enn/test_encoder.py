@@ -262,7 +262,7 @@ def test_bad_samples_are_refused(samples: Samples) -> None:
         fit_encoder(samples.take(samples.episode == 0), ("mask",), QUICK)
     with pytest.raises(ValueError, match="needs the keys and shapes"):
         Encoder(EncoderSettings())
-    with pytest.raises(ValueError, match="held_out is a share between 0 and 1, got 1"):
+    with pytest.raises(ValueError, match="held_out must be less than 1, got 1"):
         EncoderSettings(held_out=1)
 
 

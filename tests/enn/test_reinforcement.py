@@ -283,7 +283,7 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
 
 
 def test_refusals_say_why() -> None:
-    with pytest.raises(ValueError, match="decisions must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="decisions must be greater than or equal to 1, got 0"):
         TrainingSettings(decisions=0)
     with pytest.raises(ValueError, match=r"PPO needs a number as ent_coef, got 'auto_0\.05'"):
         TrainingSettings(algorithm="ppo")
@@ -291,7 +291,7 @@ def test_refusals_say_why() -> None:
         TrainingSettings(algorithm="ppo", ent_coef=0.0, demonstrations_in_replay=0.5)
     with pytest.raises(ValueError, match="unknown algorithm 'td3'; there are sac, ppo"):
         TrainingSettings(algorithm="td3")
-    with pytest.raises(ValueError, match="gamma must lie between 0 and 1"):
+    with pytest.raises(ValueError, match="gamma must be less than or equal to 1, got"):
         TrainingSettings(gamma=1.5)
 
 

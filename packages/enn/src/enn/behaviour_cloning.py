@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -16,10 +18,11 @@ from enn.devices import seeded
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.image_network import shifted
 from enn.normalisation import standardised
+from enn.setting_kinds import PixelsOrNone, Weight, settings
 from enn.trajectory import Trajectory, episode_numbers, join
 
 
-@dataclass(frozen=True)
+@settings
 class BehaviourCloningSettings:
     """How an expert is cloned.
 
@@ -38,17 +41,11 @@ class BehaviourCloningSettings:
 
     network: CloningSettings = field(default_factory=CloningSettings)
     fit: FitSettings = field(default_factory=FitSettings)
-    entropy: float = 1e-3
-    l2: float = 0.0
-    feature_matching: float = 0.1
-    shift_px: int = 0
-    noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuses negative weights."""
-        for name in ("entropy", "l2", "feature_matching", "shift_px", "noise"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+    entropy: Weight = 1e-3
+    l2: Weight = 0.0
+    feature_matching: Weight = 0.1
+    shift_px: PixelsOrNone = 0
+    noise: Annotated[float, Interval(ge=0, le=255)] = 0.0
 
 
 # Thesis, table of behaviour cloning's hyper-parameters.
@@ -116,9 +113,10 @@ def clone(
     episodes = episode_numbers(trajectories)
     target = None if expert_features is None else normalised_features(trajectories, expert_features)
 
+    channels, height, width = images.shape[1:]
     network_settings = replace(
         settings.network,
-        shape=tuple(images.shape[1:]),
+        shape=(channels, height, width),
         actions=actions.shape[1],
         expert_features=0 if target is None else target.shape[1],
     )

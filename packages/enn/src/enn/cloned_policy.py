@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +14,14 @@ from torch import Tensor, nn
 from enn.devices import device_of
 from enn.image_network import ImageNetwork, ImageSettings
 from enn.model_file import read_network, write_network
+from enn.setting_kinds import Pixels, Units, UnitsOrNone, settings
 
 FORMAT = "enn-cloned-policy-1"
 KEYS = ("image", "mask", "sequential")
 _LOG_STD_RANGE = (-4.0, 1.0)  # a deterministic expert would drive the likelihood to infinity
 
 
-@dataclass(frozen=True)
+@settings
 class CloningSettings:
     """What shapes of weights depend on.
 
@@ -35,11 +35,11 @@ class CloningSettings:
     """
 
     keys: tuple[str, ...] = ("image",)
-    shape: tuple[int, ...] = (1, 80, 80)
-    actions: int = 2
+    shape: tuple[Units, Pixels, Pixels] = (1, 80, 80)
+    actions: Units = 2
     variant: str = "desk"
-    features: int = 128
-    expert_features: int = 0
+    features: Units = 128
+    expert_features: UnitsOrNone = 0
 
     def __post_init__(self) -> None:
         """Refuses what it cannot see."""

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from enn.behaviour_cloning import DESK_CLONING, BehaviourCloningSettings, clone
 from enn.cloned_policy import ClonedPolicy
 from enn.fitting import FitProgress, FitReport
+from enn.setting_kinds import Count, Share, settings
 from enn.trajectory import Trajectory
 
 Act = Callable[[Mapping[str, NDArray[Any]], Mapping[str, Any]], NDArray[Any]]  # observation, info -> action
 
 
-@dataclass(frozen=True)
+@settings
 class DaggerSettings:
     """How episodes are aggregated.
 
@@ -37,18 +38,11 @@ class DaggerSettings:
         cloning: of each fit.
     """
 
-    rounds: int = 3
-    episodes: int = 10
-    expert_share: float = 0.0
+    rounds: Count = 3
+    episodes: Count = 10
+    expert_share: Share = 0.0
     warm_start: bool = True
     cloning: BehaviourCloningSettings = DESK_CLONING
-
-    def __post_init__(self) -> None:
-        """Refuses what cannot be run."""
-        if self.rounds < 1 or self.episodes < 1:
-            raise ValueError(f"rounds and episodes must be at least 1, got {self.rounds} and {self.episodes}")
-        if not 0 <= self.expert_share <= 1:
-            raise ValueError(f"expert_share must lie in 0 to 1, got {self.expert_share}")
 
 
 @dataclass(frozen=True)

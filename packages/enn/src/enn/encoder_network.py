@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.exploration import ARC_LENGTHS_MM, Samples
 from enn.model_file import read_network, write_network
+from enn.setting_kinds import Count, CountOrNone, LearningRate, Pixels, Seed, Units, Weight, settings
 
 FORMAT = "enn-encoder-1"
 POINTS = len(ARC_LENGTHS_MM)
@@ -24,7 +25,7 @@ WIRE_DARKNESS = 40.0  # grey levels by which the wire darkens an image, about
 CLIP = 5.0  # standard deviations beyond which an input or a feature is cut off
 
 
-@dataclass(frozen=True)
+@settings
 class EncoderSettings:
     """Everything an encoder is built and trained from.
 
@@ -44,31 +45,21 @@ class EncoderSettings:
     """
 
     keys: tuple[str, ...] = ()
-    shapes: tuple[tuple[int, ...], ...] = ()
-    pool: int = 2
-    channels: tuple[int, ...] = ()
-    hidden: int = 256
-    features: int = 64
-    epochs: int = 0
-    batch_size: int = 64
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-4
-    held_out: float = 0.1
-    seed: int = 0
+    shapes: tuple[tuple[Units, ...], ...] = ()
+    pool: Pixels = 2
+    channels: tuple[Units, ...] = ()
+    hidden: Units = 256
+    features: Units = 64
+    epochs: CountOrNone = 0
+    batch_size: Count = 64
+    learning_rate: LearningRate = 2e-3
+    weight_decay: Weight = 1e-4
+    held_out: Annotated[float, Interval(gt=0, lt=1)] = 0.1
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "keys", tuple(self.keys))
-        object.__setattr__(self, "shapes", tuple(tuple(shape) for shape in self.shapes))
-        object.__setattr__(self, "channels", tuple(self.channels))
         if len(self.keys) != len(self.shapes):
             raise ValueError(f"expected a shape for each of {len(self.keys)} keys, got {len(self.shapes)}")
-        for name in ("pool", "hidden", "features", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.epochs < 0:
-            raise ValueError(f"epochs cannot be negative, got {self.epochs}")
-        if not 0 < self.held_out < 1:
-            raise ValueError(f"held_out is a share between 0 and 1, got {self.held_out}")
 
 
 class Pictures(nn.Module):

@@ -8,14 +8,16 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.model_file import UNFIT, read_model, write_model
+from enn.setting_kinds import Count, CountOrNone, LearningRate, Seconds, Weight, settings
 
 SCHEDULES = ("constant", "one_cycle")
 FORMAT = "enn-fit-1"
@@ -23,7 +25,7 @@ FILE = "fit.pt"
 _RISE = 0.3  # share of a one-cycle schedule in which the rate rises, from a 25th
 
 
-@dataclass(frozen=True)
+@settings
 class FitSettings:
     """How a network is fitted to samples.
 
@@ -38,25 +40,19 @@ class FitSettings:
         checkpoint_seconds: between checkpoints; 0: after every epoch.
     """
 
-    epochs: int = 30
-    batch_size: int = 64
-    learning_rate: float = 1e-3
-    weight_decay: float = 0.0
+    epochs: Count = 30
+    batch_size: Count = 64
+    learning_rate: LearningRate = 1e-3
+    weight_decay: Weight = 0.0
     schedule: str = "one_cycle"
-    validation_share: float = 0.1
-    patience: int = 0
-    checkpoint_seconds: float = 20.0
+    validation_share: Annotated[float, Interval(ge=0, lt=1)] = 0.1
+    patience: CountOrNone = 0
+    checkpoint_seconds: Seconds = 20.0
 
     def __post_init__(self) -> None:
-        """Refuses what cannot be fitted with."""
-        if self.epochs < 1 or self.batch_size < 1:
-            raise ValueError(f"epochs and batch_size must be at least 1, got {self.epochs} and {self.batch_size}")
-        if not self.learning_rate > 0:
-            raise ValueError(f"learning_rate must be positive, got {self.learning_rate}")
+        """Refuses an unknown schedule."""
         if self.schedule not in SCHEDULES:
             raise ValueError(f"unknown schedule '{self.schedule}'; there are {', '.join(SCHEDULES)}")
-        if not 0 <= self.validation_share < 1:
-            raise ValueError(f"validation_share must lie in 0 to 1, got {self.validation_share}")
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,13 @@ from enn.force_samples import ForceSamples
 from enn.image_network import ImageNetwork, ImageSettings
 from enn.model_file import read_network, write_network
 from enn.normalisation import standardised
+from enn.setting_kinds import Pixels, Units, UnitsOrNone, Weight, settings
 
 FORMAT = "enn-force-predictor-1"
 _CLIP = 8.0  # standard deviations: beyond them a vector entry says nothing more
 
 
-@dataclass(frozen=True)
+@settings
 class ForceNetworkSettings:
     """What shapes of weights depend on.
 
@@ -36,12 +37,12 @@ class ForceNetworkSettings:
         hidden: units of the head's layers.
     """
 
-    image_shape: tuple[int, ...] = (1, 80, 80)
-    vector: int = 0
-    matched: int = 0
+    image_shape: tuple[UnitsOrNone, Pixels, Pixels] = (1, 80, 80)
+    vector: UnitsOrNone = 0
+    matched: UnitsOrNone = 0
     variant: str = "desk"
-    image_features: int = 256
-    hidden: tuple[int, ...] = (128, 128)
+    image_features: Units = 256
+    hidden: tuple[Units, ...] = (128, 128)
 
     def __post_init__(self) -> None:
         """Refuses a network without input."""
@@ -49,7 +50,7 @@ class ForceNetworkSettings:
             raise ValueError("a force network needs images or numbers to predict from, got neither")
 
 
-@dataclass(frozen=True)
+@settings
 class ForceSettings:
     """How the force is learnt.
 
@@ -64,12 +65,7 @@ class ForceSettings:
 
     network: ForceNetworkSettings = field(default_factory=ForceNetworkSettings)
     fit: FitSettings = field(default_factory=FitSettings)
-    feature_weight: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuses a negative weight."""
-        if self.feature_weight < 0:
-            raise ValueError(f"feature_weight must not be negative, got {self.feature_weight}")
+    feature_weight: Weight = 1.0
 
 
 DESK_FORCE = ForceSettings(

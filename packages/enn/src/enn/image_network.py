@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 
 from enn.features import thesis_cnn
+from enn.setting_kinds import Pixels, Units, settings
 
 VARIANTS = ("thesis", "desk")
 DESK_CHANNELS = (16, 32, 48, 64)
@@ -15,7 +14,7 @@ DESK_CHANNELS = (16, 32, 48, 64)
 CONTRAST = 20.0
 
 
-@dataclass(frozen=True)
+@settings
 class ImageSettings:
     """What shapes of weights depend on.
 
@@ -26,15 +25,15 @@ class ImageSettings:
         features: at the network's end; the thesis's table says 128.
     """
 
-    shape: tuple[int, int, int] = (1, 80, 80)
+    shape: tuple[Units, Pixels, Pixels] = (1, 80, 80)
     variant: str = "desk"
-    features: int = 128
+    features: Units = 128
 
     def __post_init__(self) -> None:
         """Refuses what cannot be built."""
         if self.variant not in VARIANTS:
             raise ValueError(f"unknown variant '{self.variant}'; there are {', '.join(VARIANTS)}")
-        if len(self.shape) != 3 or min(self.shape) < 1 or min(self.shape[1:]) < 36:
+        if min(self.shape[1:]) < 36:
             raise ValueError(f"images need a shape (channels, height, width) of at least 36 px, got {self.shape}")
 
 

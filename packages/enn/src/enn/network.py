@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -16,6 +15,7 @@ from torch import Tensor, nn, optim
 
 from enn.normalisation import VectorExtractor, select_keys, vector_spaces
 from enn.policies import AsymmetricSACPolicy, LayerNormSACPolicy
+from enn.setting_kinds import Units, settings
 
 ALGORITHMS = ("sac", "ppo")
 EXTRACTORS = ("vectors", "multimodal")
@@ -24,7 +24,7 @@ SHARED = ("", "actor", "critic")
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 
-@dataclass(frozen=True)
+@settings
 class NetworkSettings:
     """Everything that shapes of weights depend on, besides the spaces.
 
@@ -48,9 +48,9 @@ class NetworkSettings:
     critic_keys: tuple[str, ...] = ()
     extractor: str = "vectors"
     variant: str = "desk"
-    image_features: int = 128
-    hidden: tuple[int, ...] = (128, 128)
-    critic_hidden: tuple[int, ...] | None = None
+    image_features: Units = 128
+    hidden: tuple[Units, ...] = (128, 128)
+    critic_hidden: tuple[Units, ...] | None = None
     shared: str = ""
     activation: str = "relu"
     critic_layer_norm: bool = False

@@ -8,18 +8,20 @@ Source: thesis, chapter CathSim, section RL for Autonomous Cannulation.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from enn.devices import device_of, seeded
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
+from enn.setting_kinds import Count, Units, settings
 from enn.trajectory import Trajectory, episode_numbers
 
 FORMAT = "enn-path-follower-1"
@@ -28,7 +30,7 @@ _PATH_STEP = 1e-3  # m between the points that the nearest one is sought among
 _BACKWARDS = 0.005  # m that the nearest point may go back along the path in a step
 
 
-@dataclass(frozen=True)
+@settings
 class PathFollowerSettings:
     """What is seen of tip and path, and how it is learnt from.
 
@@ -40,21 +42,13 @@ class PathFollowerSettings:
         fit: of the fit.
     """
 
-    history: int = 5
-    waypoints: int = 5
-    spacing: float = 0.008
-    hidden: tuple[int, ...] = (128, 128)
+    history: Count = 5
+    waypoints: Count = 5
+    spacing: Annotated[float, Interval(gt=0, le=1)] = 0.008
+    hidden: tuple[Units, ...] = (128, 128)
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(epochs=60, batch_size=64, learning_rate=1e-3, weight_decay=1e-3)
     )
-
-    def __post_init__(self) -> None:
-        """Refuses what cannot be seen."""
-        if self.history < 1 or self.waypoints < 1 or not self.spacing > 0:
-            raise ValueError(
-                "history and waypoints must be at least 1 and spacing above 0, got "
-                f"{self.history}, {self.waypoints} and {self.spacing}"
-            )
 
     @property
     def size(self) -> int:
@@ -162,8 +156,7 @@ class PathFollower:
         path = Path(path)
         content = read_model(path, FORMAT, kind="path follower", verb="fit")
         try:
-            kept = content["settings"]
-            settings = PathFollowerSettings(**{**kept, "fit": FitSettings(**kept["fit"])})
+            settings = PathFollowerSettings(**content["settings"])
             network = build(settings, content["actions"])
             network.load_state_dict(content["weights"])
         except UNFIT as error:

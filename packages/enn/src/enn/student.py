@@ -22,6 +22,7 @@ from enn.devices import device_of
 from enn.egocentric import VIEW_SIZE, EgocentricView, without_wire
 from enn.lumen_segmentation import LumenSegmenter
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
+from enn.setting_kinds import Count, LearningRate, Units, UnitsOrNone, Weight, settings
 from enn.wire_segmentation import WireSegmenter
 
 FORMAT = "enn-image-student-2"
@@ -29,7 +30,7 @@ IMAGE_KEYS = ("image", "mask", "goal_image")  # all that a student sees that is 
 XRAY_KEYS = ("image", "plain", "contrast", "goal_image")  # ... and one that must find wire and vessel itself
 
 
-@dataclass(frozen=True)
+@settings
 class StudentSettings:
     """The student's network and its training.
 
@@ -43,19 +44,13 @@ class StudentSettings:
         batch_size: episodes an update.
     """
 
-    view: int = VIEW_SIZE
-    hints: int = 64
-    hidden: int = 128
-    action_repeat: int = 4
-    hint_weight: float = 0.1
-    learning_rate: float = 2e-3
-    batch_size: int = 16
-
-    def __post_init__(self) -> None:
-        """Refuses sizes below 1."""
-        for name in ("view", "hidden", "action_repeat", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+    view: Units = VIEW_SIZE
+    hints: UnitsOrNone = 64
+    hidden: Units = 128
+    action_repeat: Count = 4
+    hint_weight: Weight = 0.1
+    learning_rate: LearningRate = 2e-3
+    batch_size: Count = 16
 
 
 class StudentNetwork(nn.Module):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import re
-from dataclasses import dataclass, fields
+from dataclasses import fields
+from typing import Annotated
+
+from annotated_types import Interval
 
 from enn.network import NetworkSettings
+from enn.setting_kinds import Count, CountOrNone, LearningRate, Seconds, Share, Units, Weight, settings
 
 _LEARNT_ENTROPY = re.compile(r"auto(_(?P<start>[0-9.]+(e-?[0-9]+)?))?")
 # Settings that an algorithm does not look at: another value than the default would say what is not done.
@@ -24,7 +27,7 @@ UNUSED = {
 }
 
 
-@dataclass(frozen=True)
+@settings
 class TrainingSettings:
     """A reinforcement learning run; one decision is one action of one environment, held for `action_repeat` steps.
 
@@ -85,67 +88,47 @@ class TrainingSettings:
     critic_keys: tuple[str, ...] = ()
     passthrough: tuple[str, ...] = ()
     extractor: str = "vectors"
-    image_features: int = 128
-    hidden: tuple[int, ...] = (128, 128)
-    critic_hidden: tuple[int, ...] | None = None
+    image_features: Units = 128
+    hidden: tuple[Units, ...] = (128, 128)
+    critic_hidden: tuple[Units, ...] | None = None
     shared: str = ""
     activation: str = "relu"
     critic_layer_norm: bool = False
     normalise: bool = True
-    decisions: int = 6000
-    n_envs: int = 8
-    threads: int = 1
-    action_repeat: int = 3
-    learning_rate: float = 1e-3
-    final_learning_rate: float = 1.0
-    batch_size: int = 128
-    gamma: float = 0.99
-    learning_starts: int = 304
-    gradient_steps: float = 1.0
-    actor_every: int = 1
-    tau: float = 0.005
-    ent_coef: str | float = "auto_0.05"
-    target_entropy: float | None = None
-    buffer_size: int = 50_000
+    decisions: Count = 6000
+    n_envs: Annotated[int, Interval(ge=1, le=4096)] = 8
+    threads: Annotated[int, Interval(ge=1, le=4096)] = 1
+    action_repeat: Count = 3
+    learning_rate: LearningRate = 1e-3
+    final_learning_rate: Annotated[float, Interval(gt=0, le=1e3)] = 1.0
+    batch_size: Count = 128
+    gamma: Annotated[float, Interval(gt=0, le=1)] = 0.99
+    learning_starts: CountOrNone = 304
+    gradient_steps: Annotated[float, Interval(ge=0, le=1e4)] = 1.0
+    actor_every: Count = 1
+    tau: Annotated[float, Interval(gt=0, le=1)] = 0.005
+    ent_coef: str | Weight = "auto_0.05"
+    target_entropy: Annotated[float, Interval(ge=-1e4, le=1e4)] | None = None
+    buffer_size: Count = 50_000
     half: bool = False
-    demonstrations_in_replay: float = 0.0
-    n_steps: int = 256
-    epochs: int = 10
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
-    bank_share: float = 0.75
-    bank_capacity: int = 4096
-    bank_cases: int = 0
-    evaluate_every: int = 1000
-    evaluation_episodes: int = 10
-    stop_after: int = 0
-    curve_every: int = 200
-    checkpoint_seconds: float = 60.0
+    demonstrations_in_replay: Annotated[float, Interval(ge=0, lt=1)] = 0.0
+    n_steps: Count = 256
+    epochs: Count = 10
+    gae_lambda: Share = 0.95
+    clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2
+    bank_share: Share = 0.75
+    bank_capacity: Count = 4096
+    bank_cases: CountOrNone = 0
+    evaluate_every: CountOrNone = 1000
+    evaluation_episodes: Count = 10
+    stop_after: CountOrNone = 0
+    curve_every: Count = 200
+    checkpoint_seconds: Seconds = 60.0
     tensorboard: bool = False
     device: str = "cpu"
 
     def __post_init__(self) -> None:
         """Refuses what cannot be trained with."""
-        for name in (
-            "decisions",
-            "n_envs",
-            "threads",
-            "action_repeat",
-            "batch_size",
-            "buffer_size",
-            "n_steps",
-            "epochs",
-            "actor_every",
-        ):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("learning_rate", "final_learning_rate", "tau"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if not 0 < self.gamma <= 1:
-            raise ValueError(f"gamma must lie between 0 and 1, got {self.gamma}")
-        if self.gradient_steps < 0 or self.learning_starts < 0 or self.checkpoint_seconds < 0:
-            raise ValueError("gradient_steps, learning_starts and checkpoint_seconds cannot be negative")
         if self.algorithm == "ppo":
             if isinstance(self.ent_coef, str):
                 raise ValueError(f"PPO needs a number as ent_coef, got '{self.ent_coef}': only SAC learns it")
@@ -163,8 +146,6 @@ class TrainingSettings:
                     f"ent_coef must be a number, auto, or auto_ and the positive number to start from, got "
                     f"'{self.ent_coef}'"
                 )
-        elif not (self.ent_coef >= 0 and math.isfinite(self.ent_coef)):
-            raise ValueError(f"ent_coef must be zero or more, got {self.ent_coef}")
         elif self.target_entropy is not None:
             raise ValueError(
                 f"a fixed ent_coef of {self.ent_coef} aims at no entropy: leave target_entropy out, or learn the "

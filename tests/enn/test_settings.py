@@ -1,0 +1,63 @@
+"""Settings: NaN, infinity, slips of sign and size, and texts are refused by the field's name, everywhere."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+import pkgutil
+from typing import Any
+
+import enn
+from enn.behaviour_cloning import BehaviourCloningSettings
+from enn.cloned_policy import CloningSettings
+from enn.dagger import DaggerSettings
+from enn.encoder_network import EncoderSettings
+from enn.fitting import FitSettings
+from enn.force import ForceNetworkSettings, ForceSettings
+from enn.image_network import ImageSettings
+from enn.network import NetworkSettings
+from enn.path_following import PathFollowerSettings
+from enn.student import StudentSettings
+from enn.training_settings import DESK_PPO, DESK_SAC, TrainingSettings
+from tests.number_fields import accepted, parametrised
+
+# settings to the bad numbers that are good ones there
+EVERYTHING: dict[Any, str] = {
+    TrainingSettings(): "bank_cases=0 bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 ent_coef=0 "
+    "evaluate_every=0 gradient_steps=0 learning_starts=0 stop_after=0 target_entropy=-1 target_entropy=0",
+    DESK_PPO: "bank_cases=0 bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 ent_coef=0 evaluate_every=0 "
+    "gae_lambda=0 learning_starts=0 stop_after=0",
+    NetworkSettings(): "",
+    EncoderSettings(keys=("joints",), shapes=((4,),), channels=(4,)): "epochs=0 seed=0 weight_decay=0",
+    FitSettings(): "checkpoint_seconds=0 patience=0 validation_share=0 weight_decay=0",
+    PathFollowerSettings(): "",
+    DaggerSettings(): "expert_share=0",
+    CloningSettings(): "expert_features=0",
+    BehaviourCloningSettings(): "entropy=0 feature_matching=0 l2=0 noise=0 shift_px=0",
+    ImageSettings(): "",
+    ForceNetworkSettings(vector=3): "image_shape=0 matched=0 vector=0",
+    ForceSettings(): "feature_weight=0",
+    StudentSettings(): "hint_weight=0 hints=0",
+}
+
+
+@parametrised(EVERYTHING)
+def test_numbers_that_cannot_be_meant_are_refused_by_name(settings: Any, legal: set[str]) -> None:
+    assert accepted(settings) == legal
+
+
+def test_no_settings_are_left_out() -> None:
+    names = [module.name for module in pkgutil.iter_modules(enn.__path__, "enn.")]
+    found = {
+        value
+        for name in names
+        for key, value in vars(importlib.import_module(name)).items()
+        if key.endswith("Settings") and dataclasses.is_dataclass(value)
+    }
+    assert found == {type(one) for one in EVERYTHING}
+
+
+def test_settings_come_back_from_a_file() -> None:
+    for one in (*EVERYTHING, DESK_SAC):
+        assert type(one)(**json.loads(json.dumps(dataclasses.asdict(one)))) == one
