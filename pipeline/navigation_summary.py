@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
-from pipeline.expert_episodes import expert_folder, expert_logs
+from pipeline.expert_episodes import expert_folder
 from pipeline.human import FOLDER as HUMAN
 from pipeline.human import SUFFIX
 from pipeline.navigation_failures import MODES as FAILURES
@@ -49,7 +49,7 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
     main: dict[str, dict[str, Any]] = {}
     for operator, row, logs in (
         ("human", "expert_teleoperation", (context.run_path / HUMAN).rglob(f"*{SUFFIX}")),
-        ("sampling_expert", "sampling_expert", context.inputs["expert"].rglob("*.mcap")),
+        ("sampling_expert", "sampling_expert", context.inputs["expert"].rglob("evaluation/*.mcap")),
         ("policy", "enn_expert", _expert_logs(settings, context)),
     ):
         cells = _of_logs(logs, settings, operator)
@@ -103,12 +103,11 @@ def row_of(settings: NavigationSettings, count: int) -> str:
 
 
 def _expert_logs(settings: NavigationSettings, context: StageContext) -> list[Path]:
+    """The expert's evaluation: nothing was learnt from these episodes, and their starts are those of the trials."""
     first = settings.phantoms[0]
-    return [
-        log
-        for target in settings.targets
-        for log in expert_logs(expert_folder(context.inputs["enn"], f"{first}/{target}", settings.expert))
-    ]
+    tasks = [f"{first}/{target}" for target in settings.targets]
+    folders = [expert_folder(context.inputs["enn"], task, settings.expert) for task in tasks]
+    return [log for folder in folders for log in sorted((folder / EVALUATION / MODES[0]).glob("*.mcap"))]
 
 
 def _of_logs(logs: Iterable[Path], settings: NavigationSettings, operator: str) -> dict[str, Any]:

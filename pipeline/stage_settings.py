@@ -67,9 +67,10 @@ class ExpertSettings:
     name: str = "expert"
     phantoms: SomeFolderNames = field(default_factory=list)
     targets: SomeFolderNames = field(default_factory=list)
-    episodes: Episodes = 1  # a phantom and target
+    episodes: Episodes = 1  # demonstrations a phantom and target, from starts that are not turned
+    evaluation_episodes: Episodes = 1  # for the tables, from the starts and seeds of the policies compared with
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # of the search; 0: one a core
-    task: Task = field(default_factory=lambda: Task(start_rotation_deg=0.0))
+    task: Task = field(default_factory=Task)  # of the evaluation
     film: bool = True
     film_episodes: CountOrNone = 1  # films a phantom and target
 

@@ -90,6 +90,12 @@ class Task:
         return {"wire": self.guidewire(), "actions": self.actions, **self.rules()}
 
 
+def number_of_actions(task: Task) -> int:
+    """How many numbers an action has: as `cathsim.NavigateEnv` makes its space."""
+    wire = task.guidewire()
+    return 2 if task.actions == FEEDER else 2 * min(wire.motor_joints, wire.joints) + 1
+
+
 PARTS = tuple(field.name for field in dataclasses.fields(Task))
 # What the actions of an episode have to do with: the same wire, moved the same way, to the same end.
 MOTION = ("wire", LENGTH, "actions", "success_radius_mm")

@@ -2,8 +2,9 @@
 
 A log counts by its metadata: `stage`, `row`, `mode` ("deterministic" or "stochastic"), `training_seed` and `variant` of
 its configuration, beside task and wire. Two kinds of episodes stand beside them for comparison: the sampling expert's
-(`expert`, row "sampling_expert") and people's (`human`, row "H"). Logs below a learning stage's `expert/` folders are
-material for imitation: they belong to no row, but their ways count where the shortest one is asked for.
+(`expert`, row "sampling_expert") and people's (`human`, row "H"). Logs below a learning stage's `expert/` folders, and
+the sampling expert's outside its `evaluation/` folders, are learnt from: they belong to no row, but their ways count
+where the shortest one is asked for.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ DEMONSTRATION = "demonstration"  # mode of what belongs to no row
 # Overrides of a sweep that choose which cells a job fills, and change none of them.
 _CHOOSING = {"seed", "target", "modality", "stage.phantoms", "stage.targets", "stage.modalities", "stage.seeds"}
 
-Task = tuple[str, str, str, float, float]
+Task = tuple[str, str, str, str, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Evaluation:
         test_set: which anatomies it stands for; the phantom where the log names none.
         entry: where the wire comes in.
         start_jitter: m, by which starts differ.
+        start_rotation: rad, by which they are turned either way.
         success_radius: m.
         max_steps: after which the episode was truncated.
         force_weight: of the force in the policy's reward, 1/N; None where the log says nothing of it.
@@ -68,6 +70,7 @@ class Evaluation:
     test_set: str
     entry: str
     start_jitter: float
+    start_rotation: float
     success_radius: float
     max_steps: int
     force_weight: float | None
@@ -83,8 +86,9 @@ class Evaluation:
 
     @property
     def task(self) -> Task:
-        """What episodes share that have one shortest way: phantom, target, and how they start and end."""
-        return self.phantom, self.target, self.entry, self.start_jitter, self.success_radius
+        """What episodes share that have one shortest way: phantom, target, wire, and how they start and end."""
+        start = self.start_jitter, self.start_rotation
+        return self.phantom, self.target, self.entry, self.wire, *start, self.success_radius
 
 
 class UnusableLogError(ValueError):
@@ -187,6 +191,7 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
         test_set=str(info.configuration.get("test_set", info.phantom)),
         entry=info.entry,
         start_jitter=float(info.configuration.get("start_jitter", 0.0)),
+        start_rotation=float(info.configuration.get("start_rotation", 0.0)),
         success_radius=radius,
         max_steps=int(info.configuration.get("max_steps", 0)),
         wire=hash_value(info.configuration.get("wire"))[:12],
@@ -212,7 +217,8 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
         operator = COMPARED[stage][0]
         if info.operator != operator:
             raise UnusableLogError(f"it is an episode of {info.operator!r}, expected {operator!r}")
-        return origin
+        learnt_from = stage == "expert" and "evaluation" not in relative.parts[1:-1]
+        return origin | ({"mode": DEMONSTRATION} if learnt_from else {})
     is_demonstration = "expert" in relative.parts[1:-1]
     missing = [key for key in ("row", "mode", "training_seed") if key not in known]
     if missing and not is_demonstration:

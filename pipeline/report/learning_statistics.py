@@ -24,7 +24,7 @@ def shortest_ways(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
         evaluations: all of a run, demonstrations, the sampling expert's and people's among them.
 
     Returns:
-        Task to m. Episodes share a task when phantom, target, entry, start jitter and success radius agree.
+        Task to m. Episodes share a task when phantom, target, entry, wire, start and success radius agree.
 
     Source: thesis, section Evaluation Metrics, SPL.
     """

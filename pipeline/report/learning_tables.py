@@ -171,7 +171,7 @@ def _plain_variant(variants: set[str]) -> str | None:
 
 
 def _comparable(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
-    """Leaves out people's episodes under another limit, start or radius than the policies' of the same vessel."""
+    """Leaves out people's episodes under another limit, wire, start or radius than the policies' of the same vessel."""
     asked = {(one.task, one.max_steps) for one in evaluations if one.stage in ("enn", "expert")}
     return [one for one in evaluations if one.stage != "human" or not asked or (one.task, one.max_steps) in asked]
 

@@ -1,8 +1,13 @@
-"""The expert stage: logged episodes of the sampling expert, with films, paths and metrics."""
+"""The expert stage: logged episodes of the sampling expert, with films, paths and metrics.
+
+There are two kinds. Demonstrations, which others learn from, begin with a wire that is not turned. Evaluations, which
+stand in the tables, have the starts, seeds and number of the episodes that policies are compared by, and nothing learns
+from them.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +16,14 @@ from pipeline.errors import ConfigurationError
 from pipeline.learning_task import LearningTask
 from pipeline.report.episode_tables import episode_tables
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.seeds import demonstration_seeds
+from pipeline.seeds import demonstration_seeds, held_out_seeds
 from pipeline.stage_settings import ExpertSettings
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
-from pipeline.task import require_feeder, require_known_task
+from pipeline.task import number_of_actions, require_feeder, require_known_task
 
 TARGETS = ("bca", "lcca", "lsa")
-OPERATOR = "sampling_expert"
+OPERATOR, EVALUATION = "sampling_expert", "evaluation"
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,7 @@ class Trial:
     phantom: str
     target: str
     episode: int
+    evaluation: bool = False  # of the tables; otherwise a demonstration
 
     @property
     def task(self) -> str:
@@ -37,12 +43,13 @@ class Trial:
     @property
     def label(self) -> str:
         """Names the episode."""
-        return f"{self.phantom}-{self.target}-{self.episode:03d}"
+        kind = f"-{EVALUATION}" if self.evaluation else ""
+        return f"{self.phantom}-{self.target}{kind}-{self.episode:03d}"
 
     @property
     def log(self) -> str:
         """Its log, relative to the stage's folder."""
-        return f"{self.task}/{self.episode:03d}.mcap"
+        return f"{self.task}/{f'{EVALUATION}/' if self.evaluation else ''}{self.episode:03d}.mcap"
 
     @property
     def film(self) -> str:
@@ -74,17 +81,21 @@ def run_expert(settings: ExpertSettings, context: StageContext) -> None:
         settings: which tasks, how many episodes.
         context: where to write.
     """
+    seeds = {
+        False: demonstration_seeds(context.seed, settings.episodes),
+        True: held_out_seeds(context.seed, settings.evaluation_episodes),
+    }
     trials = [
-        Trial(phantom, target, episode)
+        Trial(phantom, target, episode, evaluation)
         for phantom in settings.phantoms
         for target in settings.targets
-        for episode in range(settings.episodes)
+        for evaluation, of_kind in seeds.items()
+        for episode in range(len(of_kind))
     ]
     for trial in context.folder.resumable(trials, key=lambda trial: trial.label, label="expert episodes"):
-        seeds = demonstration_seeds(context.seed, settings.episodes)
-        metrics = record_trial(trial, settings, context.path, seed=seeds[trial.episode])
+        metrics = record_trial(trial, settings, context.path, seed=seeds[trial.evaluation][trial.episode])
         context.folder.mark_done(trial.label, metrics)
-    results = {trial: context.folder.result_of(trial.label) or {} for trial in trials}
+    results = {trial: context.folder.result_of(trial.label) or {} for trial in trials if trial.evaluation}
     write_results(context.path, {**tables(results), "task": task_settings(settings, context.seed)})
     write_figures(context.path, figures(trials, settings, context.path))
 
@@ -105,9 +116,10 @@ def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: 
     from pipeline.film import Film
     from pipeline.recording import record_episode
 
-    environment = LearningTask(trial.phantom, trial.target, settings.task).environment("tip")
+    task = settings.task if trial.evaluation else replace(settings.task, start_rotation_deg=0.0)
+    environment = LearningTask(trial.phantom, trial.target, task).environment("tip")
     expert = SamplingExpert(environment, seed=seed, threads=settings.threads or None)
-    film = Film() if settings.film and trial.episode < settings.film_episodes else None
+    film = Film() if settings.film and not trial.evaluation and trial.episode < settings.film_episodes else None
     try:
         metrics = record_episode(
             environment,
@@ -157,13 +169,13 @@ def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
     """
     values = {
         "episode_limit_enn": settings.task.max_steps,
-        "evaluation_episodes": settings.episodes,
+        "evaluation_episodes": settings.evaluation_episodes,
         "seed": seed,
         "start_jitter_mm": settings.task.start_jitter_mm,
         "success_radius_mm": settings.task.success_radius_mm,
         "image_size_px": settings.task.image_size_px,
         "joint_observations": 4 * (settings.task.guidewire().joints + 1),
-        "actions": "2",
+        "actions": number_of_actions(settings.task),
     }
     return {name: {"value": value} for name, value in values.items()}
 
@@ -195,7 +207,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
         shown.append(
             Figure(
                 f"{task}: way of the tip and contact force",
-                f"{len(arrays)} episodes; the target's sphere of success is dashed.",
+                f"{len(arrays)} episodes, demonstrations among them; the target's sphere of success is dashed.",
                 f"{task}/episodes.png",
                 group,
             )
@@ -214,7 +226,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
                     group,
                 )
                 for trial in trials
-                if trial.task == task and trial.episode < settings.film_episodes
+                if trial.task == task and not trial.evaluation and trial.episode < settings.film_episodes
             ]
     return shown
 
@@ -225,6 +237,7 @@ STAGE = Stage(
     reads=("phantoms",),
     writes=(
         "<phantom>/<target>/{NNN.mcap, NNN.gif, episodes.png, path.png, path.json}",
+        "<phantom>/<target>/evaluation/NNN.mcap",
         "results.json",
         "figures.json",
     ),

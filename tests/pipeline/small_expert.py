@@ -15,7 +15,7 @@ from pipeline.job_worker import Report
 from pipeline.jobs import Job
 from pipeline.learning_task import LearningTask
 from pipeline.recording import record_episode
-from pipeline.seeds import expert_seeds
+from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
 from pipeline.task import TASK as KEY
 from pipeline.task import Task
@@ -47,6 +47,9 @@ def write_expert(folder: Path, *, episodes: int = 4, task: LearningTask = TASK) 
             seed=expert_seeds(0, episodes)[index],
             operator="policy",
         )
+    forward = np.array([1.0, 0.0], np.float32)
+    log = place / "evaluation" / "deterministic" / "000.mcap"
+    record_episode(environment, lambda *_: forward, log, seed=held_out_seeds(0, 1)[0], operator="policy")
     return place
 
 

@@ -161,7 +161,8 @@ def test_wilson_interval_is_the_textbook_one() -> None:
 
 def test_people_and_the_planner_stand_beside_the_policies(tmp_path: Path) -> None:
     write_row(tmp_path, "enn", "V", successes=(True,), way=0.2)
-    write_evaluation(tmp_path / "expert/type_1/bca/000.mcap", operator="sampling_expert", way=0.1)
+    write_evaluation(tmp_path / "expert/type_1/bca/evaluation/000.mcap", operator="sampling_expert", way=0.1)
+    write_evaluation(tmp_path / "expert/type_1/bca/000.mcap", operator="sampling_expert", success=False)
     write_evaluation(tmp_path / "human/type_1/bca/000.mcap", operator="human", way=0.4)
     write_evaluation(tmp_path / "human/type_1/bca/001.mcap", operator="human", task={"max_steps": 900}, way=0.01)
     write_evaluation(tmp_path / "human/type_1/bca/002.mcap", operator="sampling_expert")
@@ -172,6 +173,17 @@ def test_people_and_the_planner_stand_beside_the_policies(tmp_path: Path) -> Non
     assert tables["ablation"]["bca/H"]["spl_pct"] == pytest.approx(25)
     assert tables["ablation"]["bca/H"]["n"] == 1  # the other one had another limit
     assert tables["expert"] == {"type_1/bca": {"spl_pct": pytest.approx(100)}}
+    assert tables["ablation"]["bca/sampling_expert"]["n"] == 1  # its demonstrations belong to no row
+
+
+@pytest.mark.parametrize("other", [{"wire": {"length": 0.3}}, {"start_rotation": 3.14}, {"start_jitter": 0.0}])
+def test_spl_is_measured_against_episodes_of_the_same_wire_and_start(tmp_path: Path, other: dict) -> None:
+    write_row(tmp_path, "enn", "V", successes=(True,), way=0.2)
+    write_row(tmp_path, "enn", "I", successes=(True,), way=0.1, task=other)
+    write_evaluation(tmp_path / "expert/type_1/bca/000.mcap", operator="sampling_expert", way=0.05, task=other)
+    tables = tables_from_logs(tmp_path)
+    assert tables["enn"]["type_1/bca/V"]["spl_pct"] == pytest.approx(100)
+    assert tables["enn"]["type_1/bca/I"]["spl_pct"] == pytest.approx(50)
 
 
 def test_imitation_repeats_the_rows_of_the_ablation(tmp_path: Path) -> None:
