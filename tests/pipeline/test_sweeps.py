@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from hydra.errors import MissingConfigException
 
 from pipeline.explain import one_line
+from pipeline.manifest import read_manifest
 from pipeline.provenance import PROJECT_ROOT
 from pipeline.variants import variant_of
 from tests.conftest import PipelineProcess
@@ -79,3 +81,31 @@ def test_variants_of_different_jobs_differ() -> None:
     assert long[0] != long[1]
     assert all(len(name) < 150 and "/" not in name for name in [*lists, *long])
     assert variant_of(["seed=1", "budget=smoke"]) == variant_of(["budget=smoke", "seed=1"])
+
+
+@pytest.mark.slow
+def test_each_seed_of_a_sweep_learns_from_its_own_teacher(expert_run: PipelineProcess) -> None:
+    common = ("budget=smoke", "name=sweep", "phantom.name=type_1", "target=bca", "modality=I+V+M")
+    seeds = ("-m", "seed=0,1", "stage.workers=1")
+    for stage in ("enn", "imitation", "force"):
+        done = expert_run.run(*seeds, f"stage={stage}", *common, timeout_s=600)
+        assert done.returncode == 0, done.stdout + done.stderr
+    alone = expert_run.run("stage=imitation", "seed=1", *common, timeout_s=300)
+    assert alone.returncode == 0, alone.stderr
+    run = expert_run.runs / "sweep"
+    before = {folder.name: read_manifest(folder) for folder in run.glob("*@*") if "I+V+M" in folder.name}
+    assert len(before) == 6
+    for stage, seed in itertools.product(("imitation", "force"), (0, 1)):
+        (folder,) = run.glob(f"{stage}@*modality=I+V+M,*seed={seed},*")
+        (teacher,) = run.glob(f"enn@*modality=I+V+M,*seed={seed},*")
+        found = read_manifest(folder)
+        assert found is not None
+        assert found.seed == seed
+        assert list(found.identity.input_hashes) == [teacher.name]
+    single = read_manifest(run / "imitation@seed=1")
+    assert single is not None
+    assert [name.count("seed=1") for name in single.identity.input_hashes] == [1]
+    lost = expert_run.run("stage=imitation", "seed=7", *common)
+    assert lost.returncode == 2
+    assert "fits" in lost.stderr
+    assert "seed=7" in lost.stderr
