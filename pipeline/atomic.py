@@ -54,18 +54,17 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def write_json(path: Path, value: Any, *, indent: int | None = 2) -> None:
+def write_json(path: Path, value: Any) -> None:
     """Writes a JSON file atomically, readable by people: indented, keys in the order given.
 
     Args:
         path: the file.
         value: anything JSON can hold; NaN and infinity are refused, other programs could not read them.
-        indent: spaces a level; None: all on one line, for large files that nobody reads.
 
     Raises:
         ValueError: when a number is NaN or infinite.
     """
-    write_text(path, json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(path, json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def remove_unfinished(folder: Path) -> int:

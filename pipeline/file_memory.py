@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import stat
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pipeline.atomic import write_json
+from pipeline.atomic import write_text
 from pipeline.provenance import hash_file
 
 CACHE = ".cache"  # below the run's folder; it may be deleted
@@ -18,7 +20,7 @@ _SETTLED_NS = 100_000_000
 
 
 class FileMemory:
-    """Values computed from files, kept in a small JSON file between processes.
+    """Values computed from files, kept in a small file between processes: a line with a checksum, a line of JSON.
 
     A value counts while size, modification time, status change time and inode of its file stay. Several processes may
     keep the same memory: the last one to save wins, and what it lacks is computed again.
@@ -26,7 +28,7 @@ class FileMemory:
 
     def __init__(self, store: Path | None, root: Path, *, version: str = "1") -> None:
         """Args:
-        store: the JSON file; None: nothing is kept. One that cannot be read is an empty one.
+        store: the file; None: nothing is kept. One that cannot be read or was damaged is an empty one.
         root: folder of the files.
         version: of the values; those of another version are forgotten.
         """
@@ -35,10 +37,10 @@ class FileMemory:
         self._changed = False
         if store is not None:
             try:
-                content = json.loads(store.read_text(encoding="utf-8"))
-                if content["version"] == version:
-                    self._known = dict(content["files"])
-            except (OSError, ValueError, KeyError, TypeError):
+                check, _, text = store.read_text(encoding="utf-8").partition("\n")
+                if check == _check(text, version):
+                    self._known = json.loads(text)
+            except (OSError, UnicodeDecodeError):
                 pass
 
     def recall(self, file: Path) -> Any | None:
@@ -54,10 +56,7 @@ class FileMemory:
             OSError: the file cannot be looked at.
         """
         entry = self._known.get(self._name(file))
-        try:
-            return entry[1] if entry is not None and entry[0] == _stamp(file.stat()) else None
-        except (IndexError, KeyError, TypeError):  # a damaged store
-            return None
+        return entry[1] if entry is not None and entry[0] == _stamp(file.stat()) else None
 
     def compute(self, file: Path, function: Callable[[Path], Any]) -> Any:
         """Computes the value of a file and remembers it.
@@ -94,11 +93,11 @@ class FileMemory:
             size: of the content, bytes.
         """
         try:
-            if not file.is_file() or file.stat().st_size != size:
+            status = file.stat()
+            if status.st_size != size or not stat.S_ISREG(status.st_mode):
                 return False
-            # Only a match is taken from memory: a store that lies must not condemn a good file.
-            return bool(self.recall(file) == sha256 or self.compute(file, hash_file) == sha256)
-        except FileNotFoundError:
+            return self.digest(file) == sha256
+        except (FileNotFoundError, NotADirectoryError):
             return False
 
     def save(self) -> None:
@@ -106,7 +105,8 @@ class FileMemory:
         if self._store is None or not self._changed:
             return
         files = {name: entry for name, entry in self._known.items() if (self._root / name).exists()}
-        write_json(self._store, {"version": self._version, "files": files}, indent=None)
+        text = json.dumps(files)
+        write_text(self._store, f"{_check(text, self._version)}\n{text}")
         self._changed = False
 
     def _name(self, file: Path) -> str:
@@ -120,6 +120,10 @@ def digests_of(folder: Path) -> FileMemory:
         folder: of the stage, in its run's folder.
     """
     return FileMemory(folder.parent / CACHE / "digests" / f"{folder.name}.json", folder)
+
+
+def _check(text: str, version: str) -> str:
+    return hashlib.sha256(f"{version}\n{text}".encode()).hexdigest()
 
 
 def _stamp(status: os.stat_result) -> list[int]:

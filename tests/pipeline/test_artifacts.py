@@ -336,8 +336,8 @@ def test_an_unchanged_file_is_not_read_again(tmp_path: Path, monkeypatch: pytest
     assert not again.holds(tmp_path / "b", digests["b"], 1)
 
 
-@pytest.mark.parametrize("damage", [lambda text: text[:40], lambda text: text.replace("a", "b"), lambda text: "[]"])
-def test_a_damaged_memory_condemns_no_good_file_and_saves_no_bad_one(tmp_path: Path, damage) -> None:
+@pytest.mark.parametrize("damage", [lambda t: t[:40], lambda t: t.replace("a", "b"), lambda t: "[]", lambda t: "\n"])
+def test_a_damaged_memory_condemns_no_good_file_and_passes_no_bad_one(tmp_path: Path, damage) -> None:
     (tmp_path / "a").write_text("a")
     time.sleep(0.12)
     store = tmp_path / "store.json"
@@ -346,5 +346,6 @@ def test_a_damaged_memory_condemns_no_good_file_and_saves_no_bad_one(tmp_path: P
     memory.save()
     store.write_text(damage(store.read_text()))
     assert FileMemory(store, tmp_path).holds(tmp_path / "a", digest, 1)
+    assert FileMemory(store, tmp_path).digest(tmp_path / "a") == digest
     (tmp_path / "a").write_text("c")
     assert not FileMemory(store, tmp_path).holds(tmp_path / "a", digest, 1)
