@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -86,3 +89,28 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(stages.importlib, "import_module", import_module)
     with pytest.raises(StageError, match="stage phantoms needs the module 'mujoco', which is not installed: run `make"):
         stages.load_stage("phantoms")
+
+
+def test_a_stage_whose_input_was_damaged_stops_and_names_the_command_that_mends_it(pipeline_process) -> None:
+    make = ("stage=phantoms", "stage.phantoms=[type_1]", "stage.picture=false", "stage.resolution_mm=2.5", "name=run")
+    assert pipeline_process.run(*make).returncode == 0
+    folder = pipeline_process.runs / "run" / "phantoms"
+    for damage in (lambda: shutil.rmtree(folder / "type_1"), lambda: flip(folder / "type_1" / "lumen.stl")):
+        damage()
+        done = pipeline_process.run("stage=expert", "name=run", "stage.phantoms=[type_1]", "stage.targets=[bca]")
+        assert done.returncode == 2
+        (line,) = done.stderr.strip().splitlines()
+        assert f"stage expert cannot read stage phantoms: {folder / 'type_1'}" in line
+        command = shlex.split(re.search(r"`python -m pipeline (.*)`", line)[1])
+        assert {*make, "force=true"} <= set(command)
+        mended = pipeline_process.run(*(word for word in command if not word.startswith(("runs_dir=", "force="))))
+        assert mended.returncode == 0
+        assert "so the stage runs again" in mended.stdout  # without force=true, too
+        assert "up to date" in pipeline_process.run(*make).stdout
+
+
+def flip(file: Path) -> None:
+    """Flips one bit of a file."""
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
