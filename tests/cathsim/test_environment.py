@@ -199,7 +199,7 @@ def test_an_invalid_state_ends_the_episode_and_the_next_is_sound(make_env: MakeE
         ({"actions": "tip"}, "unknown actions 'tip'; there are feeder, tip_motors"),
         ({"observation": "pixels"}, "unknown observation 'pixels'; there are internal, "),
         ({"observation": ()}, "observation must name at least one observable"),
-        ({"image_size": 4}, "images need at least 16 px a side, got 4"),
+        ({"image_size": 4}, "image_size must lie in 16 to 4096 px, got 4"),
         ({"render_mode": "ansi"}, "unknown render_mode 'ansi'; there are human, rgb_array, fluoroscopy"),
         ({"reward": "sparse"}, "unknown reward 'sparse'; there are distance, geodesic"),
         ({"success_radius": 0.0}, r"success_radius must lie in 0 \(excluded\) to 0.5 m, got 0.0"),

@@ -153,15 +153,15 @@ def test_first_link_lies_in_the_sheath(space: Vessel) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"links": (0.01,)}, "at least two links"),
-        ({"links": (0.01, -0.01)}, "positive length"),
+        ({"links": (0.01,)}, "links needs at least 2 entries, got 1"),
+        ({"links": (0.01, -0.01)}, r"links\[1\] must lie in 0 \(excluded\) to 0.5 m, got -0.01"),
         ({"links": (0.01, 0.0005)}, "shorter than the diameter"),
-        ({"diameter": 0.0}, "diameter must be positive, got 0.0"),
-        ({"shaft_stiffness_nmm2": -1.0}, "shaft_stiffness_nmm2 must be positive"),
-        ({"tip_stiffness_nmm2": np.nan}, "tip_stiffness_nmm2 must be positive, got nan"),
-        ({"density": 0.0}, "density must be positive"),
-        ({"friction": -0.1}, "friction must not be negative"),
-        ({"relaxation": -0.1}, "relaxation must not be negative"),
+        ({"diameter": 0.0}, r"diameter must lie in 0 \(excluded\) to 0.01 m, got 0.0"),
+        ({"shaft_stiffness_nmm2": -1.0}, "shaft_stiffness_nmm2 must lie in"),
+        ({"tip_stiffness_nmm2": np.nan}, "tip_stiffness_nmm2 must be a finite number"),
+        ({"density": 0.0}, "density must lie in"),
+        ({"friction": -0.1}, "friction must lie in 0 to 10, got -0.1"),
+        ({"relaxation": -0.1}, "relaxation must lie in 0 to 100 s, got -0.1"),
         ({"taper": (0.06, 0.02)}, "two increasing distances"),
     ],
 )

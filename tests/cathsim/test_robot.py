@@ -198,9 +198,9 @@ def test_direct_drive_has_no_robot_and_others_are_refused(make_env: MakeEnv) -> 
     assert "driven" not in info
     with pytest.raises(ValueError, match="unknown drive 'rail'; there are direct, robot"):
         make_env(drive="rail")
-    with pytest.raises(ValueError, match="stroke must be positive, got 0"):
+    with pytest.raises(ValueError, match=r"stroke must lie in 0 \(excluded\) to 1 m, got 0"):
         RobotSettings(stroke=0)
-    with pytest.raises(ValueError, match="translation_scale must be positive"):
+    with pytest.raises(ValueError, match="translation_scale must lie in"):
         Leader(translation_scale=-1)
     with pytest.raises(ValueError, match=r"expected a finite translation \(m\) and rotation \(rad\), got nan"):
         FollowerRobot().advance(float("nan"), 0.0)

@@ -146,11 +146,11 @@ def test_results_are_not_overwritten(make_vector: MakeVector) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"num_envs": 0}, "num_envs must be at least 1, got 0"),
+        ({"num_envs": 0}, "num_envs must lie in 1 to 100000, got 0"),
         ({"autoreset": "never"}, "unknown autoreset 'never'; there are next_step, same_step"),
         ({"variations": [{}]}, "expected 3 variations, one an environment, got 1"),
         ({"variations": [{}, {}, {"wire": "thesis"}]}, "all environments of a vector need the same action and obs"),
-        ({"threads": 0}, "threads must be at least 1, got 0"),
+        ({"threads": 0}, "threads must lie in 1 to 100000, got 0"),
         ({"phantom": "aorta"}, "unknown phantom 'aorta'"),
     ],
     ids=str,

@@ -84,9 +84,9 @@ def test_json_repeats_the_map():
 def test_bad_input_is_refused():
     with pytest.raises(ValueError, match="folds the image"):
         Distortion(64, 64, pincushion=-0.5)
-    with pytest.raises(ValueError, match="must be finite"):
+    with pytest.raises(ValueError, match="twist must be a finite number"):
         Distortion(64, 64, twist=np.nan)
     with pytest.raises(ValueError, match=r"shape \(n, 2\)"):
         MAPS[0].distort(np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="at least 1 x 1"):
+    with pytest.raises(ValueError, match="width must lie in 1 to 8192 px, got 0"):
         Distortion(0, 4)

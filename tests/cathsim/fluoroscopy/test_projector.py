@@ -111,7 +111,7 @@ def test_bad_geometry_is_refused():
         Projector.c_arm(centre=CENTRE, field_of_view=0.0, size=80)
     with pytest.raises(ValueError, match="secondary angle"):
         Projector.c_arm(centre=CENTRE, field_of_view=0.2, size=80, secondary_deg=90)
-    with pytest.raises(ValueError, match="at least 1 x 1"):
+    with pytest.raises(ValueError, match="width must lie in 1 to 32768 px, got 0"):
         Projector.frontal(BOUNDS, 0)
     with pytest.raises(ValueError, match="must be a rotation"):
         Projector(np.eye(3), np.diag([1.0, 1.0, -1.0]), np.zeros(3), 8, 8)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from annotated_types import Interval
+
+from cathsim.validation import Share, Unit, settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 WAVEFORMS, PROFILES = ("pulsatile", "steady"), ("womersley", "poiseuille")
 
 
-@dataclass(frozen=True)
+@settings
 class BloodFlow:
     """An incompressible Newtonian fluid that the heart drives through the vessels.
 
@@ -35,33 +37,26 @@ class BloodFlow:
         phase: of the heartbeat at time zero, 0 to 1; 0 is the opening of the aortic valve.
     """
 
-    density: float = 1060.0
-    viscosity: float = 0.004
-    peak_velocity: float = 1.0
-    heart_rate: float = 1.2
+    density: Annotated[float, Interval(gt=0, le=30000), Unit("kg/m^3")] = 1060.0
+    viscosity: Annotated[float, Interval(gt=0, le=10), Unit("Pa s")] = 0.004
+    peak_velocity: Annotated[float, Interval(ge=0, le=20), Unit("m/s")] = 1.0
+    heart_rate: Annotated[float, Interval(gt=0, le=20), Unit("Hz")] = 1.2
     waveform: str = "pulsatile"
     profile: str = "womersley"
-    descending_share: float | None = 0.7
-    shares: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
-    phase: float = 0.0
+    descending_share: Share | None = 0.7
+    shares: Mapping[str, Share] | tuple[tuple[str, Share], ...] = ()
+    phase: Share = 0.0
 
     def __post_init__(self) -> None:
         shares = self.shares.items() if isinstance(self.shares, Mapping) else self.shares
         # sorted pairs instead of a dictionary, so that equal flows are one key of the cache of fields
         object.__setattr__(self, "shares", tuple(sorted((str(name), float(share)) for name, share in shares)))
-        for name in ("density", "viscosity", "heart_rate"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if not 0 <= self.peak_velocity < math.inf:
-            raise ValueError(f"peak_velocity must not be negative, got {self.peak_velocity} m/s")
-        if not math.isfinite(self.phase):
-            raise ValueError(f"phase must be finite, got {self.phase}")
         for name, known in (("waveform", WAVEFORMS), ("profile", PROFILES)):
             if getattr(self, name) not in known:
                 raise ValueError(f"unknown {name} '{getattr(self, name)}'; there are {', '.join(known)}")
         given = [*dict(self.shares).values(), *([] if self.descending_share is None else [self.descending_share])]
-        if any(not share >= 0 for share in given) or sum(given) > 1 + 1e-9:
-            raise ValueError(f"shares must not be negative and sum to at most 1 with descending_share, got {given}")
+        if sum(given) > 1 + 1e-9:
+            raise ValueError(f"shares must sum to at most 1 with descending_share, got {given}")
 
 
 # Steady: about the mean of the pulsatile flow, whose parabola has twice its mean velocity in the middle.

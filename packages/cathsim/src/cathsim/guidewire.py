@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from typing import Annotated
 
 import mujoco
 import numpy as np
+from annotated_types import Interval, Len
+
+from cathsim.validation import Angle, LengthOrNone, Listed, Turn, Unit, quantity, settings
 
 LINK_NAME, TIP_SITE = "wire{}", "tip"
 NMM2 = 1.0e-6  # one N mm^2 in N m^2
+THICKEST, LONGEST = 0.01, 5.0  # m: what goes beyond was meant in another unit
+
+_Stiffness = Annotated[float, Interval(gt=0, le=1e6), Unit("N mm^2")]
+_LinkLength = Annotated[float, Interval(gt=0, le=0.5), Unit("m")]
 
 
-@dataclass(frozen=True)
+@settings
 class Guidewire:
     """A wire that bends and does not twist or stretch, as a chain of links with two hinges between neighbours.
 
@@ -34,29 +41,23 @@ class Guidewire:
         motor_angle: angle by which a motor bends its free joint at full action, rad.
     """
 
-    links: tuple[float, ...] = (0.016,) * 10 + (0.008,) * 8 + (0.004,) * 10
-    diameter: float = 0.89e-3
-    shaft_stiffness_nmm2: float = 400.0
-    tip_stiffness_nmm2: float = 15.0
-    taper: tuple[float, float] = (0.025, 0.060)
-    tip_angle: float = np.radians(80.0)
-    tip_length: float = 0.020
-    density: float = 6450.0
-    relaxation: float = 0.1
-    friction: float = 0.06
-    motor_joints: int = 10
-    motor_angle: float = np.radians(12.0)
+    links: Annotated[tuple[_LinkLength, ...], Listed, Len(2, 2000)] = (0.016,) * 10 + (0.008,) * 8 + (0.004,) * 10
+    diameter: Annotated[float, Interval(gt=0, le=THICKEST), Unit("m")] = 0.89e-3
+    shaft_stiffness_nmm2: _Stiffness = 400.0
+    tip_stiffness_nmm2: _Stiffness = 15.0
+    taper: Annotated[tuple[LengthOrNone, LengthOrNone], Listed] = (0.025, 0.060)
+    tip_angle: Angle = np.radians(80.0)
+    tip_length: Annotated[float, Interval(ge=0, le=LONGEST), Unit("m")] = 0.020
+    density: Annotated[float, Interval(gt=0, le=30000), Unit("kg/m^3")] = 6450.0
+    relaxation: Annotated[float, Interval(ge=0, le=100), Unit("s")] = 0.1
+    friction: Annotated[float, Interval(ge=0, le=10)] = 0.06
+    motor_joints: Annotated[int, Interval(ge=0, le=2000)] = 10
+    motor_angle: Turn = np.radians(12.0)
 
     def __post_init__(self) -> None:
-        if len(self.links) < 2 or min(self.links) <= 0:
-            raise ValueError(f"a guidewire needs at least two links of positive length (m), got {self.links}")
-        for name in ("diameter", "shaft_stiffness_nmm2", "tip_stiffness_nmm2", "density"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("friction", "relaxation", "tip_length"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        if not 0 <= self.taper[0] <= self.taper[1]:
+        if self.length > LONGEST:
+            raise ValueError(f"a guidewire of {self.length:g} m is longer than {LONGEST:g} m; lengths are in metres")
+        if not self.taper[0] <= self.taper[1]:
             raise ValueError(f"taper must be two increasing distances from the tip (m), got {self.taper}")
         if min(self.links) < self.diameter:
             raise ValueError(
@@ -85,6 +86,7 @@ class Guidewire:
 
     def scaled(self, length: float) -> Guidewire:
         """The same wire made `length` (m) long by adding or dropping links at the proximal end."""
+        length = quantity("the length of a guidewire", length, Annotated[float, Interval(gt=0, le=LONGEST), Unit("m")])
         links, shaft = list(self.links), self.links[0]
         while sum(links) < length - 1e-9:
             links.insert(0, shaft)

@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import mujoco
 import numpy as np
+from annotated_types import Interval
 
 from cathsim.anatomy import Phantom
 from cathsim.contact.sdf import Vessel
 from cathsim.feed import pass_on
 from cathsim.fluoroscopy import BiplaneFluoroscope, FluoroscopyRenderer, Frame, Projector, background_image
+from cathsim.fluoroscopy.biplane import MAXIMUM_SIZE
 from cathsim.history import HISTORY_SIZE, History
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.roadmap import ROADMAP_SIZE, Roadmap, target_image
 from cathsim.simulation import Simulation
+from cathsim.validation import Unit, quantity
 
+_ImageSize = Annotated[int, Interval(ge=16, le=MAXIMUM_SIZE), Unit("px")]
 FRAMES = 3  # of the sequential observation
 SHOWN_SHEATH = 0.010  # this much of the wire inside the sheath is drawn, m
 BEHIND = 0.12  # so much of the wire behind the entry is drawn in bi-planar images: to their border, m
@@ -40,8 +44,7 @@ class Fluoroscope:
     """Frontal image and mask of a simulation, drawn once a step at most."""
 
     def __init__(self, simulation: Simulation, size: int) -> None:
-        if size < 16:
-            raise ValueError(f"images need at least 16 px a side, got {size}")
+        size = quantity("image_size", size, _ImageSize)
         self.simulation = simulation
         self.renderer = camera(simulation.phantom, size, simulation.wire.radius)
         self.shape = (size, size)

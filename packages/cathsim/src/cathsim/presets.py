@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Interval
+
+from cathsim.validation import Unit, settings
+
+_Depth = Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
 
 
-@dataclass(frozen=True)
+@settings
 class Accuracy:
     """Time stepping of a simulation.
 
@@ -17,11 +23,11 @@ class Accuracy:
         mass_scale: factor on the wire's mass.
     """
 
-    timestep: float
-    refinement: int
-    tolerance: float = 3e-4
-    rise: float = 1e-4
-    mass_scale: float = 1.0
+    timestep: Annotated[float, Interval(ge=1e-6, le=0.1), Unit("s")]
+    refinement: Annotated[int, Interval(ge=1, le=10_000)]
+    tolerance: _Depth = 3e-4
+    rise: _Depth = 1e-4
+    mass_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
 
 
 # The motion is quasi-static, so more than the wire's mass changes forces little and keeps contacts stiff at long steps.

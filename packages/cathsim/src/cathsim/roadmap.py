@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 
 from cathsim.anatomy.point_target import TargetLike, as_target
 from cathsim.contact.native import address, library
 from cathsim.guidewire import TIP_SITE
 from cathsim.simulation import Simulation
+from cathsim.validation import Unit, quantity
 
 PATH_STEP = 1e-3  # m between the points of the way that is followed
 PATH_ARCS = np.array([3, 6, 10, 16, 24, 36, 50]) * 1e-3  # m ahead of the tip: the points of the way that are shown
@@ -30,6 +32,9 @@ RAYS = np.array(
 RAYS /= np.linalg.norm(RAYS, axis=1, keepdims=True)
 
 ROADMAP_SIZE = 3 * len(PATH_ARCS) + 3 * len(WIRE_ARCS) + len(RAYS) + 13
+
+
+_Noise = Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
 
 
 class _RoadmapStruct(ctypes.Structure):
@@ -58,9 +63,8 @@ class Roadmap:
     """
 
     def __init__(self, simulation: Simulation, target: TargetLike, registration_noise: float = 0.0) -> None:
-        if not registration_noise >= 0:
-            raise ValueError(f"registration_noise must not be negative (m), got {registration_noise}")
-        self.simulation, self.registration_noise = simulation, registration_noise
+        self.simulation = simulation
+        self.registration_noise = quantity("registration_noise", registration_noise, _Noise)
         self.offset = np.zeros(3)
         self.aim(target)
         self._site = -1

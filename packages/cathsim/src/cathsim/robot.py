@@ -6,17 +6,19 @@ between robot and sheath (the thesis's assumption of perfect motion).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
+from annotated_types import Interval
 
 from cathsim.robot_cycle import FeedCycle, Measured, Phase
 from cathsim.robot_model import CARRIAGE, DRIVING_CLAMP, GUIDEWIRE_ROTARY, HOLDING_CLAMP, JAWS, WHEEL, robot_spec
 from cathsim.robot_model import RobotSettings as RobotSettings
+from cathsim.validation import Coordinate, Length, settings
 
 DRIVES = ("direct", "robot")
+_Scale = Annotated[float, Interval(gt=0, le=1000)]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
 
 
@@ -144,7 +146,7 @@ class FollowerRobot:
                 self.data.ctrl[self._servo[joint]] = value
 
 
-@dataclass
+@settings(frozen=False)
 class Leader:
     """The operator's side: a handle whose displacement and rotation map linearly to the follower's command.
 
@@ -156,16 +158,11 @@ class Leader:
         engaged: with the clutch open the handle moves alone.
     """
 
-    translation_scale: float = 1.0
-    rotation_scale: float = 1.0
-    stroke: float = 0.060
-    position: float = 0.0
+    translation_scale: _Scale = 1.0
+    rotation_scale: _Scale = 1.0
+    stroke: Length = 0.060
+    position: Coordinate = 0.0
     engaged: bool = True
-
-    def __post_init__(self) -> None:
-        for name in ("translation_scale", "rotation_scale", "stroke"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
 
     def move(self, translation: float, rotation: float) -> tuple[float, float]:
         """Moves the handle.

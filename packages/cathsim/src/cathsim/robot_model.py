@@ -6,10 +6,13 @@ After the CathBot follower as the thesis describes it; measures and servo streng
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import mujoco
 import numpy as np
+from annotated_types import Interval
+
+from cathsim.validation import Unit, settings
 
 HOLDING_CLAMP, CATHETER_ROTARY, GUIDEWIRE_ROTARY, DRIVING_CLAMP = PLATFORMS = (
     "holding_clamp",
@@ -24,7 +27,9 @@ JAWS, WHEEL = ("{}_jaw_left", "{}_jaw_right"), "{}_wheel"
 # from the patient back, m: the first platform, the way between neighbours, and room behind the last
 FIRST, PITCH, REAR = 0.030, 0.042, 0.025
 RAIL_HEIGHT = 0.036  # of the wire above the rail, m
-SETTINGS_ADVICE = "see cathsim.robot_model.RobotSettings"
+
+_Travel = Annotated[float, Interval(gt=0, le=1), Unit("m")]
+_Speed = Annotated[float, Interval(gt=0, le=10), Unit("m/s")]
 
 STEEL, BLUE, GREY, JAW, WHEEL_COLOUR, MARK = (
     [0.70, 0.72, 0.75, 1.0],
@@ -36,7 +41,7 @@ STEEL, BLUE, GREY, JAW, WHEEL_COLOUR, MARK = (
 )
 
 
-@dataclass(frozen=True)
+@settings
 class RobotSettings:
     """Measures and limits of the follower robot.
 
@@ -52,20 +57,15 @@ class RobotSettings:
         timestep: of the robot's own simulation, s.
     """
 
-    stroke: float = 0.040
-    jaw_opening: float = 0.005
-    speed: float = 0.030
-    return_speed: float = 0.080
-    rotation_speed: float = 4.0
-    jaw_speed: float = 0.050
-    backlog: float = 0.004
-    rotation_backlog: float = 0.4
-    timestep: float = 0.005
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0:
-                raise ValueError(f"{name} must be positive, got {value!r}; {SETTINGS_ADVICE}")
+    stroke: _Travel = 0.040
+    jaw_opening: _Travel = 0.005
+    speed: _Speed = 0.030
+    return_speed: _Speed = 0.080
+    rotation_speed: Annotated[float, Interval(gt=0, le=1000), Unit("rad/s")] = 4.0
+    jaw_speed: _Speed = 0.050
+    backlog: _Travel = 0.004
+    rotation_backlog: Annotated[float, Interval(gt=0, le=1000), Unit("rad")] = 0.4
+    timestep: Annotated[float, Interval(ge=1e-6, le=0.1), Unit("s")] = 0.005
 
     def home(self, platform: str) -> float:
         """Place of a platform on the rail at joint position 0, m behind the robot's front."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -220,6 +221,8 @@ class Simulation:
         """
         if not 0 <= insertion <= self.max_insertion:
             raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {insertion}")
+        if not math.isfinite(rotation):
+            raise ValueError(f"rotation must be a finite number (rad), got {rotation}")
         self._index = self.ladder.rung(insertion)
         self._rung = self._rung_at(self._index)
         mujoco.mj_resetData(self.model, self.data)

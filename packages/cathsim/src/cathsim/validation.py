@@ -8,11 +8,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_type_hints
+from collections.abc import Callable
+from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_type_hints, overload
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval, Le, Lt
-from pydantic import BeforeValidator, ConfigDict, ValidationError
+from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 Kind = TypeVar("Kind")
@@ -65,16 +66,35 @@ Coordinate = Annotated[float, Interval(ge=-10, le=10), Unit("m")]
 _CONFIGURATION = ConfigDict(allow_inf_nan=False, arbitrary_types_allowed=True, extra="forbid")
 
 
+@overload
+def settings(cls: type[Kind]) -> type[Kind]: ...
+
+
+@overload
+def settings(*, frozen: bool = True, eq: bool = True) -> Callable[[type[Kind]], type[Kind]]: ...
+
+
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def settings(cls: type[Kind]) -> type[Kind]:
+def settings(cls: type[Kind] | None = None, *, frozen: bool = True, eq: bool = True) -> Any:
     """Makes a frozen dataclass whose fields are checked by their annotations.
 
     NaN and infinity are refused everywhere, ranges where an annotation has them. Numbers of NumPy are taken.
 
+    Args:
+        cls: the class, where the decorator has no arguments.
+        frozen: as of `dataclasses.dataclass`.
+        eq: likewise.
+
     Raises:
         ValueError: on construction, one sentence that names field, range and unit.
     """
-    made: Any = dataclass(frozen=True, config=_CONFIGURATION)(cls)
+    if cls is None:
+        return functools.partial(_checked, frozen=frozen, eq=eq)
+    return _checked(cls, frozen=frozen, eq=eq)
+
+
+def _checked(cls: type[Any], *, frozen: bool, eq: bool) -> type[Any]:
+    made: Any = dataclass(frozen=frozen, eq=eq, config=_CONFIGURATION)(cls)
     construct = made.__init__
 
     @functools.wraps(construct)
@@ -82,38 +102,67 @@ def settings(cls: type[Kind]) -> type[Kind]:
         try:
             construct(self, *args, **kwargs)
         except ValidationError as error:
-            raise ValueError(refusal(made, error)) from None
+            raise ValueError(_refusal(made, error)) from None
 
     made.__init__ = init
-    return cast(type[Kind], made)
+    return cast(type[Any], made)
 
 
-def refusal(cls: type[Any], error: ValidationError) -> str:
-    """One sentence for what a validator found first.
+def quantity(name: str, value: Any, annotation: Any) -> Any:
+    """Checks an argument of a function as `settings` checks a field.
 
     Args:
-        cls: whose field it is.
-        error: as pydantic raised it.
+        name: of the argument.
+        value: what came.
+        annotation: one of those of this module, or another with ranges and a unit.
+
+    Returns:
+        The value, of the annotation's type.
+
+    Raises:
+        ValueError: one sentence that names argument, range and unit.
     """
+    try:
+        return _adapter(annotation).validate_python(value)
+    except ValidationError as error:
+        raise ValueError(_sentence(name, annotation, error.errors(include_url=False)[0])) from None
+
+
+@functools.cache
+def _adapter(annotation: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(annotation, config=ConfigDict(allow_inf_nan=False))
+
+
+def _refusal(cls: type[Any], error: ValidationError) -> str:
+    """One sentence for what a validator found first in a dataclass."""
     first = error.errors(include_url=False)[0]
-    kind, came = first["type"], first.get("input")
-    if kind == "value_error":  # of a check in the class itself, which has written its own sentence
+    if first["type"] == "value_error":  # of a check in the class itself, which has written its own sentence
         return str(first["ctx"]["error"])
     place = [part for part in first["loc"] if isinstance(part, int) or str(part).isidentifier()]
+    if place and isinstance(place[0], int):  # an argument told by its position
+        place[0] = [one.name for one in dataclasses.fields(cls) if one.init][place[0]]
     name = str(place[0]) if place else cls.__name__
-    shown = name + "".join(f"[{part}]" for part in place[1:] if isinstance(part, int))
-    if kind == "missing":
+    if first["type"] == "missing":
         return f"{cls.__name__} needs {name}"
-    if kind == "unexpected_keyword_argument":
+    if first["type"] == "unexpected_keyword_argument":
         return f"{cls.__name__} has no {name}; its fields are {', '.join(one.name for one in dataclasses.fields(cls))}"
-    low, high, unit = _range(get_type_hints(cls, include_extras=True).get(name))
+    shown = name + "".join(f"[{part}]" for part in place[1:] if isinstance(part, int))
+    return _sentence(shown, get_type_hints(cls, include_extras=True).get(name), first)
+
+
+def _sentence(name: str, annotation: Any, first: Any) -> str:
+    """One sentence for what a validator found wrong with a value."""
+    kind, came = first["type"], first.get("input")
+    low, high, unit = _range(annotation)
+    if kind == "too_short":
+        return f"{name} needs at least {first['ctx']['min_length']} entries, got {first['ctx']['actual_length']}"
     if kind in _KINDS:
-        return f"{shown} must be {_KINDS[kind]}{f' ({unit})' if unit else ''}, got {came!r}"
+        return f"{name} must be {_KINDS[kind]}{f' ({unit})' if unit else ''}, got {came!r}"
     if kind.startswith(("greater_than", "less_than")):
         range_ = f"lie in {low} to {high}" if low and high else f"be at least {low}" if low else f"be at most {high}"
         hint = f"; {_HINTS[unit]}" if unit in _HINTS and kind.startswith("less") else ""
-        return f"{shown} must {range_}{f' {unit}' if unit else ''}, got {came!r}{hint}"
-    return f"{shown}: {first['msg'][:1].lower()}{first['msg'][1:]}, got {came!r}"
+        return f"{name} must {range_}{f' {unit}' if unit else ''}, got {came!r}{hint}"
+    return f"{name}: {first['msg'][:1].lower()}{first['msg'][1:]}, got {came!r}"
 
 
 def _range(annotation: Any) -> tuple[str, str, str]:

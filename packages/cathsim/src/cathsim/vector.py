@@ -5,15 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from cathsim.description import Specified
 from cathsim.environment import NavigateEnv
+from cathsim.validation import quantity
 from cathsim.variety import NavigateManyEnv
+
+_Many = Annotated[int, Interval(ge=1, le=100_000)]
 
 
 class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
@@ -42,14 +46,12 @@ class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
         variations: Sequence[dict[str, Any]] | None = None,
         **arguments: Any,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs must be at least 1, got {num_envs}")
+        num_envs = quantity("num_envs", num_envs, _Many)
+        threads = None if threads is None else quantity("threads", threads, _Many)
         if autoreset not in ("next_step", "same_step"):
             raise ValueError(f"unknown autoreset '{autoreset}'; there are next_step, same_step")
         if variations is not None and len(variations) != num_envs:
             raise ValueError(f"expected {num_envs} variations, one an environment, got {len(variations)}")
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads must be at least 1, got {threads}")
         self.envs = [self._make(**{**arguments, **(variations[i] if variations else {})}) for i in range(num_envs)]
         self.num_envs = num_envs
         self._same_step = autoreset == "same_step"

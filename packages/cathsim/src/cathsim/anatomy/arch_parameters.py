@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from cathsim.validation import Angle, Seed, settings
+
 ANEURYSM_KINDS = ("fusiform", "saccular")
 
 
-@dataclass(frozen=True)
+@settings
 class Aneurysm:
     """A widening of the aorta.
 
@@ -27,7 +28,7 @@ class Aneurysm:
     distance: float = 0.045
     length: float = 0.065
     bulge: float = 0.009
-    angle: float = 0.6
+    angle: Angle = 0.6
 
     def __post_init__(self) -> None:
         if self.kind not in ANEURYSM_KINDS:
@@ -72,7 +73,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 }
 
 
-@dataclass(frozen=True)
+@settings
 class ArchParameters:
     """What a surgeon would measure on an aortic arch, in metres and radians.
 
@@ -134,7 +135,7 @@ class ArchParameters:
     fillet_radius: float = 0.0025
     bovine: bool = False
     aneurysm: Aneurysm | None = None
-    winding_seed: int = 0
+    winding_seed: Seed = 0
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
@@ -144,8 +145,6 @@ class ArchParameters:
                 f"the aorta narrows from its root: descending_diameter {self.descending_diameter:g} m must not exceed "
                 f"root_diameter {self.root_diameter:g} m."
             )
-        if self.winding_seed < 0:
-            raise ValueError(f"winding_seed must be zero or positive, got {self.winding_seed}.")
 
 
 def _check_range(owner: str, name: str, value: Any, low: float, high: float) -> None:

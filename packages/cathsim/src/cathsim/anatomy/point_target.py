@@ -15,6 +15,7 @@ from .vessel_tree import VesselTree, nearest_on_branch
 Point = tuple[float, float, float]  # m, world frame
 TargetLike = str | Sequence[float] | NDArray[np.floating]
 
+_FARTHEST = 10.0  # m: a coordinate beyond was meant in another unit
 _KEPT = 4  # geodesic fields of points that are kept while nobody uses them, 10 to 40 MB each
 
 
@@ -32,6 +33,8 @@ def as_target(target: object) -> str | Point:
         x = y = z = np.nan
     if not np.isfinite((x, y, z)).all():
         raise ValueError(f"a target is a name, or a point of three coordinates in m, got {target!r}")
+    if max(abs(x), abs(y), abs(z)) > _FARTHEST:
+        raise ValueError(f"a target's coordinates are in metres, in the world frame, got {(x, y, z)}")
     return x, y, z
 
 

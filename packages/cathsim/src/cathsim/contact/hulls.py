@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import json
 import logging
-import math
 import os
 import tempfile
 import time
@@ -18,16 +17,18 @@ import zlib
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 from zipfile import BadZipFile
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.phantom_cache import default_cache_directory
 from cathsim.anatomy.surface import MAXIMUM_WALL, wall_surface
+from cathsim.validation import Count, Unit, settings
 
 if TYPE_CHECKING:
     import trimesh
@@ -41,7 +42,7 @@ SAMPLES, CUTS, DEPTH = 1000, 10, 2
 _DAMAGE = (BadZipFile, OSError, ValueError, KeyError, EOFError, IndexError, NotImplementedError, zlib.error)
 
 
-@dataclass(frozen=True)
+@settings
 class Decomposition:
     """How finely a wall is cut into convex hulls.
 
@@ -54,21 +55,11 @@ class Decomposition:
         seed: of that search.
     """
 
-    threshold: float = 0.02
-    thickness: float = 3.0e-3
-    lattice: float = 2.0e-3
-    search: int = 60
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0.01 <= self.threshold <= 1:
-            raise ValueError(f"threshold must lie in 0.01 to 1, as CoACD has it, got {self.threshold!r}")
-        if not 0 < self.thickness <= MAXIMUM_WALL:
-            raise ValueError(f"wall thickness must lie in (0, {MAXIMUM_WALL:g}] m, got {self.thickness!r}")
-        if not (self.lattice > 0 and math.isfinite(self.lattice)):
-            raise ValueError(f"lattice must be a positive length in m, got {self.lattice!r}")
-        if self.search < 1:
-            raise ValueError(f"search must be at least 1, got {self.search!r}")
+    threshold: Annotated[float, Interval(ge=0.01, le=1)] = 0.02  # CoACD's range
+    thickness: Annotated[float, Interval(gt=0, le=MAXIMUM_WALL), Unit("m")] = 3.0e-3
+    lattice: Annotated[float, Interval(gt=0, le=0.1), Unit("m")] = 2.0e-3
+    search: Count = 60
+    seed: Annotated[int, Interval(ge=0, lt=2**32)] = 0
 
 
 @dataclass(frozen=True, eq=False)

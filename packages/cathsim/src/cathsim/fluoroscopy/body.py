@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
+
+from cathsim.validation import Coordinate, Length, Listed, Unit, settings
 
 from .projector import Array, Projector
 
+_Place = Annotated[tuple[Coordinate, Coordinate, Coordinate], Listed]
+_Size = Annotated[tuple[Length, Length, Length], Listed]
+_Attenuation = Annotated[float, Interval(ge=-1e6, le=1e6), Unit("1/m")]
 
-@dataclass(frozen=True)
+
+@settings
 class Ellipsoid:
     """A solid of uniform extra attenuation; solids add where they overlap.
 
@@ -20,13 +27,9 @@ class Ellipsoid:
         attenuation: 1/m, added to what the solid lies in; negative for air in tissue.
     """
 
-    centre: tuple[float, float, float]
-    semi_axes: tuple[float, float, float]
-    attenuation: float
-
-    def __post_init__(self) -> None:
-        if min(self.semi_axes) <= 0:
-            raise ValueError(f"an ellipsoid's semi-axes must be positive, got {self.semi_axes} m.")
+    centre: _Place
+    semi_axes: _Size
+    attenuation: _Attenuation
 
     def chord(self, source: Array, directions: Array) -> Array:
         """Length of rays inside.
@@ -47,7 +50,7 @@ class Ellipsoid:
         return 2 * np.sqrt(np.maximum(b * b - a * (start @ start - 1.0), 0.0)) / a
 
 
-@dataclass(frozen=True)
+@settings
 class Box:
     """A block of uniform extra attenuation, its faces across the world's axes.
 
@@ -57,13 +60,9 @@ class Box:
         attenuation: 1/m, added to what the block lies in.
     """
 
-    centre: tuple[float, float, float]
-    half_sides: tuple[float, float, float]
-    attenuation: float
-
-    def __post_init__(self) -> None:
-        if min(self.half_sides) <= 0:
-            raise ValueError(f"a box's half sides must be positive, got {self.half_sides} m.")
+    centre: _Place
+    half_sides: _Size
+    attenuation: _Attenuation
 
     def chord(self, source: Array, directions: Array) -> Array:
         """Length of rays inside, as `Ellipsoid.chord` gives it."""

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
+
+from cathsim.validation import Listed, Share, Unit, settings
 
 from .attenuation import GAMMA
 
 REFERENCE_SIZE = 1024  # px: lengths of a Detector are given for an image of this size
 
+_Grey = Annotated[float, Interval(ge=0, le=255), Unit("grey levels")]
+_Blur = Annotated[float, Interval(ge=0, le=200), Unit("px")]
+_Side = Annotated[float, Interval(ge=-10, le=10), Unit("half image sides")]
 
-@dataclass(frozen=True)
+
+@settings
 class Detector:
     """An image intensifier or a panel; lengths in px of a 1024 px image, positions in half image sides from its middle.
 
@@ -32,31 +39,17 @@ class Detector:
         equalisation: how far slow differences of brightness are taken out, as beam-shaping filters do: 0 not at all.
     """
 
-    photons: float = 870.0
-    video_noise: float = 1.7
-    focal_blur: float = 0.5
-    screen_blur: float = 1.1
-    glare: float = 5.0
-    field_radius: float | None = 1.2
-    field_centre: tuple[float, float] = (0.0, 0.0)
-    penumbra: float = 30.0
-    vignette: float = 0.65
-    heel: float = 0.0
-    equalisation: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.photons > 0:
-            raise ValueError(f"a detector must count a positive number of photons a pixel, got {self.photons!r}.")
-        lengths = (self.video_noise, self.focal_blur, self.screen_blur, self.glare, self.penumbra)
-        if not (np.isfinite(lengths).all() and min(lengths) >= 0):
-            raise ValueError(f"a detector's noise, blurs, glare and penumbra must not be negative, got {lengths}.")
-        if self.field_radius is not None and not self.field_radius > 0:
-            raise ValueError(f"the collimator's radius must be positive, got {self.field_radius!r} half image sides.")
-        if not self.vignette > 0 or not abs(self.heel) < 1 or not 0 <= self.equalisation <= 1:
-            raise ValueError(
-                "expected a positive vignette, a heel between -1 and 1 and an equalisation of 0 to 1, got "
-                f"{self.vignette!r}, {self.heel!r} and {self.equalisation!r}."
-            )
+    photons: Annotated[float, Interval(gt=0, le=1e9), Unit("photons a pixel")] = 870.0
+    video_noise: _Grey = 1.7
+    focal_blur: _Blur = 0.5
+    screen_blur: _Blur = 1.1
+    glare: _Grey = 5.0
+    field_radius: Annotated[float, Interval(gt=0, le=10), Unit("half image sides")] | None = 1.2
+    field_centre: Annotated[tuple[_Side, _Side], Listed] = (0.0, 0.0)
+    penumbra: Annotated[float, Interval(ge=0, le=REFERENCE_SIZE), Unit("px")] = 30.0
+    vignette: Annotated[float, Interval(gt=0, le=1000)] = 0.65
+    heel: Annotated[float, Interval(gt=-1, lt=1)] = 0.0
+    equalisation: Share = 0.0
 
     def scale(self, width: int, height: int) -> float:
         """Pixels of an image for one of the reference size."""

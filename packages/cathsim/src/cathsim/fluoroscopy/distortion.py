@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
+
+from cathsim.validation import Listed, Pixels, settings
 
 Array = NDArray[np.float64]
 
+_Coefficient = Annotated[float, Interval(ge=-10, le=10)]
+_Pair = Annotated[tuple[_Coefficient, _Coefficient], Listed]
 _ITERATIONS, _TOLERANCE_PX = 30, 1e-9
 _DOMAIN = 1.6  # half image sides from the image's centre; the corners lie at 1.41
 
 
-@dataclass(frozen=True)
+@settings
 class Distortion:
     """Where the detector shows what a pinhole camera would see elsewhere.
 
@@ -39,20 +44,15 @@ class Distortion:
         ValueError: where the map would fold the image over.
     """
 
-    width: int
-    height: int
-    pincushion: float = 0.0
-    barrel: float = 0.0
-    twist: float = 0.0
-    tilt: tuple[float, float] = (0.0, 0.0)
-    centre: tuple[float, float] = (0.0, 0.0)
+    width: Pixels
+    height: Pixels
+    pincushion: _Coefficient = 0.0
+    barrel: _Coefficient = 0.0
+    twist: _Coefficient = 0.0
+    tilt: _Pair = (0.0, 0.0)
+    centre: _Pair = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"a distorted image needs at least 1 x 1 pixels, got {self.width} x {self.height}.")
-        coefficients = (self.pincushion, self.barrel, self.twist, *self.tilt, *self.centre)
-        if not np.isfinite(coefficients).all():
-            raise ValueError(f"the distortion's coefficients must be finite, got {coefficients}.")
         side = np.linspace(-_DOMAIN, _DOMAIN, 41)
         plane = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
         disc = plane[np.hypot(*plane.T) <= _DOMAIN]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval, Len
 from numpy.typing import ArrayLike, NDArray
+
+from cathsim.validation import Length, Unit, settings
 
 Array = NDArray[np.float64]
 
@@ -29,7 +32,11 @@ ATTENUATION: dict[str, float] = {
 }
 
 
-@dataclass(frozen=True)
+_Radius = Annotated[float, Interval(gt=0, le=0.1), Unit("m")]
+_Attenuation = Annotated[float, Interval(ge=0, le=1e6), Unit("1/m")]
+
+
+@settings
 class Section:
     """A stretch of wire: nested cylinders, each filling what the inner ones leave.
 
@@ -38,15 +45,13 @@ class Section:
         layers: (radius in m, attenuation in 1/m), innermost first.
     """
 
-    length: float
-    layers: tuple[tuple[float, float], ...]
+    length: Length
+    layers: Annotated[tuple[tuple[_Radius, _Attenuation], ...], Len(1)]
 
     def __post_init__(self) -> None:
         radii = [radius for radius, _ in self.layers]
-        if not radii or min(radii) <= 0 or any(a >= b for a, b in itertools.pairwise(radii)):
+        if any(a >= b for a, b in itertools.pairwise(radii)):
             raise ValueError(f"a section's layers must have growing positive radii (m), innermost first, got {radii}.")
-        if not self.length > 0 or min(mu for _, mu in self.layers) < 0:
-            raise ValueError(f"a section needs a positive length and no negative attenuation, got {self}.")
 
     @property
     def radius(self) -> float:
@@ -71,7 +76,7 @@ class Section:
         return total
 
 
-@dataclass(frozen=True)
+@settings
 class WireMaterial:
     """A wire from its tip on.
 

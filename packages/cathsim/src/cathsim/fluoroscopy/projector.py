@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
+from pydantic import SkipValidation
+
+from cathsim.validation import Length, Unit, settings
 
 Array = NDArray[np.float64]
 
@@ -25,7 +30,11 @@ VIEWS: dict[str, tuple[float, float]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+# a camera that is distorted, or drawn coarsely, looks at more pixels than its image has
+_Side = Annotated[int, Interval(ge=1, le=32768), Unit("px")]
+
+
+@settings(eq=False)
 class Projector:
     """A pinhole camera with square pixels whose centre is the X-ray source.
 
@@ -45,13 +54,13 @@ class Projector:
         source_detector_distance: m, only needed to give the pixel pitch on the detector.
     """
 
-    K: Array
-    R: Array
-    t: Array
-    width: int
-    height: int
+    K: Annotated[Array, SkipValidation]
+    R: Annotated[Array, SkipValidation]
+    t: Annotated[Array, SkipValidation]
+    width: _Side
+    height: _Side
     name: str = "frontal"
-    source_detector_distance: float = SOURCE_DETECTOR_DISTANCE
+    source_detector_distance: Length = SOURCE_DETECTOR_DISTANCE
 
     def __post_init__(self) -> None:
         for field, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
@@ -62,8 +71,6 @@ class Projector:
             object.__setattr__(self, field, array)
         if not np.allclose(self.R @ self.R.T, np.eye(3), atol=1e-6) or np.linalg.det(self.R) < 0:
             raise ValueError("a projector's R must be a rotation (orthonormal, determinant +1); check its rows.")
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"an image needs at least 1 x 1 pixels, got {self.width} x {self.height}.")
 
     @classmethod
     def c_arm(

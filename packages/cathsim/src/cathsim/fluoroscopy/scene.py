@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Annotated
+
+from annotated_types import Interval
+
+from cathsim.validation import Unit, settings
 
 from .body import THORAX, WATER_BATH, Solid
 from .materials import ATTENUATION
@@ -11,7 +16,10 @@ from .materials import ATTENUATION
 FILLINGS: dict[str, float | None] = {"fluid": 0.0, "contrast": 40.0, "air": None}
 
 
-@dataclass(frozen=True)
+_Over = Annotated[float, Interval(ge=-1e6, le=1e6), Unit("1/m")]  # attenuation over that of what surrounds
+
+
+@settings
 class Scene:
     """A vessel in its surroundings; attenuations are over those of what surrounds it.
 
@@ -28,20 +36,12 @@ class Scene:
 
     name: str
     body: tuple[Solid, ...]
-    surroundings: float
-    wall: float
-    wall_thickness: float
-    filling: float
-    scatter: float
-    middle: float = 140.0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.scatter < 1:
-            raise ValueError(f"the share of scatter must lie in 0 to 1, got {self.scatter!r}.")
-        if not 0 < self.middle < 255:
-            raise ValueError(f"the middle grey level must lie between 0 and 255, got {self.middle!r}.")
-        if not self.wall_thickness >= 0:
-            raise ValueError(f"the wall's thickness must not be negative, got {self.wall_thickness!r} m.")
+    surroundings: Annotated[float, Interval(ge=0, le=1e6), Unit("1/m")]
+    wall: _Over
+    wall_thickness: Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
+    filling: _Over
+    scatter: Annotated[float, Interval(ge=0, lt=1)]
+    middle: Annotated[float, Interval(gt=0, lt=255), Unit("grey levels")] = 140.0
 
     def filled(self, content: str) -> Scene:
         """The same scene with another content of the lumen.

@@ -5,17 +5,21 @@ from __future__ import annotations
 import itertools
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
 from cathsim.navigation import NavigationTask
 from cathsim.presets import ACCURACY, Accuracy
 from cathsim.simulation import Simulation
+from cathsim.validation import Count, Unit, settings
+
+_Steps = Annotated[int, Interval(ge=1, le=10_000)]
 
 
-@dataclass(frozen=True)
+@settings
 class ExpertSettings:
     """How the expert searches.
 
@@ -30,19 +34,19 @@ class ExpertSettings:
         free_force: N.
     """
 
-    horizon: int = 18
-    hold: int = 3
-    execute: int = 6
-    samples: int = 24
-    elites: int = 5
-    rounds: int = 3
-    force_cost: float = 0.004
-    free_force: float = 0.15
+    horizon: _Steps = 18
+    hold: _Steps = 3
+    execute: _Steps = 6
+    samples: Count = 24
+    elites: Count = 5
+    rounds: Annotated[int, Interval(ge=0, le=1000)] = 3
+    force_cost: Annotated[float, Interval(ge=0, le=1000), Unit("m/N")] = 0.004
+    free_force: Annotated[float, Interval(ge=0, le=1000), Unit("N")] = 0.15
 
     def __post_init__(self) -> None:
-        if not 1 <= self.elites <= self.samples:
+        if self.elites > self.samples:
             raise ValueError(f"elites must lie in 1 to samples ({self.samples}), got {self.elites}")
-        if not 1 <= self.hold <= self.horizon or not 1 <= self.execute <= self.horizon:
+        if self.hold > self.horizon or self.execute > self.horizon:
             raise ValueError(f"hold and execute must lie in 1 to the horizon ({self.horizon})")
 
 

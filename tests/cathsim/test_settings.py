@@ -1,0 +1,224 @@
+"""Every numeric field of every settings dataclass refuses what cannot be meant, in one sentence."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import math
+import pkgutil
+from collections.abc import Iterator
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import pytest
+
+import cathsim
+from cathsim.fluoroscopy.body import Box, Ellipsoid
+from cathsim.fluoroscopy.distortion import Distortion
+from cathsim.fluoroscopy.materials import Section, WireMaterial
+from cathsim.fluoroscopy.projector import Projector
+from cathsim.fluoroscopy.scene import SCENES, Scene
+from cathsim.presets import ACCURACY, Accuracy
+
+# composer needs an extra, the console has tests of its own, _native is no module
+EXTRAS = {"cathsim.composer", "cathsim.console", "cathsim._native"}
+# Dataclasses that hold results or are put together by the code itself, whose numbers no user chooses.
+RECORDS = {
+    *("anatomy.aorta:Aorta", "anatomy.arch_type:ArchMeasures", "anatomy.centreline:LumenPaths"),
+    *("anatomy.distance_grid:SignedDistanceGrid", "anatomy.lumen_report:LumenReport"),
+    *("anatomy.phantom:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
+    *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
+    *("anatomy.vessel_tree:Branch", "anatomy.vessel_tree:VesselTree"),
+    *("contact.hull_vessel:HullVessel", "contact.hulls:Hull", "contact.intrusion:WallFit", "contact.sdf:Vessel"),
+    *("description:Specification", "feed:Ladder", "planning.path:LumenPath", "validation:Unit"),
+    *("fluoroscopy.c_arms:XRayCamera", "fluoroscopy.calibration_file:Projection", "fluoroscopy.ink:Shadow"),
+    *("fluoroscopy.radiograph:Radiograph", "observables:Observable", "robot_cycle:Measured", "simulation:Contacts"),
+    *("metrics:EpisodeMetrics", "metrics:Statistic", "metrics:Summary"),
+}
+# What has no defaults.
+EXAMPLES: dict[type[Any], Any] = {
+    Accuracy: ACCURACY["accurate"],
+    Box: Box((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 20.0),
+    Ellipsoid: Ellipsoid((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 20.0),
+    Distortion: Distortion(64, 64),
+    Projector: Projector.frontal([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]], 64),
+    Scene: SCENES["bath"],
+    Section: Section(0.1, ((0.3e-3, 800.0), (0.5e-3, 300.0))),
+    WireMaterial: WireMaterial((Section(0.1, ((0.3e-3, 800.0),)),)),
+}
+# Fields of which 0, and of which also -1, can be meant.
+ZERO = {
+    "Accuracy": {"tolerance", "rise"},
+    "Aneurysm": {"distance", "angle"},
+    "ArchParameters": {
+        *("arch_skew", "ascending_lean", "arch_tilt", "out_of_plane", "tortuosity", "branch_tortuosity"),
+        *("bca_takeoff", "lcca_takeoff", "lsa_takeoff", "winding_seed"),
+    },
+    "BloodFlow": {"peak_velocity", "descending_share", "phase"},
+    "Box": {"centre", "attenuation"},
+    "Decomposition": {"seed"},
+    "Detector": {
+        *("video_noise", "focal_blur", "screen_blur", "glare", "field_centre", "penumbra", "heel", "equalisation"),
+    },
+    "Distortion": {"pincushion", "barrel", "twist", "tilt", "centre"},
+    "Ellipsoid": {"centre", "attenuation"},
+    "ExpertSettings": {"rounds", "force_cost", "free_force"},
+    "Guidewire": {"taper", "tip_angle", "tip_length", "relaxation", "friction", "motor_joints", "motor_angle"},
+    "Leader": {"position"},
+    "NavigationTask": {"target", "start_jitter", "start_rotation", "force_penalty", "path_penalty"},
+    "Scene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},
+    "Section": {"layers"},
+}
+MINUS_ONE = {
+    "Aneurysm": {"angle"},
+    "Box": {"centre", "attenuation"},
+    "Detector": {"field_centre"},
+    "Distortion": {"centre", "twist"},
+    "Ellipsoid": {"centre", "attenuation"},
+    "Guidewire": {"tip_angle"},
+    "Leader": {"position"},
+    "NavigationTask": {"target"},
+    "Scene": {"wall", "filling"},
+}
+NEVER = (math.nan, math.inf, -math.inf, 1e300, "text")
+
+
+def dataclasses_of_the_package() -> dict[str, type[Any]]:
+    """Every dataclass that a module of cathsim defines, by module and name."""
+    found = {}
+    for module in pkgutil.walk_packages(cathsim.__path__, "cathsim."):
+        name = module.name
+        if any(name == extra or name.startswith(f"{extra}.") for extra in EXTRAS) or "mesh_" in name:
+            continue
+        for kind in vars(importlib.import_module(name)).values():
+            if inspect.isclass(kind) and dataclasses.is_dataclass(kind) and kind.__module__ == name:
+                found[f"{name.removeprefix('cathsim.')}:{kind.__qualname__}"] = kind
+    return found
+
+
+FOUND = dataclasses_of_the_package()
+SETTINGS = {name: kind for name, kind in FOUND.items() if name not in RECORDS}
+
+
+def example(kind: type[Any]) -> Any:
+    return EXAMPLES[kind] if kind in EXAMPLES else kind()
+
+
+def is_numeric(annotation: Any) -> bool:
+    return annotation in (int, float) or any(is_numeric(part) for part in get_args(annotation))
+
+
+def fields() -> Iterator[tuple[type[Any], str]]:
+    for kind in SETTINGS.values():
+        hints = get_type_hints(kind)
+        for field in dataclasses.fields(kind):
+            if is_numeric(hints[field.name]):
+                yield kind, field.name
+
+
+def variants(present: Any, value: Any) -> Iterator[Any]:
+    """The field's value with each of its numbers, or itself, replaced."""
+    if isinstance(present, tuple) and present:
+        for index, part in enumerate(present[:3]):
+            for changed in variants(part, value):
+                yield (*present[:index], changed, *present[index + 1 :])
+    elif isinstance(present, int | float) or present is None:
+        yield value
+
+
+def numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, tuple):
+        for part in value:
+            yield from numbers(part)
+    elif isinstance(value, int | float):
+        yield value
+
+
+def accepted(kind: type[Any], name: str, value: Any) -> bool:
+    base, taken = example(kind), False
+    present = getattr(base, name)
+    tried = list(variants(present, value)) or [value]
+    if kind is cathsim.NavigationTask and name == "target":
+        tried = [(0.1, value, 0.1)]
+    for changed in tried:
+        sentence = ""
+        try:
+            made = dataclasses.replace(base, **{name: changed})
+        except ValueError as error:
+            sentence = str(error)
+        else:
+            assert all(math.isfinite(number) for number in numbers(getattr(made, name)))
+            taken = True
+        assert "\n" not in sentence
+        assert len(sentence) < 400, sentence
+    return taken
+
+
+def test_every_dataclass_is_settings_or_a_record() -> None:
+    assert set(FOUND) >= RECORDS, "records that are gone"
+    unchecked = [name for name, kind in SETTINGS.items() if not hasattr(kind, "__pydantic_validator__")]
+    assert not unchecked, "settings need cathsim.validation.settings; records are listed in this test"
+    assert len(SETTINGS) >= 18
+
+
+@pytest.mark.parametrize(("kind", "name"), list(fields()), ids=lambda value: getattr(value, "__name__", value))
+def test_numeric_fields_refuse_what_cannot_be_meant(kind: type[Any], name: str) -> None:
+    for value in NEVER:
+        assert not accepted(kind, name, value), value
+    for value, legal in ((0, ZERO), (-1, MINUS_ONE)):
+        assert accepted(kind, name, value) == (name in legal.get(kind.__name__, ())), value
+    whole = get_type_hints(kind)[name] is int
+    if whole:
+        assert not accepted(kind, name, 2.5)
+
+
+@pytest.mark.parametrize("kind", SETTINGS.values(), ids=lambda kind: kind.__name__)
+def test_numpys_numbers_are_taken(kind: type[Any]) -> None:
+    base = example(kind)
+    for field in dataclasses.fields(kind):
+        present = getattr(base, field.name)
+        if isinstance(present, bool) or not isinstance(present, int | float):
+            continue
+        number = np.int64(present) if isinstance(present, int) else np.float64(present)
+        assert dataclasses.replace(base, **{field.name: number}) == base or kind.__eq__ is object.__eq__
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: cathsim.Guidewire(tip_angle=45.0), r"tip_angle must lie in .* rad, got 45.0; angles are in radians"),
+        (lambda: cathsim.Guidewire(diameter=0.89), r"diameter must lie in .* m, got 0.89; lengths are in metres"),
+        (lambda: cathsim.Guidewire(links=(16.0,) * 3), r"links\[0\] must lie in .* m, got 16.0; lengths are in metres"),
+        (
+            lambda: cathsim.Guidewire().scaled(360),
+            "the length of a guidewire must lie in .* m, got 360; lengths are in",
+        ),
+        (lambda: cathsim.Guidewire().scaled(math.nan), "the length of a guidewire must be a finite number"),
+        (
+            lambda: cathsim.NavigationTask(success_radius=8.0),
+            "success_radius must lie in .* m, got 8.0; lengths are in",
+        ),
+        (
+            lambda: cathsim.NavigationTask(start_jitter=1.0),
+            "start_jitter must lie in .* m, got 1.0; lengths are in metr",
+        ),
+        (lambda: cathsim.NavigationTask(start_rotation=180.0), "start_rotation must lie in .* rad, got 180.0; angles"),
+        (lambda: cathsim.NavigationTask(max_steps=2.5), "max_steps must be a whole number, got 2.5"),
+        (lambda: cathsim.NavigationTask(colour="red"), "NavigationTask has no colour; its fields are target"),
+        (lambda: Accuracy(timestep=0.01), "Accuracy needs refinement"),
+        (lambda: cathsim.NavigateEnv(image_size=100_000), r"image_size must lie in 16 to 4096 px, got 100000"),
+        (lambda: cathsim.NavigateEnv(image_size=80.5), "image_size must be a whole number .*, got 80.5"),
+        (lambda: cathsim.NavigateEnv(registration_noise=2.0), "registration_noise must lie in .* m, got 2.0; lengths"),
+        (lambda: cathsim.NavigateEnv(registration_noise=math.inf), "registration_noise must be a finite number"),
+        (lambda: cathsim.load_phantom("type_1", resolution=1.0), "resolution"),
+        (lambda: cathsim.load_phantom("type_1", resolution=math.nan), "resolution"),
+        (lambda: cathsim.load_phantom("random", seed=1.5), "seed"),
+        (lambda: cathsim.ThreadedVectorEnv(2.5), "num_envs must be a whole number, got 2.5"),
+        (lambda: cathsim.ThreadedVectorEnv(2, threads=math.nan), "threads must be a finite number, got nan"),
+    ],
+)
+def test_other_units_and_kinds_are_named(make: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        make()
+    assert "\n" not in str(caught.value)
