@@ -44,6 +44,7 @@ class FilmJob:
         navigators: folders of navigators, those whose success is shown most gladly first.
         tests: their trials.
         targets: of these.
+        origin: kept in the logs.
     """
 
     folder: Path
@@ -52,6 +53,7 @@ class FilmJob:
     navigators: tuple[Path, ...]
     tests: tuple[TrialSet, ...]
     targets: tuple[str, ...]
+    origin: Origin
 
 
 class NavigationFilm(Film):
@@ -164,7 +166,7 @@ def film_trials(job: FilmJob, report: Report) -> dict[str, Any]:
             job.folder / f"{kind}.mcap",
             seed=seed,
             operator="policy",
-            configuration=Origin("navigation", "film", 0, "desk").configuration(MODES[0]),
+            configuration=job.origin.configuration(MODES[0]),
             film=film,
             pictures=False,
         )

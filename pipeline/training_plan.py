@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.aids import training_note
 from pipeline.errors import ConfigurationError
 from pipeline.expert_episodes import require_demonstrations
 from pipeline.gpu_memory import policy_gb
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import LearningSettings
 from pipeline.learning_task import LearningTask
+from pipeline.report.results import write_notes
 from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
 from pipeline.stages.phantoms import require_known_phantoms
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 ENCODERS = "encoders"
 THESIS = "thesis"
+THESIS_TABLES = {"baselines": ("cathsim_results",), "enn": ("ablation", "training_time_h")}  # whose rows stand beside
 _CHANNELS = {"image": 1, "mask": 1, "sequential": 3}  # of the observations that are images
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
 _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
@@ -190,6 +193,8 @@ def run_cells(
         preload=PRELOAD,
         device=settings.device,
     )
+    note = training_note(job.given for job in jobs if isinstance(job.given, TrainingJob))
+    write_notes(context.path, dict.fromkeys(THESIS_TABLES[stage], note))
     return {
         cell.name: {**results[cell.name], "encoder_s": results[_encoder_key(cell)]["wall_s"] if cell.encoded else 0.0}
         for cell in cells

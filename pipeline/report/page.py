@@ -34,7 +34,7 @@ class StageRecord:
 def render_page(
     *, run: str, budget: str, seeds: Sequence[int], written: str, records: Sequence[StageRecord],
     tables: Sequence[ReportTable], figures: Sequence[ShownFigure], git: dict[str, Any], versions: dict[str, str],
-    machine: dict[str, str], remarks: Mapping[str, str] | None = None,
+    machine: dict[str, str], remarks: Mapping[str, str] | None = None, made: Mapping[str, Sequence[str]] | None = None,
 ) -> str:  # fmt: skip
     """Renders the page.
 
@@ -50,6 +50,7 @@ def render_page(
         versions: software versions.
         machine: the computer.
         remarks: table -> what the reader should know of its cells, e.g. where logs and stage disagree.
+        made: table -> how its measured rows were made, a note a stage folder.
 
     Returns:
         The HTML text.
@@ -62,7 +63,7 @@ def render_page(
     return template.render(
         run=run, budget=budget, seeds=", ".join(map(str, seeds)), written=written, records=records,
         is_smoke="smoke" in budget.split("+"), not_run=NOT_RUN, git=git, versions=versions, machine=machine,
-        remarks=dict(remarks or {}),
+        remarks=dict(remarks or {}), made=dict(made or {}),
         chapters=[(name, list(group)) for name, group in groupby(_by_chapter(tables), key=lambda t: t.chapter)],
         figure_groups=[(name, list(group)) for name, group in groupby(figures, key=lambda f: f.group)],
         measured=sum(t.measured_cells for t in tables), cells=sum(max(t.cells, t.measured_cells) for t in tables),

@@ -29,6 +29,7 @@ from typing import Any
 from pipeline.atomic import write_json
 
 RESULTS = "results.json"
+NOTES = "notes.json"  # table -> how its rows were made, shown beneath it
 FIGURES = "figures.json"
 SAMPLES = "n"
 
@@ -61,6 +62,29 @@ def write_results(folder: Path, tables: dict[str, Any]) -> None:
             for column, cell in columns.items():
                 check_cell(cell, f"{table} / {row} / {column}")
     write_json(folder / RESULTS, tables)
+
+
+def write_notes(folder: Path, notes: dict[str, str]) -> None:
+    """Writes what a stage says of its tables.
+
+    Args:
+        folder: the stage's folder.
+        notes: table -> how its rows were made.
+    """
+    write_json(folder / NOTES, notes)
+
+
+def read_notes(folder: Path) -> dict[str, str]:
+    """Reads what a stage says of its tables.
+
+    Args:
+        folder: the stage's folder.
+
+    Returns:
+        table -> how its rows were made; empty when the stage says nothing.
+    """
+    path = folder / NOTES
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
 def write_figures(folder: Path, figures: list[Figure]) -> None:

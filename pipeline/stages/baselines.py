@@ -148,6 +148,7 @@ STAGE = Stage(
         "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
         "<phantom>/<target>/path_follower/seed<k>/{follower.pt, evaluation/deterministic/NNN.mcap}",
         "results.json",
+        "notes.json",
     ),
     check=check_learning,
 )

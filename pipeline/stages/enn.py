@@ -184,6 +184,7 @@ STAGE = Stage(
         "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
         "<phantom>/<target>/<row>/seed<k>/expert/NNN.mcap",
         "results.json",
+        "notes.json",
     ),
     check=check_enn,
 )

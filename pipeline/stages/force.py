@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.aids import force_note
 from pipeline.expert_episodes import expert_folder, require_expert
 from pipeline.force_job import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
 from pipeline.gpu_memory import LEARNT_BATCH, policy_gb
@@ -13,7 +14,7 @@ from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import ForceSettings
 from pipeline.learning_task import LearningTask
 from pipeline.report.imitation_plots import draw_calibration, draw_shares
-from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.report.results import Figure, write_figures, write_notes, write_results
 from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
@@ -55,6 +56,7 @@ def run_force(settings: ForceSettings, context: StageContext) -> None:
         device=settings.device,
     )
     write_results(context.path, tables(fits, outcomes))
+    write_notes(context.path, {"force_prediction_mse": force_note([job.given for job in fits], settings.task)})
     write_figures(context.path, figures(fits, outcomes, context.path))
 
 
@@ -203,6 +205,7 @@ STAGE = Stage(
         "<inputs>/<samples>/{predictor.pt, force.json}",
         "calibration.png, shares.png",
         "results.json",
+        "notes.json",
         "figures.json",
     ),
     check=check_force,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.aids import imitation_note
 from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
 from pipeline.gpu_memory import LEARNT_BATCH, policy_gb
 from pipeline.imitation_job import PRELOAD, ImitationJob, imitate
@@ -14,7 +15,7 @@ from pipeline.learning_settings import ImitationSettings
 from pipeline.learning_task import LearningTask
 from pipeline.report.imitation_plots import draw_success
 from pipeline.report.learning_tables import tables_from_logs
-from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.report.results import Figure, write_figures, write_notes, write_results
 from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
@@ -53,6 +54,7 @@ def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
     tables["imitation_episodes"] = by_episodes(jobs, outcomes)
     tables["dagger_rounds"] = by_round(jobs, outcomes)
     write_results(context.path, {name: table for name, table in tables.items() if table})
+    write_notes(context.path, {"imitation": imitation_note(job.given for job in jobs)})
     write_figures(context.path, figures(jobs, outcomes, context.path))
 
 
@@ -139,6 +141,7 @@ def hyperparameters(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
         "learning_rate": used.fit.learning_rate,
         "ent_coef": used.entropy,
         "epochs": settings.epochs or used.fit.epochs,
+        "feature_matching": settings.feature_matching,
     }
     return {name: {"value": value} for name, value in values.items()}
 
@@ -217,6 +220,7 @@ STAGE = Stage(
         "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
         "success.png",
         "results.json",
+        "notes.json",
         "figures.json",
     ),
     check=check_imitation,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.aids import navigation_note
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.expert_episodes import expert_folder, expert_logs, load_policy, read_episodes, require_expert
 from pipeline.gpu_memory import LEARNT_BATCH, network_gb, policy_gb
@@ -23,7 +24,7 @@ from pipeline.navigation_summary import ARCHES, DAGGER, FILMS, LOGS, PIXELS, REA
 from pipeline.navigation_task import Anatomy, Rules, TrialSet
 from pipeline.network_job import PREDICTOR
 from pipeline.provenance import hash_file
-from pipeline.report.results import write_figures, write_results
+from pipeline.report.results import write_figures, write_notes, write_results
 from pipeline.seeds import reader_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
@@ -33,6 +34,7 @@ from pipeline.trials import Origin
 from pipeline.unseen_task import TEST_PHANTOM, training_arch
 
 UNSEEN = "unseen_arches"
+RIVAL_VARIANT = "desk"  # network of the rival that clones pixels, whatever the budget: the thesis prints none for it
 NAMED = -1  # seed of an anatomy that has a name of its own
 _SECONDS = {"frame": 0.06, "episode": 1.2, "lesson": 2.4, "trial": 2.0}  # guesses, for the estimate of the end
 
@@ -64,6 +66,8 @@ def run_navigation(settings: NavigationSettings, context: StageContext) -> None:
         context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD, device=settings.device
     )
     write_results(context.path, tables(settings, context, outcomes))
+    navigators = [job.given for job in jobs if isinstance(job.given, NavigatorJob)]
+    write_notes(context.path, {"navigation": navigation_note(navigators)})
     write_figures(context.path, figures(settings, context.path, outcomes))
 
 
@@ -116,7 +120,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
         job = NavigatorJob(
             folder=path / row, reader=path / READER, rig=rig, guided=settings.guided, space=settings.in_space,
             action_repeat=settings.action_repeat, updates=settings.updates, targets=tuple(settings.targets),
-            tests=tests, seed=seed, origin=Origin("navigation", row, seed, "desk"),
+            tests=tests, seed=seed, origin=Origin("navigation", row, seed, context.budget),
             **{"hidden": settings.hidden, "logs": (), "episodes": 0, "courses": (), "rounds": 0, "lessons": 0, **given},
         )  # fmt: skip
         trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)
@@ -154,7 +158,8 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
         order = [ARCHES, DAGGER, *(row_of(settings, count) for count in reversed(settings.episodes))]
         rows = [job.key for job in navigators]
         shown = tuple(path / row for row in order if row in rows)
-        filmed = FilmJob(path / FILMS, path / READER, rig, shown, tests, tuple(settings.targets))
+        filmed = FilmJob(path / FILMS, path / READER, rig, shown, tests, tuple(settings.targets),
+                         Origin("navigation", FILMS, seed, context.budget))  # fmt: skip
         jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0, gpu_gb=reading))
     return jobs
 
@@ -194,10 +199,10 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
         task=task,
         expert=expert,
         seed=context.seed,
-        origin=Origin("navigation", PIXELS, context.seed, "desk"),
+        origin=Origin("navigation", PIXELS, context.seed, RIVAL_VARIANT),
         observations=("image",),
         episodes=settings.episodes[0],
-        variant="desk",
+        variant=RIVAL_VARIANT,
         feature_matching=0.0,
         evaluation_episodes=settings.trials,
     )
@@ -260,6 +265,7 @@ STAGE = Stage(
         "films/{success, failure}.{gif, mcap}",
         "curve.png, failures.png",
         "results.json",
+        "notes.json",
         "figures.json",
     ),
     check=check_navigation,

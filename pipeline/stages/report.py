@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Collection
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from pipeline.provenance import git_state, machine, software_versions
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.learning_section import LearningSection, learning_section
 from pipeline.report.page import PAGE, StageRecord, render_page
-from pipeline.report.results import Table
+from pipeline.report.results import Table, read_notes
 from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
 from pipeline.stage_settings import ReportSettings
 from pipeline.stages import STAGE_NAMES, Stage, StageContext
@@ -73,10 +74,28 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
         seeds=sorted({m.seed for m in finished.values()}) or [context.seed],
         written=datetime.now(UTC).isoformat(timespec="minutes"),
         records=records, tables=tables, figures=figures, remarks=learning.remarks, git=git_state(),
-        versions=software_versions(), machine=machine(),
+        made=notes_of(context.run_path, finished), versions=software_versions(), machine=machine(),
     )  # fmt: skip
     write_text(context.path / PAGE, page)
     _LOGGER.info("report: %s", context.path / PAGE)
+
+
+def notes_of(run_path: Path, finished: Collection[str]) -> dict[str, list[str]]:
+    """How the measured rows were made, as the stages say.
+
+    Args:
+        run_path: the folder of the run.
+        finished: names of its finished stage folders.
+
+    Returns:
+        Table to notes: one, or one for each folder of a sweep that says something else.
+    """
+    notes: dict[str, list[str]] = {}
+    for name in finished:
+        for table, text in read_notes(run_path / name).items():
+            if text not in notes.setdefault(table, []):
+                notes[table].append(text)
+    return notes
 
 
 def _figures(
