@@ -88,7 +88,7 @@ def success(run: Path) -> dict[str, dict[str, Any]]:
     if not file.is_file():
         return {}
     tables = json.loads(file.read_text(encoding="utf-8"))
-    return {name: tables[name] for name in ("generalisation", "generalisation_curve") if name in tables}
+    return {name: tables[name] for name in ("generalisation", "generalisation_curve", "registration") if name in tables}
 
 
 def main() -> None:

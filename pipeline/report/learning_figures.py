@@ -247,7 +247,10 @@ def _generalisation(material: Material, folder: Path) -> list[Figure]:
     if not curves:
         return []
     draw_generalisation(curves, folder / "generalisation.png")
-    caption = "Deterministic episodes on anatomies that were in no training; what each policy sees names its curve."
+    caption = (
+        "Deterministic episodes on anatomies that were in no training; what each policy sees names its curve. The "
+        "points of the roadmap's curve had equally many decisions; the main policy and the students stand alone."
+    )
     return [Figure("Success against training anatomies", caption, "generalisation.png", BEYOND_GROUP)]
 
 
