@@ -19,6 +19,7 @@ from cathsim.fluoroscopy.distortion import Distortion
 from cathsim.fluoroscopy.materials import Section, WireMaterial
 from cathsim.fluoroscopy.projector import Projector
 from cathsim.fluoroscopy.scene import SCENES, Scene
+from cathsim.planning.path import plan_path
 from cathsim.presets import ACCURACY, Accuracy
 
 # composer needs an extra, the console has tests of its own, _native is no module
@@ -184,6 +185,21 @@ def test_numpys_numbers_are_taken(kind: type[Any]) -> None:
         assert dataclasses.replace(base, **{field.name: number}) == base or kind.__eq__ is object.__eq__
 
 
+@dataclasses.dataclass(frozen=True)
+class Longer(cathsim.NavigationTask):
+    """A task that the standard library's decorator has given a field more."""
+
+    weight: float = 1.0
+
+
+C_ARM: dict[str, Any] = {"centre": (0.0, 0.0, 0.0), "field_of_view": 0.2}
+
+
+def test_a_task_with_further_fields_keeps_what_it_was_given() -> None:
+    task = Longer(target=np.array([0.1, 0.2, 0.3]), max_steps=np.int64(7), weight=3.0)
+    assert (task.target, task.max_steps, task.weight) == ((0.1, 0.2, 0.3), 7, 3.0)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -207,6 +223,14 @@ def test_numpys_numbers_are_taken(kind: type[Any]) -> None:
         (lambda: cathsim.NavigationTask(max_steps=2.5), "max_steps must be a whole number, got 2.5"),
         (lambda: cathsim.NavigationTask(colour="red"), "NavigationTask has no colour; its fields are target"),
         (lambda: Accuracy(timestep=0.01), "Accuracy needs refinement"),
+        (lambda: Longer(success_radius=math.nan), r"success_radius must be a finite number \(m\), got nan"),
+        (lambda: Longer(max_steps=2.5), "max_steps must be a whole number, got 2.5"),
+        (lambda: Longer(target=(1, 2)), "a target is a name, or a point of three coordinates in m"),
+        (lambda: plan_path(None, (), (), clearance=math.nan), r"clearance must be a finite number \(m\), got nan"),
+        (lambda: plan_path(None, (), (), aversion=-1.0), "aversion must lie in 0 to 1e.06, got -1.0"),
+        (lambda: Projector.c_arm(**C_ARM, size=80.5), "width must be a whole number"),
+        (lambda: Projector.c_arm(**C_ARM, size=80, primary_deg=math.nan), "primary_deg must be a finite number"),
+        (lambda: Projector.c_arm(**C_ARM, size=80, roll_deg=1e300), "roll_deg must lie in -360 to 360 degrees"),
         (lambda: cathsim.NavigateEnv(image_size=100_000), r"image_size must lie in 16 to 4096 px, got 100000"),
         (lambda: cathsim.NavigateEnv(image_size=80.5), "image_size must be a whole number .*, got 80.5"),
         (lambda: cathsim.NavigateEnv(registration_noise=2.0), "registration_noise must lie in .* m, got 2.0; lengths"),

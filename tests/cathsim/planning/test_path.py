@@ -153,7 +153,7 @@ def test_bad_ends_and_blocked_ways_are_refused():
         plan_path(grid, [-0.03, 0, 0], [0.5, 0, 0])
     with pytest.raises(ValueError, match="three finite coordinates"):
         plan_path(grid, [np.nan, 0, 0], [0.03, 0, 0])
-    with pytest.raises(ValueError, match="aversion must not be negative"):
+    with pytest.raises(ValueError, match=r"aversion must lie in 0 to 1e\+06, got -1"):
         plan_path(grid, [-0.03, 0, 0], [0.03, 0, 0], aversion=-1)
     blocked = np.array(grid.values)
     blocked[blocked.shape[0] // 2 - 1 : blocked.shape[0] // 2 + 2] = -0.001

@@ -15,7 +15,7 @@ from cathsim.anatomy import Phantom
 from cathsim.anatomy.point_target import Point, TargetLike, as_target, target_name
 from cathsim.arena import PROTRUSION
 from cathsim.simulation import Simulation
-from cathsim.validation import Count, Turn, Unit, settings
+from cathsim.validation import Count, Turn, Unit, check_fields, settings
 
 REWARDS = ("distance", "geodesic")
 SUCCESS_REWARD = 10.0
@@ -56,6 +56,7 @@ class NavigationTask:
     path_penalty: Annotated[float, Interval(ge=0, le=1e4), Unit("1/m")] = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self, NavigationTask)
         if self.reward not in REWARDS:
             raise ValueError(f"unknown reward '{self.reward}'; there are {', '.join(REWARDS)}")
 

@@ -104,8 +104,27 @@ def _checked(cls: type[Any], *, frozen: bool, eq: bool) -> type[Any]:
         except ValidationError as error:
             raise ValueError(_refusal(made, error)) from None
 
+    init.checks_fields = True  # type: ignore[attr-defined]
     made.__init__ = init
     return cast(type[Any], made)
+
+
+def check_fields(made: Any, of: type[Any]) -> None:
+    """Checks the fields that an object has of a settings class; for its `__post_init__`.
+
+    A subclass that the standard library's decorator has made sets them without a check.
+
+    Args:
+        made: the object.
+        of: the settings class.
+
+    Raises:
+        ValueError: as `settings` raises it.
+    """
+    if getattr(type(made).__init__, "checks_fields", False):
+        return
+    for name, annotation in get_type_hints(of, include_extras=True).items():
+        object.__setattr__(made, name, quantity(name, getattr(made, name), annotation))
 
 
 def quantity(name: str, value: Any, annotation: Any) -> Any:
@@ -125,7 +144,9 @@ def quantity(name: str, value: Any, annotation: Any) -> Any:
     try:
         return _adapter(annotation).validate_python(value)
     except ValidationError as error:
-        raise ValueError(_sentence(name, annotation, error.errors(include_url=False)[0])) from None
+        first = error.errors(include_url=False)[0]
+        own = first["ctx"]["error"] if first["type"] == "value_error" else None
+        raise ValueError(str(own or _sentence(name, annotation, first))) from None
 
 
 @functools.cache

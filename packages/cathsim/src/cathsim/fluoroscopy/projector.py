@@ -11,7 +11,7 @@ from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 from pydantic import SkipValidation
 
-from cathsim.validation import Length, Unit, settings
+from cathsim.validation import Length, Unit, quantity, settings
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,7 @@ VIEWS: dict[str, tuple[float, float]] = {
 
 
 # a camera that is distorted, or drawn coarsely, looks at more pixels than its image has
+_Degrees = Annotated[float, Interval(ge=-360, le=360), Unit("degrees")]
 _Side = Annotated[int, Interval(ge=1, le=32768), Unit("px")]
 
 
@@ -106,7 +107,10 @@ class Projector:
             ValueError: for distances that are not 0 < source to object < source to detector, an empty field or image,
                 or a secondary angle at which the image has no upright direction.
         """
-        width, height = (size, size) if isinstance(size, int) else size
+        width, height = size if isinstance(size, tuple | list) else (size, size)
+        width, height = quantity("width", width, _Side), quantity("height", height, _Side)
+        for angle, value in (("primary", primary_deg), ("secondary", secondary_deg), ("roll", roll_deg)):
+            quantity(f"{angle}_deg", value, _Degrees)
         middle = np.asarray(centre, dtype=np.float64)
         if middle.shape != (3,):
             raise ValueError(f"the isocentre must have shape (3,), got {middle.shape}.")

@@ -8,17 +8,21 @@ from array import array
 from dataclasses import dataclass
 from math import inf, sqrt
 from pathlib import Path as FilePath
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.validation import LengthOrNone, quantity
 
 logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
 CLEARANCE = 0.45e-3  # m, the radius of a guidewire
+_Aversion = Annotated[float, Interval(ge=0, le=1e6)]  # the search needs costs no less than length
 _SNAP = 3  # lattice points between an end of the path and the lattice, at most
 _STEP = 1e-3  # m between the points of a smoothed path
 _ROUNDS = 60
@@ -140,13 +144,12 @@ def shortest_lattice_path(
         start, the lattice points between, target.
 
     Raises:
-        ValueError: for an end outside the lumen, or a negative aversion.
+        ValueError: for an end outside the lumen, or a clearance or aversion that cannot be meant.
         UnreachableError: where no way keeps the clearance.
     """
-    if aversion < 0:
-        raise ValueError(
-            f"aversion must not be negative, got {aversion!r}: the search needs costs no less than length."
-        )
+    clearance = quantity("clearance", clearance, LengthOrNone)
+    preferred_clearance = quantity("preferred_clearance", preferred_clearance, LengthOrNone)
+    aversion = quantity("aversion", aversion, _Aversion)
     ends = [np.asarray(end, dtype=np.float64) for end in (start, target)]
     free = grid.values >= clearance
     first, last = (_nearest_free(grid, free, end, name) for end, name in zip(ends, ("start", "target"), strict=True))
