@@ -1,4 +1,4 @@
-"""Observation store: many observations of one kind in an array, as small as they can be kept without loss."""
+"""Observation store: many observations of one kind, as small as they can be kept without loss."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from enn.frame_store import EXPECTED_SHARE, FrameStore
+
 MASK = "mask"  # what a name of a two-valued image starts with
 
 
 class ObservationStore:
-    """Rows of one observation: images as uint8, masks as bits, vectors as float32 or half precision.
+    """Rows of one observation in an array: masks as bits, vectors as float32 or half precision; see `make_store`.
 
     Args:
         name: of the observation; one that starts with "mask" and is a uint8 image is kept as bits.
@@ -60,6 +62,30 @@ class ObservationStore:
         bits = np.unpackbits(flat, axis=-1, count=self.size)
         return (bits * np.uint8(255)).reshape(len(rows), *self.space_shape)
 
+    @property
+    def rows(self) -> int:
+        """Number of rows, of all environments together in each."""
+        return len(self.array)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes allocated."""
+        return self.array.nbytes
+
+    def saved(self, first: int, last: int) -> NDArray[Any]:
+        """Rows from first up to last, for `put_back`."""
+        return self.array[first:last]
+
+    def put_back(self, first: int, last: int, packed: NDArray[Any]) -> None:
+        """Puts rows back.
+
+        Raises:
+            ValueError: it is of another number of rows or of another observation.
+        """
+        if packed.shape != self.array[first:last].shape or packed.dtype != self.array.dtype:
+            raise ValueError(f"the saved rows of '{self.name}' are of another size than this buffer's")
+        self.array[first:last] = packed
+
     def grow(self, rows: int) -> None:
         """Makes room for more rows, keeping those there are."""
         larger = np.zeros((rows, *self.array.shape[1:]), self.array.dtype)
@@ -72,9 +98,30 @@ def is_packed(name: str, space: gymnasium.Space[Any]) -> bool:
     return name.startswith(MASK) and space.dtype == np.uint8 and len(space.shape or ()) == 3
 
 
+def make_store(
+    name: str, space: gymnasium.Space[Any], shape: tuple[int, ...], half: bool = False
+) -> ObservationStore | FrameStore:
+    """The store of an observation: a `FrameStore` for images that are no masks.
+
+    Args:
+        name: of the observation.
+        space: of one observation.
+        shape: of the rows, (slots, environments) or (slots,).
+        half: keeps floating-point values in half precision.
+    """
+    return FrameStore(name, space, shape) if is_image(name, space) else ObservationStore(name, space, shape, half)
+
+
+def is_image(name: str, space: gymnasium.Space[Any]) -> bool:
+    """Whether an observation is kept as compressed frames."""
+    return not name.startswith(MASK) and space.dtype == np.uint8 and len(space.shape or ()) == 3
+
+
 def bytes_per_observation(name: str, space: gymnasium.Space[Any], half: bool = False) -> int:
-    """Bytes that one observation takes."""
+    """Bytes that one observation takes; of an image, what is expected."""
     size = int(np.prod(space.shape or ()))
+    if is_image(name, space):
+        return int(size * EXPECTED_SHARE)
     return -(-size // 8) if is_packed(name, space) else size * _stored_dtype(_dtype(space), half).itemsize
 
 

@@ -1,4 +1,4 @@
-"""Replay buffer that fits memory: every observation stored once, masks as bits, only what was changed saved again."""
+"""Replay buffer that fits memory: observations stored once, images compressed; only what was changed is saved again."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from stable_baselines3.common.buffers import ReplayBuffer as BaseReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples, ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
+from enn.frame_store import FrameStore
 from enn.memory import available_bytes
-from enn.observation_store import ObservationStore, bytes_per_observation
+from enn.observation_store import bytes_per_observation, make_store
 
 CHUNK = 512  # slots that are saved together
+_STORED, _LARGE = "observation_", ("actions", "rewards", "dones")
 ASIDE_SHARE = 0.02  # of the transitions end an episode, as far as a size is estimated
 
 
@@ -69,8 +71,8 @@ class ReplayBuffer(BaseReplayBuffer):
         self._slots = self.buffer_size + 1
         self._names = list(observation_space) if isinstance(observation_space, gymnasium.spaces.Dict) else []
         boxes = observation_space.spaces if self._names else {"": observation_space}  # type: ignore[attr-defined]
-        self._stores = {name: ObservationStore(name, box, (self._slots, n_envs), half) for name, box in boxes.items()}
-        self._aside = {name: ObservationStore(name, box, (16,), half) for name, box in boxes.items()}
+        self._stores = {name: make_store(name, box, (self._slots, n_envs), half) for name, box in boxes.items()}
+        self._aside = {name: make_store(name, box, (16,), half) for name, box in boxes.items()}
         self._aside_row = np.full((self._slots, n_envs), -1, np.int32)
         self._free = list(range(15, -1, -1))
         self.actions = np.zeros((self._slots, n_envs, self.action_dim), np.float32)
@@ -83,10 +85,10 @@ class ReplayBuffer(BaseReplayBuffer):
 
     @property
     def nbytes(self) -> int:
-        """Bytes allocated."""
+        """Bytes allocated; images take more as they come."""
         stores = (*self._stores.values(), *self._aside.values())
         rest = (self.actions, self.rewards, self.dones, self._aside_row)
-        return sum(store.array.nbytes for store in stores) + sum(array.nbytes for array in rest)
+        return sum(store.nbytes for store in stores) + sum(array.nbytes for array in rest)
 
     def add(
         self,
@@ -131,10 +133,25 @@ class ReplayBuffer(BaseReplayBuffer):
             self._versions[after // CHUNK] += 1
         self.full = self.added >= self.buffer_size
         self.pos = self.added % self.buffer_size
+        if self.added >= CHUNK and self.added.bit_count() == 1 and not self.full:
+            self._require_room()
+
+    def _require_room(self) -> None:
+        """Refuses images that compress so little that the rest of them will not fit."""
+        images = [store for store in self._stores.values() if isinstance(store, FrameStore)]
+        now = sum(store.nbytes for store in images)
+        more, there = now * (self._slots - self.added) / self.added, available_bytes()
+        if more > there:
+            each, count = now / (self.added * self.n_envs), self.buffer_size * self.n_envs
+            raise MemoryError(
+                f"images take {each:,.0f} bytes a transition in the replay buffer, so that {count:,} of them need "
+                f"{more / 1e9:.1f} GB more, of which {there / 1e9:.1f} GB are available: set a smaller buffer_size, or "
+                "take images without noise"
+            )
 
     def _aside_place(self) -> int:
         if not self._free:
-            rows = len(self._aside[next(iter(self._aside))].array)
+            rows = self._aside[next(iter(self._aside))].rows
             for store in self._aside.values():
                 store.grow(2 * rows)
             self._free = list(range(2 * rows - 1, rows - 1, -1))
@@ -173,8 +190,8 @@ class ReplayBuffer(BaseReplayBuffer):
         flat, after = slots * self.n_envs + envs, (slots + 1) % self._slots * self.n_envs + envs
         parts: dict[str, Any] = {"obs": {}, "next": {}}
         for name, store in self._stores.items():
-            parts["obs"][name] = store.read(flat)
-            following = store.read(after)
+            both = store.read(np.concatenate((flat, after)))  # together, for they share images
+            parts["obs"][name], following = both[: len(flat)], both[len(flat) :]
             if len(ends):
                 following[ends] = self._aside[name].read(aside[ends])
             parts["next"][name] = following
@@ -195,7 +212,13 @@ class ReplayBuffer(BaseReplayBuffer):
         """What is small: counts, ends of episodes and random state; `chunks` gives the rest."""
         return {
             "added": self.added,
-            "aside": {name: store.array for name, store in self._aside.items()},
+            "aside": {name: store.saved(0, store.rows) for name, store in self._aside.items()},
+            "aside_rows": self._aside[next(iter(self._aside))].rows,
+            "references": {
+                name: (store.reference, aside.reference)
+                for (name, store), aside in zip(self._stores.items(), self._aside.values(), strict=True)
+                if isinstance(store, FrameStore) and isinstance(aside, FrameStore)
+            },
             "aside_row": self._aside_row,
             "free": list(self._free),
             "versions": self._versions.copy(),
@@ -208,12 +231,10 @@ class ReplayBuffer(BaseReplayBuffer):
         for chunk, version in enumerate(self._versions):
             first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, used)
             if first < last:
-                for name, array in self._large().items():
-                    yield f"{name}.{chunk}", int(version), array[first:last]
-
-    def _large(self) -> dict[str, NDArray[Any]]:
-        stored = {f"observation_{name}": store.array for name, store in self._stores.items()}
-        return stored | {"actions": self.actions, "rewards": self.rewards, "dones": self.dones}
+                for name, store in self._stores.items():
+                    yield f"{_STORED}{name}.{chunk}", int(version), store.saved(first, last)
+                for name in _LARGE:
+                    yield f"{name}.{chunk}", int(version), getattr(self, name)[first:last]
 
     def restore(self, state: dict[str, Any], chunks: dict[str, NDArray[Any]]) -> None:
         """Returns to a saved buffer of the same size and spaces.
@@ -235,13 +256,21 @@ class ReplayBuffer(BaseReplayBuffer):
         self._aside_row[:], self._versions[:] = state["aside_row"], state["versions"]
         self._free = list(state["free"])
         for name, array in state["aside"].items():
-            self._aside[name].array = array.copy()
+            self._aside[name].grow(state["aside_rows"])
+            self._aside[name].put_back(0, state["aside_rows"], array)
+        for name, references in state["references"].items():
+            for store, reference in zip((self._stores[name], self._aside[name]), references, strict=True):
+                assert isinstance(store, FrameStore)
+                store.reference = reference
         self._generator.bit_generator.state = state["generator"]
-        large = self._large()
+        used = min(self.added + 1, self._slots)
         for key, array in chunks.items():
             name, _, chunk = key.rpartition(".")
-            first = int(chunk) * CHUNK
-            large[name][first : first + len(array)] = array
+            first, last = int(chunk) * CHUNK, min((int(chunk) + 1) * CHUNK, used)
+            if name.startswith(_STORED):
+                self._stores[name.removeprefix(_STORED)].put_back(first, last, array)
+            else:
+                getattr(self, name)[first:last] = array
 
 
 def nbytes_needed(
