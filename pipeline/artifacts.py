@@ -29,6 +29,7 @@ from pipeline.atomic import remove_unfinished, write_json
 from pipeline.errors import FolderBusyError, StageError
 from pipeline.file_memory import digests_of
 from pipeline.interruption import stop_if_asked
+from pipeline.job_costs import kept_costs
 from pipeline.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
 from pipeline.marks import Marks
 from pipeline.progress import progress
@@ -230,6 +231,7 @@ class RunFolder:
         manifest = Manifest(
             stage=stage, run=run, budget=budget, seed=seed, config=config, identity=self.identity,
             overrides=list(overrides), variant=list(variant), outputs=self._outputs(),
+            jobs=kept_costs(self.path),
             wall_time_s=round(time.monotonic() - started, 3), finished=datetime.now(UTC).isoformat(timespec="seconds"),
         )  # fmt: skip
         write_json(self.path / MANIFEST, asdict(manifest))

@@ -11,19 +11,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from types import FrameType
 from typing import Any
 
 from omegaconf import OmegaConf
 
-from pipeline.config import BUDGETS, CONFIG_DIRECTORY
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS
 from pipeline.stages import STAGE_NAMES
 
 _USAGE = """\
 python -m pipeline.chain all|STAGE ... -- [OVERRIDE ...]
 
 Runs all stages, or some, one after the other, and says how long the rest will take; overrides go to every stage,
-e.g. budget=desk name=desk. It ends with the first stage that fails; the same command goes on from there.
+e.g. budget=desk name=desk, and stage.KEY=VALUE to those that have the setting, e.g. stage.device=cuda. It ends with the
+first stage that fails; the same command goes on from there.
 """
 _EXIT_USAGE = 2
 _ALL = "all"
@@ -50,7 +52,22 @@ def main(arguments: list[str]) -> int:
         problem = f"unknown stage {unknown[0]!r}" if unknown else "no stage is named"
         _say(f"{problem}: choose from {_ALL}, {', '.join(STAGE_NAMES)}", error=True)
         return _EXIT_USAGE
+    foreign = [word for word in overrides if not any(concerns(word, stage) for stage in stages)]
+    if foreign:
+        _say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
+        return _EXIT_USAGE
     return run(stages, overrides, known_minutes(overrides))
+
+
+def concerns(override: str, stage: str) -> bool:
+    """Whether an override is for a stage: one of `stage.KEY` is for those that have the setting.
+
+    Args:
+        override: of the command line.
+        stage: its name.
+    """
+    key = override.lstrip("+~").partition("=")[0].split(".")
+    return key[0] != "stage" or len(key) < 2 or key[1] in (item.name for item in fields(STAGE_SETTINGS[stage]))
 
 
 def known_minutes(overrides: Sequence[str]) -> dict[str, float]:
@@ -73,7 +90,8 @@ def run(stages: Sequence[str], overrides: Sequence[str], known: Mapping[str, flo
             rest = "" if left is None else f"; about {worded(left)} left in all"
             _say(f"== stage {number + 1} of {len(stages)}: {stage}{rest}")
             began = time.monotonic()
-            code = signals.wait_for([sys.executable, "-m", "pipeline", f"stage={stage}", *overrides])
+            own = [word for word in overrides if concerns(word, stage)]
+            code = signals.wait_for([sys.executable, "-m", "pipeline", f"stage={stage}", *own])
             if code:
                 return code
             spent[stage] = (time.monotonic() - began) / 60

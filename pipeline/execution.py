@@ -14,6 +14,7 @@ from pipeline.artifacts import RunFolder
 from pipeline.config import RunConfig
 from pipeline.errors import StageError
 from pipeline.gpus import CPU, check_device
+from pipeline.job_costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.manifest import Identity
 from pipeline.provenance import hash_value
 from pipeline.setting_checks import settings_that_matter
@@ -60,7 +61,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
             return Outcome.UP_TO_DATE
         kept = folder.prepare(force=config.force)
         _LOGGER.info("%s: working in %s%s", stage.name, folder.path, f", {kept} finished items kept" if kept else "")
-        started = time.monotonic()
+        started, meter = time.monotonic(), CostMeter()
         context = _context(config, folder, run_path, {name: path for name, (path, _) in inputs.items()})
         try:
             stage.run(config.stage, context)
@@ -68,6 +69,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
             raise missing_module(stage.name, error) from error
         except ImportError as error:  # e.g. native code that was built from other sources; it says what to do
             raise StageError(str(error)) from error
+        keep_cost(folder.path, OWN_PROCESS, meter.read())
         manifest = folder.finish(
             stage=stage.name, run=config.name, budget=config.budget_name, seed=config.seed,
             config=asdict(config.stage), started=started, overrides=telling(overrides), variant=variant,

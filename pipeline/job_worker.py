@@ -21,6 +21,7 @@ from pydantic import ValidationError
 
 from pipeline.errors import PipelineError
 from pipeline.gpus import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
+from pipeline.job_costs import Cost, CostMeter
 from pipeline.setting_checks import sentence
 from pipeline.written_files import noted
 
@@ -39,6 +40,7 @@ class Message:
     traceback: str = ""
     result: Any = None
     gpu_bytes: int = 0  # that the process uses of its GPU's memory
+    cost: Cost | None = None  # of a job that has ended
 
 
 class Report:
@@ -152,6 +154,7 @@ def work(
         signal.signal(number, asked)
     threading.Thread(target=_obey, args=(connection, report), daemon=True).start()
     logging.getLogger().addHandler(_ToStage(send, report))
+    meter = CostMeter()
     if "torch" in sys.modules:  # preloaded
         sys.modules["torch"].set_num_threads(1)
     try:
@@ -160,15 +163,15 @@ def work(
     except KeyboardInterrupt:
         pass  # asked to: whoever asked does not wait for a word
     except PipelineError as error:
-        send(Message("failed", str(error)))
+        send(Message("failed", str(error), cost=meter.read(str(error))))
     except ValidationError as error:
-        send(Message("failed", sentence(error)))
+        send(Message("failed", sentence(error), cost=meter.read(sentence(error))))
     except Exception as error:
         first = next((line for line in str(error).splitlines() if line.strip()), "")
         reason = f"{type(error).__name__}: {first}" if first else type(error).__name__
-        send(Message("failed", reason, traceback=traceback.format_exc()))
+        send(Message("failed", reason, traceback=traceback.format_exc(), cost=meter.read(reason)))
     else:
-        send(Message("done", result=result))
+        send(Message("done", result=result, cost=meter.read()))
     connection.close()
 
 

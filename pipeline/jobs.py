@@ -32,6 +32,7 @@ from pipeline.artifacts import RunFolder
 from pipeline.errors import StageError
 from pipeline.gpus import CPU, Gpu, GpuShare, find_gpus, gpus_of
 from pipeline.interruption import stop_if_asked
+from pipeline.job_costs import keep_cost
 from pipeline.job_progress import JobDisplay, JobState
 from pipeline.job_worker import Message, Report, work
 
@@ -257,6 +258,8 @@ class _Pool:
                 self._ended(running)
 
     def _take(self, running: _Running, message: Message) -> None:
+        if message.cost is not None:
+            keep_cost(self._folder.path, running.job.key, message.cost)
         if message.kind == "progress":
             running.state.update(message.fraction, message.text)
             if message.gpu_bytes:

@@ -47,6 +47,7 @@ class Manifest:
     wall_time_s: float
     finished: str  # ISO 8601, UTC
     overrides: list[str] = field(default_factory=list)  # that it was run with, e.g. ["seed=1", "stage.episodes=5"]
+    jobs: dict[str, dict[str, Any]] = field(default_factory=dict)  # what each of its jobs cost: see pipeline.job_costs
     variant: list[str] = field(default_factory=list)  # those of them that its folder is named after
     git: dict[str, Any] = field(default_factory=git_state)
     versions: dict[str, str] = field(default_factory=software_versions)

@@ -106,3 +106,22 @@ def test_what_was_not_measured_is_not_guessed() -> None:
 )
 def test_durations_are_worded(minutes: float, words: str) -> None:
     assert chain.worded(minutes) == words
+
+
+def test_settings_of_a_stage_go_to_the_stages_that_have_them(pipeline_process) -> None:
+    assert chain.concerns("stage.device=cuda", "enn")
+    assert not chain.concerns("stage.device=cuda", "phantoms")
+    assert chain.concerns("++stage.task.max_steps=5", "expert")
+    assert not chain.concerns("stage.task.max_steps=5", "shape")
+    assert chain.concerns("budget=smoke", "phantoms")
+    process = start(
+        pipeline_process, "user_study", "report", "--", "budget=smoke", "name=run", "stage.embed_limit_mb=2"
+    )
+    told, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors + told
+    process = start(pipeline_process, "user_study", "report", "--", "budget=smoke", "stage.devise=cuda")
+    told, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert errors.strip() == (
+        "no stage of the chain has the setting 'stage.devise=cuda': name its stage, or leave it out"
+    )

@@ -15,6 +15,7 @@ import pytest
 
 from pipeline.artifacts import Identity, RunFolder
 from pipeline.errors import StageError
+from pipeline.job_costs import kept_costs
 from pipeline.job_progress import JobDisplay, JobState
 from pipeline.job_worker import Message, Report
 from pipeline.jobs import Job, run_jobs
@@ -39,6 +40,29 @@ def test_jobs_run_in_processes_of_their_own_and_leave_their_results(folder: RunF
     assert len({results["a"]["process"], results["b"]["process"], os.getpid()}) == 3
     assert results["a"]["threads"] == "1"
     assert any("toys 3/3" in record.getMessage() for record in caplog.records)
+
+
+def test_what_jobs_cost_stands_in_the_manifest_also_after_an_interruption(folder: RunFolder, tmp_path: Path) -> None:
+    toys = [Job("good", train, Toy(tmp_path / "good")), Job("bad", train, Toy(tmp_path / "bad", fails="sentence"))]
+    with folder.locked():
+        folder.prepare()
+        with pytest.raises(StageError, match="bad"):
+            run_jobs(folder, toys)
+    kept = kept_costs(folder.path)
+    assert kept["good"]["outcome"] == "ok"
+    assert kept["bad"]["outcome"] == "the toy is broken: mend it"
+    again = RunFolder(folder.path, folder.identity)
+    with again.locked():
+        again.prepare()
+        run_jobs(again, [toys[0], Job("bad", square, 2)])
+        manifest = again.finish(stage="s", run="r", budget="b", seed=0, config={}, started=time.monotonic())
+    assert manifest.jobs["good"] == kept["good"]
+    assert {key: cost["outcome"] for key, cost in manifest.jobs.items()} == {"good": "ok", "bad": "ok"}
+    for cost in manifest.jobs.values():
+        assert cost["wall_s"] >= 0
+        assert 10 < cost["memory_mb"] < 10_000
+        assert (cost["device"], cost["gpu_mb"]) == ("cpu", 0)
+    assert not any("jobs" in name for name in manifest.outputs)
 
 
 def test_a_job_waits_for_those_it_needs(folder: RunFolder, tmp_path: Path) -> None:
