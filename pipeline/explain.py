@@ -16,7 +16,10 @@ from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS, RunConfig
 from pipeline.errors import PipelineError
 from pipeline.setting_checks import sentence
 from pipeline.stages import available_stages
+from pipeline.task import PARTS, TASK
 
+ARCH_TASK = "arch_task"
+_CHOSEN = ("stage", "budget", "experiment")  # by name
 _LONGEST_PATH = 200  # characters of a path that are shown
 _PERMISSION = "change its permissions, or choose another folder by runs_dir=PATH"
 _WRONG_KIND = "a file lies where a folder is needed, or a folder where a file is: move it away"
@@ -49,6 +52,8 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
         return _flat(str(error))
     if isinstance(error, ValidationError):
         return _flat(sentence(error))
+    if is_number_as_choice(error):
+        return _number_chosen(overrides)
     from_system = system_error(error)
     if from_system is not None:
         return _flat(_system_sentence(from_system))
@@ -119,10 +124,33 @@ def _missing_choice(config: str) -> str:
     return f"unknown {name} {choice!r}{listing}"
 
 
+def is_number_as_choice(error: BaseException) -> bool:
+    """Whether Hydra was given a number where a name is to be chosen, ``stage=5``, of which it raises a ValueError."""
+    return isinstance(error, ValueError) and str(error).startswith("Config group override must be")
+
+
+def _number_chosen(overrides: list[str]) -> str:
+    for override in overrides:
+        group, _, choice = override.lstrip("+~").partition("=")
+        if group in (*_CHOSEN, TASK) and not re.search(r"[A-Za-z_]{2}", choice):
+            return _only_by_key() if group == TASK else _missing_choice(f"{group}/{choice}")
+    return "a stage, a budget or an experiment is chosen by its name: see --help"
+
+
+def _only_by_key() -> str:
+    names = ", ".join(f"{TASK}.{name}=…" for name in PARTS)
+    return f"{TASK} has several settings: give {names} one by one"
+
+
 def _unknown_key(key: str, overrides: list[str]) -> str:
-    if key.startswith("stage."):
-        stage = next((o.split("=", 1)[1] for o in overrides if o.startswith("stage=")), "")
-        settings = STAGE_SETTINGS.get(stage)
+    stage = next((o.split("=", 1)[1] for o in overrides if o.startswith("stage=")), "")
+    settings = STAGE_SETTINGS.get(stage)
+    owner, _, last = key.rpartition(".")
+    if key == TASK:
+        return _only_by_key()
+    if last and owner.rpartition(".")[2] in (TASK, ARCH_TASK):
+        names = [f"{owner}.{name}" for name in PARTS]
+    elif key.startswith("stage."):
         names = [f"stage.{f.name}" for f in dataclasses.fields(settings) if f.name != "name"] if settings else []
     else:
         names = [f.name for f in dataclasses.fields(RunConfig)] + ["experiment", "stage.KEY"]

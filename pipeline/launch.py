@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.errors import PipelineError
 from pipeline.execution import execute
-from pipeline.explain import one_line, system_error
+from pipeline.explain import is_number_as_choice, one_line, system_error
 from pipeline.interruption import let_ctrl_c_interrupt
 from pipeline.stages import available_stages
 from pipeline.variants import variant_of
@@ -119,6 +119,8 @@ def main(arguments: list[str]) -> int:
     except (PipelineError, HydraException, OmegaConfBaseException, ValidationError) as error:
         return _say(one_line(error, arguments), EXIT_USAGE if system_error(error) is None else EXIT_FAILED)
     except Exception as error:
+        if is_number_as_choice(error):
+            return _say(one_line(error, arguments), EXIT_USAGE)
         if system_error(error) is None:
             raise
         return _say(one_line(error, arguments), EXIT_FAILED)
