@@ -24,7 +24,7 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 
-.PHONY: help setup ray all smoke demo test lint format bench-quick clean clean-all console $(STAGES)
+.PHONY: help setup ray all smoke demo thesis-check test lint format bench-quick clean clean-all console $(STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
@@ -54,6 +54,9 @@ all: setup  ## every stage, then the report: runs/<name>/report/index.html
 
 smoke:  ## the whole chain in minutes; its numbers mean nothing
 	@$(MAKE) --no-print-directory all BUDGET=smoke
+
+thesis-check: setup  ## every stage of BUDGET=thesis in minutes, and what each job took (ARGS=stage.device=cuda on a GPU)
+	@$(GL) $(PY) -m pipeline.thesis_check $(ARGS)
 
 demo: setup  ## an expert episode into the BCA: its log, its films, the report
 	@$(RUN) stage=phantoms name=demo 'stage.phantoms=[type_1]'
