@@ -159,9 +159,9 @@ def test_bad_annotations_are_refused_in_one_sentence() -> None:
 
 
 def test_settings_are_checked() -> None:
-    with pytest.raises(ValueError, match="match_px: expected above 0"):
+    with pytest.raises(ValueError, match="match_px must be greater than 0, got 0"):
         MatchingSettings(match_px=0.0)
-    with pytest.raises(ValueError, match="bending_per_mm: expected above 0"):
+    with pytest.raises(ValueError, match="bending_per_mm must be greater than 0, got -1"):
         FitSettings(bending_per_mm=-1.0)
 
 

@@ -147,11 +147,11 @@ def test_a_loss_that_is_no_number_ends_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"epochs": 0}, "epochs and batch_size must be at least 1"),
-        ({"learning_rate": 0}, "learning_rate must be above 0"),
+        ({"epochs": 0}, "epochs must be greater than or equal to 1, got 0"),
+        ({"learning_rate": 0}, "learning_rate must be greater than 0, got 0"),
         ({"optimiser": "lion"}, "unknown optimiser 'lion'; there are nadam, adamw, sgd"),
         ({"schedule": "steps"}, "unknown schedule 'steps'"),
-        ({"factor": 1.0}, "factor in 0 to 1"),
+        ({"factor": 1.0}, "factor must be less than 1, got 1"),
     ],
 )
 def test_settings_are_checked(changed: dict, sentence: str) -> None:

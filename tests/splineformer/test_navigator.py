@@ -164,7 +164,7 @@ def test_bad_episodes_are_refused() -> None:
         replace(good, looks=np.full_like(good.looks, np.nan))
     with pytest.raises(ValueError, match="as many looks as actions"):
         replace(good, actions=good.actions[:-1])
-    with pytest.raises(ValueError, match="epochs and batch_size"):
+    with pytest.raises(ValueError, match="epochs must be greater than or equal to 1, got 0"):
         CloningSettings(epochs=0)
 
 

@@ -78,7 +78,7 @@ def test_what_is_no_token_sequence(tokens: np.ndarray, message: str) -> None:
 def test_what_is_no_curve() -> None:
     with pytest.raises(ValueError, match="at least 2 different points"):
         tokens_of_polyline([[3, 3], [3, 3]])
-    with pytest.raises(ValueError, match="at least 4 tokens"):
+    with pytest.raises(ValueError, match="limit must be greater than or equal to 4, got 3"):
         TokenSettings(limit=3)
     line = BSplineCurve(np.array([0.0, 0, 1, 1]), np.array([[0.0, 0], [1, 1]]), 1)
     with pytest.raises(ValueError, match="expected a cubic"):

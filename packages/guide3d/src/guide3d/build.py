@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,33 +17,34 @@ from guide3d.modeling.swinunet import SwinUnet
 from guide3d.modeling.transunet import TransUnet
 from guide3d.modeling.unet import UNet
 from guide3d.modeling.vision_transformer import VisionTransformer
+from guide3d.setting_kinds import Dropout, Layers, Pixels, Units, UnitsOrNone, settings
 
 SIZES = ("thesis", "desk", "smoke")
 SEGMENTERS = ("unet", "transunet", "swinunet")
 
 
-@dataclass(frozen=True)
+@settings
 class ShapeSize:
     """Sizes of the shape network; `thesis` is ViT-B/16 and what the thesis says of the rest.
 
     `kept`: numbers that pooling "tokens" keeps of each token; `anchor`: see `modeling.shape_network.ANCHORS`.
     """
 
-    image_px: int = 224
-    patch_px: int = 16
-    width: int = 768
-    depth: int = 12
-    heads: int = 12
-    hidden: int = 3072
-    stem: tuple[int, ...] = ()
+    image_px: Pixels = 224
+    patch_px: Pixels = 16
+    width: Units = 768
+    depth: Layers = 12
+    heads: Units = 12
+    hidden: Units = 3072
+    stem: tuple[Units, ...] = ()
     pooling: str = "class"
-    kept: int = 0
+    kept: UnitsOrNone = 0
     anchor: str = "tip"
-    features: int = 512
-    state: int = 512
-    head: int = 256
-    frames: int = 3
-    dropout: float = 0.1
+    features: Units = 512
+    state: Units = 512
+    head: Units = 256
+    frames: Layers = 3
+    dropout: Dropout = 0.1
 
 
 SHAPE_SIZES: dict[str, ShapeSize] = {

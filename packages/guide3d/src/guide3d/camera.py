@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import scipy.linalg
 
 from guide3d.atomic_file import whole_file
+from guide3d.setting_kinds import Numbers, Pixels, settings
 
 __all__ = ["UNITS_MM", "Camera", "read_camera", "read_opencv_yaml", "write_camera", "write_opencv_yaml"]
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 
-@dataclass(frozen=True, eq=False)
+@settings(eq=False)
 class Camera:
     """One view: x ~ K (R X + t).
 
@@ -32,13 +32,13 @@ class Camera:
     covariance: (11, 11) of (fx, fy, skew, cx, cy in px; a small rotation in the camera frame in rad; t in mm), or None
     """
 
-    K: np.ndarray
-    R: np.ndarray
-    t_mm: np.ndarray
-    width: int
-    height: int
+    K: Numbers
+    R: Numbers
+    t_mm: Numbers
+    width: Pixels
+    height: Pixels
     name: str = ""
-    covariance: np.ndarray | None = None
+    covariance: Numbers | None = None
 
     def __post_init__(self) -> None:
         for field, shape in (("K", (3, 3)), ("R", (3, 3)), ("t_mm", (3,)), ("covariance", (11, 11))):
@@ -62,8 +62,6 @@ class Camera:
             raise ValueError(
                 f"{self._who()}: R should be a rotation (orthonormal, determinant +1), found {self.R.tolist()}"
             )
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"{self._who()}: the image should have a size, found {self.width} x {self.height}")
 
     def _who(self) -> str:
         return f"camera {self.name}" if self.name else "camera"

@@ -14,8 +14,10 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
 
@@ -23,13 +25,14 @@ from guide3d.bspline import BSplineCurve
 from guide3d.camera import Camera
 from guide3d.native_library import ImageStruct, PriorStruct, SplineStruct, address, library
 from guide3d.polyline import arc_length, at_length
+from guide3d.setting_kinds import Millimetres, PixelDistance, Positive, settings
 
 Array = NDArray[np.float64]
 
 START_SMOOTHING_MM = 3.0  # of the first curve, through triangulated pairs
 
 
-@dataclass(frozen=True)
+@settings
 class FitSettings:
     """What is known of a wire and of its annotation beforehand.
 
@@ -47,23 +50,18 @@ class FitSettings:
     iterations: at most
     """
 
-    pitch_mm: float = 4.0
-    noise_px: float = 1.0
+    pitch_mm: Millimetres = 4.0
+    noise_px: PixelDistance = 1.0
     estimate_noise: bool = True
-    least_noise_px: float = 0.15
-    outlier: float = 3.0
-    bending_per_mm: float = 3e-4
-    bend_per_mm: float = 0.01
-    changing_per_mm3: float = 1e-5
-    change_per_mm2: float = 2e-3
-    speed: float = 0.2
-    margin_mm: float = 10.0
-    iterations: int = 25
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "estimate_noise" and not value > 0:
-                raise ValueError(f"{name}: expected above 0, got {value}")
+    least_noise_px: PixelDistance = 0.15
+    outlier: Positive = 3.0
+    bending_per_mm: Positive = 3e-4
+    bend_per_mm: Positive = 0.01
+    changing_per_mm3: Positive = 1e-5
+    change_per_mm2: Positive = 2e-3
+    speed: Positive = 0.2
+    margin_mm: Millimetres = 10.0
+    iterations: Annotated[int, Interval(ge=1, le=100_000)] = 25
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,13 @@ lattice is scaled, turned and shifted to fit all holes by least squares, so that
 from __future__ import annotations
 
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -19,6 +21,7 @@ from guide3d.atomic_file import whole_file
 from guide3d.displacement_field import LocalWeightedMean, SplineField
 from guide3d.hexagonal_lattice import lattice_points, local_lattice
 from guide3d.perforated_sheet import SheetHoles
+from guide3d.setting_kinds import Numbers, Pixels, settings
 
 __all__ = ["FRAMES", "METHODS", "Distortion", "ideal_lattice", "leave_out_errors", "swirl_pattern"]
 
@@ -60,7 +63,7 @@ def ideal_lattice(holes: SheetHoles, frame: str = "least squares") -> np.ndarray
     raise ValueError(f"expected a frame among {', '.join(FRAMES)}, found {frame!r}")
 
 
-@dataclass(frozen=True, eq=False)
+@settings(eq=False)
 class Distortion:
     """The map of one detector at one time.
 
@@ -72,13 +75,13 @@ class Distortion:
     spans: of the spline, along each axis
     """
 
-    raw_px: np.ndarray
-    ideal_px: np.ndarray
-    width: int
-    height: int
+    raw_px: Numbers
+    ideal_px: Numbers
+    width: Pixels
+    height: Pixels
     method: str = "local weighted mean"
-    neighbours: int = 25
-    spans: int = 24
+    neighbours: Annotated[int, Interval(ge=1, le=10_000)] = 25
+    spans: Annotated[int, Interval(ge=1, le=10_000)] = 24
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -91,6 +94,8 @@ class Distortion:
             raise ValueError(
                 f"expected control points (n, 2) twice, found {np.shape(self.raw_px)} and {np.shape(self.ideal_px)}"
             )
+        if not np.isfinite(self.raw_px).all() or not np.isfinite(self.ideal_px).all():
+            raise ValueError("control points must be finite: leave out what was not found")
 
     @classmethod
     def from_holes(

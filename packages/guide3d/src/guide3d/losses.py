@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from guide3d.modeling.shape_network import PredictedShapes, expected_position
+from guide3d.setting_kinds import Weight, settings
 
 _SMALLEST = 1e-6
 _NEAR_CM2 = 0.01  # below, a robust distance falls like its square
 _MM_PER_CM, _MM_PER_M = 10.0, 1000.0
 
 
-@dataclass(frozen=True)
+@settings
 class ShapeLoss:
     """Weights of the shape network's loss; lengths count in cm, angles in rad.
 
@@ -28,11 +27,11 @@ class ShapeLoss:
         robust: whether tip and curve count by their distance, not its square: one lost loop must not drown the rest.
     """
 
-    tip: float = 1.0
-    offset: float = 1.0
-    stop: float = 1.0
-    curve: float = 0.0
-    length: float = 0.0
+    tip: Weight = 1.0
+    offset: Weight = 1.0
+    stop: Weight = 1.0
+    curve: Weight = 0.0
+    length: Weight = 0.0
     robust: bool = False
 
     def __call__(

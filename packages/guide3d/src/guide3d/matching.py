@@ -20,13 +20,14 @@ from guide3d.bspline import CLOSEST_PX, fit_bspline
 from guide3d.epipolar import EpipolarGeometry
 from guide3d.native_library import ViewStruct, WeightsStruct, address, library
 from guide3d.polyline import arc_length, checked, resample
+from guide3d.setting_kinds import PixelDistance, PixelDistanceOrNone, Weight, settings
 
 Array = NDArray[np.float64]
 
 DENSE_PX = 4.0  # annotations with closer points are curves already and need no spline through them
 
 
-@dataclass(frozen=True)
+@settings
 class MatchingSettings:
     """How two images are matched.
 
@@ -40,21 +41,14 @@ class MatchingSettings:
     measured_px: epipolar distance up to which a pair counts as measured; the others are completed
     """
 
-    sample_px: float = 2.0
-    match_px: float = 8.0
-    crossing_px: float = 20.0
-    noise_px: float = 1.0
-    length_per_mm: float = 0.1
-    uneven_per_px: float = 1.5
-    tip_reach_px: float = 60.0
-    measured_px: float = 3.0
-
-    def __post_init__(self) -> None:
-        for name in ("sample_px", "match_px", "crossing_px", "noise_px", "measured_px"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: expected above 0, got {getattr(self, name)}")
-        if self.length_per_mm < 0 or self.tip_reach_px < 0:
-            raise ValueError("length_per_mm and tip_reach_px: expected 0 or more")
+    sample_px: PixelDistance = 2.0
+    match_px: PixelDistance = 8.0
+    crossing_px: PixelDistance = 20.0
+    noise_px: PixelDistance = 1.0
+    length_per_mm: Weight = 0.1
+    uneven_per_px: Weight = 1.5
+    tip_reach_px: PixelDistanceOrNone = 60.0
+    measured_px: PixelDistance = 3.0
 
 
 @dataclass(frozen=True, eq=False)

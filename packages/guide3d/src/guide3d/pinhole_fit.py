@@ -5,12 +5,11 @@ The five intrinsic parameters are all free, skew included: an image intensifier'
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from guide3d.camera import Camera
+from guide3d.setting_kinds import Positive, settings
 
 __all__ = [
     "IntrinsicPrior",
@@ -22,7 +21,7 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True)
+@settings
 class IntrinsicPrior:
     """Soft knowledge of a detector that keeps a fit to few points sane: values and standard deviations, px.
 
@@ -33,11 +32,11 @@ class IntrinsicPrior:
     centre_sd: of the principal point from the image's middle, px
     """
 
-    focal_px: float = 4800.0
-    focal_sd: float = 0.3
-    aspect_sd: float = 0.02
-    skew_sd: float = 20.0
-    centre_sd: float = 200.0
+    focal_px: Positive = 4800.0
+    focal_sd: Positive = 0.3
+    aspect_sd: Positive = 0.02
+    skew_sd: Positive = 20.0
+    centre_sd: Positive = 200.0
 
     def rows(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (5,) in standard deviations, their slopes (5, 11) by the parameters of `projection_jacobian`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,13 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
+from guide3d.setting_kinds import Pixels, PixelsOrNone, Positive, settings
+
 Picture = NDArray[np.uint8]
 _MIDDLE = 128.0
 
 
-@dataclass(frozen=True)
+@settings
 class Preprocessing:
     """How pictures are made.
 
@@ -30,23 +31,20 @@ class Preprocessing:
             takes away noise and most of the work.
     """
 
-    size_px: int
-    source_px: int = 1024
-    line_px: int = 0
-    flat_px: int = 0
-    gain: float = 1.0
-    first_px: int = 1
+    size_px: Pixels
+    source_px: Pixels = 1024
+    line_px: PixelsOrNone = 0
+    flat_px: PixelsOrNone = 0
+    gain: Positive = 1.0
+    first_px: Pixels = 1
 
     def __post_init__(self) -> None:
         """Refuses sizes that make no picture."""
-        if self.size_px < 1 or self.source_px < self.size_px:
+        if self.source_px < self.size_px:
             raise ValueError(f"expected pictures of 1 to {self.source_px} px, got {self.size_px}")
-        if min(self.line_px, self.flat_px) < 0 or not self.gain > 0:
-            told = f"{self.line_px}, {self.flat_px} and {self.gain}"
-            raise ValueError(f"line_px and flat_px must not be negative and gain above 0, got {told}")
         if self.line_px and self.flat_px:
             raise ValueError("give line_px or flat_px: lines have no shades to take away")
-        if self.first_px < 1 or self.source_px % self.first_px:
+        if self.source_px % self.first_px:
             raise ValueError(f"first_px must divide {self.source_px}, got {self.first_px}")
 
     def __call__(self, image: NDArray[np.uint8]) -> Picture:

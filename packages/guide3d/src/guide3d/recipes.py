@@ -7,13 +7,14 @@ nothing; the UNet's low rate suits NAdam), and the sizes of its batches.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from guide3d.build import FGRN_SIZES, SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, SIZES, ShapeSize
 from guide3d.losses import ShapeLoss
 from guide3d.preprocessing import Preprocessing
 from guide3d.segmentation_samples import SegmentationAugmentation
+from guide3d.setting_kinds import Count, CountOrNone, Millimetres, PixelDistance, Pixels, Share, settings
 from guide3d.shape_samples import ShapeAugmentation
 from guide3d.training import FitSettings
 
@@ -21,7 +22,7 @@ FORMS = ("spherical", "cartesian")
 PUBLIC_PX = 1024
 
 
-@dataclass(frozen=True)
+@settings
 class ShapeRecipe:
     """How the shape network is trained.
 
@@ -40,24 +41,24 @@ class ShapeRecipe:
     preprocessing: Preprocessing
     fit: FitSettings
     loss: ShapeLoss = field(default_factory=ShapeLoss)
-    step_mm: float = 1.7
+    step_mm: Millimetres = 1.7
     cumulative: bool = True
-    targets: int = 1
+    targets: Count = 1
     augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(0.0, 0.0, 0))
 
 
-@dataclass(frozen=True)
+@settings
 class FGRNRecipe:
     """How 3D-FGRN is trained: points every 2 mm, up to the longest curve."""
 
     sizes: dict[str, Any]
     preprocessing: Preprocessing
     fit: FitSettings
-    spacing_mm: float = 2.0
+    spacing_mm: Millimetres = 2.0
     augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(0.0, 0.0, 0))
 
 
-@dataclass(frozen=True)
+@settings
 class SegmentationRecipe:
     """How a segmentation network is trained.
 
@@ -78,11 +79,11 @@ class SegmentationRecipe:
     sizes: dict[str, Any]
     preprocessing: Preprocessing
     fit: FitSettings
-    crop_px: int
-    mask_px: float = 6.0
-    dice: float = 0.5
-    images: int = 0
-    validation_images: int = 0
+    crop_px: Pixels
+    mask_px: PixelDistance = 6.0
+    dice: Share = 0.5
+    images: CountOrNone = 0
+    validation_images: CountOrNone = 0
     augmentation: SegmentationAugmentation = field(default_factory=SegmentationAugmentation)
 
 

@@ -16,6 +16,7 @@ from guide3d.greedy_matching import match_greedily
 from guide3d.matching import Match, MatchingSettings, clearly_better, image_curve, match_curves
 from guide3d.polyline import Array, arc_length, checked, resample
 from guide3d.reprojection import distances_to
+from guide3d.setting_kinds import Millimetres, PixelDistance, PixelDistanceOrNone, settings
 from guide3d.triangulation import calibration_covariance, point_covariance, triangulate
 
 _log = logging.getLogger(__name__)
@@ -30,7 +31,7 @@ BEYOND_PX = 40.0  # beyond its end
 PX_MM = 0.2  # about a px's size at the wire, to place points beyond the end of the match
 
 
-@dataclass(frozen=True)
+@settings
 class ReconstructionSettings:
     """How wires are reconstructed.
 
@@ -44,10 +45,10 @@ class ReconstructionSettings:
 
     matching: MatchingSettings = field(default_factory=MatchingSettings)
     fit: FitSettings = field(default_factory=FitSettings)
-    annotation_px: float = 6.0
-    spacing_mm: float = 0.5
-    rejection_px: float = REJECTION_PX
-    outside_px: float = 60.0
+    annotation_px: PixelDistanceOrNone = 6.0
+    spacing_mm: Millimetres = 0.5
+    rejection_px: PixelDistance = REJECTION_PX
+    outside_px: PixelDistanceOrNone = 60.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,11 +14,12 @@ from guide3d.dataset import VIEWS
 from guide3d.losses import segmentation_loss
 from guide3d.picture_store import PictureStore
 from guide3d.preprocessing import averaged
+from guide3d.setting_kinds import Grey, Logarithm, Share, settings
 
 _DRAWS = 50
 
 
-@dataclass(frozen=True)
+@settings
 class SegmentationAugmentation:
     """How crops are varied in training.
 
@@ -32,10 +32,10 @@ class SegmentationAugmentation:
     """
 
     flips: bool = True
-    gain: float = 0.3
-    offset: float = 20.0
-    noise: float = 5.0
-    on_wire: float = 0.8
+    gain: Logarithm = 0.3
+    offset: Grey = 20.0
+    noise: Grey = 5.0
+    on_wire: Share = 0.8
 
 
 class SegmentationObjective:

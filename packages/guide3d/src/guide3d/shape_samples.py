@@ -17,6 +17,7 @@ from guide3d.modeling.shape_network import PredictedShapes
 from guide3d.modeling.spherical import SphericalForm, steps_of_radius
 from guide3d.picture_store import PictureStore
 from guide3d.polyline import Array, resample
+from guide3d.setting_kinds import Grey, Logarithm, PixelsOrNone, settings
 
 if TYPE_CHECKING:
     from guide3d.camera import Camera
@@ -116,7 +117,7 @@ def clips_of(
     )
 
 
-@dataclass(frozen=True)
+@settings
 class ShapeAugmentation:
     """How samples are varied in training.
 
@@ -127,9 +128,9 @@ class ShapeAugmentation:
             at the depth of its anchor.
     """
 
-    gain: float = 0.3
-    noise: float = 6.0
-    shift_px: int = 0
+    gain: Logarithm = 0.3
+    noise: Grey = 6.0
+    shift_px: PixelsOrNone = 0
 
 
 class ShapeObjective:

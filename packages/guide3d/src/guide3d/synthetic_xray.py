@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from guide3d.camera import Camera
 from guide3d.hexagonal_lattice import lattice_points
+from guide3d.setting_kinds import Angle, Pixels, Positive, settings
 
 __all__ = ["SyntheticDetector", "cube_points_mm", "draw_cube", "draw_sheet"]
 
 
-@dataclass(frozen=True)
+@settings
 class SyntheticDetector:
     """An image intensifier with a distortion in closed form.
 
@@ -29,12 +31,12 @@ class SyntheticDetector:
     counts: of the noise, at full light, in units of a grey value; more is quieter
     """
 
-    width: int = 1024
-    height: int = 1024
-    pincushion: float = 0.05
-    swirl: float = 0.03
-    field: float = 1.15
-    counts: float = 4.0
+    width: Pixels = 1024
+    height: Pixels = 1024
+    pincushion: Annotated[float, Interval(gt=-1, lt=1)] = 0.05
+    swirl: Angle = 0.03
+    field: Annotated[float, Interval(gt=0, le=10)] = 1.15
+    counts: Positive = 4.0
 
     @property
     def _middle(self) -> np.ndarray:

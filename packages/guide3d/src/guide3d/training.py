@@ -17,15 +17,17 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from guide3d.distributed import Ranks
 from guide3d.model_file import UNFIT, read_content, write_content
+from guide3d.setting_kinds import Count, CountOrNone, LearningRate, Weight, settings
 
 OPTIMISERS = ("nadam", "adamw", "sgd")
 SCHEDULES = ("plateau", "one_cycle", "polynomial", "constant")
@@ -38,7 +40,7 @@ Indices = NDArray[np.int64]
 Batch = Mapping[str, Tensor]
 
 
-@dataclass(frozen=True)
+@settings
 class FitSettings:
     """How a network is trained; the defaults are those of the thesis's shape network.
 
@@ -56,28 +58,22 @@ class FitSettings:
         clip: largest norm of the gradient; 0: any.
     """
 
-    epochs: int = 400
-    batch_size: int = 16
+    epochs: Count = 400
+    batch_size: Count = 16
     optimiser: str = "nadam"
-    learning_rate: float = 1e-4
-    weight_decay: float = 0.0
+    learning_rate: LearningRate = 1e-4
+    weight_decay: Weight = 0.0
     schedule: str = "plateau"
-    factor: float = 0.1
-    plateau_patience: int = 10
-    patience: int = 30
-    clip: float = 0.0
+    factor: Annotated[float, Interval(gt=0, lt=1)] = 0.1
+    plateau_patience: CountOrNone = 10
+    patience: CountOrNone = 30
+    clip: Weight = 0.0
 
     def __post_init__(self) -> None:
-        """Refuses what cannot be trained with."""
-        if self.epochs < 1 or self.batch_size < 1:
-            raise ValueError(f"epochs and batch_size must be at least 1, got {self.epochs} and {self.batch_size}")
-        if not self.learning_rate > 0:
-            raise ValueError(f"learning_rate must be above 0, got {self.learning_rate}")
+        """Refuses unknown names."""
         for name, known in (("optimiser", OPTIMISERS), ("schedule", SCHEDULES)):
             if getattr(self, name) not in known:
                 raise ValueError(f"unknown {name} '{getattr(self, name)}'; there are {', '.join(known)}")
-        if min(self.patience, self.plateau_patience, self.clip, self.weight_decay) < 0 or not 0 < self.factor < 1:
-            raise ValueError("patience, plateau_patience, clip and weight_decay must not be negative, factor in 0 to 1")
 
 
 class Objective(Protocol):

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
 from guide3d.polyline import arc_length, at_length
+from guide3d.setting_kinds import Grey, Logarithm, Share, settings
 from splineformer.modeling.convolutions import box_means
 
 _TRIES = 6
@@ -21,7 +23,7 @@ _FILL_CELLS = 15
 Points = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@settings
 class Augmentation:
     """How samples are varied.
 
@@ -39,17 +41,17 @@ class Augmentation:
         turn_a_pass: rad of turning, all bends together, for which a pass meets a wire once more; 0: each is met once.
     """
 
-    shift: float = 0.08
-    turn_deg: float = 8.0
-    stretch: float = 0.12
-    gain: float = 0.5
-    offset: float = 15.0
-    noise: float = 4.0
-    hidden: float = 0.2
-    inverted: float = 0.08
-    empty: float = 0.05
-    several: float = 0.05
-    turn_a_pass: float = 0.0
+    shift: Share = 0.08
+    turn_deg: Annotated[float, Interval(ge=0, le=180)] = 8.0
+    stretch: Logarithm = 0.12
+    gain: Logarithm = 0.5
+    offset: Grey = 15.0
+    noise: Grey = 4.0
+    hidden: Share = 0.2
+    inverted: Share = 0.08
+    empty: Share = 0.05
+    several: Share = 0.05
+    turn_a_pass: Annotated[float, Interval(ge=0, le=1000)] = 0.0
 
 
 def inside(points: Points) -> Points | None:

@@ -86,5 +86,5 @@ def rebuilt(told: Mapping[str, Any]) -> Network:
     settings = {key: tuple(value) if isinstance(value, list) else value for key, value in told["settings"].items()}
     try:
         return build(kinds[told["variant"]](**settings))
-    except TypeError as error:
+    except (TypeError, ValueError) as error:
         raise ValueError(f"the network's settings are of another version ({error}): train it again") from error

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from guide3d.setting_kinds import Count, Weight, settings
 from splineformer.decoding import decode
 from splineformer.modeling.image_head import ImageKind
 from splineformer.modeling.ordered import Ordered
@@ -22,7 +22,7 @@ _ON_WIRE = 0.6  # hundredths of the side: so near a point lies on the wire
 _FAR = 1e3
 
 
-@dataclass(frozen=True)
+@settings
 class PublishedWeights:
     """Weights of the published loss.
 
@@ -36,16 +36,16 @@ class PublishedWeights:
         samples: of the decoded curve.
     """
 
-    knots: float = 100.0
-    points: float = 100.0
-    end: float = 1.0
-    curve: float = 10.0
-    tip: float = 100.0
-    kind: float = 0.2
-    samples: int = 20
+    knots: Weight = 100.0
+    points: Weight = 100.0
+    end: Weight = 1.0
+    curve: Weight = 10.0
+    tip: Weight = 100.0
+    kind: Weight = 0.2
+    samples: Count = 20
 
 
-@dataclass(frozen=True)
+@settings
 class OrderedWeights:
     """Weights of the ordered variant's loss; distances are in hundredths of the image's side.
 
@@ -63,17 +63,17 @@ class OrderedWeights:
         kind: of the kind of image.
     """
 
-    course: float = 1.0
-    length: float = 0.5
-    overview: float = 0.5
-    tip: float = 1.0
-    offset: float = 0.2
-    revised: float = 1.0
-    refined: float = 1.0
-    curve: float = 0.1
-    spread: float = 0.1
-    on_wire: float = 0.1
-    kind: float = 0.4
+    course: Weight = 1.0
+    length: Weight = 0.5
+    overview: Weight = 0.5
+    tip: Weight = 1.0
+    offset: Weight = 0.2
+    revised: Weight = 1.0
+    refined: Weight = 1.0
+    curve: Weight = 0.1
+    spread: Weight = 0.1
+    on_wire: Weight = 0.1
+    kind: Weight = 0.4
 
 
 def kind_loss(kind: ImageKind, wires: Tensor, inverted: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from guide3d.model_file import UNFIT, read_model, write_model
+from guide3d.setting_kinds import Count, Dropout, Units, UnitsOrNone, settings
 from splineformer.navigator_reading import Reader
 from splineformer.navigator_view import CameraView, ViewSettings
 from splineformer.space_map import SpaceMap
@@ -25,7 +26,7 @@ ACTIONS = 2  # translation and rotation, as shares of the most in a step
 _CLIP = 5.0
 
 
-@dataclass(frozen=True)
+@settings
 class NavigatorSettings:
     """The policy's network.
 
@@ -43,15 +44,15 @@ class NavigatorSettings:
     """
 
     cameras: tuple[str, ...] = ("a",)
-    tokens: int = 20
-    memory: int = 192
+    tokens: Units = 20
+    memory: Units = 192
     guided: bool = True
     space: bool = False
-    hidden: int = 128
-    memory_units: int = 16
-    dropout: float = 0.2
-    hints: int = 0
-    action_repeat: int = 3
+    hidden: Units = 128
+    memory_units: Units = 16
+    dropout: Dropout = 0.2
+    hints: UnitsOrNone = 0
+    action_repeat: Count = 3
 
     def __post_init__(self) -> None:
         """Refuses what steers nothing."""
@@ -59,9 +60,6 @@ class NavigatorSettings:
             raise ValueError(f"cameras: expected at least one name, each once, got {list(self.cameras)}")
         if self.space and (len(self.cameras) != 2 or not self.guided):
             raise ValueError("space: measured by two cameras and their contrast runs: set guided, too")
-        for name in ("tokens", "memory", "hidden", "memory_units", "action_repeat"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
 
     @property
     def view(self) -> ViewSettings:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from guide3d.setting_kinds import Count, CountOrNone, LearningRate, Weight, settings
 from splineformer.navigator import ACTIONS, Navigator
 
 _SPREAD = 0.05  # added to each number's standard deviation: what hardly varies must not become noise
@@ -18,7 +19,7 @@ _BEND = 0.3  # errors of actions above count linearly
 _SAME_LENGTH = 8  # decisions: episodes that differ by less go together
 
 
-@dataclass(frozen=True)
+@settings
 class CloningSettings:
     """How a navigator is fitted.
 
@@ -32,22 +33,13 @@ class CloningSettings:
         hint_weight: of the loss of the hints.
     """
 
-    epochs: int = 40
-    updates: int = 0
-    batch_size: int = 8
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-3
-    noise: float = 0.05
-    hint_weight: float = 0.1
-
-    def __post_init__(self) -> None:
-        """Refuses what cannot be fitted with."""
-        if self.epochs < 1 or self.batch_size < 1:
-            raise ValueError(f"epochs and batch_size must be at least 1, got {self.epochs} and {self.batch_size}")
-        if not self.learning_rate > 0 or min(self.weight_decay, self.noise, self.hint_weight) < 0:
-            raise ValueError("learning_rate must be above 0, weight_decay, noise and hint_weight not negative")
-        if self.updates < 0:
-            raise ValueError(f"updates must not be negative, got {self.updates}")
+    epochs: Count = 40
+    updates: CountOrNone = 0
+    batch_size: Count = 8
+    learning_rate: LearningRate = 2e-3
+    weight_decay: Weight = 1e-3
+    noise: Weight = 0.05
+    hint_weight: Weight = 0.1
 
     def passes(self, episodes: int) -> int:
         """Passes over so many episodes."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from guide3d.setting_kinds import Units, settings
 from splineformer.navigator_reading import Reading
 from splineformer.vessel_map import VesselMap
 
@@ -31,7 +32,7 @@ _MARK = 5
 _WAY = 2 * len(WAY_ARCS) + 2 + 2 * RAYS
 
 
-@dataclass(frozen=True)
+@settings
 class ViewSettings:
     """What a view tells.
 
@@ -41,8 +42,8 @@ class ViewSettings:
         guided: whether a contrast run's map is at hand, or the target's mark alone.
     """
 
-    tokens: int = 20
-    memory: int = 192
+    tokens: Units = 20
+    memory: Units = 192
     guided: bool = True
 
     @property

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
+from guide3d.setting_kinds import CountOrNone, settings
 from guide3d.training import FitSettings
 from splineformer.augmentation import Augmentation
 from splineformer.build import size_of
@@ -21,7 +22,7 @@ _NEARLY_STILL = Augmentation(
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@settings
 class Recipe:
     """How a variant is trained.
 
@@ -38,8 +39,8 @@ class Recipe:
     fit: FitSettings
     weights: PublishedWeights | OrderedWeights
     augmentation: Augmentation = field(default_factory=Augmentation)
-    images: int = 0
-    validation_images: int = 0
+    images: CountOrNone = 0
+    validation_images: CountOrNone = 0
 
 
 def recipe_of(variant: str, size: str) -> Recipe:

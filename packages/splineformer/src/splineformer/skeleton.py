@@ -10,13 +10,14 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from guide3d.polyline import Array, arc_length
+from guide3d.setting_kinds import CountOrNone, PixelDistanceOrNone, settings
 
 _EIGHT = np.ones((3, 3), int)
 _SMOOTHING_PX = 3.0  # standard deviation, along the way, of the filter that takes the steps of pixels off
 _HALF = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2**0.5), (1, -1, 2**0.5))  # half of the neighbours, each pair counted once
 
 
-@dataclass(frozen=True)
+@settings
 class SkeletonSettings:
     """How a mask is traced.
 
@@ -25,8 +26,8 @@ class SkeletonSettings:
         widest_gap_px: pieces whose ends are nearer than this to the wire traced so far are joined to it.
     """
 
-    smallest_px: int = 12
-    widest_gap_px: float = 60.0
+    smallest_px: CountOrNone = 12
+    widest_gap_px: PixelDistanceOrNone = 60.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,15 +7,17 @@ four knots are the length of the curve. Nothing is lost: `curve_of_tokens` puts 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike
 from scipy import interpolate
 from scipy.spatial import cKDTree
 
 from guide3d.bspline import BSplineCurve
 from guide3d.polyline import Array, arc_length, checked, resample, thinned
+from guide3d.setting_kinds import PixelDistanceOrNone, settings
 
 DEGREE = 3
 FEWEST_TOKENS = DEGREE + 1
@@ -25,7 +27,7 @@ _LEAST_SQUARES_A_KNOT = 12  # points
 _SAMPLES_A_TOKEN = 40  # of a curve whose distance from a polyline is measured
 
 
-@dataclass(frozen=True)
+@settings
 class TokenSettings:
     """How a curve is turned into tokens.
 
@@ -35,16 +37,9 @@ class TokenSettings:
         closest_px: points closer than this are one click made twice, and removed first.
     """
 
-    limit: int = 23
-    tolerance_px: float = 0.25
-    closest_px: float = 2.0
-
-    def __post_init__(self) -> None:
-        """Refuses what makes no cubic."""
-        if self.limit < FEWEST_TOKENS:
-            raise ValueError(f"limit: a cubic B-spline has at least {FEWEST_TOKENS} tokens, got {self.limit}")
-        if self.tolerance_px < 0 or self.closest_px < 0:
-            raise ValueError("tolerance_px and closest_px: expected 0 or more")
+    limit: Annotated[int, Interval(ge=FEWEST_TOKENS, le=10_000)] = 23
+    tolerance_px: PixelDistanceOrNone = 0.25
+    closest_px: PixelDistanceOrNone = 2.0
 
 
 def tokens_of_polyline(points_px: ArrayLike, settings: TokenSettings | None = None) -> Array:

@@ -8,14 +8,16 @@ everywhere. So neighbouring curves have neighbouring angles, and a loop is a φ 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from guide3d.polyline import arc_length, at_length, checked
+from guide3d.setting_kinds import Angle, Millimetres, settings
 
 Array = NDArray[np.float64]
 _ROUNDS = 8
@@ -57,7 +59,11 @@ def _half_sphere(count: int) -> Array:
     return np.stack((radius * np.cos(turn), radius * np.sin(turn), height), axis=1)
 
 
-@dataclass(frozen=True)
+Direction = Annotated[float, Interval(ge=-1.001, le=1.001)]  # a component of a unit vector, rounded
+Axis = tuple[Direction, Direction, Direction]
+
+
+@settings
 class SphericalForm:
     """How curves are told by angles.
 
@@ -70,11 +76,17 @@ class SphericalForm:
             of every step from the reference.
     """
 
-    radius_mm: float
-    axes: tuple[tuple[float, float, float], ...]
-    azimuth: float
-    polar: float
+    radius_mm: Millimetres
+    axes: tuple[Axis, Axis, Axis]
+    azimuth: Angle
+    polar: Angle
     cumulative: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuses axes that are no frame."""
+        axes = np.asarray(self.axes)
+        if np.abs(axes @ axes.T - np.eye(3)).max() > 1e-4:
+            raise ValueError(f"axes must be orthonormal rows, got {self.axes}")
 
     @classmethod
     def fit(cls, walks_mm: Sequence[Array], radius_mm: float, *, cumulative: bool = False) -> SphericalForm:

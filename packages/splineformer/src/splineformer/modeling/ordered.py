@@ -11,12 +11,13 @@ squares on fixed knots, turns points into control points.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import Annotated, NamedTuple, cast
 
 import torch
+from annotated_types import Interval
 from torch import Tensor, nn
 
+from guide3d.setting_kinds import Layers, LayersOrNone, PixelDistance, Pixels, Units, settings
 from splineformer.decoding import collocation, uniform_knots
 from splineformer.modeling.convolutions import Stem
 from splineformer.modeling.image_head import ImageHead, ImageKind
@@ -31,7 +32,7 @@ _STEPS = 10.0  # of the course: unit of what the length's layer gives
 _DENSER_AT_TIP = 0.5  # first span of the knots over the mean span: the tip bends most
 
 
-@dataclass(frozen=True)
+@settings
 class OrderedSettings:
     """Sizes of the ordered network.
 
@@ -59,27 +60,27 @@ class OrderedSettings:
         refinement_width: of its hidden layers.
     """
 
-    image_px: int = 256
-    overview_level: int = 1
-    line_px: int = 2
-    channels: tuple[int, ...] = (16, 24, 32, 64)
-    blocks: tuple[int, ...] = (0, 0, 0, 0)
-    width: int = 96
-    heads: int = 4
-    encoder_layers: int = 2
-    decoder_layers: int = 1
-    kept: int = 24
-    hidden: tuple[int, int] = (512, 256)
-    steps: int = 60
-    longest: float = 2.5
-    queries: int = 48
-    control_points: int = 24
-    tip_channels: int = 16
-    revision_cells: tuple[float, ...] = (8.0, 4.0)
-    revision_layers: int = 1
-    cells: tuple[float, ...] = (2.0, 1.0, 0.5)
-    reach: int = 4
-    refinement_width: int = 64
+    image_px: Pixels = 256
+    overview_level: Annotated[int, Interval(ge=0, le=12)] = 1
+    line_px: Pixels = 2
+    channels: tuple[Units, ...] = (16, 24, 32, 64)
+    blocks: tuple[LayersOrNone, ...] = (0, 0, 0, 0)
+    width: Units = 96
+    heads: Units = 4
+    encoder_layers: Layers = 2
+    decoder_layers: Layers = 1
+    kept: Units = 24
+    hidden: tuple[Units, Units] = (512, 256)
+    steps: Units = 60
+    longest: Annotated[float, Interval(gt=0, le=100)] = 2.5
+    queries: Units = 48
+    control_points: Units = 24
+    tip_channels: Units = 16
+    revision_cells: tuple[PixelDistance, ...] = (8.0, 4.0)
+    revision_layers: LayersOrNone = 1
+    cells: tuple[PixelDistance, ...] = (2.0, 1.0, 0.5)
+    reach: Layers = 4
+    refinement_width: Units = 64
 
 
 class Ordered(NamedTuple):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from guide3d.setting_kinds import Dropout, Layers, Pixels, Units, settings
 from splineformer.modeling.decoder import NextTokens, SplineDecoder
 from splineformer.modeling.encoder import PatchEncoder
 from splineformer.modeling.image_head import ImageHead, ImageKind
@@ -17,7 +17,7 @@ STOP = 0.5
 FIRST_END = 3  # the sequence may end from this token on
 
 
-@dataclass(frozen=True)
+@settings
 class SplineFormerSettings:
     """Sizes of the published network.
 
@@ -33,15 +33,15 @@ class SplineFormerSettings:
         tip_px: side to which the tip predictor averages the images.
     """
 
-    image_px: int = 1024
-    patch_px: int = 32
-    width: int = 256
-    heads: int = 8
-    encoder_layers: int = 6
-    decoder_layers: int = 6
-    limit: int = 23
-    dropout: float = 0.1
-    tip_px: int = 256
+    image_px: Pixels = 1024
+    patch_px: Pixels = 32
+    width: Units = 256
+    heads: Units = 8
+    encoder_layers: Layers = 6
+    decoder_layers: Layers = 6
+    limit: Layers = 23
+    dropout: Dropout = 0.1
+    tip_px: Pixels = 256
 
 
 class Decoded(NamedTuple):
