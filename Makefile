@@ -24,7 +24,7 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 
-.PHONY: help setup ray all smoke demo thesis-check test lint format bench-quick clean clean-all console $(STAGES)
+.PHONY: help setup ray all smoke demo thesis-check test lint format bench-quick fuzz clean clean-all console $(STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
@@ -128,6 +128,9 @@ format: setup  ## let ruff format and mend what it can
 
 bench-quick: setup  ## every benchmark, at most 50 s each
 	@for benchmark in benchmarks/*.py; do echo "== $$benchmark"; $(PY) $$benchmark --quick || exit $$?; done
+
+fuzz: setup  ## damaged files, settings and messages for 10 minutes (ARGS='--seconds 60 --seed 1 --output fuzz.json')
+	@$(PY) -m tests.fuzz $(ARGS)
 
 clean:  ## remove caches and build products; runs and the environment stay
 	@find . -path ./$(VENV) -prune -o -type d \( -name __pycache__ -o -name '*.egg-info' \) -prune -exec rm -rf {} +

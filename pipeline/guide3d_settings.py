@@ -15,6 +15,7 @@ from pipeline.setting_kinds import Count, NoisePixels, PathText, Processes, Some
 
 FEWEST_IMAGES = 8  # a pair of each wire, with and without fluid
 FILLINGS = ("fluid", "contrast")
+_ANNOTATIONS = tuple(f"{folder}{name}" for folder in ("", "*/", "*/*/") for name in ("raw.json", "*.xml"))
 # What is read of a data set, beside its images.
 _READ = (".json", ".xml", ".txt", ".yaml", ".yml", ".npz", ".jpg")
 
@@ -60,6 +61,7 @@ class Guide3dSettings:
                 path = self.image_root if key == "images" else getattr(self, key)
                 if path is not None and not Path(path).exists():
                     raise ConfigurationError(f"guide3d.{key}={path} is missing: give the folder of a data set")
+            _require_annotation(Path(self.root))
             self.root_sha256 = _content(Path(self.root), self.calibration)
         elif self.image_root is not None or self.calibration is not None or self.undistorted is not None:
             raise ConfigurationError(
@@ -68,6 +70,14 @@ class Guide3dSettings:
             )
         if self.images % 2:
             raise ConfigurationError(f"stage.images must be even, got {self.images}")
+
+
+def _require_annotation(root: Path) -> None:
+    """Refuses a folder that is no data set before all that lies below it is read, which may be a whole disk."""
+    if root.is_dir() and not any(next(root.glob(pattern), None) for pattern in _ANNOTATIONS):
+        raise ConfigurationError(
+            f"guide3d.root={root} holds no annotation: give the folder with raw.json or with an export of CVAT (*.xml)"
+        )
 
 
 def _content(root: Path, calibration: str | None) -> str:

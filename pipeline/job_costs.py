@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import resource
 import sys
 import time
@@ -10,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.atomic import write_json
+from pipeline.atomic import read_json, write_json
 
 COSTS = ".costs"  # folder of a stage under way; the manifest takes it over
 _FILE = "jobs.json"
@@ -89,7 +88,7 @@ def kept_costs(folder: Path) -> dict[str, dict[str, Any]]:
         folder: of the stage.
     """
     try:
-        found = json.loads((folder / COSTS / _FILE).read_text(encoding="utf-8"))
+        found = read_json(folder / COSTS / _FILE)
     except (FileNotFoundError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pipeline.atomic import read_json
 from pipeline.file_memory import FileMemory
 from pipeline.provenance import git_state, hash_value, software_versions
 
@@ -97,7 +97,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     """
     path = folder / MANIFEST
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         if content.get("version") != MANIFEST_VERSION:
             _LOGGER.warning("%s is of another version of the project: the stage counts as not run", path)
             return None

@@ -12,7 +12,6 @@ clearing a folder, so that a kill in the middle leaves nothing that somebody cou
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import os
 import re
@@ -21,7 +20,7 @@ from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import Any
 
-from pipeline.atomic import write_json
+from pipeline.atomic import read_json, write_json
 from pipeline.file_memory import CACHE, FileMemory
 from pipeline.provenance import hash_value
 from pipeline.written_files import noted, read_journal
@@ -48,7 +47,7 @@ class Marks:
     def belong_to(self, fingerprint: str) -> bool:
         """Tells whether the marks are of results of this identity."""
         try:
-            return bool(json.loads(self._identity.read_text(encoding="utf-8")) == fingerprint)
+            return bool(read_json(self._identity) == fingerprint)
         except (OSError, ValueError):
             return False
 
@@ -136,7 +135,7 @@ class Marks:
 
     def _read(self, path: Path) -> dict[str, Any] | None:
         try:
-            mark = json.loads(path.read_text(encoding="utf-8"))
+            mark = read_json(path)
             files = {
                 str(name): {"sha256": str(e["sha256"]), "bytes": int(e["bytes"])} for name, e in mark["files"].items()
             }

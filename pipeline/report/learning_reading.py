@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import signal
@@ -13,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from pipeline.atomic import write_json
+from pipeline.atomic import read_json, write_json
 from pipeline.interruption import stop_if_asked
 from pipeline.report.learning_logs import COMPARED, DEMONSTRATION, Evaluation, UnusableLogError, read_evaluation
 from pipeline.source_closure import SourceClosure
@@ -133,7 +132,7 @@ class _Memory:
 
     def _load(self) -> dict[str, Any]:
         try:
-            content = json.loads(self._file.read_text(encoding="utf-8")) if self._file else {}
+            content = read_json(self._file) if self._file else {}
             return dict(content["logs"]) if content.get("code") == self._code else {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return {}  # a cache that cannot be read is an empty one

@@ -20,13 +20,13 @@ figures.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.atomic import write_json
+from pipeline.atomic import read_json, write_json
+from pipeline.errors import StageError
 
 RESULTS = "results.json"
 NOTES = "notes.json"  # table -> how its rows were made, shown beneath it
@@ -45,6 +45,13 @@ class Figure:
     caption: str
     file: str  # relative to the stage's folder
     group: str = ""
+
+
+def _read(path: Path) -> Any:
+    try:
+        return read_json(path)
+    except ValueError as error:
+        raise StageError(f"{path} is damaged ({error}): run its stage again with force=true") from error
 
 
 def write_results(folder: Path, tables: dict[str, Any]) -> None:
@@ -84,7 +91,7 @@ def read_notes(folder: Path) -> dict[str, str]:
         table -> how its rows were made; empty when the stage says nothing.
     """
     path = folder / NOTES
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return _read(path) if path.is_file() else {}
 
 
 def write_figures(folder: Path, figures: list[Figure]) -> None:
@@ -113,7 +120,7 @@ def read_results(folder: Path) -> dict[str, Table]:
         table -> row -> column -> cell; empty when the stage measures nothing.
     """
     path = folder / RESULTS
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return _read(path) if path.is_file() else {}
 
 
 def read_figures(folder: Path) -> list[Figure]:
@@ -128,7 +135,7 @@ def read_figures(folder: Path) -> list[Figure]:
     path = folder / FIGURES
     if not path.is_file():
         return []
-    figures = [Figure(**entry) for entry in json.loads(path.read_text(encoding="utf-8"))]
+    figures = [Figure(**entry) for entry in _read(path)]
     return [figure for figure in figures if (folder / figure.file).is_file()]
 
 

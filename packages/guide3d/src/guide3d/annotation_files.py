@@ -17,6 +17,7 @@ from typing import Any
 
 from guide3d.atomic_file import whole_file
 from guide3d.bspline import BSplineCurve
+from guide3d.json_file import read_json
 from guide3d.polyline import Array, checked
 
 __all__ = ["Annotation", "Views", "acquisition_name", "camera_of", "image_name", "read_curves", "read_raw",
@@ -149,7 +150,7 @@ def read_raw(path: Path, damaged: list[str]) -> list[Annotation]:
             if acquisition_of(images["b"]) != acquisition:
                 raise ValueError(f"the images are of two acquisitions, {images['a']} and {images['b']}")
             fluid, wire = described(acquisition, video)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             damaged.append(f"{path.name}, {label}: {error}")
             continue
         number = _number(frame, images["a"])
@@ -182,7 +183,7 @@ def read_curves(path: Path, damaged: list[str]) -> dict[tuple[str, int], Views]:
             for curve, dimension in ((plane["a"], 2), (plane["b"], 2), (space, 3)):
                 if curve is not None and curve.coefficients.shape[1] != dimension:
                     raise ValueError(f"expected a curve in {dimension} dimensions, got {curve.coefficients.shape[1]}")
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             damaged.append(f"{path.name}, {label}: {error}")
             continue
         image = str(views["a"].get("image", ""))
@@ -271,12 +272,7 @@ def _write(path: Path, content: Any) -> None:
 
 def _frames(path: Path, damaged: list[str]) -> Iterator[tuple[Mapping[str, Any], Mapping[str, Any], str]]:
     """Yields video, frame and the frame's label."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"annotation file {path} is missing") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: expected JSON, but it cannot be read ({error})") from None
+    content = read_json(path, "annotation file")
     if not isinstance(content, list):
         raise ValueError(f"{path}: expected a list of videos, found {type(content).__name__}")
     for place, video in enumerate(content):

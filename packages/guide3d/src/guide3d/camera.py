@@ -159,7 +159,7 @@ def read_camera(path: str | Path, unit: str = "cm") -> Camera:
 
     def section(title: str, rows: int, columns: int) -> np.ndarray:
         if title not in lines:
-            found = ", ".join(repr(line) for line in lines if re.fullmatch(r"[a-zA-Z ]+", line)) or "none"
+            found = ", ".join(repr(line) for line in lines if re.fullmatch(r"[a-zA-Z ]{1,40}", line))[:200] or "none"
             raise ValueError(f"{path}: expected a section {title!r}, found sections: {found}")
         start = lines.index(title) + 1
         body = lines[start : start + rows]
@@ -168,9 +168,8 @@ def read_camera(path: str | Path, unit: str = "cm") -> Camera:
         except ValueError:
             values = []
         if len(values) != rows or any(len(row) != columns for row in values):
-            raise ValueError(
-                f"{path}: expected {rows} x {columns} numbers under {title!r}, found {' | '.join(body) or 'nothing'!r}"
-            )
+            found = " | ".join(body)[:200] or "nothing"
+            raise ValueError(f"{path}: expected {rows} x {columns} numbers under {title!r}, found {found!r}")
         return np.array(values)
 
     size = section("image size", 1, 2)[0]
@@ -333,5 +332,5 @@ def _built(
 ) -> Camera:
     try:
         return Camera(K, R, t_mm, int(size[0]), int(size[1]), name, covariance)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from None

@@ -60,7 +60,7 @@ def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
         except ValueError as error:
             damaged.append(f"{path.name}, {error}")
             continue
-        number = int(key[1]) if key[1].isdigit() else len(annotations)
+        number = int(key[1]) if key[1].isdecimal() and len(key[1]) < 10 else len(annotations)
         annotations.append(Annotation(key[0], number, fluid, wire, image_a, image_b, points_a, points_b))
     for key in views["b"].keys() - views["a"].keys():
         damaged.append(f"{path.name}, {views['b'][key][0]}: camera A has no annotation of this moment")

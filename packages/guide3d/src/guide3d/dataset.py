@@ -15,7 +15,6 @@ Annotation files may also lie in folders below the root, as in the public archiv
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,6 +32,7 @@ from guide3d.cvat import read_cvat
 from guide3d.dataset_split import Split, split_acquisitions
 from guide3d.distortion import Distortion
 from guide3d.frame import Frame
+from guide3d.json_file import read_json
 from guide3d.picture_cache import cached_pictures
 from guide3d.true_curves import VIEWS, read_truth
 
@@ -40,6 +40,7 @@ __all__ = ["VIEWS", "Dataset", "images_of", "split"]
 
 RAW, CURVES, SPACE, TRUTH, PROPERTIES = "raw.json", "b_spline.json", "sphere.json", "truth.json", "dataset.json"
 PUBLIC_SIZE_PX = 1024
+LARGEST_SIDE_PX = 8192
 OUTSIDE_PX = 20.0  # an annotation further outside the image is damaged; nearer it is a shaky hand at the border
 _NAMED = 5  # damaged entries that the log names one by one
 
@@ -259,7 +260,7 @@ def _image_folder(folder: Path, annotations: list[Annotation]) -> Path | None:
 def _size(camera: Camera | None, properties: Mapping[str, Any]) -> tuple[int, int]:
     if camera is not None:
         return camera.width, camera.height
-    side = int(properties.get("image_size_px", PUBLIC_SIZE_PX))
+    side: int = properties.get("image_size_px", PUBLIC_SIZE_PX)
     return side, side
 
 
@@ -280,14 +281,10 @@ def _outside(annotation: Annotation, sizes: Mapping[str, tuple[int, int]]) -> st
 
 def _properties(folder: Path) -> dict[str, Any]:
     path = folder / PROPERTIES
-    content = _json(path) if path.is_file() else {}
+    content = read_json(path, "file") if path.is_file() else {}
     if not isinstance(content, dict) or not isinstance(content.get("undistorted"), bool | None):
         raise ValueError(f'{path}: expected an object whose "undistorted", if it is there, is true or false')
+    side = content.get("image_size_px", PUBLIC_SIZE_PX)
+    if not isinstance(side, int) or not 1 <= side <= LARGEST_SIDE_PX:
+        raise ValueError(f'{path}: expected "image_size_px" from 1 to {LARGEST_SIDE_PX}, found {str(side)[:40]}')
     return content
-
-
-def _json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: expected JSON, but it cannot be read ({error})") from None

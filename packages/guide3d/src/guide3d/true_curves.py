@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from guide3d.atomic_file import whole_file
+from guide3d.json_file import read_json
 from guide3d.polyline import Array, checked
 
 __all__ = ["TrueCurve", "read_truth", "write_truth"]
@@ -44,12 +45,7 @@ def read_truth(path: Path, damaged: list[str]) -> dict[tuple[str, int], TrueCurv
         FileNotFoundError: There is no such file.
         ValueError: The file is something else.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"file {path} of true curves is missing") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: expected JSON, but it cannot be read ({error})") from None
+    content = read_json(path, "file of true curves")
     if not isinstance(content, Mapping) or content.get("unit") != "mm" or not isinstance(content.get("frames"), list):
         raise ValueError(f'{path}: expected an object with "unit": "mm" and a list "frames"')
     curves = {}
@@ -60,7 +56,7 @@ def read_truth(path: Path, damaged: list[str]) -> dict[tuple[str, int], TrueCurv
             curves[str(entry["acquisition"]), int(entry["frame_number"])] = TrueCurve(points, (a, b))
         except KeyError as error:
             damaged.append(f"{path.name}, entry {place}: {error} is missing")
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             damaged.append(f"{path.name}, entry {place}: {error}")
     return curves
 
