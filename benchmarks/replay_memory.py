@@ -1,6 +1,6 @@
 """Memory of the thesis's replay buffers on the simulator's own observations, and what drawing from them costs.
 
-    python benchmarks/replay_memory.py [--transitions 3000] [--phantom type_1]
+    python benchmarks/replay_memory.py [--transitions 800] [--phantom type_1]
 
 Fills a buffer with episodes of clumsy pushing for every set of observations that `budget=thesis` trains on, and prints
 what a transition takes there, what that comes to for a million, CPU milliseconds of a batch of 256, and CPU
@@ -89,7 +89,7 @@ def measure(cell: str, transitions: int, phantom: str) -> dict[str, Any]:
 def main() -> None:
     """Measures every cell."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--transitions", type=int, default=3000)
+    parser.add_argument("--transitions", type=int, default=800)
     parser.add_argument("--phantom", default="type_1")
     given = parser.parse_args()
     rows = []
