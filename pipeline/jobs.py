@@ -28,6 +28,7 @@ from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from enn.memory import available_bytes
 from pipeline.artifacts import RunFolder
 from pipeline.errors import StageError
 from pipeline.gpus import CPU, Gpu, GpuShare, find_gpus, gpus_of
@@ -40,6 +41,7 @@ __all__ = ["Job", "Report", "run_jobs"]
 
 SECONDS_TO_STOP = 60.0  # that a job may take to write its checkpoint
 _SECONDS_BETWEEN_LOOKS = 0.25
+_GB = 1e9
 # One thread a process: the jobs already use every core.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
@@ -56,6 +58,7 @@ class Job:
         given: to `run`; picklable.
         after: keys of jobs that must be done before.
         weight: how long it takes beside the others, for the estimate of the end.
+        memory_gb: memory that it is expected to need; 0: too little to mind.
         gpu_gb: GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none.
         gpus: how many GPUs it computes on.
     """
@@ -65,6 +68,7 @@ class Job:
     given: Any = None
     after: tuple[str, ...] = ()
     weight: float = 1.0
+    memory_gb: float = 0.0
     gpu_gb: float = 0.0
     gpus: int = 1
 
@@ -94,10 +98,11 @@ def run_jobs(
     preload: Sequence[str] = (),
     device: str = CPU,
     find: Callable[[], Sequence[Gpu]] = find_gpus,
+    available: Callable[[], int] = available_bytes,
 ) -> dict[str, Any]:
     """Runs the jobs that are not done yet, several beside each other.
 
-    Beside GPUs a job that needs one starts when one has room for what it needs; it sees no other.
+    A job starts when there is room for the memory that it needs; beside GPUs, also on one of them. It sees no other.
 
     Args:
         folder: of the stage; keeps what is done.
@@ -107,6 +112,7 @@ def run_jobs(
         preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
         device: of their networks, as `stage.device` has it.
         find: tells which GPUs there are.
+        available: tells how many bytes of memory may still be taken.
 
     Returns:
         Key to what each job returned, also those of an earlier, interrupted run.
@@ -125,8 +131,15 @@ def run_jobs(
         if share.gpus:
             for job in todo:
                 share.require_room(job.key, job.gpu_gb, job.gpus)
+        room_gb = available() / _GB
+        for job in todo:
+            if job.memory_gb > room_gb:
+                raise StageError(
+                    f"{job.key} needs about {job.memory_gb:.1f} GB of memory, {room_gb:.1f} GB are available: end "
+                    "other programs, or make it smaller (stage.decisions or the side of the images, for a training)"
+                )
         with display, _one_thread():
-            failures = _Pool(folder, todo, display, preload, share).run()
+            failures = _Pool(folder, todo, display, preload, share, room_gb).run()
     if failures:
         raise StageError(_sentence(label, failures, len(jobs)))
     return {job.key: folder.result_of(job.key) for job in jobs}
@@ -191,8 +204,15 @@ class _Pool:
     """The processes of the jobs under way."""
 
     def __init__(
-        self, folder: RunFolder, todo: Sequence[Job], display: JobDisplay, preload: Sequence[str], share: GpuShare
+        self,
+        folder: RunFolder,
+        todo: Sequence[Job],
+        display: JobDisplay,
+        preload: Sequence[str],
+        share: GpuShare,
+        room_gb: float,
     ) -> None:
+        self._room_gb = room_gb
         self._folder, self._waiting, self._display, self._share = folder, list(todo), display, share
         self._running: list[_Running] = []
         self._failures: dict[str, str] = {}
@@ -223,11 +243,14 @@ class _Pool:
             if broken:
                 self._waiting.remove(job)
                 self._fail(job.key, f"it needs {broken[0]}")
-            elif len(self._running) < self._display.workers and self._is_ready(job):
+            elif len(self._running) < self._display.workers and self._is_ready(job) and self._has_memory(job):
                 gpus = self._gpus(job)
                 if gpus is not None:
                     self._waiting.remove(job)
                     self._start(job, gpus)
+
+    def _has_memory(self, job: Job) -> bool:
+        return job.memory_gb + sum(running.job.memory_gb for running in self._running) <= self._room_gb
 
     def _is_ready(self, job: Job) -> bool:
         return all(self._folder.result_of(key) is not None for key in job.after)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from pipeline.aids import training_note
 from pipeline.errors import ConfigurationError
 from pipeline.expert_episodes import require_demonstrations
-from pipeline.gpu_memory import policy_gb
 from pipeline.jobs import Job, run_jobs
 from pipeline.learning_settings import LearningSettings
 from pipeline.learning_task import LearningTask
@@ -21,6 +20,7 @@ from pipeline.stages import StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.task import FEEDER, require_known_task
 from pipeline.training_job import PRELOAD, EncoderJob, TrainingJob, fit, train_and_evaluate
+from pipeline.training_memory import training_gb, training_gpu_gb
 from pipeline.trials import Origin
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 ENCODERS = "encoders"
 THESIS = "thesis"
 THESIS_TABLES = {"baselines": ("cathsim_results",), "enn": ("ablation", "training_time_h")}  # whose rows stand beside
-_CHANNELS = {"image": 1, "mask": 1, "sequential": 3}  # of the observations that are images
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
 _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
 
@@ -153,9 +152,10 @@ def run_cells(
         A cell's name to what its training told.
     """
     _check_demonstrations(stage, cells, settings, context)
+    size_px = settings.task.image_size_px
     encoders = _encoders([cell for cell in cells if cell.encoded], settings, context)
     jobs = [
-        Job(key, fit, job, weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE, gpu_gb=_gpu_gb(settings, job.keys))
+        Job(key, fit, job, weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE, gpu_gb=training_gpu_gb(size_px, job.keys))
         for key, job in encoders.items()
     ]
     for cell in cells:
@@ -181,7 +181,8 @@ def run_cells(
                 given,
                 after=() if encoder is None else (encoder,),
                 weight=given.weight,
-                gpu_gb=_gpu_gb(settings, cell.keys, 0 if cell.encoded else cell.settings.batch_size),
+                memory_gb=training_gb(cell.task, cell.keys, cell.settings, encoded=cell.encoded),
+                gpu_gb=training_gpu_gb(size_px, cell.keys, 0 if cell.encoded else cell.settings.batch_size),
             )
         )
     jobs += beside
@@ -199,11 +200,6 @@ def run_cells(
         cell.name: {**results[cell.name], "encoder_s": results[_encoder_key(cell)]["wall_s"] if cell.encoded else 0.0}
         for cell in cells
     }
-
-
-def _gpu_gb(settings: LearningSettings, keys: Sequence[str], batch: int = 0) -> float:
-    channels = sum(_CHANNELS.get(key, 0) for key in keys)
-    return policy_gb(settings.task.image_size_px, channels, batch)
 
 
 def _check_demonstrations(stage: str, cells: Sequence[Cell], settings: LearningSettings, context: StageContext) -> None:

@@ -178,3 +178,35 @@ def test_estimates_grow_with_images_and_batches() -> None:
     assert network_gb("unet", "smoke") < network_gb("unet", "desk") < network_gb("unet", "thesis")
     assert 10 < network_gb("transunet", "thesis") < 24
     assert network_gb("published", "smoke") < network_gb("ordered", "desk") < network_gb("shape", "thesis")
+
+
+def test_jobs_wait_for_the_processors_memory(folder: RunFolder) -> None:
+    jobs = [Job(f"job{k}", where, k, memory_gb=6.0) for k in range(3)] + [Job("small", where)]
+    with folder.locked():
+        folder.prepare()
+        told = run_jobs(folder, jobs, workers=4, available=lambda: 13 * GB)
+        large = [told[f"job{k}"] for k in range(3)]
+        assert max(sum(overlap(one, other) for other in large) for one in large) <= 2
+        with pytest.raises(StageError, match=r"huge needs about 14\.0 GB of memory, 13\.0 GB are available"):
+            run_jobs(folder, [Job("huge", where, memory_gb=14.0)], available=lambda: 13 * GB)
+
+
+def test_every_training_of_the_thesis_fits_16_gb() -> None:
+    from enn.features import modality_keys
+    from enn.reinforcement import THESIS_PPO, THESIS_SAC
+    from pipeline.learning_task import LearningTask
+    from pipeline.task import Task
+    from pipeline.training_memory import training_gb
+
+    baselines = LearningTask("type_1", "bca", Task(wire="thesis", actions="tip_motors", image_size_px=128))
+    enn = LearningTask("type_1", "bca", Task(wire="thesis"))
+    cells = [
+        (baselines, (name,), preset)
+        for name in ("internal", "image", "sequential")
+        for preset in (THESIS_SAC, THESIS_PPO)
+    ]
+    cells += [(enn, modality_keys(name), THESIS_SAC) for name in ("I", "V", "V+M", "I+V", "I+V+M")]
+    told = [training_gb(task, keys, preset, encoded=False) for task, keys, preset in cells]
+    assert 9 < max(told) < 12, "the joints' state, 2,352 numbers, is the largest"
+    assert training_gb(baselines, ("sequential",), THESIS_SAC, encoded=False) < 3
+    assert training_gb(enn, ("image",), THESIS_SAC, encoded=True) == 1.0
