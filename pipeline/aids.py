@@ -22,19 +22,19 @@ _PICTURES = ("image", "mask", "sequential")
 
 
 def note_of(rows: Mapping[str, Sequence[str]]) -> str:
-    """One note for a table: rows with the same aids are named together.
+    """One note for a table: first what all rows share, then the rest, rows with the same aids together.
 
     Args:
         rows: name of a row to its aids in words.
     """
+    every = list(rows.values())
+    shared = [aid for aid in every[0] if all(aid in aids for aids in every)] if every else []
     groups: dict[str, list[str]] = {}
     for row, aids in rows.items():
-        groups.setdefault("; ".join(aids) or "no aids", []).append(row)
-    if len(groups) == 1:
-        return f"How the measured rows were made: {next(iter(groups))}."
-    return "How the measured rows were made. " + " ".join(
-        f"{', '.join(names)}: {text}." for text, names in groups.items()
-    )
+        groups.setdefault("; ".join(aid for aid in aids if aid not in shared), []).append(row)
+    told = [f"How the measured rows were made: {'; '.join(shared) or 'with nothing in common'}."] if every else []
+    told += [f"{', '.join(names)}: {text}." for text, names in groups.items() if text]
+    return " ".join(told)
 
 
 def training_note(jobs: Iterable[TrainingJob]) -> str:
@@ -55,7 +55,7 @@ def of_training(job: TrainingJob) -> list[str]:
         told.append(f"{100 * settings.bank_share:.0f} % of the resets along the way, to states of {states}")
     if settings.demonstrations_in_replay and job.demonstrations:
         share, count = 100 * settings.demonstrations_in_replay, len(job.demonstrations)
-        told.append(f"{share:.0f} % of each batch are steps of {count} episodes of the planner")
+        told.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")
     if job.encoder is not None:
         told.append("an encoder fitted beforehand and frozen")
     if settings.action_repeat > 1:

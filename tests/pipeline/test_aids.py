@@ -39,7 +39,7 @@ def test_a_desk_training_names_every_aid() -> None:
     for aid in (
         "shaped reward of training (geodesic, less 40 a metre of the tip's way)",
         f"{100 * DESK_SAC.bank_share:.0f} % of the resets along the way, to states of demonstrations and own successes",
-        "25 % of each batch are steps of 3 episodes of the planner",
+        "25 % of each batch are steps of the planner's demonstrations (3)",
         "an encoder fitted beforehand and frozen",
         f"actions held for {DESK_SAC.action_repeat} steps",
         "2 actions",
@@ -63,9 +63,12 @@ def test_rows_that_were_made_alike_are_named_together() -> None:
     other = replace(DESK, origin=Origin("enn", "V", 0, "desk"))
     odd = replace(DESK, origin=Origin("enn", "I", 0, "desk"), observation=("joints",))
     told = training_note([DESK, other, odd])
-    assert "I+V+M, V: shaped reward" in told
-    assert " I: shaped reward" in told
-    assert note_of({"a": []}) == "How the measured rows were made: no aids."
+    assert told.count("shaped reward") == 1
+    assert told.endswith("I+V+M, V: images of 80 px.")
+    assert (
+        note_of({"a": ["one"], "b": ["two"]})
+        == "How the measured rows were made: with nothing in common. a: one. b: two."
+    )
 
 
 def test_imitation_says_whose_weight_matches_features() -> None:
