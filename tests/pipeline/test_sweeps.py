@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 from pathlib import Path
@@ -86,17 +85,15 @@ def test_variants_of_different_jobs_differ() -> None:
 @pytest.mark.slow
 def test_each_seed_of_a_sweep_learns_from_its_own_teacher(expert_run: PipelineProcess) -> None:
     common = ("budget=smoke", "name=sweep", "phantom.name=type_1", "target=bca", "modality=I+V+M")
-    seeds = ("-m", "seed=0,1", "stage.workers=1")
-    for stage in ("enn", "imitation", "force"):
-        done = expert_run.run(*seeds, f"stage={stage}", *common, timeout_s=600)
+    small = ("stage.decisions=48", "stage.encoder_samples=150", "stage.expert_episodes=1")
+    for stage, further in (("enn", small), ("imitation", ("stage.workers=1",))):
+        done = expert_run.run("-m", "seed=0,1", f"stage={stage}", *further, *common, timeout_s=600)
         assert done.returncode == 0, done.stdout + done.stderr
     alone = expert_run.run("stage=imitation", "seed=1", *common, timeout_s=300)
     assert alone.returncode == 0, alone.stderr
     run = expert_run.runs / "sweep"
-    before = {folder.name: read_manifest(folder) for folder in run.glob("*@*") if "I+V+M" in folder.name}
-    assert len(before) == 6
-    for stage, seed in itertools.product(("imitation", "force"), (0, 1)):
-        (folder,) = run.glob(f"{stage}@*modality=I+V+M,*seed={seed},*")
+    for seed in (0, 1):
+        (folder,) = run.glob(f"imitation@*modality=I+V+M,*seed={seed},*")
         (teacher,) = run.glob(f"enn@*modality=I+V+M,*seed={seed},*")
         found = read_manifest(folder)
         assert found is not None
