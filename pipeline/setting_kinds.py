@@ -12,6 +12,8 @@ from typing import Annotated, Any
 from annotated_types import Ge, Gt, Le
 from pydantic import AfterValidator
 
+from pipeline.setting_checks import shown
+
 _LONGEST_NAME = 100  # file systems take 255 bytes, and what is made of a name gets more letters
 _DEVICE = re.compile(r"auto|cpu|cuda(:[0-9]{1,3})?")
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
@@ -41,7 +43,7 @@ def one_of(*choices: str) -> AfterValidator:
 
     def check(value: str) -> str:
         if value not in choices:
-            raise ValueError(f"has no {value!r}: choose from {', '.join(choices)}")
+            raise ValueError(f"has no {shown(value)}: choose from {', '.join(choices)}")
         return value
 
     return AfterValidator(check)
@@ -58,7 +60,7 @@ def _list_check(problem: Callable[[list[Any]], str | None]) -> AfterValidator:
 
 def _device(value: str) -> str:
     if not _DEVICE.fullmatch(value):
-        raise ValueError(f"has no {value!r}: choose from auto, cpu, cuda, or one GPU such as cuda:1")
+        raise ValueError(f"has no {shown(value)}: choose from auto, cpu, cuda, or one GPU such as cuda:1")
     return value
 
 
@@ -109,7 +111,7 @@ def _branch_names(value: Any) -> Any:
         return None
     names = [*value, *value.values()] if isinstance(value, dict) else value
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"must be a mapping such as {{lcca: lsa}} or a list of names, got {value!r}")
+        raise ValueError(f"must be a mapping such as {{lcca: lsa}} or a list of names, got {shown(value)}")
     for name in names:
         folder_name(name)
     return value

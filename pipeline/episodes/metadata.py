@@ -96,7 +96,7 @@ def _name(camera: Mapping[str, Any]) -> str:
 
 def _reason(error: Exception) -> str:
     if isinstance(error, ValidationError):
-        return sentence(error, "")
+        return sentence(error, "")[:_LONGEST_REASON]
     return f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())[:_LONGEST_REASON]
 
 
