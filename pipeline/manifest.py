@@ -7,14 +7,19 @@ import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from pipeline.atomic import read_json
 from pipeline.file_memory import FileMemory
 from pipeline.provenance import git_state, hash_value, software_versions
+from pipeline.setting_checks import sentence, shown
 
 MANIFEST = "manifest.json"
 MANIFEST_VERSION = 2
+
+_LONGEST_PART = 255  # bytes that a file system takes
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -33,6 +38,21 @@ class Identity:
         return hash_value(asdict(self))
 
 
+def _entry(entry: dict[str, Any]) -> dict[str, Any]:
+    """Accepts what is known of an output: {"sha256": hex, "bytes": int}."""
+    if not isinstance(entry.get("sha256"), str) or not isinstance(entry.get("bytes"), int):
+        raise ValueError(f"needs sha256 and bytes of every file, got {shown(entry)}")
+    return entry
+
+
+def _relative(name: str) -> str:
+    """Accepts a path below a stage's folder, as `files_below` lists them."""
+    parts = name.split("/")
+    if any(part in ("", ".", "..") or len(part.encode()) > _LONGEST_PART or "\0" in part for part in parts):
+        raise ValueError(f"cannot be {shown(name)}: it is no path below the stage's folder")
+    return name
+
+
 @dataclass(frozen=True)
 class Manifest:
     """The record of a finished stage."""
@@ -43,7 +63,7 @@ class Manifest:
     seed: int
     config: dict[str, Any]
     identity: Identity
-    outputs: dict[str, dict[str, Any]]  # relative path -> {"sha256": hex, "bytes": int}
+    outputs: dict[Annotated[str, AfterValidator(_relative)], Annotated[dict[str, Any], AfterValidator(_entry)]]
     wall_time_s: float
     finished: str  # ISO 8601, UTC
     overrides: list[str] = field(default_factory=list)  # that it was run with, e.g. ["seed=1", "stage.episodes=5"]
@@ -86,6 +106,9 @@ class Manifest:
         return next((folder / name for name in foreign if name != MANIFEST), None)
 
 
+_MANIFESTS = TypeAdapter(Manifest)
+
+
 def read_manifest(folder: Path) -> Manifest | None:
     """Reads the manifest of a finished stage.
 
@@ -101,11 +124,12 @@ def read_manifest(folder: Path) -> Manifest | None:
         if content.get("version") != MANIFEST_VERSION:
             _LOGGER.warning("%s is of another version of the project: the stage counts as not run", path)
             return None
-        return Manifest(**{**content, "identity": Identity(**content["identity"])})
+        return _MANIFESTS.validate_python(content)
     except FileNotFoundError:
         return None
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        _LOGGER.warning("%s cannot be read (%s): the stage counts as not run", path, error)
+        reason = sentence(error) if isinstance(error, ValidationError) else error
+        _LOGGER.warning("%s cannot be read (%s): the stage counts as not run", path, reason)
         return None
 
 

@@ -53,8 +53,10 @@ class DataSetTarget(Target):
             data = Dataset.open(path)
             require_usable([frame.annotation for frame in data.frames])
             for camera in (data.camera_a, data.camera_b):
-                if camera is not None and not np.isfinite(camera.project(np.zeros((1, 3)))).all():
-                    raise WrongError("a camera gives no finite points")
+                if camera is not None and not all(
+                    np.isfinite(part).all() for part in (camera.K, camera.R, camera.t_mm)
+                ):
+                    raise WrongError("a camera is not finite")
         except (ValueError, FileNotFoundError) as error:
             self.counts[refused(error)] += 1
         else:

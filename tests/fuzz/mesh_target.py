@@ -21,7 +21,7 @@ class MeshTarget(Target):
     """The import: a phantom with a lumen and targets, or a refusal, within the import's own budget."""
 
     name = "meshes"
-    seconds = 150.0
+    seconds = 120.0
     megabytes = 3000
     share = 3.0
 

@@ -58,14 +58,14 @@ def deep(rng: random.Random) -> Any:
 
 def altered(value: Any, rng: random.Random) -> Any:
     """A plain value in which one to three things are exchanged, missing, moved or added."""
-    value = copy.deepcopy(value)
     for _ in range(rng.choice((1, 1, 2, 3))):
         paths = places(value)
         if not paths:
             return rng.choice(NASTY)
         path = rng.choice(paths)
-        holder = value
-        for key in path[:-1]:
+        value = holder = copy.copy(value)
+        for key in path[:-1]:  # what lies on the way is copied, the rest is shared: a copy of all has limits of depth
+            holder[key] = copy.copy(holder[key])
             holder = holder[key]
         kind = rng.randrange(6)
         if kind <= 2:
@@ -75,7 +75,7 @@ def altered(value: Any, rng: random.Random) -> Any:
         elif kind == 4:
             holder[path[-1]] = deep(rng)
         elif isinstance(holder, dict):
-            holder[rng.choice(("more", "", "name", "x" * 300))] = copy.deepcopy(holder[path[-1]])
+            holder[rng.choice(("more", "", "name", "x" * 300))] = holder[path[-1]]
         else:
             holder.append(copy.deepcopy(rng.choice(NASTY)))
     return value

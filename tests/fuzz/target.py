@@ -22,7 +22,7 @@ class Target(ABC):
     """
 
     name: ClassVar[str]
-    seconds: ClassVar[float] = 5.0  # that a case may take on a machine that is busy with other work
+    seconds: ClassVar[float] = 5.0  # of CPU time that a seed may take
     megabytes: ClassVar[int] = 500  # that a case may add to the process
     share: ClassVar[float] = 1.0  # of the time, beside the others
 

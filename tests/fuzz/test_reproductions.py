@@ -47,7 +47,7 @@ def test_what_fails_hangs_or_dies_is_found(tmp_path: Path) -> None:
     assert [seed for seed, _ in problems] == [1, 2, 3, 4]
     assert problems[0][1].startswith("KeyError")
     assert problems[1][1] == "its process died"
-    assert problems[2][1].startswith("over 1 s")
+    assert problems[2][1].startswith("over 3 s")
     assert problems[3][1].startswith("WrongError: a refusal is no sentence")
     assert tally.failures[0]["reproduce"] == "python -m tests.fuzz --only broken --case 1"
     assert tally.seeds == 5

@@ -54,6 +54,7 @@ class SettingsTarget(Target):
     """Overrides of every stage, from the command line's grammar to the checked dataclasses."""
 
     name = "settings"
+    seconds = 10.0  # for all examples of a seed
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
