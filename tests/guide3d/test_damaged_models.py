@@ -6,14 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from guide3d.build import FGRN_SIZES, SEGMENTER_SIZES, SHAPE_SIZES, build_fgrn, build_shape_network
+from guide3d.distortion import Distortion
 from guide3d.model_file import read_content, write_content
 from guide3d.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
 from guide3d.preprocessing import Preprocessing
-from tests.damaged_files import refusals
+from tests.damaged_files import damaged, refusals
 
 
 def shape() -> ShapePredictor:
@@ -73,3 +75,29 @@ def test_files_of_other_versions_are_one_sentence(kind: str, tmp_path: Path) -> 
                 continue
             with pytest.raises(ValueError, match=r"model\.pt is .*(train it again|give the other file)"):
                 type(model).load(path)
+
+
+def test_a_wrong_bit_of_a_distortion_is_refused_or_changes_nothing(tmp_path: Path) -> None:
+    grid = np.stack(np.meshgrid(np.linspace(0, 63, 6), np.linspace(0, 63, 6)), axis=-1).reshape(-1, 2)
+    path = tmp_path / "A.npz"
+    Distortion(grid + 0.5, grid, 64, 64).save(path)
+    whole, refused = path.read_bytes(), 0
+    for data in damaged(b"\n" + whole):
+        path.write_bytes(data[1:])
+        try:
+            there = Distortion.load(path)
+        except ValueError as error:
+            refused += 1
+            if "expected a map as Distortion.save writes it" not in str(error):
+                raise
+        else:
+            assert np.array_equal(there.raw_px, grid + 0.5)
+            assert np.array_equal(there.ideal_px, grid)
+            assert (there.width, there.height, there.method, there.neighbours, there.spans) == (
+                64,
+                64,
+                "local weighted mean",
+                25,
+                24,
+            )
+    assert refused > 100

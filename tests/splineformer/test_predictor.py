@@ -23,6 +23,7 @@ from splineformer.predictor import Predictor, tokens_px
 from splineformer.recipes import recipe_of
 from splineformer.samples import SplineObjective, curves_of, passes_of, pixels_of_shares, shares_of_pixels
 from splineformer.tokens import sampled, tokens_of_polyline
+from splineformer.train import main as command
 from splineformer.training import train
 from tests.damaged_files import refusals
 from tests.guide3d.drawn_data import draw
@@ -340,3 +341,22 @@ def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
     untrained("ordered").save(tmp_path / "model.pt")
     messages = refusals(tmp_path / "model.pt", lambda: Predictor.load(tmp_path / "model.pt"))
     assert all("model.pt is damaged or no network" in message for message in messages)
+
+
+@pytest.mark.parametrize(
+    "more", [("--epochs", "0"), ("--epochs", "10000000000000"), ("--calibration", "{none}"), ("--output", "{file}")]
+)
+def test_command_refuses_with_one_sentence(
+    more: tuple[str, str], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    draw(tmp_path)
+    (tmp_path / "file").write_text("no folder")
+    words = [str(tmp_path), "--variant", "ordered", "--size", "smoke", "--device", "cpu", "--output", str(tmp_path)]
+    given = [word.format(none=tmp_path / "none", file=tmp_path / "file") for word in more]
+    with caplog.at_level("ERROR"):
+        assert command([*words, *given]) == 2
+    said = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
+    assert len(said) == 1
+    assert "\n" not in said[0]
+    with pytest.raises(SystemExit):
+        command([*words, "--seed=-1"])

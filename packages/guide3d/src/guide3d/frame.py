@@ -46,7 +46,7 @@ def read_image(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np
             pixels = np.asarray(picture if picture.mode == "L" else picture.convert("L"))
     except FileNotFoundError:
         raise ImageError(f"image {path} is missing") from None
-    except (OSError, SyntaxError, ValueError) as error:
+    except (EOFError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise ImageError(f"image {path} cannot be read: {error}") from None
     if size_px is not None and pixels.shape != (size_px[1], size_px[0]):
         raise ImageError(

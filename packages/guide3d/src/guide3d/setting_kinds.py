@@ -6,6 +6,7 @@ or of a zero before work is spent.
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import functools
 from collections.abc import Callable
@@ -37,7 +38,19 @@ LearningRate = Annotated[float, Interval(gt=0, le=10)]
 Weight = Annotated[float, Interval(ge=0, le=1e6)]  # of a term of a sum
 Positive = Annotated[float, Interval(gt=0, le=1e6)]
 Logarithm = Annotated[float, Interval(ge=0, le=10)]  # of a factor
+SEEDS = range(2**31)
 Numbers = Annotated[np.ndarray, BeforeValidator(np.asarray)]
+
+
+def seed(text: str) -> int:
+    """A seed as a command line gives it.
+
+    Raises:
+        argparse.ArgumentTypeError: it is no whole number, or out of range.
+    """
+    if not text.isdecimal() or int(text) not in SEEDS:
+        raise argparse.ArgumentTypeError(f"a seed is a whole number from 0 to {SEEDS[-1]}, got {text!r}")
+    return int(text)
 
 
 @overload

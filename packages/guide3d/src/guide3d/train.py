@@ -26,6 +26,7 @@ from guide3d.distributed import Ranks
 from guide3d.losses import ShapeLoss
 from guide3d.network_training import train_fgrn, train_segmenter, train_shape
 from guide3d.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
+from guide3d.setting_kinds import seed
 from guide3d.training import FitProgress, finished
 
 ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
@@ -49,8 +50,8 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--images", type=Path, help="folder of the images, where they lie elsewhere")
     parser.add_argument("--calibration", type=Path, help="folder of the camera files, where they lie elsewhere")
     parser.add_argument("--curves", type=Path, help="file of fitted curves and curves in space, like sphere.json")
-    parser.add_argument("--split-seed", type=int, default=0, help="of the split by acquisition")
-    parser.add_argument("--seed", type=int, default=0, help="of the training")
+    parser.add_argument("--split-seed", type=seed, default=0, help="of the split by acquisition")
+    parser.add_argument("--seed", type=seed, default=0, help="of the training")
     return parser.parse_args(words)
 
 

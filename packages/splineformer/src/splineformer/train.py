@@ -22,6 +22,7 @@ from typing import Any
 from guide3d.atomic_file import whole_file
 from guide3d.dataset import Dataset, split
 from guide3d.distributed import Ranks
+from guide3d.setting_kinds import seed
 from guide3d.training import FitProgress, FitReport, finished
 from splineformer.build import SIZES, VARIANTS
 from splineformer.recipes import recipe_of
@@ -44,8 +45,8 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     parser.add_argument("--images", type=Path, help="folder of the images, where they lie elsewhere")
     parser.add_argument("--calibration", type=Path, help="folder of the camera files, where they lie elsewhere")
-    parser.add_argument("--split-seed", type=int, default=0, help="of the split by acquisition")
-    parser.add_argument("--seed", type=int, default=0, help="of the training")
+    parser.add_argument("--split-seed", type=seed, default=0, help="of the split by acquisition")
+    parser.add_argument("--seed", type=seed, default=0, help="of the training")
     parser.add_argument("--tensorboard", action="store_true", help="write the losses for TensorBoard, too")
     return parser.parse_args(words)
 

@@ -1,0 +1,99 @@
+"""Command lines: whatever is wrong with files, folders and numbers is one sentence and a non-zero exit."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from guide3d import calibration_report, train
+from guide3d.dataset import Dataset
+from guide3d.frame import ImageError, read_image
+from tests.guide3d.drawn_data import draw
+
+SMOKE = ("--network", "unet", "--size", "smoke", "--device", "cpu")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    draw(folder)
+    (folder / "file").write_text("no folder")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("{data}/none", "--output", "{out}"),
+        ("{data}/file", "--output", "{out}"),
+        ("{data}", "--output", "{data}/file"),
+        ("{data}", "--output", "{data}/file/deeper"),
+        ("{data}", "--output", "{out}/" + 300 * "n"),
+        ("{data}", "--output", "{out}", "--epochs", "0"),
+        ("{data}", "--output", "{out}", "--epochs", "10000000000000"),
+        ("{data}", "--output", "{out}", "--pictures", "{data}/file"),
+        ("{data}", "--output", "{out}", "--images", "{data}/none"),
+        ("{data}", "--output", "{out}", "--calibration", "{data}/file"),
+        ("{data}", "--output", "{out}", "--curves", "{data}/file", "--network", "fgrn"),
+        ("{data}", "--output", "{out}", "--pretrained", "{data}/file", "--network", "spherical"),
+        ("{data}", "--output", "{out}", "--pretrained", "{data}", "--network", "spherical"),
+    ],
+)
+def test_training_refuses_with_one_sentence(
+    words: tuple[str, ...], data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    given = [word.format(data=data, out=tmp_path) for word in words]
+    with caplog.at_level(logging.ERROR):
+        assert train.main([given[0], *SMOKE, *given[1:]]) == 2
+    said = [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR]
+    assert len(said) == 1
+    assert "\n" not in said[0]
+
+
+@pytest.mark.parametrize("seed", ["-1", "2147483648", "1180591620717411303424", "1.5", "nan", "many"])
+@pytest.mark.parametrize("name", ["--seed", "--split-seed"])
+def test_a_seed_out_of_range_is_refused(
+    name: str, seed: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        train.main([str(data), *SMOKE, "--output", str(tmp_path), f"{name}={seed}"])
+    assert ended.value.code == 2
+    assert f"a seed is a whole number from 0 to 2147483647, got '{seed}'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("folder", ["none", "file", "."])
+def test_calibration_refuses_with_one_sentence(
+    folder: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert calibration_report.main([str(data / folder), "--output", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["raw.json", "dataset.json", "truth.json"])
+@pytest.mark.parametrize("text", ["", "[" * 100_000, '{"a":' * 100_000, "null", "[]", '"text"', "7", "\x00"])
+def test_files_of_a_data_set_that_are_none_are_refused(name: str, text: str, data: Path) -> None:
+    whole = (data / name).read_text()
+    (data / name).write_text(text)
+    try:
+        with pytest.raises(ValueError, match=f"{name}|holds no frame that can be used"):
+            Dataset.open(data)
+    finally:
+        (data / name).write_text(whole)
+
+
+def test_damaged_pictures_are_refused_or_read(data: Path, tmp_path: Path) -> None:
+    whole = next((data / "images").rglob("*.png")).read_bytes()
+    generator = np.random.default_rng(0)
+    refused = 0
+    for bit in generator.integers(0, 8 * len(whole), 150).tolist():
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        (tmp_path / "picture.png").write_bytes(damaged)
+        try:
+            read_image(tmp_path / "picture.png")
+        except ImageError:
+            refused += 1
+    assert refused > 50
