@@ -53,9 +53,8 @@ class DataSetTarget(Target):
             data = Dataset.open(path)
             require_usable([frame.annotation for frame in data.frames])
             for camera in (data.camera_a, data.camera_b):
-                if camera is not None and not all(
-                    np.isfinite(part).all() for part in (camera.K, camera.R, camera.t_mm)
-                ):
+                numbers = () if camera is None else (camera.K, camera.R, camera.t_mm)
+                if not all(np.isfinite(part).all() for part in numbers):
                     raise WrongError("a camera is not finite")
         except (ValueError, FileNotFoundError) as error:
             self.counts[refused(error)] += 1
