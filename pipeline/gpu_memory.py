@@ -19,10 +19,15 @@ _LEAST_BATCH = 512  # images that pass a network together where nothing is learn
 LEARNT_BATCH = 64  # samples an update of what learns from episodes
 _WEIGHTS_GB = 0.4  # weights, gradients, moments and copies of the networks that steer; a GRU's workspace
 # Bytes kept for the way back of a pixel of what the network sees, counted on the CPU for one image (a clip of three for
-# the shape networks) of the thesis's sizes, and the number of weights there; see docs/results/memory.md.
-_NETWORKS = {
+# the shape networks), and the number of weights: of the thesis's sizes, and of a desk's, which serve for a smoke's too.
+# See docs/results/memory.md.
+_THESIS = {
     "unet": (3280, 31.0e6), "transunet": (8070, 105.3e6), "swinunet": (4160, 27.2e6), "fgrn": (400, 3.4e6),
     "shape": (9250, 88.1e6), "published": (164, 15.8e6), "ordered": (268, 22.7e6),
+}  # fmt: skip
+_DESK = {
+    "unet": (620, 0.1e6), "transunet": (680, 0.7e6), "swinunet": (2030, 1.7e6), "fgrn": (400, 3.4e6),
+    "shape": (286, 2.2e6), "published": (61, 5.3e6), "ordered": (74, 2.1e6),
 }  # fmt: skip
 _BYTES_A_WEIGHT = 20  # itself, its gradient, two moments, the best so far
 _MORE = 1.5  # workspaces of convolutions, and what the allocator cannot use
@@ -48,7 +53,8 @@ def network_gb(network: str, size: str) -> float:
         size: of its recipe.
     """
     side, batch = _seen(network, size)
-    bytes_a_pixel, weights = _NETWORKS.get(network, _NETWORKS["shape"])
+    table = _DESK if size in ("desk", "smoke") else _THESIS
+    bytes_a_pixel, weights = table.get(network, table["shape"])
     return CONTEXT_GB + (_BYTES_A_WEIGHT * weights + _MORE * batch * side**2 * bytes_a_pixel) / _GB
 
 

@@ -10,7 +10,7 @@ from pipeline.report.learning_tables import tables_from_logs
 from pipeline.report.results import write_results
 from pipeline.setting_checks import require_modalities
 from pipeline.stages import Stage, StageContext
-from pipeline.task import FEEDER
+from pipeline.task import number_of_actions
 from pipeline.training_plan import (
     THESIS,
     Cell,
@@ -158,7 +158,6 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     from enn.reinforcement import DESK_SAC, THESIS_SAC
 
     used = sized(THESIS_SAC if settings.variant == THESIS else DESK_SAC, settings.decisions, settings)
-    actions = 2 if settings.task.actions == FEEDER else 2 * settings.task.guidewire().motor_joints + 1
     values = {
         "learning_rate": used.learning_rate,
         "buffer_size": used.buffer_size,
@@ -169,7 +168,9 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
         "gradient_steps": used.gradient_steps,
         "ent_coef": used.ent_coef,
         "target_update_interval": 1,
-        "target_entropy": float(-actions) if used.target_entropy is None else used.target_entropy,
+        "target_entropy": float(-number_of_actions(settings.task))
+        if used.target_entropy is None
+        else used.target_entropy,
     }
     return {name: {"value": value} for name, value in values.items()}
 

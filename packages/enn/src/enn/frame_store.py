@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 _LEVEL = 1  # of zlib: the fastest; level 6 saves a quarter more and takes three times as long
-_OVERHEAD = sys.getsizeof(b"") + 16  # bytes of a frame's object beside its content, and of what names it in a stack
-# What a frame takes, as a share of its pixels, where a size is to be told before any is there: measured 1/75 of
-# simulated images (docs/results/memory.md).
-EXPECTED_SHARE = 1 / 40
+_REFERENCE = 8  # bytes that name a stack in the list of rows
+# What a frame takes, as a share of its pixels, where a size is to be told before any is there; simulated images take
+# less (docs/results/memory.md).
+EXPECTED_SHARE = 1 / 20
 
 Frames = tuple[bytes, ...]  # of one observation, channel by channel
 
@@ -50,8 +50,11 @@ class FrameStore:
     @property
     def nbytes(self) -> int:
         """Bytes that the frames take now, each counted once."""
-        kept = {id(frame): len(frame) for stack in self._rows if stack is not None for frame in stack}
-        return sum(kept.values()) + len(kept) * _OVERHEAD
+        filled = [stack for stack in self._rows if stack is not None]
+        stacks = {id(stack): stack for stack in filled}
+        frames = {id(frame): frame for stack in stacks.values() for frame in stack}
+        objects = (*stacks.values(), *frames.values())
+        return sum(map(sys.getsizeof, objects)) + _REFERENCE * len(filled)
 
     def write(self, row: int, values: NDArray[np.uint8]) -> None:
         """Writes one row.
