@@ -78,7 +78,7 @@ def test_registration_noise_moves_the_map_but_not_the_wire(type_1) -> None:
     np.testing.assert_array_equal(roadmap(2e-3, 3), roadmap(2e-3, 3))
     np.testing.assert_array_equal(roadmap(2e-3, 3)[wire], roadmap(0.0, 3)[wire])
     assert np.abs(roadmap(2e-3, 3) - roadmap(0.0, 3))[: wire.start].max() > 0.01
-    with pytest.raises(ValueError, match="registration_noise must not be negative"):
+    with pytest.raises(ValueError, match=r"registration_noise must lie in 0 to 0.1 m, got -1.0"):
         roadmap(-1.0, 0)
 
 
