@@ -17,13 +17,14 @@ from pipeline.provenance import hash_file
 from pipeline.source_references import references
 
 PACKAGES = ("pipeline", "cathsim", "enn", "guide3d", "splineformer")
-# These carry work out, keep its files and check what the user wrote; what results say does not depend on them.
+# These carry work out, share out memory, keep files and check what the user wrote: results do not depend on them.
 WITHOUT_EFFECT = frozenset(
     f"pipeline.{name}"
     for name in (
-        "artifacts", "config", "errors", "execution", "explain", "file_memory", "interruption", "job_progress",
-        "job_worker", "jobs", "launch", "manifest", "marks", "progress", "provenance", "setting_checks",
-        "setting_kinds", "source_closure", "source_references", "stages", "variants", "written_files",
+        "artifacts", "config", "errors", "execution", "explain", "file_memory", "gpu_memory", "gpus", "interruption",
+        "job_progress", "job_worker", "jobs", "launch", "manifest", "marks", "progress", "provenance", "setting_checks",
+        "setting_kinds", "source_closure", "source_references", "stages", "training_memory", "variants",
+        "written_files",
     )
 )  # fmt: skip
 _NO_DATA = {".py", ".pyc", ".so", ".pyd", ".o"}
