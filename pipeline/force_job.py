@@ -177,7 +177,7 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
     predicted = predictor.predict(test.images, test.vectors)
     result = score(predicted, test.forces)
     mean = np.full(len(test), float(chosen.forces.astype(np.float64).mean()))
-    with torch.random.fork_rng():
+    with torch.random.fork_rng(devices=[]):
         torch.manual_seed(job.seed)
         fresh = ForceNetwork(predictor.network.settings)  # its scales are those of no data: newtons
     untrained = ForcePredictor(fresh.to(report.device)).predict(test.images, test.vectors)

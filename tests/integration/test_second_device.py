@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("package", ["enn", "splineformer"])
+@pytest.mark.parametrize("package", ["enn", "splineformer", "pipeline"])
 def test_networks_train_and_are_read_on_a_second_device(package: str) -> None:
     file = f"tests/{package}/on_second_device.py"
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", file]

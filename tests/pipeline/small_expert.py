@@ -31,7 +31,7 @@ def write_expert(folder: Path, *, episodes: int = 4, task: LearningTask = TASK) 
     place = folder / task.name / "I+V+M" / "seed0"
     environment = task.environment(("feeder", "tip"))
     settings = NetworkSettings(keys=("feeder",), hidden=(8,))
-    with torch.random.fork_rng():
+    with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         network = build_network(settings, environment.observation_space, environment.action_space)
     policy = Policy(

@@ -41,12 +41,11 @@ def encoded(content: Any) -> bytes:
     return _digest_line(stream.getbuffer()) + stream.getvalue()
 
 
-def decoded(data: bytes, device: torch.device | str = "cpu") -> Any:
+def decoded(data: bytes) -> Any:
     """The content of what `encoded` gave.
 
     Args:
         data: all bytes of the file.
-        device: where its tensors go.
 
     Raises:
         OlderFormatError: it is a file without a digest.
@@ -57,7 +56,7 @@ def decoded(data: bytes, device: torch.device | str = "cpu") -> Any:
     body = memoryview(data)[len(_digest_line(b"")) :]
     if data[: len(data) - len(body)] != _digest_line(body):
         raise ValueError("its digest does not match")
-    return torch.load(io.BytesIO(body), map_location=device, weights_only=True)
+    return torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
 
 
 def write_model(path: Path, content: dict[str, Any]) -> None:
@@ -83,7 +82,7 @@ def write_model(path: Path, content: dict[str, Any]) -> None:
         raise
 
 
-def read_model(path: Path, form: str, *, kind: str, verb: str, device: torch.device | str = "cpu") -> dict[str, Any]:
+def read_model(path: Path, form: str, *, kind: str, verb: str) -> dict[str, Any]:
     """Reads what `write_model` wrote.
 
     Args:
@@ -91,7 +90,6 @@ def read_model(path: Path, form: str, *, kind: str, verb: str, device: torch.dev
         form: that `format` must be.
         kind: of model, as messages call it: "policy".
         verb: what makes one: "train".
-        device: where its tensors go.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -100,7 +98,7 @@ def read_model(path: Path, form: str, *, kind: str, verb: str, device: torch.dev
     if not path.is_file():
         raise FileNotFoundError(f"there is no {kind} {path}: {verb} one first")
     try:
-        content = decoded(path.read_bytes(), device)
+        content = decoded(path.read_bytes())
     except OlderFormatError as error:
         raise ValueError(f"{path} is {error}: {verb} it again") from error
     except OSError as error:

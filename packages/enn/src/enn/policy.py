@@ -186,7 +186,7 @@ class Policy:
             ValueError: the file is damaged, holds something else, or its weights do not fit its own settings.
         """
         path = Path(path)
-        content = read_model(path, FORMAT, kind="policy", verb="train", device=device)
+        content = read_model(path, FORMAT, kind="policy", verb="train")
         encoder = None
         try:
             observation_space, action_space = _space(content["observation_space"]), _space(content["action_space"])

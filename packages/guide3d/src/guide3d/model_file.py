@@ -46,8 +46,8 @@ def write_content(path: Path | str, content: Any) -> None:
         file.write(stream.getbuffer())
 
 
-def read_content(path: Path | str, device: torch.device | str = "cpu") -> Any:
-    """Reads what `write_content` wrote, its tensors on a device.
+def read_content(path: Path | str) -> Any:
+    """Reads what `write_content` wrote, its tensors on the CPU.
 
     Raises:
         OSError: it cannot be read.
@@ -60,7 +60,7 @@ def read_content(path: Path | str, device: torch.device | str = "cpu") -> Any:
     body = memoryview(data)[len(_digest_line(b"")) :]
     if data[: len(data) - len(body)] != _digest_line(body):
         raise ValueError("its digest does not match")
-    return torch.load(io.BytesIO(body), map_location=device, weights_only=True)
+    return torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
 
 
 def write_model(

@@ -1,0 +1,69 @@
+"""Jobs of the stages compute where they are told to: their networks live on another device than the CPU."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.artifacts import RunFolder
+from pipeline.job_worker import Report
+from pipeline.jobs import Job
+from pipeline.stages import force, imitation
+from tests.pipeline import test_force_stage as force_tests
+from tests.pipeline import test_imitation as imitation_tests
+from tests.pipeline.small_expert import context, write_expert
+from tests.second_device import second_device
+
+
+@pytest.fixture
+def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The second device, on which the stages' jobs compute in this process."""
+    with second_device() as device:
+
+        def run(folder: RunFolder, jobs: Sequence[Job], **_: Any) -> dict[str, Any]:
+            return {job.key: job.run(job.given, Report(device=device)) for job in jobs}
+
+        monkeypatch.setattr(imitation, "run_jobs", run)
+        monkeypatch.setattr(force, "run_jobs", run)
+        yield device
+
+
+def devices_of(monkeypatch: pytest.MonkeyPatch, module: Any, name: str) -> list[str]:
+    """Notes the `device` that a function of a module is called with."""
+    told: list[str] = []
+    original = getattr(module, name)
+
+    def noted(*args: Any, **kwargs: Any) -> Any:
+        told.append(str(kwargs.get("device", "cpu")))
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(module, name, noted)
+    return told
+
+
+def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import enn.behaviour_cloning
+    import enn.dagger
+
+    write_expert(tmp_path / "enn")
+    cloned = devices_of(monkeypatch, enn.behaviour_cloning, "clone")
+    refined = devices_of(monkeypatch, enn.dagger, "dagger")
+    place = context(tmp_path, "imitation")
+    imitation.run_imitation(imitation_tests.settings(), place)
+    assert set(cloned) == set(refined) == {there}
+    assert "imitation" in json.loads((place.path / "results.json").read_text())
+
+
+def test_force(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import enn.force
+
+    write_expert(tmp_path / "enn")
+    fitted = devices_of(monkeypatch, enn.force, "fit_force")
+    place = context(tmp_path, "force")
+    force.run_force(force_tests.settings(), place)
+    assert set(fitted) == {there}
+    assert "force_share" in json.loads((place.path / "results.json").read_text())
