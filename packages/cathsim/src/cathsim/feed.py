@@ -60,12 +60,13 @@ class Ladder:
 @kept_with_owner
 def rung_models(
     vessel: Vessel, wire: Guidewire, numerics: Accuracy, tip_motors: bool
-) -> tuple[mujoco.MjModel, mujoco.MjModel]:
-    """The model of a wire and its refined twin, shared read-only by every simulation with the same arguments."""
+) -> tuple[mujoco.MjModel, mujoco.MjModel, mujoco.MjModel]:
+    """The model of a wire and its twins, refined once and twice, shared by every simulation with the same arguments."""
     model = model_spec(vessel, wire, numerics, tip_motors=tip_motors).compile()
-    fine = model.__copy__()
+    fine, finest = model.__copy__(), model.__copy__()
     fine.opt.timestep = numerics.timestep / numerics.refinement
-    return model, fine
+    finest.opt.timestep = fine.opt.timestep / numerics.refinement
+    return model, fine, finest
 
 
 def pass_on(source: np.ndarray, size: int, *, bend: bool) -> np.ndarray:

@@ -69,7 +69,7 @@ class _Rung:
         depth_samples: int,
         drag: Drag | None,
     ) -> None:
-        self.model, self.fine = rung_models(vessel, wire, numerics, tip_motors)
+        self.model, self.fine, self.finest = rung_models(vessel, wire, numerics, tip_motors)
         self.data = mujoco.MjData(self.model)
         self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
         first = self.model.geom(LINK_NAME.format(0)).id
@@ -77,6 +77,7 @@ class _Rung:
         self.struct = SimulationStruct(
             model=self.model._address,
             fine=self.fine._address,
+            finest=self.finest._address,
             data=self.data._address,
             saved=self._saved.ctypes.data,
             vessel_geom=self.model.geom(GEOM_NAME).id,
@@ -148,7 +149,7 @@ class Simulation:
         self._rungs: dict[int, _Rung] = {}
 
         self._points, self._forces = np.zeros((MAX_CONTACTS, 3)), np.zeros((MAX_CONTACTS, 3))
-        self._scratch = np.zeros((2 * MAX_CONTACTS, 3))
+        self._scratch = np.zeros((4 * MAX_CONTACTS, 3))
         self.depths = np.zeros(self.substeps)
         self._from, self._to = np.zeros(2 + self.motors), np.zeros(2 + self.motors)
         self.summary = StepSummary()

@@ -30,6 +30,7 @@ class SimulationStruct(ctypes.Structure):
     _fields_ = (
         ("model", ctypes.c_void_p),
         ("fine", ctypes.c_void_p),
+        ("finest", ctypes.c_void_p),
         ("data", ctypes.c_void_p),
         ("saved", ctypes.c_void_p),
         ("vessel_geom", ctypes.c_int),

@@ -51,6 +51,7 @@ typedef struct {
   int capacity;
   double *points, *forces;         /* capacity x 3 each */
   double *now_points, *now_forces; /* likewise */
+  double *kept_points, *kept_forces; /* likewise: of before a substep that may be taken back */
   StepSummary* summary;
 } Account;
 
@@ -84,40 +85,88 @@ static void apply_drag(Simulation* s, const Engine* engine, int first) {
   blood_drag(s->drag, s->model, s->data, s->first_geom, s->last_geom, v, s->loads);
 }
 
-/* One substep. A wire that snaps free crosses a millimetre in one long substep and is found inside the wall: such a
- * substep is taken back and repeated in `refinement` shorter ones; so is one that left a state that is not finite.
- * Returns whether it was. */
-static int substep(Simulation* s, const Engine* engine, const Account* account, double share) {
+/* A substep's repetition that ends so many tolerances deep is itself repeated. */
+#define DEEP 3
+
+/* State and account of before a substep. */
+typedef struct {
+  double time;
+  mjWarningStat warning[mjNWARNING];
+  StepSummary summary;
+} Before;
+
+static void keep_state(const Simulation* s, Before* before) {
+  const mjData* d = s->data;
+  const int nq = s->model->nq, nv = s->model->nv;
+  memcpy(s->saved, d->qpos, sizeof(double) * nq);
+  memcpy(s->saved + nq, d->qvel, sizeof(double) * nv);
+  memcpy(s->saved + nq + nv, d->qacc_warmstart, sizeof(double) * nv);
+  before->time = d->time;
+  memcpy(before->warning, d->warning, sizeof before->warning);
+}
+
+static void keep_account(const Account* a, Before* before) {
+  const int count = 3 * a->summary->contacts;
+  before->summary = *a->summary;
+  memcpy(a->kept_points, a->points, sizeof(double) * count);
+  memcpy(a->kept_forces, a->forces, sizeof(double) * count);
+}
+
+static void take_back_state(const Simulation* s, const Before* before) {
   mjData* d = s->data;
   const int nq = s->model->nq, nv = s->model->nv;
+  memcpy(d->qpos, s->saved, sizeof(double) * nq);
+  memcpy(d->qvel, s->saved + nq, sizeof(double) * nv);
+  memcpy(d->qacc_warmstart, s->saved + nq + nv, sizeof(double) * nv);
+  d->time = before->time;
+  memcpy(d->warning, before->warning, sizeof before->warning);
+}
+
+static void take_back_account(const Account* a, const Before* before) {
+  const int count = 3 * before->summary.contacts;
+  *a->summary = before->summary;
+  memcpy(a->points, a->kept_points, sizeof(double) * count);
+  memcpy(a->forces, a->kept_forces, sizeof(double) * count);
+}
+
+/* `count` steps of `model`, which last `share` of the control step together; returns the penetration after them. */
+static double step_finely(const Simulation* s, const Engine* engine, const Account* a, const mjModel* model, int count,
+                          double share) {
+  for (int i = 0; i < count; i++) {
+    engine->step(model, s->data);
+    enter_forces(s, engine, a, share / count);
+  }
+  engine->kinematics(model, s->data);
+  return cathsim_penetration(s, 3);
+}
+
+/* One substep. A wire that snaps free crosses a millimetre in one long substep and is found inside the wall: such a
+ * substep is taken back and repeated in `refinement` shorter ones; so is one that left a state that is not finite. A
+ * tip that was hooked at an ostium comes at 0.6 m/s and crosses as much in one of those: they are taken back in turn.
+ * Returns whether anything was. */
+static int substep(Simulation* s, const Engine* engine, const Account* account, double share) {
+  mjData* d = s->data;
   if (s->refinement <= 1) {
     engine->step(s->model, d);
     enter_forces(s, engine, account, share);
     return 0;
   }
-  double *qpos = s->saved, *qvel = qpos + nq, *warm = qvel + nv, time = d->time;
-  memcpy(qpos, d->qpos, sizeof(double) * nq);
-  memcpy(qvel, d->qvel, sizeof(double) * nv);
-  memcpy(warm, d->qacc_warmstart, sizeof(double) * nv);
+  Before before;
+  keep_state(s, &before);
   const int invalid_before = warnings(d);
-  mjWarningStat before[mjNWARNING];
-  memcpy(before, d->warning, sizeof before);
   engine->step(s->model, d);
   engine->kinematics(s->model, d);
   double depth = cathsim_penetration(s, 3);
   const int repeat = (depth > s->tolerance && depth > s->depth + s->rise) || warnings(d) > invalid_before;
   if (repeat) {
-    memcpy(d->qpos, qpos, sizeof(double) * nq);
-    memcpy(d->qvel, qvel, sizeof(double) * nv);
-    memcpy(d->qacc_warmstart, warm, sizeof(double) * nv);
-    memcpy(d->warning, before, sizeof before);
-    d->time = time;
-    for (int i = 0; i < s->refinement; i++) {
-      engine->step(s->fine, d);
-      enter_forces(s, engine, account, share / s->refinement);
+    keep_account(account, &before);
+    take_back_state(s, &before);
+    depth = step_finely(s, engine, account, s->fine, s->refinement, share);
+    if (depth > DEEP * s->tolerance && depth > s->depth + s->rise) {
+      take_back_account(account, &before);
+      take_back_state(s, &before);
+      depth = step_finely(s, engine, account, s->finest, s->refinement * s->refinement, share);
     }
-    engine->kinematics(s->model, d);
-    depth = cathsim_penetration(s, 3);
   } else {
     enter_forces(s, engine, account, share);
   }
@@ -126,7 +175,7 @@ static int substep(Simulation* s, const Engine* engine, const Account* account, 
 }
 
 /* Advances by `substeps` while the controls (nu) go linearly from one value to the other. `points` and `forces`
- * (capacity x 3) hold the contacts of the substep with the largest force, `scratch` has room for both; `depths`
+ * (capacity x 3) hold the contacts of the substep with the largest force, `scratch` has room for twice both; `depths`
  * (substeps) the penetration after each substep, or NULL. */
 void cathsim_step(Simulation* s, const Engine* engine, int substeps, const double* control_from,
                   const double* control_to, int capacity, double* points, double* forces, double* scratch,
@@ -134,7 +183,9 @@ void cathsim_step(Simulation* s, const Engine* engine, int substeps, const doubl
   mjData* d = s->data;
   memset(summary, 0, sizeof *summary);
   summary->force_max = -1;
-  const Account account = {capacity, points, forces, scratch, scratch + 3 * capacity, summary};
+  double* room[4];
+  for (int k = 0; k < 4; k++) room[k] = scratch + 3 * capacity * k;
+  const Account account = {capacity, points, forces, room[0], room[1], room[2], room[3], summary};
   for (int i = 0; i < substeps; i++) {
     const double t = (i + 1.0) / substeps;
     for (int k = 0; k < s->model->nu; k++) d->ctrl[k] = control_from[k] + t * (control_to[k] - control_from[k]);

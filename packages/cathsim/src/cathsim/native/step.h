@@ -12,10 +12,11 @@ typedef struct {
   void (*contact_force)(const mjModel* m, const mjData* d, int id, mjtNum result[6]);
 } Engine;
 
-/* A simulation: `fine` is `model` with a timestep `refinement` times shorter. */
+/* A simulation: `fine` is `model` with a timestep `refinement` times shorter, `finest` is `fine` likewise. */
 typedef struct {
   const mjModel* model;
   const mjModel* fine;
+  const mjModel* finest;
   mjData* data;
   double* saved;          /* room for nq + 2 nv numbers */
   int vessel_geom;
