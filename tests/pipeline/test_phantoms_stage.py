@@ -103,7 +103,9 @@ def test_stage_ends_at_once_when_up_to_date_and_runs_again_when_told_or_changed(
     forced = pipeline_process.run(*command, "force=true")
     assert "phantoms: done in" in forced.stdout
     assert json.loads(manifest.read_bytes())["outputs"] == json.loads(written)["outputs"]  # same settings, same bits
-    changed = pipeline_process.run(*command, "seed=1")
+    seeded = pipeline_process.run(*command, "seed=1")
+    assert "phantoms: up to date in" in seeded.stdout  # named phantoms are the same for every seed
+    changed = pipeline_process.run(*command, "stage.wall_thickness_mm=1.6")
     assert "phantoms: done in" in changed.stdout
 
 
