@@ -54,7 +54,7 @@ def student() -> ImageStudent:
     return ImageStudent(StudentSettings(hidden=8, hints=2), LumenSegmenter(4, 40))
 
 
-LEGAL = ("encoder", None), ("metadata", {"a": 1})
+LEGAL = ("encoder", None), ("wire", None), ("metadata", {"a": 1})
 
 MODELS: dict[str, Callable[[], Any]] = {
     make.__name__: make for make in (policy, encoder, force_predictor, cloned_policy, path_follower, student)
