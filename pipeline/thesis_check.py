@@ -25,7 +25,7 @@ EXPERIMENT = "thesis-check"
 JSON, MARKDOWN = "thesis_check.json", "thesis_check.md"
 UNFINISHED = "did not finish"
 COLUMNS = ("stage", "job", "device", "seconds", "CPU seconds", "peak memory, MB", "of the GPU, MB", "result")
-_VERSIONS = ("python", "torch", "stable_baselines3", "mujoco", "numpy")
+_VERSIONS = ("python", "torch", "stable-baselines3", "mujoco", "numpy")
 _EXIT_FAILED = 1
 
 Row = tuple[str, str, str, float | None, float | None, float | None, float | None, str]
