@@ -6,7 +6,7 @@ Builds the phantom without any cache, checks its lumen, and steers the default w
 the femoral end to each target: 8 mm, at most 300 steps. Prints tables and, as its last line, one JSON object:
 build_s (wall clock) and build_cpu_s, grid_points, faces, unit, kind, branches, names, problems of the lumen, wire_mm,
 success_pct over all episodes, and per target {success_pct, steps_mean, force_max_n, seconds, seeds}. --quick: one seed,
-and no new episode once 25 s have gone by.
+and no new episode once 25 s have gone by since the import's end; the first one is always played.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def wire_for(phantom: Phantom, targets: list[str]) -> Guidewire:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("path", type=Path, help="STL, OBJ or PLY")
-    parser.add_argument("--quick", action="store_true", help="one seed, under 50 s")
+    parser.add_argument("--quick", action="store_true", help="one seed, under 30 s beside the import")
     parser.add_argument("--unit", default=None)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--targets", default="bca,lcca")
@@ -84,9 +84,11 @@ def main() -> None:
         wire = wire_for(phantom, targets)
         result["wire_mm"] = round(wire.length * 1e3)
         runs: dict[str, list[dict[str, float]]] = {target: [] for target in targets}
+        built = time.perf_counter()
         for seed in range(1 if arguments.quick else arguments.seeds):
             for target in targets:
-                if arguments.quick and time.perf_counter() - began > QUICK_SECONDS:
+                played = any(runs.values())
+                if arguments.quick and played and time.perf_counter() - built > QUICK_SECONDS:
                     print(f"  no time left for {target}")
                     continue
                 runs[target].append(episode(phantom, target, seed, wire))

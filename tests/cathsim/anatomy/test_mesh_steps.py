@@ -13,7 +13,8 @@ from cathsim.anatomy.centreline import LumenPaths, resampled, smoothed
 from cathsim.anatomy.cross_section import wall_distances
 from cathsim.anatomy.mesh_branches import Vessel
 from cathsim.anatomy.mesh_naming import name_vessels, ordered_names, renamed, world_rotation
-from cathsim.anatomy.mesh_reading import Triangles, clean_triangles, close_openings, read_triangles
+from cathsim.anatomy.mesh_openings import close_openings
+from cathsim.anatomy.mesh_reading import Triangles, clean_triangles, read_triangles
 from cathsim.anatomy.mesh_samples import SurfaceSamples, nearest_on_triangles, sample_surface
 from cathsim.anatomy.mesh_targets import propose_targets
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
@@ -28,10 +29,10 @@ def test_welding_and_closing():
     soup = Triangles(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3))  # no two faces share a vertex
     mesh, _ = clean_triangles(soup)
     assert len(mesh.vertices) == 8
-    closed, openings = close_openings(mesh)
+    closed, openings, _ = close_openings(mesh)
     assert len(openings) == 0
     opened = Triangles(mesh.vertices, mesh.faces[2:])
-    closed, openings = close_openings(opened)
+    closed, openings, _ = close_openings(opened)
     assert openings.shape == (1, 3)
     assert len(closed.faces) == len(opened.faces) + 4
     edges = np.sort(closed.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)

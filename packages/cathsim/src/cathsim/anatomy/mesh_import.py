@@ -8,7 +8,7 @@ import logging
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,29 +17,30 @@ from numpy.typing import NDArray
 
 from .centreline import LumenPaths, Voxels
 from .mesh_branches import Vessel, build_vessels, turned
+from .mesh_budget import Budget
 from .mesh_cavity import Cavity, find_cavity
 from .mesh_distance import distance_grid, lumen_samples, trim_cavity
 from .mesh_ends import VesselEnd, find_end, severs
 from .mesh_naming import ascending_score, name_vessels, ordered_names, renamed, world_rotation
-from .mesh_reading import clean_triangles, close_openings, read_triangles
+from .mesh_openings import close_openings
+from .mesh_reading import clean_triangles, read_triangles
 from .mesh_refusal import MeshRefusedError, draw_refusal
 from .mesh_report import ImportReport
 from .mesh_samples import SurfaceSamples, sample_surface
 from .mesh_targets import propose_entries, propose_targets
 from .mesh_tree import TreeSettings, grow_tree
-from .mesh_unit import UNITS, check_unit, detect_unit
+from .mesh_unit import UNITS, Size, check_unit, detect_unit, measure_size
 from .phantom import Phantom
 from .phantom_cache import PhantomCache, default_cache_directory
 
 logger = logging.getLogger(__name__)
 
-IMPORT_VERSION = 2  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 3  # raise it whenever the same file gives another phantom
 FINEST, COARSEST = 5e-4, 2.5e-3  # m, resolutions
 LEAST_WIDTH = 1e-3  # m: a lumen of a smaller radius is too narrow for a wire to be steered in
 _TORN_OFF = 0.03  # of the lumen: a part of this size that no coarse voxel joins to the rest is no speck
 _AT_OPENING = 3.0  # coarse voxels between the middle of an opening and the lumen's nearest one
 _SAMPLES = 0.7  # voxels between points on the surface
-_MOST_VOXELS = 40_000_000
 
 _importing = threading.Lock()
 Names = Mapping[str, str] | Sequence[str] | None
@@ -108,8 +109,9 @@ def _load(
         try:
             phantom = build.phantom(digest)
         except MeshRefusedError as error:
-            picture = build.picture(error.reason, directory / "refused" / f"{path.stem}-{digest[:12]}.png")
-            raise MeshRefusedError(error.reason, picture) from None
+            reason = error.reason if unit is None else build.with_unit_hint(error.reason)
+            picture = build.picture(reason, directory / "refused" / f"{path.stem}-{digest[:12]}.png")
+            raise MeshRefusedError(reason, picture) from None
         cache.write(phantom)
     return replace(phantom, source={"path": str(path.resolve()), "unit": unit, "names": names})
 
@@ -122,6 +124,7 @@ class _Import:
     unit: str | None
     names: Names
     resolution: float
+    budget: Budget = field(default_factory=Budget)
     samples: SurfaceSamples | None = None
     cavity: Cavity | None = None
     surface: Array | None = None
@@ -134,26 +137,33 @@ class _Import:
         self.surface = mesh.corners.mean(axis=1)
         if len(mesh.faces) < 4:
             raise MeshRefusedError(f"{self.path.name} holds no surface; its faces have no area.")
-        mesh, openings = close_openings(mesh)
+        mesh, openings, put_back = close_openings(mesh)
+        if put_back:
+            notes += (f"{put_back} missing triangles put back",)
+        self.budget.check_time("measuring its size")
         reason = "given"
         if self.unit is None:
-            self.unit, reason = detect_unit(mesh)
+            self.unit, reason, unsure = detect_unit(measure_size(mesh, self.budget))
+            notes += unsure
         scale = UNITS[self.unit]
+        extent = mesh.extent
         mesh = mesh.scaled(scale)
         self.surface = self.surface * scale
         spacing = self.resolution / 2
-        if np.prod(np.ptp(mesh.bounds, axis=0) / spacing) > _MOST_VOXELS:
-            size = " x ".join(f"{1e3 * s:.0f}" for s in np.ptp(mesh.bounds, axis=0))
-            raise MeshRefusedError(
-                f"at {self.resolution * 1e3:g} mm this surface is too large ({size} mm in {self.unit}); "
-                "check its unit, cut it to the arch and its branches, or take a coarser resolution."
-            )
-        self.samples = sample_surface(mesh.corners, _SAMPLES * spacing)
+        sides = np.ptp(mesh.bounds, axis=0)
+        size = " x ".join(f"{1e3 * side:.4g}" for side in sides)
+        self.budget.check_lattice(float(np.prod(sides / spacing)), spacing, f"{size} mm in {self.unit}")
+        self.samples = sample_surface(mesh.corners, _SAMPLES * spacing, self.budget)
+        self.budget.check_time("finding the lumen")
         self.cavity = cavity = find_cavity(self.samples, spacing)
+        if reason == "given" and (hint := Size(2 * cavity.widest / scale, extent).hint(self.unit)):
+            notes += (hint,)
+        self.budget.check_time("finding its ends")
         ends, lost = _find_ends(cavity, openings * scale)
         notes += lost
         inside = trim_cavity(cavity, ends)
         surface = lumen_samples(self.samples, cavity, inside, ends)
+        self.budget.check_time("finding its vessels")
         aorta, ends = _find_vessels(cavity, inside, ends)
 
         rotation, kept = world_rotation(aorta)
@@ -161,9 +171,11 @@ class _Import:
         offset = -(lumen.min(axis=0) + lumen.max(axis=0)) / 2
         if not kept:
             notes += ("the file's axes are not the patient's: the pose is estimated from the vessels",)
+        self.budget.check_time("measuring distances to its wall")
         grid = distance_grid(
             surface, cavity, inside, ends, rotation=rotation, offset=offset, resolution=self.resolution
         )
+        self.budget.check_time("drawing its centrelines")
         aorta = turned(aorta, rotation, offset)
         automatic, more = name_vessels(aorta)
         own = self.names if self.names is None or isinstance(self.names, Mapping) else None
@@ -210,6 +222,17 @@ class _Import:
             logger.info("%s: %s.", self.path.name, note)
         return replace(phantom, imported=report)
 
+    def with_unit_hint(self, reason: str) -> str:
+        """A refusal under a given unit, with the unit that would fit where another does."""
+        try:
+            mesh, _ = clean_triangles(read_triangles(self.path))
+            size = measure_size(close_openings(mesh)[0], Budget())
+        except MeshRefusedError:  # there is nothing to measure: the reason says what there is to say
+            return reason
+        assert self.unit is not None
+        hint = size.hint(self.unit)
+        return f"{reason.rstrip('.')}; {hint}: give that unit, or leave it out." if hint else reason
+
     def picture(self, reason: str, path: Path) -> Path | None:
         """Draws what came."""
         if self.surface is None or len(self.surface) == 0:
@@ -252,6 +275,11 @@ def _find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[
             found.append(end)
     ends = [end for end in found if not any(severs(end, paths.points(way)) for way in ways)]
     lost += len(found) - len(ends)
+    if lost > len(voxels) // 2:
+        raise MeshRefusedError(
+            f"no wall surrounds the vessel at {lost} of the lumen's {len(voxels)} ends: loose sheets or spikes stand "
+            "in it, or its wall is torn; repair the mesh, or cut it to the arch and its branches."
+        )
     if len(ends) < 3:
         raise MeshRefusedError(
             f"the lumen has {len(ends)} ends, an aorta with a branch has at least three; "
@@ -279,13 +307,24 @@ def _same(end: VesselEnd, other: VesselEnd) -> bool:
 
 def _find_vessels(cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd]) -> tuple[Vessel, list[VesselEnd]]:
     """Vessels between the ends, from the descending end of the aorta on."""
+    from scipy.ndimage import label
+
     paths = _coarse(cavity, inside)
-    lumen = np.argwhere(paths.inside)
+    labels, _ = label(paths.inside, np.ones((3, 3, 3)))
+    sizes = np.bincount(labels.reshape(-1))
+    sizes[0] = 0
+    lumen = np.argwhere(labels == int(np.argmax(sizes)))  # what hangs together: elsewhere there is no way to
     at = paths.points(lumen)
     places = []
     for end in ends:
         behind = end.centre - min(0.5 * end.radius, 3e-3) * end.normal
-        nearest = int(np.argmin(((at - behind) ** 2).sum(axis=1)))
+        away = ((at - behind) ** 2).sum(axis=1)
+        nearest = int(np.argmin(away))
+        if away[nearest] > (end.radius + 4 * cavity.spacing) ** 2:
+            raise MeshRefusedError(
+                "the lumen falls apart where its ends are cut: its surface is torn, doubled or crosses itself; repair "
+                "it, or cut the mesh to the arch and its branches."
+            )
         places.append(lumen[nearest])
     by_radius = sorted(range(len(ends)), key=lambda n: -ends[n].radius)
 

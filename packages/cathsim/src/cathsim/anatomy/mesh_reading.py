@@ -1,4 +1,4 @@
-"""A surface file as clean triangles: read, welded, thinned out where it is too fine, its openings closed by cones."""
+"""A surface file as clean triangles: read, welded, thinned out where it is too fine."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from .mesh_refusal import MeshRefusedError
 SUFFIXES = (".stl", ".obj", ".ply")
 MOST_BYTES = 2_000_000_000  # about forty million faces of a binary STL
 MOST_FACES = 400_000  # above this a mesh is thinned out
+_STRAY, _MOST_STRAY = 0.5, 10.0  # % of vertices at either side, and how many times further than the others they may lie
 _WELD = 1e-5  # of the largest extent: vertices nearer than this are one
 _CLUSTERS = 500  # cells along the largest extent when a mesh is thinned out
 
@@ -111,7 +112,16 @@ def read_triangles(path: Path) -> Triangles:
     faces = faces[finite[faces].min(axis=1)]
     if len(faces) < 4 or np.ptp(vertices[faces].reshape(-1, 3), axis=0).max() <= 0:
         raise MeshRefusedError(f"{path.name} holds no surface with finite coordinates: {expected}.")
-    return Triangles(vertices, faces)
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices = vertices[used]
+    low, high = np.percentile(vertices, [_STRAY, 100 - _STRAY], axis=0)
+    most, usual = np.ptp(vertices, axis=0).max(), (high - low).max()
+    if most > _MOST_STRAY * usual:
+        raise MeshRefusedError(
+            f"{path.name} has stray vertices: most lie within {usual:.3g}, all within {most:.3g} of its unit; remove "
+            "those far off."
+        )
+    return Triangles(vertices, faces.reshape(-1, 3))
 
 
 def clean_triangles(mesh: Triangles, *, most_faces: int = MOST_FACES) -> tuple[Triangles, tuple[str, ...]]:
@@ -154,31 +164,3 @@ def _cluster(mesh: Triangles, cell: float) -> Triangles:
     first = np.ones(len(ordered), dtype=bool)
     first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     return Triangles(vertices, faces[np.sort(order[first])])
-
-
-def close_openings(mesh: Triangles) -> tuple[Triangles, Array]:
-    """Closes every border of a surface by a cone from the border's edges to their middle.
-
-    Args:
-        mesh: welded triangles.
-
-    Returns:
-        The triangles with the cones' added, and the middles (k, 3) of the borders.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    size = len(mesh.vertices)
-    key, count = np.unique(edges[:, 0] * size + edges[:, 1], return_counts=True)
-    border = np.stack(np.divmod(key[count == 1], size), axis=1)
-    if len(border) == 0:
-        return mesh, np.empty((0, 3))
-    links = coo_array((np.ones(len(border)), (border[:, 0], border[:, 1])), shape=(size, size))
-    _, label = connected_components(links, directed=False)
-    _, loop = np.unique(label[border[:, 0]], return_inverse=True)
-    middle = mesh.vertices[border].mean(axis=1)
-    weight = np.bincount(loop)
-    apex = np.stack([np.bincount(loop, middle[:, k]) / weight for k in range(3)], axis=1)
-    cones = np.column_stack([border, size + loop])
-    return Triangles(np.concatenate([mesh.vertices, apex]), np.concatenate([mesh.faces, cones])), apex

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .mesh_budget import Budget
+
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
@@ -85,18 +87,24 @@ class SurfaceSamples:
         return distance, place, face
 
 
-def sample_surface(corners: Array, spacing: float) -> SurfaceSamples:
+def sample_surface(corners: Array, spacing: float, budget: Budget | None = None) -> SurfaceSamples:
     """Points on triangles at a distance of at most `spacing` along their edges.
 
     Args:
         corners: (m, 3, 3) m.
         spacing: m.
+        budget: that the points must fit; None: one of their own.
 
     Returns:
         The samples, corners included.
+
+    Raises:
+        MeshRefusedError: there would be too many.
     """
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    parts = np.maximum(np.ceil(edges / spacing).astype(np.int64), 1)
+    ratio = np.maximum(np.ceil(edges / spacing), 1.0)
+    (budget or Budget()).check_samples(float(((ratio + 1) * (ratio + 2) / 2).sum()))
+    parts = ratio.astype(np.int64)
     points, face = [], []
     for count in np.unique(parts):
         chosen = np.flatnonzero(parts == count)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
+from .mesh_budget import Budget
 from .mesh_cavity import find_cavity
 from .mesh_reading import Triangles
 from .mesh_refusal import MeshRefusedError
@@ -13,6 +15,7 @@ UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 _WIDTH, _EXTENT = 0.028, 0.22  # m: an aorta's widest place, and an arch's largest extent
 _EXTENT_WEIGHT = 0.25  # extents differ more: some models reach down to the groin
 _WORST = 1.1  # score beyond which no unit makes an aorta of the surface
+_CLOSE = 0.35  # scores nearer to each other than this leave a choice
 _VOXELS = 130  # along the largest extent
 
 
@@ -29,33 +32,83 @@ def check_unit(unit: str | None) -> None:
         raise MeshRefusedError(f"unknown unit {unit!r}; choose from {', '.join(UNITS)}, or leave it out.")
 
 
-def detect_unit(mesh: Triangles) -> tuple[str, str]:
-    """Tells the unit from the width of the widest ball in the lumen, and from the extent of the whole.
+@dataclass(frozen=True)
+class Size:
+    """How large a lumen is.
+
+    Attributes:
+        width: of its widest ball, in the file's unit.
+        extent: longest side of the whole, in the file's unit.
+    """
+
+    width: float
+    extent: float
+
+    def score(self, unit: str) -> float:
+        """How far it is from an aorta in a unit; 0: it has an aorta's width and extent."""
+        metres = UNITS[unit]
+        width, extent = self.width * metres / _WIDTH, self.extent * metres / _EXTENT
+        return math.log(width) ** 2 + _EXTENT_WEIGHT * math.log(extent) ** 2
+
+    def in_order(self) -> list[str]:
+        """The units, the one that fits best first."""
+        return sorted(UNITS, key=self.score)
+
+    def told(self, unit: str) -> str:
+        """Width and extent in a unit, in words."""
+        width, extent = (1e3 * UNITS[unit] * length for length in (self.width, self.extent))
+        return f"its widest vessel is then {width:.3g} mm wide and the whole {extent:.3g} mm long"
+
+    def hint(self, unit: str) -> str:
+        """What speaks against a given unit; empty where it fits about as well as any."""
+        best = self.in_order()[0]
+        if best == unit or self.score(best) > _WORST or self.score(unit) - self.score(best) < _CLOSE:
+            return ""
+        return f"in {unit} {self.told(unit)}; {best} would fit ({self.width * UNITS[best] * 1e3:.3g} mm wide)"
+
+
+def measure_size(mesh: Triangles, budget: Budget) -> Size:
+    """Measures the widest ball in a lumen, and the whole, at a rough resolution.
 
     Args:
         mesh: with its borders closed, in the file's unit.
+        budget: of the import.
 
     Returns:
-        One of UNITS, and the reason in words.
+        Its size in the file's unit.
 
     Raises:
-        MeshRefusedError: where there is no lumen, or in no unit could it be an aorta's.
+        MeshRefusedError: where there is no lumen.
     """
     spacing = mesh.extent / _VOXELS
-    width = 2 * find_cavity(sample_surface(mesh.corners, 0.7 * spacing), spacing, in_metres=False).widest
-    scores = {
-        unit: math.log(width * metres / _WIDTH) ** 2 + _EXTENT_WEIGHT * math.log(mesh.extent * metres / _EXTENT) ** 2
-        for unit, metres in UNITS.items()
-    }
-    best, second = sorted(scores, key=lambda unit: scores[unit])[:2]
-    measures = f"its widest vessel is then {width * UNITS[best] * 1e3:.0f} mm wide"
-    if scores[best] > _WORST:
+    samples = sample_surface(mesh.corners, 0.7 * spacing, budget)
+    return Size(2 * find_cavity(samples, spacing, in_metres=False).widest, mesh.extent)
+
+
+def detect_unit(size: Size) -> tuple[str, str, tuple[str, ...]]:
+    """Tells the unit from the width of the widest ball in the lumen, and from the extent of the whole.
+
+    Args:
+        size: of the lumen.
+
+    Returns:
+        One of UNITS, the reason in words, and a note where it is unsure.
+
+    Raises:
+        MeshRefusedError: where in no unit it could be an aorta's.
+    """
+    best, second = size.in_order()[:2]
+    width = f"its widest vessel is then {size.width * UNITS[best] * 1e3:.3g} mm wide"
+    if size.score(best) > _WORST:
         raise MeshRefusedError(
-            f"in no unit is this an aorta ({best} comes nearest, {measures}, and the whole "
-            f"{mesh.extent * UNITS[best] * 1e3:.0f} mm long); if it is one, give its unit."
+            f"in no unit is this an aorta ({best} comes nearest, {width}, and the whole "
+            f"{size.extent * UNITS[best] * 1e3:.3g} mm long); if it is one, give its unit."
         )
-    reason = f"detected: {measures}, as an aorta is"
-    if scores[second] - scores[best] < 0.35:
-        other = width * UNITS[second] * 1e3
-        reason += f"; but {second} could be meant ({other:.0f} mm wide): give the unit to be sure"
-    return best, reason
+    if size.score(second) - size.score(best) >= _CLOSE:
+        return best, f"detected: {width}, as an aorta is", ()
+    other = f"{second} could be meant ({size.width * UNITS[second] * 1e3:.3g} mm wide): give the unit to be sure"
+    return (
+        best,
+        f"detected: {width}, as an aorta is; but {other}",
+        (f"the unit is unsure: {best} is taken, but {other}",),
+    )
