@@ -24,6 +24,18 @@ def _surface(mesh: Triangles) -> SurfaceSamples:
     return sample_surface(mesh.corners, 5e-4)
 
 
+def test_faces_of_vertices_that_are_not_there_are_refused(tmp_path: Path):
+    path = tmp_path / "box.ply"
+    trimesh.creation.box((1, 1, 1)).export(path, encoding="ascii")
+    assert len(read_triangles(path).faces) == 12
+    head, _, body = path.read_text().partition("end_header\n")
+    lines = body.splitlines()
+    for wrong in ("3 0 1 99", "3 0 1 -2"):
+        path.write_text(f"{head}end_header\n" + "\n".join([*lines[:-1], wrong]) + "\n")
+        with pytest.raises(MeshRefusedError, match=r"box\.ply (has faces of vertices|cannot be read)"):
+            read_triangles(path)
+
+
 def test_welding_and_closing():
     box = trimesh.creation.box((1, 1, 1))
     soup = Triangles(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3))  # no two faces share a vertex

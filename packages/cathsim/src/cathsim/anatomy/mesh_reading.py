@@ -108,6 +108,8 @@ def read_triangles(path: Path) -> Triangles:
     faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
     if faces.ndim != 2 or faces.shape[-1] != 3 or len(faces) < 4 or vertices.ndim != 2:
         raise MeshRefusedError(f"{path.name} holds no surface ({len(faces)} triangles): {expected}.")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise MeshRefusedError(f"{path.name} has faces of vertices that it does not have: {expected}.")
     finite: NDArray[np.bool_] = np.isfinite(vertices).min(axis=1)
     faces = faces[finite[faces].min(axis=1)]
     if len(faces) < 4 or np.ptp(vertices[faces].reshape(-1, 3), axis=0).max() <= 0:
