@@ -64,6 +64,7 @@ def test_the_experiment_changes_counts_alone() -> None:
     }.items():  # fmt: skip
         for key in keys:
             assert getattr(check[stage], key) == getattr(real[stage], key), (stage, key)
+    assert {check[stage].task.max_steps for stage in ("expert", "baselines", "enn", "unseen", "navigation")} == {6}
     for stage in ("expert", "baselines", "enn", "imitation", "force", "unseen", "navigation"):
         for part in ("wire", "wire_length_mm", "actions", "image_size_px", "success_radius_mm", "start_rotation_deg"):
             assert getattr(check[stage].task, part) == getattr(real[stage].task, part), (stage, part)
