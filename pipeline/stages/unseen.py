@@ -171,8 +171,8 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
         if row == ROADMAP:  # its tests are a job of their own, so that the students need not wait for them
             jobs.append(Job(row, train_roadmap, replace(given, tests=()), after=taught, weight=weight, gpu_gb=vectors))
             jobs.append(Job(ROADMAP_TESTS, train_roadmap, given, after=(row,), weight=tests, gpu_gb=vectors))
-        else:  # never beside another one that keeps as many arches in memory
-            after = (*taught, *([ROADMAP] if count == settings.anatomies else []))
+        else:  # the one with most arches never beside another that keeps as many in memory
+            after = (*taught, *([ROADMAP, *students] if count == most else []))
             jobs.append(Job(row, train_roadmap, given, after=after, weight=weight + tests, gpu_gb=vectors))
     teacher = next(place for place, job in enumerate(jobs) if job.key == ROADMAP)
     for row in students:  # the longest chain of jobs: next after their teacher
