@@ -132,7 +132,7 @@ def test_a_package_s_refusal_in_a_job_is_one_sentence(run_python: Callable[[str]
         "connection.closed = True\n"
         f"folder = Path({str(tmp_path)!r})\n"
         "work(_wrong_job, -1, connection, (folder, folder / 'journal'))\n"
-        "print(json.dumps([vars(message) for message in connection.sent]))\n"
+        "print(json.dumps([vars(message) for message in connection.sent if message.kind == 'failed']))\n"
     )
     (message,) = json.loads(said)
     assert message["text"] == "_Fit.epochs must be greater than 0, got -1"
