@@ -132,8 +132,8 @@ def test_a_package_s_refusal_in_a_job_is_one_sentence(run_python: Callable[[str]
         "connection.closed = True\n"
         f"folder = Path({str(tmp_path)!r})\n"
         "work(_wrong_job, -1, connection, (folder, folder / 'journal'))\n"
-        "print(json.dumps([vars(message) for message in connection.sent if message.kind == 'failed']))\n"
+        "print(json.dumps([(m.text, m.traceback) for m in connection.sent if m.kind == 'failed']))\n"
     )
-    (message,) = json.loads(said)
-    assert message["text"] == "_Fit.epochs must be greater than 0, got -1"
-    assert not message["traceback"]
+    ((text, traceback),) = json.loads(said)
+    assert text == "_Fit.epochs must be greater than 0, got -1"
+    assert not traceback
