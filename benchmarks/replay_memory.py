@@ -2,8 +2,8 @@
 
     python benchmarks/replay_memory.py [--transitions 800] [--phantom type_1]
 
-Fills a buffer with episodes of clumsy pushing for every set of observations that `budget=thesis` trains on, and prints
-what a transition takes there, what that comes to for a million, CPU milliseconds of a batch of 256, and CPU
+Fills a buffer with episodes of random forward pushing for every set of observations that `budget=thesis` trains on, and
+prints what a transition takes there, what that comes to for a million, CPU milliseconds of a batch of 256, and CPU
 microseconds that a transition's storing and a transition's share of a checkpoint cost. Its last line is a JSON object.
 """
 

@@ -21,7 +21,6 @@ _LEAN = -0.3, 1.0  # mean of a run's pushes, of the most in a step: a wire pushe
 _FORWARD, _TURN = 0.4, 0.7  # spread of the moves, of the most in a step
 _STEERED = 0.6  # share of the pictures of wires that a teacher steers, where there is one
 _BETWEEN = 12  # steps between two pictures of those
-_WANDER = 0.8  # how much a clumsy hand's error stays the same from one action to the next
 _CURVE_M = 0.5e-3  # between the points of a true curve
 
 Frame = tuple[np.ndarray, np.ndarray]  # pictures, and curves
@@ -48,7 +47,8 @@ def frames_in(anatomy: Anatomy, job: ReaderJob, size_px: int, device: str = "cpu
 def _steered(
     anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generator: np.random.Generator, device: str
 ) -> list[Frame]:
-    """Pictures of episodes that a teacher steers, each with a hand of its own clumsiness, from none to nothing else."""
+    """Pictures of episodes that a teacher steers, each with a share of noise in its actions, from none to all."""
+    from enn.perturbed_controller import PerturbedController
     from enn.policy import Policy
 
     if not count:
@@ -64,14 +64,10 @@ def _steered(
         scene = job.rules.scene(anatomy, target, job.rig, teacher.keys)
         environment = scene.environment
         observation, _ = environment.reset(seed=int(generator.integers(2**31)))
-        clumsy, astray = generator.uniform(), generator.normal(0.0, 1.0, 2)
+        steer = PerturbedController(teacher, generator)
         over, step = False, 0
         while not over and len(found) < count:
-            if step % teacher.action_repeat == 0:
-                astray = _WANDER * astray + np.sqrt(1 - _WANDER**2) * generator.normal(0.0, 1.0, 2)
-                advice = teacher.act_batch({key: observation[key][None] for key in teacher.keys})[0]
-                action = np.clip((1 - clumsy) * advice + clumsy * astray, -1.0, 1.0).astype(np.float32)
-            observation, _, terminated, truncated, _ = environment.step(action)
+            observation, _, terminated, truncated, _ = environment.step(steer(observation))
             over, step = terminated or truncated, step + 1
             if step % _BETWEEN == 0 and not over:
                 simulation = environment.simulation

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 VIEW = "frontal"
 BEFORE, MOVING, FILLED = "plain", "fluid", "contrast"  # what is kept of the run, and fillings of the lumen
 _BETWEEN = 8  # steps between two images that the wire's segmenter learns from
-_WANDER = 0.8  # how much a clumsy hand's error stays the same from one action to the next
 
 
 class ContrastRun(NamedTuple):
@@ -138,7 +137,7 @@ def wire_frames(
     generator: np.random.Generator,
     tick: Callable[[int], None] = lambda done: None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
-    """Images of episodes that an expert steers, each with a hand of its own clumsiness, from none to nothing else.
+    """Images of episodes that an expert steers, each with a share of noise in its actions, from none to all.
 
     So the segmenter also sees tips that fold at walls and lie in wrong branches.
 
@@ -146,28 +145,26 @@ def wire_frames(
         environment: over the training anatomies, with the expert's observations and masks.
         expert: that steers.
         cases: of the episodes.
-        generator: of starts and clumsiness.
+        generator: of starts and noise.
         tick: called with the number of finished episodes.
 
     Returns:
         Images, images without a wire, and masks. Shapes (n, size, size).
     """
+    from enn.perturbed_controller import PerturbedController
+
     images, plains, masks = [], [], []
     for number, case in enumerate(cases):
         tick(number)
         observation, _ = environment.reset(seed=int(generator.integers(2**31)), options={"case": case})
-        clumsy, astray = generator.uniform(), generator.normal(0.0, 1.0, 2)
+        steer = PerturbedController(expert, generator)
         over, step = False, 0
         while not over:
             if step % _BETWEEN == 0:
                 images.append(observation["image"][0])
                 plains.append(observation["plain"][0])
                 masks.append(observation["mask"][0])
-            if step % expert.action_repeat == 0:
-                astray = _WANDER * astray + np.sqrt(1 - _WANDER**2) * generator.normal(0.0, 1.0, 2)
-                advice = expert.act_batch({key: observation[key][None] for key in expert.keys})[0]
-                action = np.clip((1 - clumsy) * advice + clumsy * astray, -1.0, 1.0).astype(np.float32)
-            observation, _, terminated, truncated, _ = environment.step(action)
+            observation, _, terminated, truncated, _ = environment.step(steer(observation))
             over, step = terminated or truncated, step + 1
     return np.stack(images), np.stack(plains), np.stack(masks)
 
