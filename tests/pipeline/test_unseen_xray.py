@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -62,6 +63,7 @@ def test_masks_show_the_wire_where_asked_for() -> None:
 
 
 class Forward:
+    action_space = gymnasium.spaces.Box(-1, 1, FORWARD.shape, np.float32)
     keys = ("roadmap",)
     action_repeat = 3
 
