@@ -187,7 +187,8 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
         "test_samples": result.samples,
         "mse_n2": result.mse_n2,
         "variance_n2": result.variance_n2,
-        "share_pct": 100.0 * result.share_of_variance,
+        # forces that are all the same have none, e.g. where no episode touches the wall
+        "share_pct": 100.0 * result.share_of_variance if result.variance_n2 > 0 else None,
         "correlation": result.correlation,
         "mean_mse_n2": score(mean, test.forces).mse_n2,
         "untrained_mse_n2": score(untrained, test.forces).mse_n2,

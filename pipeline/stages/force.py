@@ -173,27 +173,32 @@ def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list
         folder: of the stage.
     """
     draw_calibration({job.key: outcomes[job.key]["calibration"] for job in fits}, folder / "calibration.png")
-    shares = {job.given.samples: outcomes[job.key]["share_pct"] for job in fits if job.given.inputs == THESIS_INPUTS}
-    draw_shares(shares, folder / "shares.png")
+    told = {job.given.samples: outcomes[job.key]["share_pct"] for job in fits if job.given.inputs == THESIS_INPUTS}
+    shares = {samples: share for samples, share in told.items() if share is not None}
     last = outcomes[fits[-1].key]
     spread = (
         f"mean {last['force_mean_n']:.3f} N, variance {last['variance_n2']:.2g} N², largest {last['force_max_n']:.2f} N"
     )
-    return [
+    found = [
         Figure(
             "Predicted and true contact force",
             f"Bins of equally many test samples by predicted force; episodes that were not learnt from; {spread}.",
             "calibration.png",
             GROUP,
-        ),
-        Figure(
-            "Error of force prediction by number of samples",
-            "From the image alone, as a share of the variance of the test forces; samples are drawn from the disturbed "
-            "episodes at random. The line is at 10 %.",
-            "shares.png",
-            GROUP,
-        ),
+        )
     ]
+    if shares:  # none where all test forces are the same
+        draw_shares(shares, folder / "shares.png")
+        found.append(
+            Figure(
+                "Error of force prediction by number of samples",
+                "From the image alone, as a share of the variance of the test forces; samples are drawn from the "
+                "disturbed episodes at random. The line is at 10 %.",
+                "shares.png",
+                GROUP,
+            )
+        )
+    return found
 
 
 STAGE = Stage(

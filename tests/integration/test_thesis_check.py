@@ -41,7 +41,7 @@ def test_every_stage_and_job_succeeds_and_tells_what_it_took(run: Path) -> None:
         *(f"baselines/type_1/bca/{a}_{o}/seed0" for a in ("ppo", "sac") for o in ("internal", "image", "sequential")),
         "baselines/type_1/bca/path_follower/seed0",
         *(f"enn/type_1/bca/{sees}/seed0" for sees in ("I", "V", "V+M", "I+V", "I+V+M", "I+V+M safe 5")),
-        "imitation/type_1/bca/dagger", "force/V+M/16", "unseen/roadmap", "unseen/image",
+        "imitation/type_1/bca/dagger", "force/V+M/16", "unseen/roadmap", "unseen/image_true_mask", "unseen/xray",
         *(f"shape/{row}" for row in ("spherical", "cartesian", "spherical_angles", "fgrn")),
         *(f"segmentation/{row}" for row in ("unet", "transunet", "swinunet")),
         "splineformer/published", "splineformer/ordered", "navigation/splineformer_dagger",

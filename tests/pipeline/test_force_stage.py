@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from pipeline import force_job
 from pipeline.errors import ConfigurationError
 from pipeline.expert_episodes import read_episodes
 from pipeline.force_job import INPUTS, held_apart, learn_force, samples_of
@@ -74,6 +77,22 @@ def test_a_fitted_network_is_kept(run: Path, results: dict, monkeypatch: pytest.
     job = force.plan(settings(), context(run, "force"))[1][0].given
     monkeypatch.setattr("enn.force.fit_force", None)
     assert learn_force(job, Report())["mse_n2"] == results["force_prediction_mse"]["fpn_12"]["mse_n2"]
+
+
+def test_forces_that_are_all_the_same_have_no_share(
+    run: Path, results: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def untouched(*args: Any, **kwargs: Any) -> Any:
+        samples = samples_of(*args, **kwargs)
+        return replace(samples, forces=np.zeros_like(samples.forces))
+
+    monkeypatch.setattr(force_job, "samples_of", untouched)
+    fit = force.plan(settings(), context(run, "force"))[1][0]
+    told = learn_force(replace(fit.given, folder=tmp_path / "V"), Report())
+    assert told["share_pct"] is None
+    assert json.loads((tmp_path / "V" / "force.json").read_text())["variance_n2"] == 0
+    assert force.tables([fit], {fit.key: told})["force_share"]["baseline"]["share_pct"] is None
+    assert [one.file for one in force.figures([fit], {fit.key: told}, tmp_path)] == ["calibration.png"]
 
 
 def test_names_of_rows() -> None:
