@@ -124,6 +124,19 @@ def test_refuses_other_shapes_and_numbers_that_are_none(predictor: ForcePredicto
         numbers.predict(np.zeros((1, 0, 40, 40), np.uint8), np.full((1, 3), np.nan, np.float32))
     with pytest.raises(ValueError, match="got neither"):
         ForceNetworkSettings(image_shape=(0, 40, 40))
+    with pytest.raises(ValueError, match="channels, height and width above 0"):
+        ForceNetworkSettings(image_shape=(1, 0, 40))
+
+
+def test_predicts_from_numbers_alone(halves: tuple[ForceSamples, ForceSamples]) -> None:
+    training = halves[0]
+    nothing = np.zeros((len(training), 0, 0, 0), np.uint8)
+    numbers = np.tile(training.forces[:, None], (1, 3)).astype(np.float32)
+    known = replace(training, images=nothing, vectors=numbers, features=None)
+    settings = replace(DESK_FORCE, fit=replace(DESK_FORCE.fit, epochs=2))
+    predictor, _ = fit_force(known, settings, seed=0)
+    assert predictor.network.settings.image_shape == (0, 0, 0)
+    assert predictor.predict(nothing[:5], numbers[:5]).shape == (5,)
     with pytest.raises(ValueError, match="vectors hold a value that is not finite"):
         ForceSamples(
             np.zeros((1, 1, 40, 40), np.uint8), np.full((1, 2), np.inf, np.float32), np.zeros(1), np.zeros(1, np.int64)

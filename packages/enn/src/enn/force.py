@@ -18,7 +18,7 @@ from enn.force_samples import ForceSamples
 from enn.image_network import ImageNetwork, ImageSettings
 from enn.model_file import read_network, write_network
 from enn.normalisation import standardised
-from enn.setting_kinds import Pixels, Units, UnitsOrNone, Weight, settings
+from enn.setting_kinds import PixelsOrNone, Units, UnitsOrNone, Weight, settings
 
 FORMAT = "enn-force-predictor-1"
 _CLIP = 8.0  # standard deviations: beyond them a vector entry says nothing more
@@ -29,7 +29,7 @@ class ForceNetworkSettings:
     """What shapes of weights depend on.
 
     Attributes:
-        image_shape: channels, height, width; no channel: no images.
+        image_shape: channels, height, width; all 0: no images.
         vector: numbers beside the images (joints, feeder, action); 0: images alone, as in the thesis.
         matched: size of the feature vector that is predicted too; 0: none.
         variant: of the image network, "thesis" or "desk".
@@ -37,7 +37,7 @@ class ForceNetworkSettings:
         hidden: units of the head's layers.
     """
 
-    image_shape: tuple[UnitsOrNone, Pixels, Pixels] = (1, 80, 80)
+    image_shape: tuple[UnitsOrNone, PixelsOrNone, PixelsOrNone] = (1, 80, 80)
     vector: UnitsOrNone = 0
     matched: UnitsOrNone = 0
     variant: str = "desk"
@@ -48,6 +48,8 @@ class ForceNetworkSettings:
         """Refuses a network without input."""
         if self.image_shape[0] == 0 and self.vector == 0:
             raise ValueError("a force network needs images or numbers to predict from, got neither")
+        if self.image_shape[0] and not min(self.image_shape):
+            raise ValueError(f"image_shape must be channels, height and width above 0, got {self.image_shape}")
 
 
 @settings
