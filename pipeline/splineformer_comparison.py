@@ -215,6 +215,8 @@ def _keep_examples(job: ComparisonJob, data: Dataset, readers: dict[str, Reader]
     items = _items(job.test_images, job, data)
     order = np.argsort(plain["mean_errors_px"])
     chosen = [("none", plain["images"][order[round(share * (len(order) - 1))]]) for share in SHOWN if len(order)]
+    if not chosen:  # the rival has found no wire at all
+        chosen = [("none", 0)]
     other = [kind for kind in job.disturbances if kind != "none"]
     if other:
         kind = "occlusion" if "occlusion" in other else other[-1]

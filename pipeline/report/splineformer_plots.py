@@ -112,7 +112,9 @@ def draw_errors(outcome: Mapping[str, Mapping[str, Any]], labels: Mapping[str, s
             axes.step(
                 errors, 100 * np.arange(1, len(errors) + 1) / max(told["n"], 1), where="post", label=labels[reader]
             )
-        axes.set(xscale="log", xlabel=f"{name}, px", ylabel="images below, %", ylim=(0, 102))
+        axes.set(xlabel=f"{name}, px", ylabel="images below, %", ylim=(0, 102))
+        if any(told[key] for told in outcome["none"].values()):  # a logarithmic axis needs a value
+            axes.set(xscale="log")
         axes.grid(alpha=0.3)
     places[0].legend(frameon=False, fontsize=8, loc="lower right")
     readers = list(outcome["none"])
@@ -124,6 +126,8 @@ def draw_errors(outcome: Mapping[str, Mapping[str, Any]], labels: Mapping[str, s
             np.arange(len(outcome)) + width * (index - (len(readers) - 1) / 2), heights, width, label=labels[reader]
         )
     places[2].set_xticks(range(len(outcome)), [kind.replace("_", " ") for kind in outcome], fontsize=8)
-    places[2].set(ylabel="median of the mean curve error, px", yscale="log")
+    places[2].set(ylabel="median of the mean curve error, px")
+    if any(one["median_px"] is not None for told in outcome.values() for one in told.values()):
+        places[2].set(yscale="log")
     places[2].grid(alpha=0.3, axis="y")
     save_figure(figure, file)

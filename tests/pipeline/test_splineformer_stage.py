@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +13,12 @@ import pytest
 from guide3d.build import SEGMENTER_SIZES
 from guide3d.predictor import SegmentationPredictor, built
 from guide3d.preprocessing import Preprocessing
+from pipeline import splineformer_comparison
 from pipeline.errors import ConfigurationError, StageError
 from pipeline.guide3d_folder import Source, open_dataset
 from pipeline.job_worker import Report
-from pipeline.splineformer_comparison import compare, mm_per_px
+from pipeline.report.splineformer_plots import draw_attention, draw_comparison, draw_errors
+from pipeline.splineformer_comparison import EXAMPLES, Reader, compare, mm_per_px
 from pipeline.splineformer_job import learn_variant
 from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stages import splineformer
@@ -92,6 +96,25 @@ def test_a_missing_rival_is_told(run: Path, results: dict) -> None:
     job = splineformer.plan(settings, context(run, "splineformer", reads=READS))[-1]
     with pytest.raises(StageError, match=r"swinunet.predictor.pt is missing"):
         compare(job.given, Report())
+
+
+def test_wires_that_no_reader_finds_are_drawn(
+    run: Path, results: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = splineformer.plan(SETTINGS, context(run, "splineformer", reads=READS))[-1].given
+
+    def blind(*given: Any) -> dict[str, Reader]:
+        found = {name: lambda image, camera: (None, 0, None) for name in job.variants}
+        return {job.rival: lambda image, camera: (None, 0, np.zeros(image.shape, np.uint8)), **found}
+
+    monkeypatch.setattr(splineformer_comparison, "_readers", blind)
+    outcome = compare(replace(job, folder=tmp_path, disturbances=("none",)), Report())
+    assert {told["read_pct"] for told in outcome["none"].values()} == {0.0}
+    examples = tmp_path / EXAMPLES
+    draw_comparison(examples, job.rival, SETTINGS.variants, splineformer.LABELS, tmp_path / "comparison.png")
+    draw_errors(outcome, splineformer.LABELS, tmp_path / "errors.png")
+    draw_attention(examples, SETTINGS.variants, splineformer.LABELS, tmp_path / "attention.png")
+    assert len(list(tmp_path.glob("*.png"))) == 3
 
 
 def test_scale(run: Path) -> None:
