@@ -1,13 +1,13 @@
 """Anatomy: parametric aortic arches, their lumens as signed distance grids, targets and geodesic distances."""
 
-from .arch_parameters import Aneurysm, ArchParameters
-from .distance_grid import SignedDistanceGrid
-from .library import PHANTOMS, load_phantom
-from .mesh_import import import_mesh
-from .mesh_refusal import MeshRefusedError
-from .mesh_report import ImportReport
-from .phantom import Entry, Phantom, Target
-from .vessel_tree import Branch, VesselTree
+from cathsim.anatomy.arch_parameters import Aneurysm, ArchParameters
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.library import PHANTOMS, load_phantom
+from cathsim.anatomy.mesh_import import import_mesh
+from cathsim.anatomy.mesh_refusal import MeshRefusedError
+from cathsim.anatomy.mesh_report import ImportReport
+from cathsim.anatomy.phantom import Entry, Phantom, Target
+from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 __all__ = [
     "PHANTOMS",

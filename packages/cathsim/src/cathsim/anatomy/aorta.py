@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .arch_parameters import Aneurysm, ArchParameters
-from .branching import STEP, smoothstep, winding
+from cathsim.anatomy.arch_parameters import Aneurysm, ArchParameters
+from cathsim.anatomy.branching import STEP, smoothstep, winding
 
 STRAIGHT_ENTRY = 0.022  # m of straight descending aorta at its open end
 TAPER_LENGTH = 0.2  # m over which the aorta narrows from root to descending diameter

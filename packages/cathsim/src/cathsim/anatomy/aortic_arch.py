@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from .aorta import STRAIGHT_ENTRY, Aorta, fusiform_widening, shape_aorta
-from .arch_parameters import Aneurysm, ArchParameters
-from .branching import STEP
-from .supra_aortic import grow_supra_aortic, locate_origins
-from .vessel_tree import Branch, VesselTree
+from cathsim.anatomy.aorta import STRAIGHT_ENTRY, Aorta, fusiform_widening, shape_aorta
+from cathsim.anatomy.arch_parameters import Aneurysm, ArchParameters
+from cathsim.anatomy.branching import STEP
+from cathsim.anatomy.supra_aortic import grow_supra_aortic, locate_origins
+from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 
 def build_arch(parameters: ArchParameters) -> VesselTree:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .vessel_tree import VesselTree
+from cathsim.anatomy.vessel_tree import VesselTree
 
 TYPES = ("I", "II", "III")
 _BEYOND_ORIGIN = 0.025  # m above its ostium, past the flare, where the LCCA's own diameter is read

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .vessel_tree import Branch
+from cathsim.anatomy.vessel_tree import Branch
 
 STEP = 1e-3  # m between centreline points
 _SUBSTEPS = 4

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
 
 _STEPS = 60
 _NEAR = 2e-5  # m: nearer to the wall than this a ray has arrived

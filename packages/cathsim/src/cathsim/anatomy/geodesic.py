@@ -7,8 +7,8 @@ import ctypes
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .distance_grid import SignedDistanceGrid
-from .vessel_tree import VesselTree, nearest_on_branch
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
 
 MARGIN = 4e-3  # m outside the lumen up to which the field continues its nearest inside value
 _SEED_RADIUS = 2e-3  # m: within this ball about the target the distance is the straight one

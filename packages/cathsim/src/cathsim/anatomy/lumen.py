@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .distance_grid import SignedDistanceGrid
-from .vessel_tree import Branch, VesselTree
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 OUTSIDE = -0.010  # m: value far outside the lumen
 PADDING = 7  # lattice points around the lumen

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .cross_section import wall_distances
-from .distance_grid import SignedDistanceGrid
-from .geodesic import centreline_path
-from .phantom import ENTRY_DEPTH, Phantom
+from cathsim.anatomy.cross_section import wall_distances
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.geodesic import centreline_path
+from cathsim.anatomy.phantom import ENTRY_DEPTH, Phantom
 
 WIRE_RADIUS = 0.45e-3  # m
 _SPECK = 8  # lattice points: what is smaller is rounding at an edge, not a chamber

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .centreline import arc_length
+from cathsim.anatomy.centreline import arc_length
 
 _SAME_FORK = 6e-3  # m: forks nearer to each other than this are one
 _ONE_LUMEN = 0.8  # of the wider's radius: ways nearer to each other than this run in one lumen

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
-from .mesh_refusal import MeshRefusedError
+from cathsim.anatomy.mesh_refusal import MeshRefusedError
 
 MOST_SECONDS = 120.0  # s of processor time; whole arches take 4 to 40
 MOST_BYTES = 4e9

@@ -13,8 +13,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from .mesh_refusal import MeshRefusedError
-from .mesh_samples import SurfaceSamples
+from cathsim.anatomy.mesh_refusal import MeshRefusedError
+from cathsim.anatomy.mesh_samples import SurfaceSamples
 
 _MARGIN = 4  # voxels of free space around the surface
 _ESCAPING = 0.2  # of all directions may lead out of a tunnel

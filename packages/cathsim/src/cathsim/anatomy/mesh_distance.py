@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .centreline import arc_length, resampled
-from .cross_section import across_frames
-from .distance_grid import SignedDistanceGrid
-from .lumen import OUTSIDE, PADDING
-from .mesh_cavity import Cavity
-from .mesh_ends import VesselEnd
-from .mesh_samples import SurfaceSamples, sample_surface
+from cathsim.anatomy.centreline import arc_length, resampled
+from cathsim.anatomy.cross_section import across_frames
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.lumen import OUTSIDE, PADDING
+from cathsim.anatomy.mesh_cavity import Cavity
+from cathsim.anatomy.mesh_ends import VesselEnd
+from cathsim.anatomy.mesh_samples import SurfaceSamples, sample_surface
 
 _EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them
 _SWEPT = 1.8  # radii before a flat end over which the lumen is filled across the vessel

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .centreline import arc_length, resampled, smoothed
-from .cross_section import across_frames
-from .mesh_cavity import Cavity
+from cathsim.anatomy.centreline import arc_length, resampled, smoothed
+from cathsim.anatomy.cross_section import across_frames
+from cathsim.anatomy.mesh_cavity import Cavity
 
 _RAYS = 48
 _SURROUNDED = 0.94  # share of rays across the vessel that must meet its wall

@@ -15,23 +15,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .centreline import LumenPaths, Voxels
-from .mesh_branches import Vessel, build_vessels, turned
-from .mesh_budget import Budget
-from .mesh_cavity import Cavity, find_cavity
-from .mesh_distance import distance_grid, lumen_samples, trim_cavity
-from .mesh_ends import VesselEnd, find_end, severs
-from .mesh_naming import ascending_score, name_vessels, ordered_names, renamed, world_rotation
-from .mesh_openings import close_openings
-from .mesh_reading import clean_triangles, read_triangles
-from .mesh_refusal import MeshRefusedError, draw_refusal
-from .mesh_report import ImportReport
-from .mesh_samples import SurfaceSamples, sample_surface
-from .mesh_targets import propose_entries, propose_targets
-from .mesh_tree import TreeSettings, grow_tree
-from .mesh_unit import UNITS, Size, check_unit, detect_unit, measure_size
-from .phantom import Phantom
-from .phantom_cache import PhantomCache, default_cache_directory
+from cathsim.anatomy.centreline import LumenPaths, Voxels
+from cathsim.anatomy.mesh_branches import Vessel, build_vessels, turned
+from cathsim.anatomy.mesh_budget import Budget
+from cathsim.anatomy.mesh_cavity import Cavity, find_cavity
+from cathsim.anatomy.mesh_distance import distance_grid, lumen_samples, trim_cavity
+from cathsim.anatomy.mesh_ends import VesselEnd, find_end, severs
+from cathsim.anatomy.mesh_naming import ascending_score, name_vessels, ordered_names, renamed, world_rotation
+from cathsim.anatomy.mesh_openings import close_openings
+from cathsim.anatomy.mesh_reading import clean_triangles, read_triangles
+from cathsim.anatomy.mesh_refusal import MeshRefusedError, draw_refusal
+from cathsim.anatomy.mesh_report import ImportReport
+from cathsim.anatomy.mesh_samples import SurfaceSamples, sample_surface
+from cathsim.anatomy.mesh_targets import propose_entries, propose_targets
+from cathsim.anatomy.mesh_tree import TreeSettings, grow_tree
+from cathsim.anatomy.mesh_unit import UNITS, Size, check_unit, detect_unit, measure_size
+from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
 logger = logging.getLogger(__name__)
 

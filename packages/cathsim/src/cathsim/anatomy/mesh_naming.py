@@ -12,9 +12,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from .centreline import arc_length
-from .mesh_branches import Vessel, continued
-from .mesh_refusal import MeshRefusedError
+from cathsim.anatomy.centreline import arc_length
+from cathsim.anatomy.mesh_branches import Vessel, continued
+from cathsim.anatomy.mesh_refusal import MeshRefusedError
 
 ARCH_YAW = 0.75  # rad between the arch's plane and the coronal plane
 SNAP_UP, SNAP_LEFT = math.radians(20), math.radians(30)  # nearer to a file's axis than this the axis is meant

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .mesh_refusal import MeshRefusedError
+from cathsim.anatomy.mesh_refusal import MeshRefusedError
 
 SUFFIXES = (".stl", ".obj", ".ply")
 MOST_BYTES = 2_000_000_000  # about forty million faces of a binary STL

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .phantom import END_CLEARANCE, ENTRY_DEPTH, TARGET_DISTANCE, Entry, Target
-from .vessel_tree import VesselTree
+from cathsim.anatomy.phantom import END_CLEARANCE, ENTRY_DEPTH, TARGET_DISTANCE, Entry, Target
+from cathsim.anatomy.vessel_tree import VesselTree
 
 OTHER_DISTANCE = 0.030  # m beyond the ostium, in branches that the named phantoms do not have
 ENTRY_CHORD = 0.010  # m of centreline that give an entry its direction: a cut end is often flared or aslant

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .centreline import arc_length, resampled, smoothed
-from .cross_section import wall_distances
-from .distance_grid import SignedDistanceGrid
-from .mesh_branches import Vessel
-from .vessel_tree import Branch, VesselTree, nearest_on_branch
+from cathsim.anatomy.centreline import arc_length, resampled, smoothed
+from cathsim.anatomy.cross_section import wall_distances
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.mesh_branches import Vessel
+from cathsim.anatomy.vessel_tree import Branch, VesselTree, nearest_on_branch
 
 STEP = 1e-3  # m between centreline points
 _ROUNDS = 10

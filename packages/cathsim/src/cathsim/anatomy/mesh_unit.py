@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .mesh_budget import Budget
-from .mesh_cavity import find_cavity
-from .mesh_reading import Triangles
-from .mesh_refusal import MeshRefusedError
-from .mesh_samples import sample_surface
+from cathsim.anatomy.mesh_budget import Budget
+from cathsim.anatomy.mesh_cavity import find_cavity
+from cathsim.anatomy.mesh_reading import Triangles
+from cathsim.anatomy.mesh_refusal import MeshRefusedError
+from cathsim.anatomy.mesh_samples import sample_surface
 
 UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 _WIDTH, _EXTENT = 0.028, 0.22  # m: an aorta's widest place, and an arch's largest extent

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arch_parameters import ArchParameters
-from .distance_grid import SignedDistanceGrid, sample_trilinear
-from .geodesic import arc_distance, geodesic_field, graph_distance
-from .point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
-from .vessel_tree import VesselTree
+from cathsim.anatomy.arch_parameters import ArchParameters
+from cathsim.anatomy.distance_grid import SignedDistanceGrid, sample_trilinear
+from cathsim.anatomy.geodesic import arc_distance, geodesic_field, graph_distance
+from cathsim.anatomy.point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
+from cathsim.anatomy.vessel_tree import VesselTree
 
 if TYPE_CHECKING:
     import trimesh
 
-    from .mesh_report import ImportReport
+    from cathsim.anatomy.mesh_report import ImportReport
 
 # Distance beyond the ostium (for rsa and rcca: beyond the bifurcation of the trunk), m.
 TARGET_DISTANCE = {"bca": 0.030, "lcca": 0.040, "lsa": 0.040, "rcca": 0.020, "rsa": 0.020}
@@ -244,7 +244,7 @@ class Phantom:
     @cached_property
     def lumen_mesh(self) -> trimesh.Trimesh:
         """Watertight surface of the lumen, m, world frame, normals pointing out of the lumen."""
-        from .surface import lumen_surface
+        from cathsim.anatomy.surface import lumen_surface
 
         return lumen_surface(self.grid)
 
@@ -257,7 +257,7 @@ class Phantom:
         Returns:
             Surface in m, world frame.
         """
-        from .surface import wall_surface
+        from cathsim.anatomy.surface import wall_surface
 
         return wall_surface(self.grid, self.tree, thickness)
 

@@ -19,12 +19,12 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from .arch_parameters import ArchParameters
-from .distance_grid import SignedDistanceGrid
-from .geodesic import MARGIN
-from .mesh_report import ImportReport
-from .phantom import Entry, Phantom, Target
-from .vessel_tree import Branch, VesselTree
+from cathsim.anatomy.arch_parameters import ArchParameters
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.geodesic import MARGIN
+from cathsim.anatomy.mesh_report import ImportReport
+from cathsim.anatomy.phantom import Entry, Phantom, Target
+from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 logger = logging.getLogger(__name__)
 _DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexError, NotImplementedError, zlib.error)

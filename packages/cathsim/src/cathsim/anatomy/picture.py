@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .distance_grid import SignedDistanceGrid
-from .phantom import Phantom
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.phantom import Phantom
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,8 +9,8 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from .distance_grid import SignedDistanceGrid
-from .vessel_tree import VesselTree, nearest_on_branch
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
 
 Point = tuple[float, float, float]  # m, world frame
 TargetLike = str | Sequence[float] | NDArray[np.floating]

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .aortic_arch import build_arch
-from .arch_parameters import ArchParameters, draw_parameters
-from .vessel_tree import VesselTree, nearest_on_branch
+from cathsim.anatomy.aortic_arch import build_arch
+from cathsim.anatomy.arch_parameters import ArchParameters, draw_parameters
+from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
 
 MINIMUM_SEPARATION = 2e-3  # m of wall between the lumens of vessels that do not meet
 _OSTIUM_REGION = 0.008  # m beyond an ostium within which neighbours may lie nearer

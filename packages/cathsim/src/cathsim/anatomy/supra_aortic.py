@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .aorta import Aorta
-from .arch_parameters import ArchParameters
-from .branching import STEP, grow_branch
-from .vessel_tree import Branch
+from cathsim.anatomy.aorta import Aorta
+from cathsim.anatomy.arch_parameters import ArchParameters
+from cathsim.anatomy.branching import STEP, grow_branch
+from cathsim.anatomy.vessel_tree import Branch
 
 _LEAN = 0.9  # how far below its ostium a branch starts on a slope, in aortic radii
 

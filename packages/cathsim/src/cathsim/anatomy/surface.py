@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .distance_grid import SignedDistanceGrid
-from .vessel_tree import VesselTree
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.vessel_tree import VesselTree
 
 if TYPE_CHECKING:
     import trimesh

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from .questionnaire import CRITERIA, check_answers
-from .recorder import NpzRecorder, Recorder
+from cathsim.console.questionnaire import CRITERIA, check_answers
+from cathsim.console.recorder import NpzRecorder, Recorder
 
 __all__ = ["CRITERIA", "NpzRecorder", "Recorder", "check_answers"]

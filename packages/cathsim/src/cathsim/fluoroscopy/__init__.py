@@ -4,18 +4,18 @@
 real detectors.
 """
 
-from .attenuation import background_image, expose, lumen_path_length
-from .biplane import BiplaneFluoroscope, Frame
-from .body import THORAX, WATER_BATH, Box, Ellipsoid
-from .c_arms import PAIRS, XRayCamera, clinical_pair, guide3d_pair
-from .calibration_file import read_projection, write_calibration
-from .detector import Detector, quantum_noise
-from .distortion import Distortion
-from .materials import Section, WireMaterial, coil_tipped_wire, jacketed_wire, wire_material
-from .projector import VIEWS, Projector
-from .radiograph import Radiograph, expose_depth, radiograph
-from .renderer import FluoroscopyRenderer
-from .scene import SCENES, Scene, scene
+from cathsim.fluoroscopy.attenuation import background_image, expose, lumen_path_length
+from cathsim.fluoroscopy.biplane import BiplaneFluoroscope, Frame
+from cathsim.fluoroscopy.body import THORAX, WATER_BATH, Box, Ellipsoid
+from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera, clinical_pair, guide3d_pair
+from cathsim.fluoroscopy.calibration_file import read_projection, write_calibration
+from cathsim.fluoroscopy.detector import Detector, quantum_noise
+from cathsim.fluoroscopy.distortion import Distortion
+from cathsim.fluoroscopy.materials import Section, WireMaterial, coil_tipped_wire, jacketed_wire, wire_material
+from cathsim.fluoroscopy.projector import VIEWS, Projector
+from cathsim.fluoroscopy.radiograph import Radiograph, expose_depth, radiograph
+from cathsim.fluoroscopy.renderer import FluoroscopyRenderer
+from cathsim.fluoroscopy.scene import SCENES, Scene, scene
 
 __all__ = [
     "PAIRS",

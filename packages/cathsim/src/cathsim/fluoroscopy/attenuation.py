@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .body import THORAX, Solid, body_depth
-from .projector import Projector
+from cathsim.fluoroscopy.body import THORAX, Solid, body_depth
+from cathsim.fluoroscopy.projector import Projector
 
 CONTRAST = 28.0  # 1/m, diluted iodine over blood
 GAMMA = 0.5  # of the display: wide enough a range for lungs, spine and wire in one image

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .attenuation import DistanceGrid
-from .c_arms import PAIRS, XRayCamera
-from .ink import WireInk
-from .materials import WireMaterial, jacketed_wire
-from .radiograph import Radiograph, radiograph
-from .renderer import WIRE_RADIUS
-from .scene import Scene, scene
+from cathsim.fluoroscopy.attenuation import DistanceGrid
+from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera
+from cathsim.fluoroscopy.ink import WireInk
+from cathsim.fluoroscopy.materials import WireMaterial, jacketed_wire
+from cathsim.fluoroscopy.radiograph import Radiograph, radiograph
+from cathsim.fluoroscopy.renderer import WIRE_RADIUS
+from cathsim.fluoroscopy.scene import Scene, scene
 
 MAXIMUM_SIZE = 4096  # px
 _NORMALS = 4096

@@ -8,9 +8,8 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
+from cathsim.fluoroscopy.projector import Array, Projector
 from cathsim.validation import Coordinate, Length, Listed, Unit, settings
-
-from .projector import Array, Projector
 
 _Place = Annotated[tuple[Coordinate, Coordinate, Coordinate], Listed]
 _Size = Annotated[tuple[Length, Length, Length], Listed]

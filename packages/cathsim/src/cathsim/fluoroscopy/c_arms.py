@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .detector import Detector
-from .distortion import Distortion
-from .projector import Projector
+from cathsim.fluoroscopy.detector import Detector
+from cathsim.fluoroscopy.distortion import Distortion
+from cathsim.fluoroscopy.projector import Projector
 
 # The public biplane data set: distance between the sources, angle between the axes, focal lengths for 1024 px.
 SOURCE_TO_SOURCE = 1.32  # m

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .c_arms import XRayCamera
+from cathsim.fluoroscopy.c_arms import XRayCamera
 
 Array = NDArray[np.float64]
 

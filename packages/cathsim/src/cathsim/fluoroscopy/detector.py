@@ -8,9 +8,8 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
+from cathsim.fluoroscopy.attenuation import GAMMA
 from cathsim.validation import Listed, Share, Unit, settings
-
-from .attenuation import GAMMA
 
 REFERENCE_SIZE = 1024  # px: lengths of a Detector are given for an image of this size
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .c_arms import XRayCamera
-from .curve import smooth_curve
-from .materials import WireMaterial
-from .renderer import MINIMUM_WIDTH_PX
+from cathsim.fluoroscopy.c_arms import XRayCamera
+from cathsim.fluoroscopy.curve import smooth_curve
+from cathsim.fluoroscopy.materials import WireMaterial
+from cathsim.fluoroscopy.renderer import MINIMUM_WIDTH_PX
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .attenuation import DistanceGrid, lumen_path_length
-from .body import body_depth
-from .c_arms import XRayCamera
-from .projector import Projector
-from .scene import Scene
+from cathsim.fluoroscopy.attenuation import DistanceGrid, lumen_path_length
+from cathsim.fluoroscopy.body import body_depth
+from cathsim.fluoroscopy.c_arms import XRayCamera
+from cathsim.fluoroscopy.projector import Projector
+from cathsim.fluoroscopy.scene import Scene
 
 DepthFunction = Callable[[Projector], NDArray[np.float32]]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .attenuation import GAMMA
-from .detector import quantum_noise
-from .projector import Projector
+from cathsim.fluoroscopy.attenuation import GAMMA
+from cathsim.fluoroscopy.detector import quantum_noise
+from cathsim.fluoroscopy.projector import Projector
 
 WIRE_RADIUS = 0.45e-3  # m
 WIRE_ATTENUATION = 3500.0  # 1/m: nitinol (about 760) under a radiopaque jacket and coil

@@ -7,10 +7,9 @@ from typing import Annotated
 
 from annotated_types import Interval
 
+from cathsim.fluoroscopy.body import THORAX, WATER_BATH, Solid
+from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.validation import Unit, settings
-
-from .body import THORAX, WATER_BATH, Solid
-from .materials import ATTENUATION
 
 # what fills the lumen, mg/ml of iodine; None is air
 FILLINGS: dict[str, float | None] = {"fluid": 0.0, "contrast": 40.0, "air": None}
