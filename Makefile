@@ -127,7 +127,7 @@ format: setup  ## let ruff format and mend what it can
 	@$(PY) -m ruff format .
 
 bench-quick: setup  ## every benchmark, at most 50 s each
-	@for benchmark in benchmarks/*.py; do echo "== $$benchmark"; $(PY) $$benchmark --quick || exit $$?; done
+	@for benchmark in benchmarks/*/*.py; do echo "== $$benchmark"; $(PY) $$benchmark --quick || exit $$?; done
 
 fuzz: setup  ## damaged files, settings and messages for 10 minutes (ARGS='--seconds 60 --seed 1 --output fuzz.json')
 	@$(PY) -m tests.fuzz $(ARGS)

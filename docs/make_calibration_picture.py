@@ -11,12 +11,12 @@ from pathlib import Path
 
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks" / "guide3d"))
 
 from calibration import draw_folder
 
-from guide3d.calibration_pictures import draw_beads, draw_displacement
-from guide3d.cube_calibration import calibrate_folder
+from guide3d.calibration.cube_calibration import calibrate_folder
+from guide3d.calibration.pictures import draw_beads, draw_displacement
 
 SIDE = 560
 

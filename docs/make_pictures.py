@@ -8,10 +8,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from cathsim import PHANTOMS, NavigateEnv, load_phantom
-from cathsim.blood import picture as blood_picture
-from cathsim.observables import Fluoroscope
+from cathsim.blood.flow import picture as blood_picture
+from cathsim.observations.observables import Fluoroscope
 from cathsim.planning.sampling import SamplingExpert
-from cathsim.view import View
+from cathsim.viewing.camera_view import View
 
 FOLDER = Path(__file__).parent / "pictures"
 SIZE = 360

@@ -32,7 +32,7 @@ from PIL import Image
 from cathsim import NavigateEnv
 from cathsim.planning.sampling import SamplingExpert
 from pipeline.episodes.rerun import save_recording
-from pipeline.recording import record_episode
+from pipeline.recording.record import record_episode
 
 PICTURE = Path(__file__).parent / "pictures" / "rerun.png"
 SIZE = (1400, 860)

@@ -15,27 +15,27 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from pipeline.errors import ConfigurationError
-from pipeline.guide3d_settings import Guide3dSettings, Guide3dSource
-from pipeline.learning_settings import (
-    BaselinesSettings,
-    EnnSettings,
-    ForceSettings,
-    ImitationSettings,
-    UnseenSettings,
-)
-from pipeline.navigation_settings import NavigationSettings
-from pipeline.network_settings import SegmentationSettings, ShapeSettings
-from pipeline.setting_checks import shown, validated
-from pipeline.setting_kinds import BranchNames, FolderName, PathText, Seed, folder_name, path_text
-from pipeline.splineformer_settings import SplineformerSettings
-from pipeline.stage_settings import (
+from pipeline.settings.checks import shown, validated
+from pipeline.settings.kinds import BranchNames, FolderName, PathText, Seed, folder_name, path_text
+from pipeline.settings.stage_settings import (
     ExpertSettings,
     PhantomsSettings,
     ReportSettings,
     UserStudySettings,
     ValidateSettings,
 )
+from pipeline.stages.guide3d.settings import Guide3dSettings, Guide3dSource
+from pipeline.stages.learning.settings import (
+    BaselinesSettings,
+    EnnSettings,
+    ForceSettings,
+    ImitationSettings,
+    UnseenSettings,
+)
+from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings
+from pipeline.stages.networks.splineformer_settings import SplineformerSettings
+from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
 
 _PACKAGE = Path(__file__).resolve().parent

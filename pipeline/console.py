@@ -8,8 +8,8 @@ from pathlib import Path
 
 from cathsim.console.launch import parser, start
 from pipeline.config import RunConfig
-from pipeline.errors import ConfigurationError
-from pipeline.human import McapRecorder, recordings
+from pipeline.recording.human import McapRecorder, recordings
+from pipeline.store.errors import ConfigurationError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

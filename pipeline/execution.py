@@ -10,16 +10,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts import RunFolder
 from pipeline.config import RunConfig
-from pipeline.errors import StageError
-from pipeline.gpus import CPU, check_device
-from pipeline.job_costs import OWN_PROCESS, CostMeter, keep_cost
-from pipeline.manifest import Identity
-from pipeline.provenance import hash_value
-from pipeline.setting_checks import settings_that_matter
-from pipeline.source_closure import source_closure
-from pipeline.stages import Stage, StageContext, load_stage, missing_module
+from pipeline.jobs.costs import OWN_PROCESS, CostMeter, keep_cost
+from pipeline.jobs.gpus import CPU, check_device
+from pipeline.settings.checks import settings_that_matter
+from pipeline.stages import Stage, StageContext, load_stage, missing_module, stage_module
+from pipeline.store.errors import StageError
+from pipeline.store.manifest import Identity
+from pipeline.store.provenance import hash_value
+from pipeline.store.run_folder import RunFolder
+from pipeline.store.source_closure import source_closure
 from pipeline.variants import Asked, require_input, telling, variant_of
 
 _LOGGER = logging.getLogger(__name__)
@@ -85,7 +85,7 @@ def _identity(stage: Stage, config: RunConfig, run_path: Path, input_hashes: dic
     return Identity(
         config_hash=hash_value(settings),
         input_hashes={**input_hashes, **stage.further_inputs(run_path)},
-        code_hash=source_closure(run_path).hash(f"pipeline.stages.{stage.name}"),
+        code_hash=source_closure(run_path).hash(stage_module(stage.name)),
     )
 
 

@@ -11,11 +11,11 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf.errors import ValidationError as OmegaConfValidationError
 from pydantic import ValidationError
 
-from pipeline.atomic import is_no_room
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS, RunConfig
-from pipeline.errors import PipelineError
-from pipeline.setting_checks import sentence
+from pipeline.settings.checks import sentence
 from pipeline.stages import available_stages
+from pipeline.store.atomic_files import is_no_room
+from pipeline.store.errors import PipelineError
 from pipeline.task import PARTS, TASK
 
 ARCH_TASK = "arch_task"

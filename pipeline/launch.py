@@ -21,11 +21,11 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ValidationError
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_config
-from pipeline.errors import PipelineError
 from pipeline.execution import execute
 from pipeline.explain import is_number_as_choice, one_line, system_error
-from pipeline.interruption import let_ctrl_c_interrupt
 from pipeline.stages import available_stages
+from pipeline.store.errors import PipelineError
+from pipeline.store.interruption import let_ctrl_c_interrupt
 from pipeline.variants import variant_of
 
 EXIT_FAILED = 1

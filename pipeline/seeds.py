@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.errors import ConfigurationError
+from pipeline.store.errors import ConfigurationError
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,9 @@ RETIRED_ARCHES = range(30_000, 32_000), range(33_000, 34_000)
 
 EPISODES = {
     "sampling expert": SeedRange(0, 1_000, _TRAININGS, "demonstrations"),
-    "evaluation while training": SeedRange(500_000, 1_000, _TRAININGS, "evaluations"),  # as enn.judgement counts
+    "evaluation while training": SeedRange(
+        500_000, 1_000, _TRAININGS, "evaluations"
+    ),  # as enn.reinforcement.best_policy counts
     "expert": SeedRange(2_000_000, 1_000, _TRAININGS, "expert episodes"),
     "disturbed expert": SeedRange(2_500_000, 1_000, _TRAININGS, "disturbed expert episodes"),
     "navigation, expert goes on": SeedRange(3_000_000, 1_000, _TRAININGS, "further expert episodes"),

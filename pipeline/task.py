@@ -12,9 +12,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pipeline.errors import ConfigurationError, StageError
-from pipeline.setting_checks import validated
-from pipeline.setting_kinds import (
+from pipeline.settings.checks import validated
+from pipeline.settings.kinds import (
     Count,
     FolderName,
     ImageSize,
@@ -24,6 +23,7 @@ from pipeline.setting_kinds import (
     WireLength,
     one_of,
 )
+from pipeline.store.errors import ConfigurationError, StageError
 
 if TYPE_CHECKING:
     from cathsim import Guidewire

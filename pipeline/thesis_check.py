@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import chain
-from pipeline.atomic import write_json, write_text
-from pipeline.job_costs import OK, OWN_PROCESS, kept_costs
-from pipeline.manifest import read_manifest
-from pipeline.provenance import git_state, software_versions
+from pipeline.jobs.costs import OK, OWN_PROCESS, kept_costs
 from pipeline.stages import STAGE_NAMES
+from pipeline.store.atomic_files import write_json, write_text
+from pipeline.store.manifest import read_manifest
+from pipeline.store.provenance import git_state, software_versions
 
 EXPERIMENT = "thesis-check"
 JSON, MARKDOWN = "thesis_check.json", "thesis_check.md"

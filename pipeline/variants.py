@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.errors import StageError
-from pipeline.file_memory import digests_of
-from pipeline.manifest import Manifest, read_manifest
+from pipeline.store.errors import StageError
+from pipeline.store.file_memory import digests_of
+from pipeline.store.manifest import Manifest, read_manifest
 
 _LONGEST_VARIANT = 100
 # Overrides that already choose the folder, or cannot change a result.

@@ -2,12 +2,12 @@
 
 from pipeline.episodes.camera import Camera
 from pipeline.episodes.check import CheckReport, check
+from pipeline.episodes.encoding.scene import PhantomMesh
+from pipeline.episodes.encoding.schema import SCHEMA_VERSION
 from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
 from pipeline.episodes.recover import RecoveryReport, recover
-from pipeline.episodes.scene import PhantomMesh
-from pipeline.episodes.schema import SCHEMA_VERSION
 from pipeline.episodes.writer import EpisodeWriter
 
 __all__ = [

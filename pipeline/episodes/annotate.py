@@ -9,12 +9,12 @@ from typing import Any
 
 from mcap.records import ChunkIndex, MetadataIndex
 
-from pipeline.episodes.container import McapFile
+from pipeline.episodes.encoding.container import McapFile
+from pipeline.episodes.encoding.scan import messages, read_chunk, read_metadata, read_summary
+from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError, damaged
 from pipeline.episodes.metadata import open_annotation, seal_annotation
 from pipeline.episodes.reader import EpisodeReader
-from pipeline.episodes.scan import messages, read_chunk, read_metadata, read_summary
-from pipeline.episodes.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE
 
 
 def annotation_name(key: str) -> str:

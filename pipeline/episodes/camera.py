@@ -11,7 +11,7 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from numpy.typing import NDArray
 
-from pipeline.episodes.schema import WORLD_FRAME
+from pipeline.episodes.encoding.schema import WORLD_FRAME
 
 FloatArray = NDArray[np.float64]
 

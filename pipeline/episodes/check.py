@@ -10,12 +10,12 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import DataEnd
 
+from pipeline.episodes.encoding.scan import check_magic, messages, open_chunk, parse_record, walk
+from pipeline.episodes.encoding.schema import STEP_FIELDS, STEP_TOPIC
+from pipeline.episodes.encoding.step_codec import decode_resultant_force_norm, decode_step
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import mapped
-from pipeline.episodes.scan import check_magic, messages, open_chunk, parse_record, walk
-from pipeline.episodes.schema import STEP_FIELDS, STEP_TOPIC
-from pipeline.episodes.step_codec import decode_resultant_force_norm, decode_step
 
 _MAGIC_BYTES = 8
 _MAX_PROBLEMS = 20

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.errors import PipelineError
+from pipeline.store.errors import PipelineError
 
 
 class EpisodeWriteError(PipelineError, OSError):

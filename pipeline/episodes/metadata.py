@@ -10,10 +10,10 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from pipeline.episodes.camera import Camera
+from pipeline.episodes.encoding.schema import EPISODE_METADATA, SCHEMA_VERSION
 from pipeline.episodes.errors import ContainerError
 from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, as_json
-from pipeline.episodes.schema import EPISODE_METADATA, SCHEMA_VERSION
-from pipeline.setting_checks import sentence, shown
+from pipeline.settings.checks import sentence, shown
 
 _LONGEST_REASON = 200
 

@@ -16,14 +16,11 @@ from mcap.records import ChunkIndex
 from numpy.typing import NDArray
 
 from pipeline.episodes.camera import Camera
-from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
-from pipeline.episodes.metadata import VersionError, open_episode, open_outcome
-from pipeline.episodes.png import decode_image, decode_mask
-from pipeline.episodes.protobuf_wire import DELIMITED, fields
-from pipeline.episodes.records import MOST_STEPS, EpisodeOutcome, StepRecord
-from pipeline.episodes.scan import MessageSpan, Summary, messages, read_chunk, read_metadata, read_summary
-from pipeline.episodes.scene import PhantomMesh, decode_phantom
-from pipeline.episodes.schema import (
+from pipeline.episodes.encoding.png import decode_image, decode_mask
+from pipeline.episodes.encoding.protobuf_wire import DELIMITED, fields
+from pipeline.episodes.encoding.scan import MessageSpan, Summary, messages, read_chunk, read_metadata, read_summary
+from pipeline.episodes.encoding.scene import PhantomMesh, decode_phantom
+from pipeline.episodes.encoding.schema import (
     EPISODE_METADATA,
     OUTCOME_METADATA,
     PHANTOM_TOPIC,
@@ -31,7 +28,10 @@ from pipeline.episodes.schema import (
     STEP_TOPIC,
     camera_topic,
 )
-from pipeline.episodes.step_codec import decode_step
+from pipeline.episodes.encoding.step_codec import decode_step
+from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
+from pipeline.episodes.metadata import VersionError, open_episode, open_outcome
+from pipeline.episodes.records import MOST_STEPS, EpisodeOutcome, StepRecord
 
 _IMAGE_DATA = CompressedImage.DESCRIPTOR.fields_by_name["data"].number
 _Decoded = TypeVar("_Decoded")

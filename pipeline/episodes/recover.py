@@ -15,12 +15,12 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from pipeline.episodes.camera import Camera
-from pipeline.episodes.container import McapFile
+from pipeline.episodes.encoding.container import McapFile
+from pipeline.episodes.encoding.scan import find_record, messages, open_chunk, parse_record, read_summary, walk
+from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError
 from pipeline.episodes.metadata import VersionError, open_episode, open_outcome, seal_episode, seal_outcome
 from pipeline.episodes.records import MOST_STEPS, EpisodeInfo, EpisodeOutcome
-from pipeline.episodes.scan import find_record, messages, open_chunk, parse_record, read_summary, walk
-from pipeline.episodes.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
 from pipeline.episodes.writer import schema_data
 
 logger = logging.getLogger(__name__)

@@ -14,10 +14,10 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
 
+from pipeline.episodes.encoding.png import decode_mask
+from pipeline.episodes.encoding.schema import camera_topic
 from pipeline.episodes.errors import ViewerError, damaged
-from pipeline.episodes.png import decode_mask
 from pipeline.episodes.reader import EpisodeReader
-from pipeline.episodes.schema import camera_topic
 
 if TYPE_CHECKING:
     from rerun import RecordingStream

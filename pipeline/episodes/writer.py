@@ -19,14 +19,11 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
 from pipeline.episodes.camera import Camera, camera_frame
-from pipeline.episodes.container import MAX_CHUNK_BYTES, McapFile
-from pipeline.episodes.errors import EpisodeWriteError, recover_command
-from pipeline.episodes.metadata import seal_episode, seal_outcome
-from pipeline.episodes.png import encode_image, encode_mask
-from pipeline.episodes.protobuf_wire import delimited, timestamp
-from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
-from pipeline.episodes.scene import PhantomMesh, encode_wire_line, encode_wire_points
-from pipeline.episodes.schema import (
+from pipeline.episodes.encoding.container import MAX_CHUNK_BYTES, McapFile
+from pipeline.episodes.encoding.png import encode_image, encode_mask
+from pipeline.episodes.encoding.protobuf_wire import delimited, timestamp
+from pipeline.episodes.encoding.scene import PhantomMesh, encode_wire_line, encode_wire_points
+from pipeline.episodes.encoding.schema import (
     EPISODE_METADATA,
     OUTCOME_METADATA,
     PHANTOM_TOPIC,
@@ -38,7 +35,10 @@ from pipeline.episodes.schema import (
     camera_topic,
     topic_messages,
 )
-from pipeline.episodes.step_codec import encode_step
+from pipeline.episodes.encoding.step_codec import encode_step
+from pipeline.episodes.errors import EpisodeWriteError, recover_command
+from pipeline.episodes.metadata import seal_episode, seal_outcome
+from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
 
 logger = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.atomic import atomic_path
 from pipeline.report.results import read_figures
+from pipeline.store.atomic_files import atomic_path
 
 FIGURES_FOLDER = "figures"
 _BASE64 = 4 / 3  # characters a byte

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.setting_checks import shown
+from pipeline.settings.checks import shown
 
 SIGNIFICANCE = 0.05
 SAFE_FORCE_N = 2.0

@@ -10,9 +10,9 @@ from typing import Any
 
 import jinja2
 
-from pipeline.manifest import Manifest
 from pipeline.report.figures import ShownFigure
 from pipeline.report.tables import NOT_RUN, ReportTable, format_cell
+from pipeline.store.manifest import Manifest
 
 PAGE = "index.html"
 _TEMPLATE = Path(__file__).with_name("page.html.j2")

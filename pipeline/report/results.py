@@ -25,8 +25,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.atomic import read_json, write_json
-from pipeline.errors import StageError
+from pipeline.store.atomic_files import read_json, write_json
+from pipeline.store.errors import StageError
 
 RESULTS = "results.json"
 NOTES = "notes.json"  # table -> how its rows were made, shown beneath it

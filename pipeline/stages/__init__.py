@@ -1,7 +1,7 @@
 """The registry of stages: what each reads, writes and depends on, found by name and imported only when it runs.
 
-A stage is one module of this package with a ``STAGE``. Its name appears in ``STAGE_NAMES``, in the order in which the
-stages depend on each other; a name whose module is not there yet is simply not offered.
+A stage is one module of this package with a ``STAGE``, or the module ``stage`` of a folder. Its name appears in
+``STAGE_NAMES``, in the order in which the stages depend on each other; a name whose module is not there yet is simply not offered.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts import RunFolder
-from pipeline.errors import ConfigurationError, StageError
+from pipeline.store.errors import ConfigurationError, StageError
+from pipeline.store.run_folder import RunFolder
 
 STAGE_NAMES = (
     "phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "unseen", "guide3d",
@@ -66,7 +66,18 @@ def available_stages() -> tuple[str, ...]:
     Returns:
         Their names, in the order in which they depend on each other.
     """
-    return tuple(name for name in STAGE_NAMES if importlib.util.find_spec(f"{__name__}.{name}") is not None)
+    return tuple(name for name in STAGE_NAMES if importlib.util.find_spec(stage_module(name)) is not None)
+
+
+def stage_module(name: str) -> str:
+    """Import name of a stage's module: one of this package, or `stage` in the stage's own folder.
+
+    Args:
+        name: the stage's.
+    """
+    module = f"{__name__}.{name}"
+    is_folder = (Path(__file__).parent / name).is_dir()
+    return f"{module}.stage" if is_folder else module
 
 
 def load_stage(name: str) -> Stage:
@@ -86,7 +97,7 @@ def load_stage(name: str) -> Stage:
     if name not in known:
         raise ConfigurationError(f"unknown stage {name!r}: choose one of {', '.join(known)}")
     try:
-        module = importlib.import_module(f"{__name__}.{name}")
+        module = importlib.import_module(stage_module(name))
     except ModuleNotFoundError as error:
         raise missing_module(name, error) from error
     stage: Stage = module.STAGE
@@ -106,4 +117,4 @@ def missing_module(stage: str, error: ModuleNotFoundError) -> StageError:
     return StageError(f"stage {stage} needs the module {error.name!r}, which is not installed: run `make setup`")
 
 
-__all__ = ["STAGE_NAMES", "Stage", "StageContext", "available_stages", "load_stage", "missing_module"]
+__all__ = ["STAGE_NAMES", "Stage", "StageContext", "available_stages", "load_stage", "missing_module", "stage_module"]

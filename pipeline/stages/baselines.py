@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pipeline.expert_episodes import require_demonstrations
-from pipeline.gpu_memory import policy_gb
-from pipeline.jobs import Job
-from pipeline.learning_settings import BaselinesSettings
-from pipeline.path_job import ROW, PathJob, follow
-from pipeline.report.learning_tables import tables_from_logs
+from pipeline.jobs.gpu_memory import policy_gb
+from pipeline.jobs.pool import Job
+from pipeline.recording.trials import Origin
+from pipeline.report.learning.tables import tables_from_logs
 from pipeline.report.results import write_results
 from pipeline.stages import Stage, StageContext
-from pipeline.task import FEEDER
-from pipeline.training_plan import (
+from pipeline.stages.learning.expert_episodes import require_demonstrations
+from pipeline.stages.learning.path_following import ROW, PathJob, follow
+from pipeline.stages.learning.plan import (
     THESIS,
     Cell,
     check_learning,
@@ -24,10 +23,11 @@ from pipeline.training_plan import (
     task_of,
     training_seeds,
 )
-from pipeline.trials import Origin
+from pipeline.stages.learning.settings import BaselinesSettings
+from pipeline.task import FEEDER
 
 if TYPE_CHECKING:
-    from enn.reinforcement import TrainingSettings
+    from enn.reinforcement.training import TrainingSettings
 
 SECONDS_AN_EPISODE = 0.3  # of the path follower's; only for the estimate of the end
 
@@ -82,7 +82,7 @@ def training_settings(settings: BaselinesSettings, algorithm: str, observation: 
         algorithm: "ppo" or "sac".
         observation: "internal", "image" or "sequential".
     """
-    from enn.reinforcement import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC
+    from enn.reinforcement.training import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC
 
     thesis = settings.variant == THESIS
     presets = {("sac", True): THESIS_SAC, ("ppo", True): THESIS_PPO, ("sac", False): DESK_SAC, ("ppo", False): DESK_PPO}

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pipeline.learning_settings import EnnSettings
-from pipeline.report.learning_tables import tables_from_logs
+from pipeline.report.learning.tables import tables_from_logs
 from pipeline.report.results import write_results
-from pipeline.setting_checks import require_modalities
+from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
-from pipeline.task import number_of_actions
-from pipeline.training_plan import (
+from pipeline.stages.learning.plan import (
     THESIS,
     Cell,
     check_learning,
@@ -20,6 +18,8 @@ from pipeline.training_plan import (
     task_of,
     training_seeds,
 )
+from pipeline.stages.learning.settings import EnnSettings
+from pipeline.task import number_of_actions
 
 # The thesis's table of training times has names of its own for the sets.
 TRAINING_TIME_ROWS = {"V": "image", "V+M": "image_mask", "I": "internal", "I+V": "internal_image", "I+V+M": "enn"}
@@ -69,8 +69,8 @@ def plan(settings: EnnSettings, run_seed: int) -> list[Cell]:
     Returns:
         A cell each.
     """
-    from enn.features import modality_keys
-    from enn.reinforcement import DESK_SAC, THESIS_SAC
+    from enn.networks.features import modality_keys
+    from enn.reinforcement.training import DESK_SAC, THESIS_SAC
 
     thesis = settings.variant == THESIS
     preset = THESIS_SAC if thesis else DESK_SAC
@@ -132,7 +132,7 @@ def architecture() -> dict[str, dict[str, Any]]:
         Row to column to cell of the thesis's table.
     """
     from cathsim import load_guidewire
-    from enn.features import LAYER_COLUMNS, layer_table, thesis_cnn, thesis_mlp
+    from enn.networks.features import LAYER_COLUMNS, layer_table, thesis_cnn, thesis_mlp
 
     joints = 4 * (load_guidewire(THESIS).joints + 1)  # positions and velocities of feeder and hinges
     networks = {
@@ -155,7 +155,7 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     Returns:
         Row to column to cell of the thesis's table.
     """
-    from enn.reinforcement import DESK_SAC, THESIS_SAC
+    from enn.reinforcement.training import DESK_SAC, THESIS_SAC
 
     used = sized(THESIS_SAC if settings.variant == THESIS else DESK_SAC, settings.decisions, settings)
     values = {

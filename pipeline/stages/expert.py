@@ -11,15 +11,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.atomic import write_json
-from pipeline.errors import ConfigurationError
-from pipeline.learning_task import LearningTask
 from pipeline.report.episode_tables import episode_tables
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import demonstration_seeds, held_out_seeds
-from pipeline.stage_settings import ExpertSettings
+from pipeline.settings.stage_settings import ExpertSettings
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.store.atomic_files import write_json
+from pipeline.store.errors import ConfigurationError
 from pipeline.task import number_of_actions, require_feeder, require_known_task
 
 TARGETS = ("bca", "lcca", "lsa")
@@ -113,8 +113,8 @@ def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: 
         Its metrics.
     """
     from cathsim.planning.sampling import SamplingExpert
-    from pipeline.film import Film
-    from pipeline.recording import record_episode
+    from pipeline.recording.film import Film
+    from pipeline.recording.record import record_episode
 
     task = settings.task if trial.evaluation else replace(settings.task, start_rotation_deg=0.0)
     environment = LearningTask(trial.phantom, trial.target, task).environment("tip")
@@ -193,7 +193,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
     """
     from cathsim import load_phantom
     from pipeline.episodes import EpisodeReader
-    from pipeline.report.episode_plots import draw_planned_path, draw_task
+    from pipeline.report.plots.episodes import draw_planned_path, draw_task
 
     shown = []
     for task in dict.fromkeys(trial.task for trial in trials):

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.aids import force_note
-from pipeline.expert_episodes import expert_folder, require_expert
-from pipeline.force_job import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
-from pipeline.gpu_memory import LEARNT_BATCH, policy_gb
-from pipeline.jobs import Job, run_jobs
-from pipeline.learning_settings import ForceSettings
-from pipeline.learning_task import LearningTask
-from pipeline.report.imitation_plots import draw_calibration, draw_shares
+from pipeline.jobs.gpu_memory import LEARNT_BATCH, policy_gb
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.report.aids import force_note
+from pipeline.report.plots.imitation import draw_calibration, draw_shares
 from pipeline.report.results import Figure, write_figures, write_notes, write_results
-from pipeline.setting_checks import require_modalities
+from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.learning.expert_episodes import expert_folder, require_expert
+from pipeline.stages.learning.force import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
+from pipeline.stages.learning.settings import ForceSettings
+from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.task import require_known_task
 

@@ -6,21 +6,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.aids import imitation_note
-from pipeline.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
-from pipeline.gpu_memory import LEARNT_BATCH, policy_gb
-from pipeline.imitation_job import PRELOAD, ImitationJob, imitate
-from pipeline.jobs import Job, run_jobs
-from pipeline.learning_settings import ImitationSettings
-from pipeline.learning_task import LearningTask
-from pipeline.report.imitation_plots import draw_success
-from pipeline.report.learning_tables import tables_from_logs
+from pipeline.jobs.gpu_memory import LEARNT_BATCH, policy_gb
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.recording.trials import Origin
+from pipeline.report.aids import imitation_note
+from pipeline.report.learning.tables import tables_from_logs
+from pipeline.report.plots.imitation import draw_success
 from pipeline.report.results import Figure, write_figures, write_notes, write_results
-from pipeline.setting_checks import require_modalities
+from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.learning.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
+from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, imitate
+from pipeline.stages.learning.settings import ImitationSettings
+from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.task import require_known_task
-from pipeline.trials import Origin
 
 CLONED, DISTURBED, DAGGER = "image_w_enn", "image_w_enn_disturbed", "dagger"
 GROUP = "Imitation"
@@ -117,8 +117,8 @@ def architecture(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
     Args:
         settings: of the stage.
     """
-    from enn.cloned_policy import CloningNetwork, CloningSettings
-    from enn.features import LAYER_COLUMNS, layer_table
+    from enn.imitation.cloned_policy import CloningNetwork, CloningSettings
+    from enn.networks.features import LAYER_COLUMNS, layer_table
 
     layers = CloningNetwork(CloningSettings(variant="thesis")).layers()
     return {
@@ -132,7 +132,7 @@ def hyperparameters(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
     Args:
         settings: of the stage.
     """
-    from enn.behaviour_cloning import cloning_preset
+    from enn.imitation.behaviour_cloning import cloning_preset
 
     used = cloning_preset(settings.variant)
     values = {

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.atomic import atomic_path, write_json
-from pipeline.errors import ConfigurationError
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.stage_settings import PhantomsSettings
+from pipeline.settings.stage_settings import PhantomsSettings
 from pipeline.stages import Stage, StageContext
+from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.store.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
@@ -45,7 +45,7 @@ def check_phantoms(settings: PhantomsSettings) -> None:
         ConfigurationError: listing the valid names.
     """
     if settings.mesh is not None:
-        from cathsim.anatomy.mesh_unit import check_unit
+        from cathsim.anatomy.mesh.unit import check_unit
 
         try:
             check_unit(settings.unit)

@@ -7,17 +7,17 @@ from collections.abc import Collection
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pipeline.atomic import write_json, write_text
-from pipeline.file_memory import digests_of
-from pipeline.manifest import Manifest, read_manifest
-from pipeline.provenance import git_state, machine, software_versions
 from pipeline.report.figures import ShownFigure, gather_figures
-from pipeline.report.learning_section import LearningSection, learning_section
+from pipeline.report.learning.section import LearningSection, learning_section
 from pipeline.report.page import PAGE, StageRecord, render_page
 from pipeline.report.results import Table, read_notes
 from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
-from pipeline.stage_settings import ReportSettings
+from pipeline.settings.stage_settings import ReportSettings
 from pipeline.stages import STAGE_NAMES, Stage, StageContext
+from pipeline.store.atomic_files import write_json, write_text
+from pipeline.store.file_memory import digests_of
+from pipeline.store.manifest import Manifest, read_manifest
+from pipeline.store.provenance import git_state, machine, software_versions
 
 METRICS = "metrics.json"
 TABLES_FOLDER = "tables"

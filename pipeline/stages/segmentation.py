@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from pipeline.jobs import Job
-from pipeline.network_job import NetworkJob
-from pipeline.network_settings import SegmentationSettings
-from pipeline.network_stage import on_gpus, train_and_compare, training_job
+from pipeline.jobs.pool import Job
+from pipeline.report.plots.segmentation import draw_examples, draw_kinds
+from pipeline.report.plots.shape import draw_training
 from pipeline.report.results import Figure
-from pipeline.report.segmentation_plots import draw_examples, draw_kinds
-from pipeline.report.shape_plots import draw_training
-from pipeline.segmentation_job import PRELOAD, learn_segmentation
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.networks.segmentation import PRELOAD, learn_segmentation
+from pipeline.stages.networks.settings import SegmentationSettings
+from pipeline.stages.networks.stage import on_gpus, train_and_compare, training_job
+from pipeline.stages.networks.training import NetworkJob
 
 GROUP = "Segmentation"
 LABELS = {"unet": "UNet", "transunet": "TransUnet", "swinunet": "SwinUnet"}

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from pipeline.jobs import Job
-from pipeline.network_job import NetworkJob
-from pipeline.network_settings import ShapeSettings
-from pipeline.network_stage import on_gpus, train_and_compare, training_job
+from pipeline.jobs.pool import Job
+from pipeline.report.plots.shape import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.report.results import Figure
-from pipeline.report.shape_plots import draw_along, draw_in_space, draw_reprojections, draw_training
-from pipeline.shape_job import METRICS, PRELOAD, learn_shape
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.networks.settings import ShapeSettings
+from pipeline.stages.networks.shape import METRICS, PRELOAD, learn_shape
+from pipeline.stages.networks.stage import on_gpus, train_and_compare, training_job
+from pipeline.stages.networks.training import NetworkJob
 
 GROUP = "Shape prediction"
 THESIS_ROWS = ("cartesian", "spherical")

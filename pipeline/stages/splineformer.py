@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from pipeline.jobs import Job, run_jobs
-from pipeline.network_stage import on_gpus, training_job
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.report.plots.shape import draw_training
+from pipeline.report.plots.splineformer import draw_attention, draw_comparison, draw_errors
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.report.shape_plots import draw_training
-from pipeline.report.splineformer_plots import draw_attention, draw_comparison, draw_errors
-from pipeline.splineformer_comparison import EXAMPLES, ComparisonJob, compare
-from pipeline.splineformer_job import PRELOAD, VariantJob, learn_variant
-from pipeline.splineformer_settings import SplineformerSettings
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.networks.comparison import EXAMPLES, ComparisonJob, compare
+from pipeline.stages.networks.splineformer import PRELOAD, VariantJob, learn_variant
+from pipeline.stages.networks.splineformer_settings import SplineformerSettings
+from pipeline.stages.networks.stage import on_gpus, training_job
 
 GROUP = "SplineFormer"
 COMPARISON = "comparison"

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.provenance import hash_file
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.stage_settings import UserStudySettings
+from pipeline.settings.stage_settings import UserStudySettings
 from pipeline.stages import Stage, StageContext
+from pipeline.store.provenance import hash_file
 
 if TYPE_CHECKING:
     from cathsim.metrics import EpisodeMetrics
@@ -51,7 +51,7 @@ def logs_of(run_path: Path) -> list[Path]:
     Returns:
         Paths, sorted.
     """
-    from pipeline.human import FOLDER, SUFFIX
+    from pipeline.recording.human import FOLDER, SUFFIX
 
     return sorted((run_path / FOLDER).rglob(f"*{SUFFIX}"))
 
@@ -71,7 +71,7 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
     from cathsim.metrics import EpisodeMetrics
     from pipeline.episodes import EpisodeReader, EpisodeReadError
     from pipeline.episodes.annotate import read_annotation
-    from pipeline.human import QUESTIONNAIRE
+    from pipeline.recording.human import QUESTIONNAIRE
 
     study, answers = Study(), []
     for path in logs:
@@ -185,7 +185,7 @@ def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Fig
     """
     from cathsim import PHANTOMS, load_phantom
     from pipeline.episodes import EpisodeReader
-    from pipeline.report.episode_plots import draw_task
+    from pipeline.report.plots.episodes import draw_task
 
     shown = []
     for task, logs in study.logs.items():

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.atomic import write_text
-from pipeline.errors import StageError
-from pipeline.provenance import PROJECT_ROOT, hash_file
-from pipeline.report.force_plots import draw_boxes, draw_distribution, draw_heat
 from pipeline.report.force_statistics import EpisodeForces, compare, pooled, read_forces, table_rows, verdict
+from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.stage_settings import ValidateSettings
+from pipeline.settings.stage_settings import ValidateSettings
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.store.atomic_files import write_text
+from pipeline.store.errors import StageError
+from pipeline.store.provenance import PROJECT_ROOT, hash_file
 
 # Observations whose speed is measured: row of the table -> what the environment is asked for.
 SPEED_MODES: dict[str, str | tuple[str, ...]] = {
@@ -33,7 +33,7 @@ SPEED_MODES: dict[str, str | tuple[str, ...]] = {
 GROUP = "Force validation"
 VERDICT = "verdict.txt"
 _FORWARD_STEPS = 120  # about the length of a successful episode
-_ROD = "benchmarks.rod"
+_ROD = "benchmarks.rod.theory"
 _ROD_LIMIT_S = 600.0
 
 _LOGGER = logging.getLogger(__name__)
@@ -220,8 +220,8 @@ def physics_rows() -> dict[str, dict[str, Any]]:
     Raises:
         StageError: the benchmark failed.
     """
-    if not (PROJECT_ROOT / "benchmarks" / "rod.py").is_file():
-        _LOGGER.warning("validate: benchmarks/rod.py is not here, the wire is not checked against theory")
+    if not (PROJECT_ROOT / "benchmarks" / "rod").is_dir():
+        _LOGGER.warning("validate: benchmarks/rod/theory.py is not here, the wire is not checked against theory")
         return {}
     command = [sys.executable, "-m", _ROD, "--quick"]
     try:
@@ -313,7 +313,7 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
 
 
 def _benchmark(run_path: Path) -> dict[str, str]:
-    return {f"benchmarks/{file.name}": hash_file(file) for file in (PROJECT_ROOT / "benchmarks").glob("rod*.py")}
+    return {f"benchmarks/{file.name}": hash_file(file) for file in (PROJECT_ROOT / "benchmarks" / "rod").glob("*.py")}
 
 
 STAGE = Stage(

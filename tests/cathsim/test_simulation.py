@@ -11,7 +11,7 @@ import pytest
 
 from cathsim import ACCURACY, Guidewire, Phantom, Simulation, load_guidewire, load_phantom
 from cathsim.arena import max_insertion
-from cathsim.feed import Ladder
+from cathsim.link_ladder import Ladder
 from cathsim.simulation import vessel_of
 
 MakeSimulation = Callable[..., Simulation]

@@ -11,25 +11,25 @@ import numpy as np
 import pytest
 import torch
 
-from enn.behaviour_cloning import DESK_CLONING, clone
-from enn.cloned_policy import ClonedPolicy
-from enn.dagger import DaggerSettings, dagger, record
 from enn.devices import device_of, on_cpu
 from enn.encoder import EncoderSettings, fit_encoder, scripted_samples
-from enn.encoder_network import Encoder
 from enn.fitting import FitSettings
-from enn.force import DESK_FORCE, ForcePredictor, fit_force
-from enn.force_samples import force_samples
-from enn.lumen_segmentation import fit_segmenter
-from enn.path_following import PathFollower, PathFollowerSettings, fit_path_follower
+from enn.force.prediction import DESK_FORCE, ForcePredictor, fit_force
+from enn.force.samples import force_samples
+from enn.imitation.behaviour_cloning import DESK_CLONING, clone
+from enn.imitation.cloned_policy import ClonedPolicy
+from enn.imitation.dagger import DaggerSettings, dagger, record
+from enn.imitation.lumen_segmentation import fit_segmenter
+from enn.imitation.path_following import PathFollower, PathFollowerSettings, fit_path_follower
+from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
+from enn.networks.encoder_network import Encoder
 from enn.policy import Policy
-from enn.reinforcement import DESK_PPO, THESIS_SAC, Training, TrainingSettings
-from enn.student import ImageStudent, StudentSettings
+from enn.reinforcement.training import DESK_PPO, THESIS_SAC, Training, TrainingSettings
 from enn.trajectory import Trajectory
-from tests.enn.drawn_point import DrawnPoint, expert
-from tests.enn.small_training import SMALL
+from tests.enn.imitation.drawn_point import DrawnPoint, expert
+from tests.enn.imitation.test_recurrent_policy import WireEnv, lessons_of, vessels
+from tests.enn.reinforcement.small_training import SMALL
 from tests.enn.test_encoder import Rod
-from tests.enn.test_student import WireEnv, lessons_of, vessels
 from tests.second_device import second_device
 
 

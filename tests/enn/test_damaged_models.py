@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 import torch
 
-from enn.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
 from enn.encoder import Encoder, EncoderSettings
 from enn.fitting import FitError, FitProgress, FitSettings, fit
-from enn.force import ForceNetwork, ForceNetworkSettings, ForcePredictor
-from enn.lumen_segmentation import LumenSegmenter
+from enn.force.prediction import ForceNetwork, ForceNetworkSettings, ForcePredictor
+from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
+from enn.imitation.lumen_segmentation import LumenSegmenter
+from enn.imitation.path_following import PathFollower, PathFollowerSettings, build
+from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
 from enn.model_file import decoded, write_model
-from enn.network import NetworkSettings, build_network
-from enn.path_following import PathFollower, PathFollowerSettings, build
+from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
-from enn.student import ImageStudent, StudentSettings
 from tests.damaged_files import refusals
 
 Box = gymnasium.spaces.Box

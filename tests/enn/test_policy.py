@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from enn.model_file import decoded, write_model
-from enn.network import NetworkSettings, build_network
-from enn.normalisation import fit_normalisation
+from enn.networks.network import NetworkSettings, build_network
+from enn.networks.normalisation import fit_normalisation
 from enn.policy import Policy
 
 ACTIONS = gymnasium.spaces.Box(np.array([-1, 0], np.float32), np.array([1, 4], np.float32))

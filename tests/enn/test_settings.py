@@ -9,17 +9,17 @@ import pkgutil
 from typing import Any
 
 import enn
-from enn.behaviour_cloning import BehaviourCloningSettings
-from enn.cloned_policy import CloningSettings
-from enn.dagger import DaggerSettings
-from enn.encoder_network import EncoderSettings
 from enn.fitting import FitSettings
-from enn.force import ForceNetworkSettings, ForceSettings
-from enn.image_network import ImageSettings
-from enn.network import NetworkSettings
-from enn.path_following import PathFollowerSettings
-from enn.student import StudentSettings
-from enn.training_settings import DESK_PPO, DESK_SAC, TrainingSettings
+from enn.force.prediction import ForceNetworkSettings, ForceSettings
+from enn.imitation.behaviour_cloning import BehaviourCloningSettings
+from enn.imitation.cloned_policy import CloningSettings
+from enn.imitation.dagger import DaggerSettings
+from enn.imitation.path_following import PathFollowerSettings
+from enn.imitation.recurrent_policy import StudentSettings
+from enn.networks.encoder_network import EncoderSettings
+from enn.networks.image_network import ImageSettings
+from enn.networks.network import NetworkSettings
+from enn.reinforcement.training_settings import DESK_PPO, DESK_SAC, TrainingSettings
 from tests.number_fields import accepted, parametrised
 
 # settings to the bad numbers that are good ones there

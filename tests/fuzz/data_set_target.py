@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from guide3d.annotation_files import Annotation
-from guide3d.cvat import read_cvat, write_cvat
-from guide3d.dataset import Dataset
+from guide3d.dataset.annotation_files import Annotation
+from guide3d.dataset.cvat import read_cvat, write_cvat
+from guide3d.dataset.dataset import Dataset
 from tests.fuzz.mutations import altered, damaged, rewritten, text_of
 from tests.fuzz.target import Target, WrongError, refused
-from tests.guide3d.drawn_dataset import SIZE, annotation, wire, write_dataset
+from tests.guide3d.dataset.drawn_dataset import SIZE, annotation, wire, write_dataset
 
 
 class DataSetTarget(Target):

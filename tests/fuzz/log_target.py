@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError, check, recover
-from pipeline.episodes.container import McapFile
+from pipeline.episodes.encoding.container import McapFile
+from pipeline.episodes.encoding.schema import topic_messages
 from pipeline.episodes.metadata import _checksum
-from pipeline.episodes.schema import topic_messages
 from pipeline.episodes.writer import schema_data
 from tests.fuzz.mutations import altered, damaged, text_of
 from tests.fuzz.target import Target, WrongError, refused

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from cathsim.anatomy import import_mesh
-from tests.cathsim.anatomy.drawn_arch import arch_mesh
+from tests.cathsim.anatomy.generator.drawn_arch import arch_mesh
 from tests.fuzz.mutations import damaged
 from tests.fuzz.target import Target, WrongError, refused
 

@@ -12,13 +12,13 @@ import gymnasium
 import numpy as np
 import torch
 
-from enn.checkpoint import CheckpointError, CheckpointFolder
 from enn.encoder import Encoder, EncoderSettings
-from enn.network import NetworkSettings, build_network
+from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
-from guide3d.build import SHAPE_SIZES, build_shape_network
-from guide3d.predictor import ShapePredictor
-from guide3d.preprocessing import Preprocessing
+from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder
+from guide3d.learning.build import SHAPE_SIZES, build_shape_network
+from guide3d.learning.predictor import ShapePredictor
+from guide3d.learning.preprocessing import Preprocessing
 from splineformer import build as splineformer_build
 from splineformer.predictor import Predictor
 from tests.fuzz.mutations import damaged

@@ -8,9 +8,9 @@ import shutil
 import time
 from pathlib import Path
 
-from pipeline.artifacts import RunFolder
-from pipeline.errors import PipelineError
-from pipeline.manifest import MANIFEST, Identity, read_manifest
+from pipeline.store.errors import PipelineError
+from pipeline.store.manifest import MANIFEST, Identity, read_manifest
+from pipeline.store.run_folder import RunFolder
 from tests.fuzz.mutations import altered, damaged, text_of
 from tests.fuzz.target import Target, WrongError, refused
 

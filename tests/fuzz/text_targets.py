@@ -21,8 +21,8 @@ from cathsim.console.controls import Controls
 from cathsim.console.questionnaire import check_answers
 from cathsim.console.requests import KINDS, LONGEST_REQUEST, read_request
 from pipeline.config import CONFIG_DIRECTORY, STAGE_SETTINGS, register_schemas, run_config
-from pipeline.errors import PipelineError
 from pipeline.explain import one_line
+from pipeline.store.errors import PipelineError
 from tests.fuzz.mutations import NASTY
 from tests.fuzz.target import Target, WrongError, refused
 

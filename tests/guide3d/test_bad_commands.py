@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from guide3d import calibration_report, train
-from guide3d.dataset import Dataset
-from guide3d.frame import ImageError, read_image
-from tests.guide3d.drawn_data import draw
+from guide3d import train
+from guide3d.calibration import report as calibration_report
+from guide3d.dataset.dataset import Dataset
+from guide3d.dataset.frame import ImageError, read_image
+from tests.guide3d.learning.drawn_data import draw
 
 SMOKE = ("--network", "unet", "--size", "smoke", "--device", "cpu")
 

@@ -12,21 +12,21 @@ import pytest
 
 import guide3d
 import guide3d.modeling
-from guide3d import curve_fitting, training
-from guide3d.build import ShapeSize
-from guide3d.camera import Camera
-from guide3d.distortion import Distortion
-from guide3d.losses import ShapeLoss
-from guide3d.matching import MatchingSettings
+from guide3d.calibration.pinhole_fit import IntrinsicPrior
+from guide3d.calibration.synthetic_xray import SyntheticDetector
+from guide3d.geometry.camera import Camera
+from guide3d.geometry.distortion import Distortion
+from guide3d.learning import training
+from guide3d.learning.build import ShapeSize
+from guide3d.learning.losses import ShapeLoss
+from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
+from guide3d.learning.segmentation_samples import SegmentationAugmentation
+from guide3d.learning.shape_samples import ShapeAugmentation
 from guide3d.modeling.spherical import SphericalForm
-from guide3d.pinhole_fit import IntrinsicPrior
-from guide3d.preprocessing import Preprocessing
-from guide3d.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
-from guide3d.reconstruction import ReconstructionSettings
-from guide3d.segmentation_samples import SegmentationAugmentation
-from guide3d.shape_samples import ShapeAugmentation
-from guide3d.synthetic import rig
-from guide3d.synthetic_xray import SyntheticDetector
+from guide3d.reconstruction.matching import MatchingSettings
+from guide3d.reconstruction.reconstruction import ReconstructionSettings, curve_fitting
+from guide3d.reconstruction.synthetic_scene import rig
 from tests.number_fields import accepted, parametrised
 
 POINTS = np.zeros((4, 2))

@@ -13,7 +13,7 @@ FOLDER = Path(__file__).parents[2] / "benchmarks"
 OURS = ("cathsim", "enn", "guide3d", "splineformer", "pipeline")
 
 
-@pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", sorted(FOLDER.rglob("*.py")), ids=lambda file: str(file.relative_to(FOLDER)))
 def test_what_a_benchmark_imports_is_there(file: Path) -> None:
     missing = []
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

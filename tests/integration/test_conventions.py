@@ -123,7 +123,7 @@ def test_table_of_accuracies_is_that_of_the_code() -> None:
 
 def test_readme_lists_every_phantom_wire_and_observation() -> None:
     from cathsim import GUIDEWIRES, PHANTOMS
-    from cathsim.observables import OBSERVABLES
+    from cathsim.observations.observables import OBSERVABLES
 
     table = rows(README, "argument", "values (the first is the default)")
     assert re.findall(r"`(\w+)`", table["phantom"]["values (the first is the default)"])[: len(PHANTOMS)] == list(

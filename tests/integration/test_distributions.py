@@ -13,9 +13,9 @@ import numpy
 import pytest
 
 from pipeline.config import BUDGETS
-from pipeline.manifest import read_manifest
-from pipeline.source_closure import SourceClosure
 from pipeline.stages import STAGE_NAMES
+from pipeline.store.manifest import read_manifest
+from pipeline.store.source_closure import SourceClosure
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 

@@ -49,9 +49,9 @@ def imported_packages(text: str) -> Iterator[str]:
     ("text", "expected"),
     [
         ("import cathsim.anatomy", {"cathsim"}),
-        ("def f():\n    from guide3d.camera import Camera", {"guide3d"}),
+        ("def f():\n    from guide3d.geometry.camera import Camera", {"guide3d"}),
         ("from . import camera", set()),
-        ("import importlib\nimportlib.import_module('enn.policies')", {"importlib", "enn"}),
+        ("import importlib\nimportlib.import_module('enn.networks.policies')", {"importlib", "enn"}),
     ],
 )
 def test_import_finder_sees_every_kind_of_import(text: str, expected: set[str]) -> None:

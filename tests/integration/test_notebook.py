@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from enn.fitting import FitSettings
-from guide3d.build import SEGMENTER_SIZES, SHAPE_SIZES, build_shape_network
+from guide3d.learning.build import SEGMENTER_SIZES, SHAPE_SIZES, build_shape_network
+from guide3d.learning.predictor import SegmentationPredictor, ShapePredictor, built
+from guide3d.learning.preprocessing import Preprocessing
 from guide3d.modeling.spherical import SphericalForm
-from guide3d.predictor import SegmentationPredictor, ShapePredictor, built
-from guide3d.preprocessing import Preprocessing
-from pipeline.report.learning_tables import tables_from_logs
-from tests.guide3d.drawn_data import draw
-from tests.pipeline.small_expert import write_expert
+from pipeline.report.learning.tables import tables_from_logs
+from tests.guide3d.learning.drawn_data import draw
+from tests.pipeline.stages.small_expert import write_expert
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NOTEBOOK = DOCS / "tutorial.ipynb"

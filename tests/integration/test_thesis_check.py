@@ -73,8 +73,8 @@ def test_policies_have_the_wire_images_and_actions_of_the_thesis(run: Path) -> N
 
 
 def test_networks_have_the_sizes_of_the_thesis(run: Path) -> None:
-    from guide3d.build import SEGMENTER_SIZES, SHAPE_SIZES
-    from guide3d.predictor import SegmentationPredictor, ShapePredictor
+    from guide3d.learning.build import SEGMENTER_SIZES, SHAPE_SIZES
+    from guide3d.learning.predictor import SegmentationPredictor, ShapePredictor
     from splineformer.build import size_of
     from splineformer.predictor import Predictor
 

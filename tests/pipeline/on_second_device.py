@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from pipeline.artifacts import RunFolder
-from pipeline.job_worker import Report
-from pipeline.jobs import Job
+from pipeline.jobs.pool import Job
+from pipeline.jobs.worker import Report
 from pipeline.stages import force, imitation
-from tests.pipeline import test_force_stage as force_tests
-from tests.pipeline import test_imitation as imitation_tests
-from tests.pipeline.small_expert import context, write_expert
+from pipeline.store.run_folder import RunFolder
+from tests.pipeline.stages import test_force_stage as force_tests
+from tests.pipeline.stages import test_imitation as imitation_tests
+from tests.pipeline.stages.small_expert import context, write_expert
 from tests.second_device import second_device
 
 
@@ -46,12 +46,12 @@ def devices_of(monkeypatch: pytest.MonkeyPatch, module: Any, name: str) -> list[
 
 
 def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import enn.behaviour_cloning
-    import enn.dagger
+    import enn.imitation.behaviour_cloning
+    import enn.imitation.dagger
 
     write_expert(tmp_path / "enn")
-    cloned = devices_of(monkeypatch, enn.behaviour_cloning, "clone")
-    refined = devices_of(monkeypatch, enn.dagger, "dagger")
+    cloned = devices_of(monkeypatch, enn.imitation.behaviour_cloning, "clone")
+    refined = devices_of(monkeypatch, enn.imitation.dagger, "dagger")
     place = context(tmp_path, "imitation")
     imitation.run_imitation(imitation_tests.settings(), place)
     assert set(cloned) == set(refined) == {there}
@@ -59,10 +59,10 @@ def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_force(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import enn.force
+    import enn.force.prediction
 
     write_expert(tmp_path / "enn")
-    fitted = devices_of(monkeypatch, enn.force, "fit_force")
+    fitted = devices_of(monkeypatch, enn.force.prediction, "fit_force")
     place = context(tmp_path, "force")
     force.run_force(force_tests.settings(), place)
     assert set(fitted) == {there}

@@ -11,8 +11,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS
-from pipeline.errors import StageError
 from pipeline.stages import available_stages
+from pipeline.store.errors import StageError
 from pipeline.variants import require_input
 
 WRONG = {

@@ -8,8 +8,8 @@ import subprocess
 import pytest
 
 from pipeline import installation
-from pipeline.provenance import PROJECT_ROOT
 from pipeline.stages import STAGE_NAMES
+from pipeline.store.provenance import PROJECT_ROOT
 
 
 def test_cuda_and_torchvision_are_found() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pipeline import seeds
-from pipeline.errors import ConfigurationError
+from pipeline.store.errors import ConfigurationError
 
 PIPELINE = Path(seeds.__file__).parent
 _SEED = re.compile(r"seed|arch|anatom", re.IGNORECASE)
@@ -62,7 +62,7 @@ def test_what_functions_give_lies_in_their_range() -> None:
 
 
 def test_evaluations_while_training_are_those_of_enn() -> None:
-    from enn.judgement import Judge
+    from enn.reinforcement.best_policy import Judge
 
     known = seeds.EPISODES["evaluation while training"]
     for seed in (0, 3, 499):

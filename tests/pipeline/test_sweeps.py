@@ -10,8 +10,8 @@ import pytest
 from hydra.errors import MissingConfigException
 
 from pipeline.explain import one_line
-from pipeline.manifest import read_manifest
-from pipeline.provenance import PROJECT_ROOT
+from pipeline.store.manifest import read_manifest
+from pipeline.store.provenance import PROJECT_ROOT
 from pipeline.variants import variant_of
 from tests.conftest import PipelineProcess
 

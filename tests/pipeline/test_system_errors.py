@@ -12,8 +12,8 @@ from annotated_types import Gt
 from pydantic.dataclasses import dataclass
 
 from pipeline.explain import one_line
-from pipeline.job_worker import Message
-from pipeline.jobs import Report
+from pipeline.jobs.pool import Report
+from pipeline.jobs.worker import Message
 
 A_FOLDER, A_FILE = "folder", "file"
 # What lies in the way, of which kind, and a word of the sentence; the stage is the report, which needs no input.
@@ -127,7 +127,7 @@ def test_a_package_s_refusal_in_a_job_is_one_sentence(run_python: Callable[[str]
         "import json\n"
         "from pathlib import Path\n"
         "from tests.pipeline.test_system_errors import _Connection, _wrong_job\n"
-        "from pipeline.job_worker import work\n"
+        "from pipeline.jobs.worker import work\n"
         "connection = _Connection()\n"
         "connection.closed = True\n"
         f"folder = Path({str(tmp_path)!r})\n"

@@ -10,17 +10,18 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig, register_schemas, run_config
-from pipeline.errors import ConfigurationError, StageError
-from pipeline.expert_episodes import require_demonstrations, require_expert, task_of_log
-from pipeline.learning_settings import BaselinesSettings, EnnSettings, ForceSettings, ImitationSettings
-from pipeline.learning_task import LearningTask
-from pipeline.navigation_settings import NavigationSettings
-from pipeline.recording import record_episode
-from pipeline.stages import STAGE_NAMES, baselines, enn, force, imitation, navigation
+from pipeline.recording.record import record_episode
+from pipeline.stages import STAGE_NAMES, baselines, enn, force, imitation
 from pipeline.stages.expert import check_expert
-from pipeline.stages.unseen import check_unseen
+from pipeline.stages.learning.expert_episodes import require_demonstrations, require_expert, task_of_log
+from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings, ForceSettings, ImitationSettings
+from pipeline.stages.learning.task import LearningTask
+from pipeline.stages.navigation import stage as navigation
+from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.stages.unseen.stage import check_unseen
+from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import MOTION, Task, differences, require_same_task, task_from, task_in_random_arches
-from tests.pipeline.small_expert import TASK, context, write_expert
+from tests.pipeline.stages.small_expert import TASK, context, write_expert
 
 
 def composed(*overrides: str) -> RunConfig:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from pipeline import thesis_check
-from pipeline.artifacts import Identity, RunFolder
-from pipeline.job_costs import OWN_PROCESS, CostMeter, keep_cost
+from pipeline.jobs.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.stages import STAGE_NAMES
+from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.test_task import stages_of
 
 

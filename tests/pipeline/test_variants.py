@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.artifacts import RunFolder
-from pipeline.errors import StageError
-from pipeline.manifest import Identity, read_manifest
+from pipeline.store.errors import StageError
+from pipeline.store.manifest import Identity, read_manifest
+from pipeline.store.run_folder import RunFolder
 from pipeline.variants import Asked, require_input, variant_of
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from guide3d.masks import strip_mask
-from guide3d.polyline import resample
+from guide3d.dataset.masks import strip_mask
+from guide3d.geometry.polyline import resample
 
 SIDE = 256
 

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import torch
 
-from guide3d.distributed import Ranks
-from guide3d.training import fit
+from guide3d.learning.distributed import Ranks
+from guide3d.learning.training import fit
 from splineformer.build import VARIANTS
-from splineformer.navigator import Navigator
-from splineformer.navigator_reading import Reader
-from splineformer.navigator_training import CloningSettings, clone
+from splineformer.learning.recipes import recipe_of
+from splineformer.learning.samples import SplineObjective
+from splineformer.navigation.cloning import CloningSettings, clone
+from splineformer.navigation.navigator import Navigator
+from splineformer.navigation.perception import Reader
 from splineformer.predictor import Predictor
-from splineformer.recipes import recipe_of
-from splineformer.samples import SplineObjective
 from tests.second_device import second_device
 from tests.splineformer.curves import image_of, wavy_wire
-from tests.splineformer.test_navigator import drawn_episodes, reader, settings_of
+from tests.splineformer.navigation.test_navigator import drawn_episodes, reader, settings_of
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 import torch
 
-from guide3d.dataset import Dataset, images_of, split
-from guide3d.dataset_split import Split
-from guide3d.model_file import read_content, write_content
-from guide3d.polyline import resample
-from guide3d.training import finished
-from splineformer.augmentation import Augmentation, inside, moved, shadow, warped, without_wire
+from guide3d.dataset.dataset import Dataset, images_of, split
+from guide3d.dataset.split import Split
+from guide3d.geometry.polyline import resample
+from guide3d.learning.model_file import read_content, write_content
+from guide3d.learning.training import finished
 from splineformer.build import VARIANTS, build, size_of
-from splineformer.drift import drifted
-from splineformer.intake import picture_of
-from splineformer.losses import attention_loss, nearest_on_curve, offset_loss
+from splineformer.image_input import picture_of
+from splineformer.learning.augmentation import Augmentation, inside, moved, shadow, warped, without_wire
+from splineformer.learning.curve_perturbation import drifted
+from splineformer.learning.losses import attention_loss, nearest_on_curve, offset_loss
+from splineformer.learning.recipes import recipe_of
+from splineformer.learning.samples import SplineObjective, curves_of, passes_of, pixels_of_shares, shares_of_pixels
+from splineformer.learning.training import train
 from splineformer.predictor import Predictor, tokens_px
-from splineformer.recipes import recipe_of
-from splineformer.samples import SplineObjective, curves_of, passes_of, pixels_of_shares, shares_of_pixels
 from splineformer.tokens import sampled, tokens_of_polyline
 from splineformer.train import main as command
-from splineformer.training import train
 from tests.damaged_files import refusals
-from tests.guide3d.drawn_data import draw
+from tests.guide3d.learning.drawn_data import draw
 from tests.splineformer.curves import image_of, wavy_wire
 
 
@@ -158,7 +158,7 @@ def test_files_of_other_versions(tmp_path: Path) -> None:
 def test_graph_for_the_compiler_agrees() -> None:
     image = image_of(wavy_wire(0))
     plain = saying(untrained("ordered"))
-    # the machine code is checked by benchmarks/splineformer.py: making it takes too long here
+    # the machine code is checked by benchmarks/splineformer/reading.py: making it takes too long here
     calls: list[int] = []
 
     def backend(graph: torch.fx.GraphModule, given: object) -> object:

@@ -9,15 +9,15 @@ from typing import Any
 
 import splineformer
 import splineformer.modeling
-from splineformer.augmentation import Augmentation
-from splineformer.losses import OrderedWeights, PublishedWeights
+from splineformer.comparison.skeleton import SkeletonSettings
+from splineformer.learning.augmentation import Augmentation
+from splineformer.learning.losses import OrderedWeights, PublishedWeights
+from splineformer.learning.recipes import recipe_of
 from splineformer.modeling.ordered import OrderedSettings
 from splineformer.modeling.splineformer import SplineFormerSettings
-from splineformer.navigator import NavigatorSettings
-from splineformer.navigator_training import CloningSettings
-from splineformer.navigator_view import ViewSettings
-from splineformer.recipes import recipe_of
-from splineformer.skeleton import SkeletonSettings
+from splineformer.navigation.camera_view import ViewSettings
+from splineformer.navigation.cloning import CloningSettings
+from splineformer.navigation.navigator import NavigatorSettings
 from splineformer.tokens import TokenSettings
 from tests.number_fields import accepted, parametrised
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from guide3d.bspline import BSplineCurve
+from guide3d.geometry.bspline import BSplineCurve
 from splineformer.decoding import basis, collocation, decode, padded, uniform_knots
 from splineformer.tokens import (
     TokenSettings,

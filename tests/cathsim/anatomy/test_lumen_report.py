@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import SignedDistanceGrid
+from cathsim.anatomy.generator.random_arch import sample_parameters
 from cathsim.anatomy.library import NAMED, build_phantom
 from cathsim.anatomy.lumen_report import check_lumen
-from cathsim.anatomy.random_arch import sample_parameters
 
 
 def _changed(phantom, change):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cathsim.observables import points_to_border
+from cathsim.observations.observables import points_to_border
 
 NAMES = ("image_a", "mask_a", "image_b", "mask_b")
 
@@ -74,7 +74,7 @@ def test_unknown_cameras_are_refused(make_env):
 def test_log_holds_every_camera(make_env, tmp_path: Path):
     pytest.importorskip("mcap")
     from pipeline.episodes import EpisodeReader
-    from pipeline.recording import record_episode
+    from pipeline.recording.record import record_episode
 
     env = make_env(cameras="guide3d", observation="tip", image_size=48, max_steps=3)
     path = tmp_path / "episode.mcap"

@@ -13,10 +13,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError, check, recover
-from pipeline.episodes.container import McapFile
+from pipeline.episodes.encoding.container import McapFile
+from pipeline.episodes.encoding.scan import messages, read_chunk
+from pipeline.episodes.encoding.schema import topic_messages
 from pipeline.episodes.metadata import seal_episode, seal_outcome
-from pipeline.episodes.scan import messages, read_chunk
-from pipeline.episodes.schema import topic_messages
 from pipeline.episodes.writer import schema_data
 
 

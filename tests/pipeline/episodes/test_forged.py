@@ -20,13 +20,13 @@ from PIL import Image
 from pipeline.episodes import EpisodeReader, EpisodeReadError, check
 from pipeline.episodes.__main__ import main
 from pipeline.episodes.annotate import annotate, read_annotation
-from pipeline.episodes.container import McapFile
+from pipeline.episodes.encoding.container import McapFile
+from pipeline.episodes.encoding.protobuf_wire import FIXED64, VARINT, delimited, tag, varint
+from pipeline.episodes.encoding.scan import open_chunk
+from pipeline.episodes.encoding.schema import topic_messages
+from pipeline.episodes.encoding.step_codec import decode_step, encode_step
 from pipeline.episodes.errors import ContainerError
 from pipeline.episodes.metadata import _checksum, open_episode, open_outcome, seal_outcome
-from pipeline.episodes.protobuf_wire import FIXED64, VARINT, delimited, tag, varint
-from pipeline.episodes.scan import open_chunk
-from pipeline.episodes.schema import topic_messages
-from pipeline.episodes.step_codec import decode_step, encode_step
 from pipeline.episodes.writer import schema_data
 
 SECONDS = 2.0  # generous beside the hundredth of a second that a refusal takes, for machines that are busy

@@ -13,8 +13,8 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from PIL import Image
 
 from pipeline.episodes import Camera, PhantomMesh
-from pipeline.episodes.png import decode_image, decode_mask, encode_image, encode_mask
-from pipeline.episodes.scene import decode_phantom, encode_wire_line, encode_wire_points
+from pipeline.episodes.encoding.png import decode_image, decode_mask, encode_image, encode_mask
+from pipeline.episodes.encoding.scene import decode_phantom, encode_wire_line, encode_wire_points
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (80, 80), (7, 300), (255, 256), (1, 65535), (400, 401)])

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.episodes.protobuf_wire import fields, varint
+from pipeline.episodes.encoding.protobuf_wire import fields, varint
+from pipeline.episodes.encoding.schema import STEP_FIELDS, Step
+from pipeline.episodes.encoding.step_codec import decode_step, encode_step
 from pipeline.episodes.records import StepRecord
-from pipeline.episodes.schema import STEP_FIELDS, Step
-from pipeline.episodes.step_codec import decode_step, encode_step
 
 
 def as_message(record: StepRecord):

@@ -15,7 +15,7 @@ import pytest
 
 from pipeline.episodes import EpisodeReader, ViewerError
 from pipeline.episodes.__main__ import main
-from pipeline.episodes.schema import STEP_TOPIC, Step, topic_messages
+from pipeline.episodes.encoding.schema import STEP_TOPIC, Step, topic_messages
 
 LAYOUT = Path(__file__).resolve().parents[3] / "docs/foxglove/endonav_layout.json"
 NO_RERUN = "the extra rerun is not installed"

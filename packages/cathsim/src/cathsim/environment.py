@@ -12,20 +12,20 @@ import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
-from cathsim.blood import BloodFlow, blood_flow
+from cathsim.blood.flow import BloodFlow, blood_flow
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.description import Specified, chosen, described
-from cathsim.display import MODES, Display
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire, load_guidewire
-from cathsim.history import History
 from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
-from cathsim.observables import BiplaneView, Fluoroscope, make_observable
+from cathsim.observations.observables import BiplaneView, Fluoroscope, make_observable
+from cathsim.observations.progress_history import History
+from cathsim.observations.roadmap import Roadmap
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
-from cathsim.roadmap import Roadmap
-from cathsim.robot import DRIVES, FollowerRobot
+from cathsim.robot.follower import DRIVES, FollowerRobot
 from cathsim.simulation import CONTROL_STEP, Simulation
+from cathsim.viewing.display import MODES, Display
 
 TRANSLATION_STEP = 0.002  # m at full action
 ROTATION_STEP = np.radians(15.0)  # rad at full action

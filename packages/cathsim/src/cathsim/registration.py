@@ -19,6 +19,6 @@ def register() -> None:
     if MANY not in gymnasium.registry:
         gymnasium.register(
             id=MANY,
-            entry_point="cathsim.variety:NavigateManyEnv",
+            entry_point="cathsim.many_anatomies:NavigateManyEnv",
             vector_entry_point="cathsim.vector:ThreadedManyVectorEnv",
         )

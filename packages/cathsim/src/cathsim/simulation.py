@@ -12,16 +12,16 @@ import numpy as np
 
 from cathsim.anatomy import Phantom
 from cathsim.arena import FEEDER, max_insertion
-from cathsim.blood import BloodFlow
-from cathsim.blood_field import blood_field
+from cathsim.blood.drag import Drag
+from cathsim.blood.field import blood_field
+from cathsim.blood.flow import BloodFlow
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.contact.native import SimulationStruct, StepSummary, address, engine, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
-from cathsim.drag import Drag
-from cathsim.feed import Ladder, pass_on, rung_models
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
 from cathsim.lifetime_cache import kept_with_owner
+from cathsim.link_ladder import Ladder, pass_on, rung_models
 from cathsim.presets import Accuracy
 
 CONTROL_STEP = 0.1  # s

@@ -14,8 +14,8 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from cathsim.description import Specified
 from cathsim.environment import NavigateEnv
+from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.validation import quantity
-from cathsim.variety import NavigateManyEnv
 
 _Many = Annotated[int, Interval(ge=1, le=100_000)]
 

@@ -9,31 +9,31 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from enn.encoded import EncodedEnvs
     from enn.encoder import Encoder, EncoderSettings, Samples, fit_encoder, scripted_samples
-    from enn.features import MultimodalExtractor, layer_table, modality_keys
-    from enn.policies import AsymmetricSACPolicy
+    from enn.networks.features import MultimodalExtractor, layer_table, modality_keys
+    from enn.networks.policies import AsymmetricSACPolicy
     from enn.policy import Policy
-    from enn.reinforcement import Training
-    from enn.training_settings import TrainingSettings
+    from enn.reinforcement.encoded import EncodedEnvs
+    from enn.reinforcement.training import Training
+    from enn.reinforcement.training_settings import TrainingSettings
     from enn.trajectory import Trajectory
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "AsymmetricSACPolicy": "policies",
-    "EncodedEnvs": "encoded",
+    "AsymmetricSACPolicy": "networks.policies",
+    "EncodedEnvs": "reinforcement.encoded",
     "Encoder": "encoder",
     "EncoderSettings": "encoder",
-    "MultimodalExtractor": "features",
+    "MultimodalExtractor": "networks.features",
     "Policy": "policy",
     "Samples": "encoder",
-    "Training": "reinforcement",
-    "TrainingSettings": "training_settings",
+    "Training": "reinforcement.training",
+    "TrainingSettings": "reinforcement.training_settings",
     "Trajectory": "trajectory",
     "fit_encoder": "encoder",
-    "layer_table": "features",
-    "modality_keys": "features",
+    "layer_table": "networks.features",
+    "modality_keys": "networks.features",
     "scripted_samples": "encoder",
 }
 

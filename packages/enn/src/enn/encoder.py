@@ -14,9 +14,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from enn.devices import device_of
-from enn.encoded import EncodedEnvs
-from enn.encoder_network import POINT_SCALE, TARGETS, Encoder, EncoderSettings
 from enn.exploration import Samples, scripted_samples
+from enn.networks.encoder_network import POINT_SCALE, TARGETS, Encoder, EncoderSettings
+from enn.reinforcement.encoded import EncodedEnvs
 
 __all__ = ["EncodedEnvs", "Encoder", "EncoderSettings", "Samples", "encoder_report", "fit_encoder", "scripted_samples"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from enn.sampling import start_state_of
+from enn.reinforcement.sampling import start_state_of
 
 TRUTH = ("shape", "feeder", "force")  # observations that the targets are read from
 ARC_LENGTHS_MM = (0.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # of the wire points, behind the tip

@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import BasePolicy
 from torch import Tensor
 
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
-from enn.network import NetworkSettings, action_distribution, actor_features, build_network
+from enn.networks.network import NetworkSettings, action_distribution, actor_features, build_network
 
 if TYPE_CHECKING:
     from enn.encoder import Encoder

@@ -10,25 +10,30 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from guide3d.bspline import BSplineCurve, fit_bspline
-    from guide3d.camera import Camera, read_camera
-    from guide3d.dataset import Dataset
-    from guide3d.distortion import Distortion
-    from guide3d.reconstruction import Reconstruction, ReconstructionSettings, reconstruct, reconstruct_greedy
+    from guide3d.dataset.dataset import Dataset
+    from guide3d.geometry.bspline import BSplineCurve, fit_bspline
+    from guide3d.geometry.camera import Camera, read_camera
+    from guide3d.geometry.distortion import Distortion
+    from guide3d.reconstruction.reconstruction import (
+        Reconstruction,
+        ReconstructionSettings,
+        reconstruct,
+        reconstruct_greedy,
+    )
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "BSplineCurve": "bspline",
-    "fit_bspline": "bspline",
-    "Camera": "camera",
-    "read_camera": "camera",
-    "Dataset": "dataset",
-    "Distortion": "distortion",
-    "Reconstruction": "reconstruction",
-    "ReconstructionSettings": "reconstruction",
-    "reconstruct": "reconstruction",
-    "reconstruct_greedy": "reconstruction",
+    "BSplineCurve": "geometry.bspline",
+    "fit_bspline": "geometry.bspline",
+    "Camera": "geometry.camera",
+    "read_camera": "geometry.camera",
+    "Dataset": "dataset.dataset",
+    "Distortion": "geometry.distortion",
+    "Reconstruction": "reconstruction.reconstruction",
+    "ReconstructionSettings": "reconstruction.reconstruction",
+    "reconstruct": "reconstruction.reconstruction",
+    "reconstruct_greedy": "reconstruction.reconstruction",
 }
 
 __all__ = [

@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from guide3d.atomic_file import whole_file
-from guide3d.build import SEGMENTERS, SIZES
-from guide3d.dataset import Dataset, split
-from guide3d.distributed import Ranks
-from guide3d.losses import ShapeLoss
-from guide3d.network_training import train_fgrn, train_segmenter, train_shape
-from guide3d.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
+from guide3d.dataset.dataset import Dataset, split
+from guide3d.learning.build import SEGMENTERS, SIZES
+from guide3d.learning.distributed import Ranks
+from guide3d.learning.losses import ShapeLoss
+from guide3d.learning.network_training import train_fgrn, train_segmenter, train_shape
+from guide3d.learning.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
+from guide3d.learning.training import FitProgress, finished
 from guide3d.setting_kinds import seed
-from guide3d.training import FitProgress, finished
 
 ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
 NETWORKS = (*FORMS, ANGLES_ALONE, "fgrn", *SEGMENTERS)

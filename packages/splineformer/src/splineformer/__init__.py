@@ -17,11 +17,11 @@ _HOMES = {
     "TokenSettings": "splineformer.tokens",
     "tokens_of_polyline": "splineformer.tokens",
     "curve_of_tokens": "splineformer.tokens",
-    "curve_errors": "splineformer.curve_errors",
+    "curve_errors": "splineformer.comparison.curve_errors",
     "attention_map": "splineformer.attention",
     "export_onnx": "splineformer.export",
-    "recipe_of": "splineformer.recipes",
-    "train": "splineformer.training",
+    "recipe_of": "splineformer.learning.recipes",
+    "train": "splineformer.learning.training",
 }
 
 __all__ = ["__version__", *_HOMES]

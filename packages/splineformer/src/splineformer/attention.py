@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from splineformer.build import Network
-from splineformer.intake import picture_of
+from splineformer.image_input import picture_of
 from splineformer.modeling.splineformer import SplineFormer
 
 DISCARD = 0.65

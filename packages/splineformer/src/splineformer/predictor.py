@@ -13,14 +13,14 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from guide3d.bspline import BSplineCurve
-from guide3d.model_file import UNFIT, read_model, write_model
-from guide3d.polyline import Array, arc_length
+from guide3d.geometry.bspline import BSplineCurve
+from guide3d.geometry.polyline import Array, arc_length
+from guide3d.learning.model_file import UNFIT, read_model, write_model
 from splineformer.build import Network, described, rebuilt
-from splineformer.intake import Picture, picture_of
+from splineformer.image_input import Picture, picture_of
+from splineformer.learning.samples import pixels_of_shares
 from splineformer.modeling.image_head import WIRES
 from splineformer.modeling.splineformer import SplineFormer
-from splineformer.samples import pixels_of_shares
 from splineformer.tokens import FEWEST_TOKENS, curve_of_tokens, sampled
 
 KIND = "splineformer"

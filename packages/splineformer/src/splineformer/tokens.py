@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from scipy import interpolate
 from scipy.spatial import cKDTree
 
-from guide3d.bspline import BSplineCurve
-from guide3d.polyline import Array, arc_length, checked, resample, thinned
+from guide3d.geometry.bspline import BSplineCurve
+from guide3d.geometry.polyline import Array, arc_length, checked, resample, thinned
 from guide3d.setting_kinds import PixelDistanceOrNone, settings
 
 DEGREE = 3

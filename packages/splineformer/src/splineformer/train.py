@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import Any
 
 from guide3d.atomic_file import whole_file
-from guide3d.dataset import Dataset, split
-from guide3d.distributed import Ranks
+from guide3d.dataset.dataset import Dataset, split
+from guide3d.learning.distributed import Ranks
+from guide3d.learning.training import FitProgress, FitReport, finished
 from guide3d.setting_kinds import seed
-from guide3d.training import FitProgress, FitReport, finished
 from splineformer.build import SIZES, VARIANTS
-from splineformer.recipes import recipe_of
-from splineformer.training import train as train_variant
+from splineformer.learning.recipes import recipe_of
+from splineformer.learning.training import train as train_variant
 
 PREDICTOR, TABLE, BOARD = "predictor.pt", "training.json", "tensorboard"
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from cathsim.anatomy.aortic_arch import build_arch
-from cathsim.anatomy.arch_parameters import Aneurysm, ArchParameters
+from cathsim.anatomy.generator.aortic_arch import build_arch
+from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.mesh_reading import is_mesh_path
+from cathsim.anatomy.mesh.reading import is_mesh_path
 from cathsim.anatomy.phantom import Phantom, locate_entries, locate_targets
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
@@ -165,7 +165,7 @@ def phantom_described(told: Mapping[str, Any]) -> Phantom:
 
 
 def _described_mesh(told: Mapping[str, Any]) -> Phantom:
-    from cathsim.anatomy.mesh_import import import_mesh, mesh_digest
+    from cathsim.anatomy.mesh.importer import import_mesh, mesh_digest
 
     path, unit, names = (told["mesh"][key] for key in ("path", "unit", "names"))
     names = None if names is None else tuple(one if isinstance(one, str) else tuple(one) for one in names)
@@ -226,7 +226,7 @@ def build_phantom(name: str, parameters: ArchParameters, *, resolution: float = 
 
 
 def _import(path: str, seed: int | None, resolution: float, cache_dir: Path | None) -> Phantom:
-    from cathsim.anatomy.mesh_import import import_mesh
+    from cathsim.anatomy.mesh.importer import import_mesh
 
     if seed is not None:
         raise ValueError(f"a phantom from a mesh takes no seed, got {seed!r}; only 'random' does.")
@@ -237,7 +237,7 @@ def _parameters_of(name: str, seed: int | None) -> ArchParameters:
     if name in RANDOM:
         if seed is None or isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
             raise ValueError(f"phantom '{name}' needs a seed, a whole number from 0 on; got {seed!r}.")
-        from cathsim.anatomy.random_arch import sample_parameters
+        from cathsim.anatomy.generator.random_arch import sample_parameters
 
         return sample_parameters(np.random.default_rng(int(seed)), wide=name == RANDOM[1])
     if name not in NAMED:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cathsim.anatomy.arch_parameters import ArchParameters
 from cathsim.anatomy.distance_grid import SignedDistanceGrid, sample_trilinear
+from cathsim.anatomy.generator.arch_parameters import ArchParameters
 from cathsim.anatomy.geodesic import arc_distance, geodesic_field, graph_distance
 from cathsim.anatomy.point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
 from cathsim.anatomy.vessel_tree import VesselTree
@@ -20,7 +20,7 @@ from cathsim.anatomy.vessel_tree import VesselTree
 if TYPE_CHECKING:
     import trimesh
 
-    from cathsim.anatomy.mesh_report import ImportReport
+    from cathsim.anatomy.mesh.report import ImportReport
 
 # Distance beyond the ostium (for rsa and rcca: beyond the bifurcation of the trunk), m.
 TARGET_DISTANCE = {"bca": 0.030, "lcca": 0.040, "lsa": 0.040, "rcca": 0.020, "rsa": 0.020}

@@ -19,10 +19,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.arch_parameters import ArchParameters
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.generator.arch_parameters import ArchParameters
 from cathsim.anatomy.geodesic import MARGIN
-from cathsim.anatomy.mesh_report import ImportReport
+from cathsim.anatomy.mesh.report import ImportReport
 from cathsim.anatomy.phantom import Entry, Phantom, Target
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 

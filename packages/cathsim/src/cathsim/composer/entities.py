@@ -16,7 +16,7 @@ from cathsim.contact.native import SimulationStruct, address, engine, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
 from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, MAX_CONTACTS, Contacts
-from cathsim.view import WALL
+from cathsim.viewing.camera_view import WALL
 
 SKY = [0.97, 0.97, 0.98]
 

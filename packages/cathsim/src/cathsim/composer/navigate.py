@@ -18,7 +18,7 @@ from cathsim.composer.parts import model_parts
 from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.navigation import NavigationTask, navigation_task
-from cathsim.observables import camera, outside_sheath
+from cathsim.observations.observables import camera, outside_sheath
 from cathsim.presets import Accuracy
 from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS, vessel_of
 

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.fluoroscopy.attenuation import DistanceGrid
 from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera
-from cathsim.fluoroscopy.ink import WireInk
 from cathsim.fluoroscopy.materials import WireMaterial, jacketed_wire
 from cathsim.fluoroscopy.radiograph import Radiograph, radiograph
 from cathsim.fluoroscopy.renderer import WIRE_RADIUS
 from cathsim.fluoroscopy.scene import Scene, scene
+from cathsim.fluoroscopy.wire_shadow import WireInk
 
 MAXIMUM_SIZE = 4096  # px
 _NORMALS = 4096

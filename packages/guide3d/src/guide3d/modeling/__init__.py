@@ -1,1 +1,1 @@
-"""Networks of the Guide3D chapter in plain torch; `guide3d.build` holds their sizes."""
+"""Networks of the Guide3D chapter in plain torch; `guide3d.learning.build` holds their sizes."""

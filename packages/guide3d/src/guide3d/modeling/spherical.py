@@ -16,7 +16,7 @@ from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from guide3d.polyline import arc_length, at_length, checked
+from guide3d.geometry.polyline import arc_length, at_length, checked
 from guide3d.setting_kinds import Angle, Millimetres, settings
 
 Array = NDArray[np.float64]

@@ -1,0 +1,84 @@
+"""Success of the sampling expert on Type I and II, BCA and LCCA.
+
+    python benchmarks/cathsim/expert.py [--quick] [--seeds N]
+
+Twenty seeds a task, 8 mm, at most 300 steps. Prints a table and, as its last line, one JSON object with a key a task,
+"type_1/bca": {success_pct, steps_mean, force_max_n, seconds, seeds}: steps of the successful episodes, largest contact
+force of all, processor seconds an episode. --quick takes as many seeds as fit into about half a minute.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import time
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from cathsim import Guidewire, NavigateEnv, Phantom
+from cathsim.planning.sampling import SamplingExpert
+
+TASKS = tuple(itertools.product(("type_1", "type_2"), ("bca", "lcca")))
+QUICK_SECONDS = 30.0
+
+
+def episode(phantom: str | Phantom, target: str, seed: int, wire: str | Guidewire = "default") -> dict[str, float]:
+    """Runs one episode; steps, success, largest force and processor seconds."""
+    environment = NavigateEnv(phantom, target, wire=wire, observation="tip")
+    expert = SamplingExpert(environment, seed=seed)
+    start = time.process_time()
+    environment.reset(seed=seed)
+    force, done = 0.0, False
+    info: dict[str, Any] = {}
+    while not done:
+        _, _, terminated, truncated, info = environment.step(expert.action())
+        force = max(force, info["force"])
+        done = terminated or truncated
+    expert.close()
+    return {
+        "steps": environment.steps,
+        "success": float(info["success"]),
+        "force": force,
+        "seconds": time.process_time() - start,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="as many seeds as fit into half a minute")
+    parser.add_argument("--seeds", type=int, default=20)
+    arguments = parser.parse_args()
+    began = time.perf_counter()
+    runs: dict[str, list[dict[str, float]]] = {f"{phantom}/{target}": [] for phantom, target in TASKS}
+    for seed in range(arguments.seeds):
+        for phantom, target in TASKS:
+            runs[f"{phantom}/{target}"].append(episode(phantom, target, seed))
+        if arguments.quick and time.perf_counter() - began > QUICK_SECONDS / 2:
+            break
+    print(f"{'task':14s}{'seeds':>7s}{'success %':>11s}{'steps':>8s}{'force max, N':>14s}{'CPU s':>8s}")
+    result = {}
+    for task, episodes in runs.items():
+        successful = [e["steps"] for e in episodes if e["success"]]
+        row = {
+            "success_pct": 100 * float(np.mean([e["success"] for e in episodes])),
+            "steps_mean": float(np.mean(successful)) if successful else None,
+            "force_max_n": max(e["force"] for e in episodes),
+            "seconds": float(np.mean([e["seconds"] for e in episodes])),
+            "seeds": len(episodes),
+        }
+        result[task] = {key: round(value, 3) if isinstance(value, float) else value for key, value in row.items()}
+        steps = f"{row['steps_mean']:.0f}" if successful else "-"
+        print(
+            f"{task:14s}{row['seeds']:7d}{row['success_pct']:11.0f}{steps:>8s}"
+            f"{row['force_max_n']:14.3f}{row['seconds']:8.1f}"
+        )
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

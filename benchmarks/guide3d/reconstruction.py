@@ -1,0 +1,263 @@
+"""Reconstruction of wires in space: reprojection on annotated pairs, or millimetres against synthetic ground truth.
+
+    python benchmarks/guide3d/reconstruction.py PAIRS.json --cameras DIR
+    python benchmarks/guide3d/reconstruction.py --synthetic
+
+Reads {"units": ..., "pairs": [{"pair", "camera_a": [[x, y]], "camera_b"}]}, tip first. DIR holds the files of
+both cameras (*16710*.txt is A, *16709*.txt is B, world unit cm), and may hold X-rays of a perforated sheet
+(undistort_<detector>.*): then raw annotations are told from undistorted ones, and undistorted. Prints a table, and as
+the last line one JSON object. Times are processor time of one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from PIL import Image
+
+from guide3d.calibration.perforated_sheet import find_holes
+from guide3d.geometry.camera import Camera, read_camera
+from guide3d.geometry.distortion import Distortion
+from guide3d.geometry.metrics import curve_metrics
+from guide3d.reconstruction.reconstruction import Reconstruction, reconstruct, reconstruct_greedy
+from guide3d.reconstruction.reprojection import numbers, save_picture
+from guide3d.reconstruction.synthetic_scene import KINDS, scenes
+from guide3d.reconstruction.view_checks import epipolar_residuals, swapped_cameras, undistorted_or_raw
+
+DETECTORS = ("16710", "16709")
+PairOfPoints = tuple[np.ndarray, np.ndarray]
+
+
+def read_pairs(path: Path) -> tuple[list[Any], list[PairOfPoints], str]:
+    """Returns names and annotations of a file of pairs, and what it says of itself."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{path} is missing: expected a JSON file of annotated pairs") from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path}: expected JSON, found something else ({error})") from None
+    listed = content.get("pairs") if isinstance(content, dict) else None
+    if not isinstance(listed, list) or not listed:
+        raise ValueError(
+            f'{path}: expected {{"pairs": [{{"camera_a": [[x, y]], "camera_b": [[x, y]]}}]}}, found no pairs'
+        )
+    names, pairs = [], []
+    for number, entry in enumerate(listed):
+        try:
+            a, b = (np.asarray(entry[f"camera_{view}"], dtype=float) for view in "ab")
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path}: pair {number} has no readable camera_a and camera_b ({error})") from None
+        names.append(entry.get("pair", number))
+        pairs.append((a, b))
+    return names, pairs, str(content.get("units", ""))
+
+
+def cameras_of(folder: Path, pairs: Sequence[PairOfPoints], said: str) -> tuple[Camera, Camera, str]:
+    """Returns the cameras of a folder: the set that the pairs' file names, or else the one that fits them best."""
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is missing: expected a folder with camera files")
+    sets: dict[str, dict[str, Path]] = {}
+    for detector in DETECTORS:
+        for file in sorted(folder.glob(f"*{detector}*.txt")):
+            sets.setdefault(file.name.replace(detector, "*"), {})[detector] = file
+    whole = {name: files for name, files in sets.items() if len(files) == 2}
+    if not whole:
+        for files in sets.values():
+            there = next(iter(files))
+            missing = next(detector for detector in DETECTORS if detector != there)
+            raise ValueError(
+                f"{folder} holds {files[there].name} but the other camera's file, *{missing}*.txt, is missing"
+            )
+        raise ValueError(f"{folder}: expected camera files *{DETECTORS[0]}*.txt and *{DETECTORS[1]}*.txt, found none")
+    named = [name for name in whole if name in said]
+    fit: dict[str, tuple[float, Camera, Camera]] = {}
+    for name in named if len(named) == 1 else whole:
+        a, b = (read_camera(whole[name][detector]) for detector in DETECTORS)
+        fit[name] = (float(np.median(epipolar_residuals(a, b, pairs))), a, b)
+    best = min(fit, key=lambda name: fit[name][0])
+    why = "named by the pairs" if len(named) == 1 else "the only set" if len(whole) == 1 else "of several, the best fit"
+    return fit[best][1], fit[best][2], f"cameras {best} ({why}, epipolar residual {fit[best][0]:.2f} px)"
+
+
+def distortions_of(folder: Path) -> list[Distortion] | None:
+    """Returns both detectors' maps from X-rays of the sheet, in the camera files' frame; None without them."""
+    files = [next(iter(sorted(folder.glob(f"undistort_{detector}.*"))), None) for detector in DETECTORS]
+    if files[0] is None or files[1] is None:
+        return None
+    images = [np.asarray(Image.open(file).convert("L")) for file in files if file is not None]
+    return [Distortion.from_holes(find_holes(image), frame="bounding box") for image in images]
+
+
+def timed(
+    method: Callable[..., Reconstruction], cameras: tuple[Camera, Camera], pairs: Sequence[PairOfPoints], repeats: int
+) -> tuple[list[Reconstruction | str], float]:
+    """Returns the results (or what was wrong) and pairs a second."""
+    best = np.inf
+    results: list[Reconstruction | str] = []
+    for _ in range(repeats):
+        results, start = [], time.process_time()
+        for a, b in pairs:
+            try:
+                results.append(method(*cameras, a, b))
+            except ValueError as error:
+                results.append(str(error))
+        best = min(best, time.process_time() - start)
+    return results, len(pairs) / best
+
+
+def of_pairs(path: Path, folder: Path, pictures: Path | None, as_given: bool) -> dict[str, Any]:
+    names, pairs, said = read_pairs(path)
+    camera_a, camera_b, sentence = cameras_of(folder, pairs, said)
+    print(sentence)
+    order = swapped_cameras(camera_a, camera_b, pairs)
+    print(order.sentence)
+    if order.answer == "swapped" and order.sure:
+        camera_a, camera_b = camera_b, camera_a
+        print("going on with the cameras exchanged")
+    maps = None if as_given else distortions_of(folder)
+    state = "as given"
+    if maps is not None:
+        if order.answer == "swapped" and order.sure:
+            maps.reverse()
+        verdict = undistorted_or_raw(camera_a, camera_b, pairs, maps[0].undistort_points, maps[1].undistort_points)
+        print(verdict.sentence)
+        state = verdict.answer
+        if verdict.answer == "raw":
+            pairs = [(maps[0].undistort_points(a), maps[1].undistort_points(b)) for a, b in pairs]
+            print("undistorting them")
+    cameras = (camera_a, camera_b)
+    report: dict[str, Any] = {}
+    header = [
+        "pair, variant",
+        "A px",
+        "p95",
+        "B px",
+        "p95",
+        "coverage",
+        "of A",
+        "of B",
+        "tangent A",
+        "B",
+        "sd mm",
+        "length mm",
+    ]
+    print(f"{header[0]:16s}" + "".join(f"{title:>10s}" for title in header[1:]))
+    for method, label in ((reconstruct, ""), (reconstruct_greedy, "greedy")):
+        results, speed = timed(method, cameras, pairs, 5)
+        lines = []
+        for name, result, annotated in zip(names, results, pairs, strict=True):
+            if isinstance(result, str):
+                print(f"{name!s} {label}: {result}")
+                lines.append({"pair": name, "error": result})
+                continue
+            line = numbers(result)
+            lines.append({"pair": name, **line})
+            cells = [line[key] for key in ("mean_px_a", "p95_px_a", "mean_px_b", "p95_px_b", "coverage")]
+            cells += [line[key] for key in ("coverage_a", "coverage_b", "tangent_share_a", "tangent_share_b")]
+            cells += [line["mean_sd_mm"], line["length_mm"]]
+            print(f"{f'{name} {label}':16s}" + "".join(f"{cell:10.3f}" for cell in cells))
+            for warning in result.warnings:
+                print(f"    {warning}")
+            if pictures is not None and not label:
+                pictures.mkdir(parents=True, exist_ok=True)
+                save_picture(pictures / f"pair_{name}.png", cameras, annotated, result)
+        good = [line for line in lines if "error" not in line]
+        whole: dict[str, Any] = {
+            key: float(np.mean([line[key] for line in good])) if good else None
+            for key in ("mean_px_a", "mean_px_b", "coverage")
+        }
+        whole["pairs_per_s"] = speed
+        if label:
+            report["greedy"] = whole
+        else:
+            report = {**whole, "per_pair": lines, "annotations": state, "cameras": order.answer}
+    return report
+
+
+def of_scenes(count: int, seed: int) -> dict[str, Any]:
+    report: dict[str, Any] = {}
+    titles = ("MaxED", "sd", "METE", "mean", "p95 mean", "Fréchet", "coverage", "pairs/s")
+    print(f"{'scenes, variant':28s}" + "".join(f"{title:>10s}" for title in titles))
+    for noise, group in ((None, "exact"), (1.0, "1 px clicks")):
+        drawn = list(scenes(count, seed, noise))
+        for method, label in ((reconstruct, ""), (reconstruct_greedy, "greedy")):
+            figures, used, start = [], [], time.process_time()
+            done: list[Reconstruction | None] = []
+            for scene in drawn:
+                try:
+                    done.append(method(*scene.cameras, *scene.points))
+                except ValueError as error:
+                    print(f"{scene.kind} {label}: {error}")
+                    done.append(None)
+            speed = count / (time.process_time() - start)
+            for scene, result in zip(drawn, done, strict=True):
+                if result is not None:
+                    figures.append({**curve_metrics(result.curve_mm, scene.curve_mm), "coverage": result.coverage})
+                    used.append(scene.kind)
+            table = {key: np.array([figure[key] for figure in figures]) for key in figures[0]}
+            for kind in (*KINDS, "all"):
+                rows = np.array([kind in (name, "all") for name in used])
+                if not rows.any():
+                    continue
+                chosen = {key: values[rows] for key, values in table.items()}
+                cells = [chosen["max_ed"].mean(), chosen["max_ed"].std(), chosen["mete"].mean(), chosen["mers"].mean()]
+                cells += [np.quantile(chosen["mers"], 0.95), chosen["frechet"].mean(), chosen["coverage"].mean(), speed]
+                print(f"{f'{group}, {kind} {label}':28s}" + "".join(f"{cell:10.3f}" for cell in cells))
+            whole = {
+                "max_ed_mm": float(table["max_ed"].mean()),
+                "mete_mm": float(table["mete"].mean()),
+                "mean_mm": float(table["mers"].mean()),
+                "pairs_per_s": float(speed),
+                "failed": count - len(figures),
+            }
+            place = report.setdefault("greedy", {}) if label else report
+            if noise is None:
+                place.update(whole)
+            else:
+                place["noisy"] = whole
+    return report
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pairs", nargs="?", type=Path, help="JSON file of annotated pairs")
+    parser.add_argument("--cameras", type=Path, help="folder with the cameras' files")
+    parser.add_argument(
+        "--as-given", action="store_true", help="take the annotations as undistorted, whatever they look like"
+    )
+    parser.add_argument("--pictures", type=Path, help="folder for a picture of each pair")
+    parser.add_argument("--synthetic", action="store_true", help="synthetic scenes with ground truth")
+    parser.add_argument("--scenes", type=int, default=200, help="number of synthetic scenes")
+    parser.add_argument("--seed", type=int, default=0, help="of the synthetic scenes")
+    parser.add_argument("--quick", action="store_true", help="40 synthetic scenes")
+    arguments = parser.parse_args()
+    try:
+        if arguments.synthetic or (arguments.quick and arguments.pairs is None):
+            report = of_scenes(40 if arguments.quick else arguments.scenes, arguments.seed)
+        elif arguments.pairs is None or arguments.cameras is None:
+            parser.error("expected PAIRS.json --cameras DIR, or --synthetic")
+        else:
+            report = of_pairs(arguments.pairs, arguments.cameras, arguments.pictures, arguments.as_given)
+    except (ValueError, OSError) as error:
+        print(f"reconstruction: {error}", file=sys.stderr)
+        return 1
+    print(json.dumps(report, ensure_ascii=False, allow_nan=False))
+    per_pair = report.get("per_pair", [])
+    if per_pair and all("error" in line for line in per_pair):
+        print("reconstruction: not one pair could be reconstructed; the lines above say why", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Aortic arches generated from parameters."""

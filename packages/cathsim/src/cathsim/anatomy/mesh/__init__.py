@@ -1,0 +1,1 @@
+"""Anatomies imported from a surface mesh."""

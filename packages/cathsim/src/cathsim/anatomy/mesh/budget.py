@@ -1,0 +1,76 @@
+"""What one import of a mesh may cost: a time and a memory that no surface makes it exceed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+from cathsim.anatomy.mesh.refusal import MeshRefusedError
+
+MOST_SECONDS = 120.0  # s of processor time; whole arches take 4 to 40
+MOST_BYTES = 4e9
+VOXEL_BYTES = 100  # of every voxel of the lattice, all steps' arrays together at their peak
+SAMPLE_BYTES = 200  # of every point on the surface, its place in the search tree included
+
+
+@dataclass(eq=False)
+class Budget:
+    """The budget of one import; its clock runs from its making.
+
+    Attributes:
+        seconds: s of processor time, asked for between steps.
+        memory: bytes; what lattices and points would take is told before they are made.
+    """
+
+    seconds: float = MOST_SECONDS
+    memory: float = MOST_BYTES
+    _began: float = field(default_factory=time.thread_time, init=False)
+
+    def check_time(self, step: str) -> None:
+        """Refuses to go on with a step once the time is spent.
+
+        Args:
+            step: what comes next, such as "finding its ends".
+
+        Raises:
+            MeshRefusedError: in that case.
+        """
+        if time.thread_time() - self._began > self.seconds:
+            raise MeshRefusedError(
+                f"the import has taken the {self.seconds:g} s of processor time it may take, before {step}; repair the "
+                "mesh (holes, loose sheets), cut it to the arch and its branches, or take a coarser resolution."
+            )
+
+    def check_lattice(self, voxels: float, spacing: float, size: str) -> None:
+        """Refuses a lattice that would not fit.
+
+        Args:
+            voxels: how many.
+            spacing: m between them.
+            size: of the surface, in words.
+
+        Raises:
+            MeshRefusedError: in that case.
+        """
+        if not voxels * VOXEL_BYTES <= self.memory:
+            raise MeshRefusedError(
+                f"at {2e3 * spacing:g} mm this surface is too large ({size}): the import would take "
+                f"{voxels * VOXEL_BYTES / 1e9:.3g} GB, it may take {self.memory / 1e9:g}; check its unit, cut it to "
+                "the arch and its branches, or take a coarser resolution."
+            )
+
+    def check_samples(self, points: float) -> None:
+        """Refuses a surface whose triangles would take too many points.
+
+        Args:
+            points: how many.
+
+        Raises:
+            MeshRefusedError: in that case.
+        """
+        if not points * SAMPLE_BYTES <= self.memory:
+            raise MeshRefusedError(
+                f"the surface's triangles are too many and too large for a vessel's wall: the import would take "
+                f"{points * SAMPLE_BYTES / 1e9:.3g} GB, it may take {self.memory / 1e9:g}; remove repeated and "
+                "crossing sheets, fill its holes, or remesh it evenly."
+            )

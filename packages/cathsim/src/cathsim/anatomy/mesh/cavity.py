@@ -1,0 +1,211 @@
+"""The lumen in a surface, as voxels: a closed cavity, or the tunnel that leads through a thick wall.
+
+The surface is drawn into a lattice and everything else is flooded. What the flood does not reach from outside is
+enclosed. An open vessel, or one in a thick wall, is reached; it is known by hardly any direction leading out of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.mesh.refusal import MeshRefusedError
+from cathsim.anatomy.mesh.samples import SurfaceSamples
+
+_MARGIN = 4  # voxels of free space around the surface
+_ESCAPING = 0.2  # of all directions may lead out of a tunnel
+_LEAST_SPAN = 0.4  # of the surface's diagonal, which a lumen must span
+_PART_SPAN = 0.4  # of that, from which on a piece counts as a part of the lumen that was torn off ...
+_PART_SHARE = 0.05  # ... if it has this share of its volume
+_WALL_SHARE = 0.4  # of an enclosed room's radius: if a tunnel's is larger, that room is the tunnel's wall
+_GROWN = 3  # voxels by which a tunnel is grown up to its wall
+_LEAST_RADIUS = 2.5  # voxels, of the widest ball in a lumen
+_DIRECTIONS = tuple(
+    step for step in product(range(-2, 3), repeat=3) if math.gcd(*step) == 1
+)  # 98, about even over the sphere
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Cavity:
+    """Where a surface has its lumen.
+
+    Attributes:
+        inside: (nx, ny, nz) voxels of the lumen, the wall's own voxels left out.
+        wall: (nx, ny, nz) voxels that the surface passes through.
+        origin: (3,) m, middle of voxel (0, 0, 0).
+        spacing: m between voxels.
+        kind: "closed lumen", "lumen in a closed wall", or "tunnel".
+        widest: m, radius of the widest ball inside.
+    """
+
+    inside: Mask
+    wall: Mask
+    origin: Array
+    spacing: float
+    kind: str
+    widest: float
+
+    def index(self, points: Array) -> NDArray[np.int64]:
+        """Voxels (..., 3) that points (..., 3) m lie in; points outside the lattice get its border's."""
+        index = np.rint((points - self.origin) / self.spacing).astype(np.int64)
+        return np.clip(index, 0, np.array(self.inside.shape) - 1)
+
+    def holds(self, mask: Mask, points: Array) -> Mask:
+        """Whether points (..., 3) m lie in voxels of a mask."""
+        i, j, k = np.moveaxis(self.index(points), -1, 0)
+        found: Mask = mask[i, j, k]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Room:
+    """A connected part of the lattice: its voxels within a box, widest ball and extent in voxels."""
+
+    part: Mask
+    box: tuple[slice, ...]
+    radius: float
+    span: float
+
+    @property
+    def volume(self) -> int:
+        return int(np.count_nonzero(self.part))
+
+    def whole(self, shape: tuple[int, ...]) -> Mask:
+        """Its voxels on the whole lattice."""
+        mask = np.zeros(shape, dtype=bool)
+        mask[self.box] = self.part
+        return mask
+
+
+def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = True) -> Cavity:
+    """Finds the lumen of a surface whose borders are closed.
+
+    Args:
+        samples: points on the surface, at most 0.7 voxels apart.
+        spacing: m between voxels.
+        in_metres: False where all lengths are in another unit, so that a refusal must not tell them.
+
+    Returns:
+        The lumen; at a tunnel's ends it stops somewhat before the opening.
+
+    Raises:
+        MeshRefusedError: where there is no lumen, or several that hang together nowhere.
+    """
+    from scipy.ndimage import binary_dilation, label
+
+    low, high = samples.points.min(axis=0), samples.points.max(axis=0)
+    origin = low - _MARGIN * spacing
+    nx, ny, nz = (int(n) for n in np.ceil((high - low) / spacing).astype(int) + 2 * _MARGIN + 1)
+    wall = np.zeros((nx, ny, nz), dtype=bool)
+    i, j, k = np.rint((samples.points - origin) / spacing).astype(np.int64).T
+    wall[i, j, k] = True
+    labels, _ = label(~wall)
+    outside = labels == labels[0, 0, 0]
+    span = _LEAST_SPAN * float(np.linalg.norm(high - low)) / spacing
+    enclosed = _rooms(~wall & ~outside, span)
+    tunnels = _rooms(binary_dilation(_enclosed_voxels(wall) & outside, iterations=_GROWN, mask=outside), span)
+    deep = [room for room in enclosed if _is_lumen(room, span)]
+    through = [room for room in tunnels if _is_lumen(room, span)]
+    # Hollows between vessels pass for narrow tunnels: a lumen is not much narrower than what it lies in.
+    if through and (not deep or through[0].radius - _GROWN > _WALL_SHARE * deep[0].radius):
+        kind, chosen, rivals = "tunnel", through[0], [r for r in tunnels if r.radius > 0.4 * through[0].radius]
+    elif deep:
+        kind, chosen, rivals = "closed lumen", deep[0], enclosed
+        around = [room for room in deep[1:] if _surrounds(room, chosen, wall.shape)]
+        within = [room for room in deep[1:] if _surrounds(chosen, room, wall.shape)]
+        if around or within:
+            kind, chosen = "lumen in a closed wall", within[0] if within else chosen
+        rivals = [room for room in rivals if room not in [*around, *within]]
+    else:
+        raise MeshRefusedError(_why_none([*enclosed, *tunnels], span, spacing, in_metres=in_metres))
+    rivals = [r for r in rivals if r.radius >= _LEAST_RADIUS and r.volume >= _PART_SHARE * chosen.volume]
+    if len(rivals) > 1:
+        raise MeshRefusedError(
+            f"the lumen falls into {len(rivals)} parts that do not hang together; join them, or give one of them."
+        )
+    return Cavity(chosen.whole(wall.shape), wall, origin, spacing, kind, chosen.radius * spacing)
+
+
+def _rooms(mask: Mask, span: float) -> list[_Room]:
+    """Connected parts that are not much shorter than a span, widest first."""
+    from scipy.ndimage import distance_transform_edt, find_objects, label
+
+    labels, _ = label(mask)
+    found = []
+    for number, box in enumerate(find_objects(labels), start=1):
+        extent = float(np.linalg.norm([s.stop - s.start for s in box]))
+        if extent >= _PART_SPAN * span:
+            part = labels[box] == number
+            radius = float(distance_transform_edt(np.pad(part, 1)).max())
+            found.append(_Room(part, box, radius, extent))
+    return sorted(found, key=lambda room: -room.radius)
+
+
+def _is_lumen(room: _Room, span: float) -> bool:
+    return room.span >= span and room.radius >= _LEAST_RADIUS
+
+
+def _surrounds(outer: _Room, inner: _Room, shape: tuple[int, ...]) -> bool:
+    """Whether a room lies all around another, walls between them left out of account."""
+    from scipy.ndimage import binary_dilation, binary_fill_holes
+
+    shell = binary_dilation(outer.whole(shape), iterations=3)
+    return bool(binary_fill_holes(shell)[inner.box][inner.part].mean() > 0.95)
+
+
+def _why_none(rooms: list[_Room], span: float, spacing: float, *, in_metres: bool) -> str:
+    long = [room.radius for room in rooms if room.span >= span]
+    if not long:
+        return (
+            "no lumen was found: no cavity of the surface is enclosed over its length; "
+            "expected the surface of a hollow vessel, closed or open at its ends."
+        )
+    width, needed = 2 * max(long), 2 * _LEAST_RADIUS
+    measured = (
+        f"it is {width * spacing * 1e3:.1f} mm wide, {needed * spacing * 1e3:.1f} mm are needed at this resolution"
+    )
+    relative = f"it is {width / span * _LEAST_SPAN:.1%} of the whole's size wide"
+    return f"the lumen is too narrow for a wire: at its widest {measured if in_metres else relative}."
+
+
+def _enclosed_voxels(wall: Mask) -> Mask:
+    """Voxels, not quite up to the wall, that see walls in most directions; judged at half the fineness."""
+    from scipy.ndimage import binary_dilation
+
+    even = np.pad(wall, [(0, n % 2) for n in wall.shape])
+    blocks = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2, even.shape[2] // 2, 2).any(axis=(1, 3, 5))
+    few = ~blocks & (_escapes(binary_dilation(blocks)) <= _ESCAPING * len(_DIRECTIONS))
+    for axis in range(3):
+        few = np.repeat(few, 2, axis=axis)
+    return few[: wall.shape[0], : wall.shape[1], : wall.shape[2]]
+
+
+def _escapes(wall: Mask) -> NDArray[np.uint8]:
+    """In how many of the directions each voxel sees no wall."""
+    seen = np.zeros(wall.shape, dtype=np.uint8)
+    for step in _DIRECTIONS:
+        axis = int(np.argmax(np.abs(step)))
+        stride = abs(step[axis])
+        order = np.arange(wall.shape[axis])
+        if step[axis] > 0:
+            order = order[::-1]
+        others = [step[k] for k in range(3) if k != axis]
+        slabs = np.moveaxis(wall, axis, 0)
+        counts = np.moveaxis(seen, axis, 0)
+        size = slabs.shape[1:]
+        source = tuple(slice(max(o, 0), n + min(o, 0)) for n, o in zip(size, others, strict=True))
+        goal = tuple(slice(max(-o, 0), n + min(-o, 0)) for n, o in zip(size, others, strict=True))
+        ahead = [np.zeros(size, dtype=bool) for _ in range(stride)]  # where rays met walls, of the slabs ahead
+        for index in order:
+            hit = np.zeros(size, dtype=bool)
+            hit[goal] = ahead.pop(0)[source]
+            counts[index] += ~hit
+            ahead.append(hit | slabs[index])
+    return seen

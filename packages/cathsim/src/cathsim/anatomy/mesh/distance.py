@@ -1,0 +1,220 @@
+"""Signed distance to the part of a surface that bounds the lumen, exact at the wall, flat at the vessels' ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.centreline import arc_length, resampled
+from cathsim.anatomy.cross_section import across_frames
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.lumen import OUTSIDE, PADDING
+from cathsim.anatomy.mesh.cavity import Cavity
+from cathsim.anatomy.mesh.ends import VesselEnd
+from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
+
+_EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them
+_SWEPT = 1.8  # radii before a flat end over which the lumen is filled across the vessel
+_CLEARLY = 0.8  # voxels by which a triangle's two sides must differ in their distance to the lumen
+_LOOSE = 1.8  # voxels: nearer to a triangle than this a point is in or out as that triangle says
+_FACING = 2.0  # voxels between the lumen's voxels and the triangles that bound it, at most
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def trim_cavity(cavity: Cavity, ends: Sequence[VesselEnd]) -> Mask:
+    """The lumen's voxels up to its flat ends: a tunnel is filled up to them, what lies beyond them is dropped.
+
+    Args:
+        cavity: the lumen as it was found.
+        ends: all its ends.
+
+    Returns:
+        (nx, ny, nz) voxels.
+    """
+    from scipy.ndimage import binary_closing, generate_binary_structure, label
+
+    free = ~cavity.wall
+    # Openings in a wall's side are bridged, so that the lumen has no dents before them.
+    inside = binary_closing(cavity.inside, generate_binary_structure(3, 1), iterations=4) & free | cavity.inside
+    for end in ends:
+        swept = cavity.index(_swept(end, cavity))
+        inside[tuple(swept.T)] = True
+        reach = 2.0 * end.radius + 4 * cavity.spacing
+        low, high = cavity.index(end.centre - reach), cavity.index(end.centre + reach)
+        box = tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))
+        axes = [cavity.origin[k] + np.arange(low[k], high[k] + 1) * cavity.spacing - end.centre[k] for k in range(3)]
+        offset = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        height = offset @ end.normal
+        aside = np.linalg.norm(offset - height[..., None] * end.normal, axis=-1)
+        part = inside[box]
+        before = (height <= 0) & (height > -_SWEPT * end.radius) & (aside < 1.3 * end.radius)
+        part |= binary_closing(part & before) & before & free[box]
+        part &= ~((height > 0) & (height < 1.5 * end.radius) & (aside < 1.6 * end.radius))
+    inside &= free
+    labels, count = label(inside)
+    if count > 1:
+        sizes = np.bincount(labels.reshape(-1))
+        sizes[0] = 0
+        inside = labels == int(np.argmax(sizes))
+    return inside
+
+
+def _swept(end: VesselEnd, cavity: Cavity) -> Array:
+    """Points (n, 3) m that a vessel's middle sees across the vessel, over its last stretch.
+
+    Where a ray meets no wall, as in a gap, it ends where its neighbours do.
+    """
+    back = arc_length(end.way[::-1])[::-1]
+    middles = resampled(end.way[back <= _SWEPT * end.radius], 0.5 * cavity.spacing)
+    count = int(np.clip(3 * np.pi * end.radius / cavity.spacing, 32, 400))
+    first, second = (v[0] for v in across_frames(end.normal[None]))
+    angles = np.arange(count) * 2 * np.pi / count
+    rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
+    travel = np.arange(0.0, 1.2 * end.radius, 0.7 * cavity.spacing)
+    points = []
+    for middle in middles:
+        line = middle + travel[None, :, None] * rays[:, None, :]
+        struck = cavity.holds(cavity.wall, line)
+        reach = np.where(struck.any(axis=1), np.argmax(struck, axis=1), 0)
+        if not reach.any():
+            continue
+        reach = np.where(reach > 0, reach, int(np.median(reach[reach > 0])))
+        points.append(line[np.arange(len(travel)) < reach[:, None]])
+    return np.concatenate(points) if points else middles
+
+
+def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: Sequence[VesselEnd]) -> SurfaceSamples:
+    """The part of a surface that bounds the lumen, with patches over its gaps.
+
+    Args:
+        samples: points on the whole surface.
+        cavity: the lumen's lattice.
+        inside: its voxels.
+        ends: its ends.
+
+    Returns:
+        Samples whose triangles' corners run so that the normals point into the lumen.
+    """
+    from scipy.ndimage import binary_dilation, distance_transform_edt
+
+    away = distance_transform_edt(~inside).astype(np.float32)
+    near = samples.chosen(cavity.holds(away <= _FACING, samples.points))
+    normals = near.normals[near.face]
+    step = 1.2 * cavity.spacing
+    ahead, behind = (_look(away, cavity, near.points + s * step * normals) for s in (1, -1))
+    # Each triangle turns as most of its points say, weighted by how clearly they do.
+    says = np.bincount(near.face, behind - ahead, minlength=len(near.corners))
+    corners = near.corners.copy()
+    corners[says < 0] = corners[says < 0][:, ::-1]
+    # Triangles that stand across the wall, as the rim of a thick one does, bound nothing.
+    facing = np.abs(says) >= _CLEARLY * np.maximum(np.bincount(near.face, minlength=len(corners)), 1)
+    faces = corners[np.intersect1d(near.face, np.flatnonzero(facing))]
+
+    covered = cavity.wall | inside
+    gaps = np.argwhere(inside & binary_dilation(~covered))
+    gap_points = cavity.origin + gaps * cavity.spacing
+    for end in ends:
+        beside = np.linalg.norm(gap_points - end.centre, axis=1) < 1.6 * end.radius
+        gap_points = gap_points[~(beside & ((gap_points - end.centre) @ end.normal > -2.5 * cavity.spacing))]
+    pieces = [faces]
+    if len(gap_points):
+        pieces.append(_patches(gap_points, cavity, away, inside))
+    whole = sample_surface(np.concatenate(pieces), 0.7 * cavity.spacing)
+    return whole.chosen(cavity.holds(away <= _FACING + 1, whole.points))
+
+
+def _look(away: NDArray[np.float32], cavity: Cavity, points: Array) -> Array:
+    i, j, k = cavity.index(points).T
+    return away[i, j, k].astype(np.float64)
+
+
+def _patches(points: Array, cavity: Cavity, away: NDArray[np.float32], inside: Mask) -> Array:
+    """Small triangles (n, 3, 3) m where the lumen borders on free space, normals into the lumen."""
+    from scipy.ndimage import gaussian_filter
+
+    smooth = gaussian_filter(inside.astype(np.float32), 2.0)
+    i, j, k = cavity.index(points).T
+    normal = np.stack([g[i, j, k] for g in np.gradient(smooth)], axis=1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-9)
+    second = np.cross(normal, first)
+    size = 0.8 * cavity.spacing
+    points = points - 0.5 * cavity.spacing * normal
+    return np.stack(
+        [
+            points + size * first,
+            points + size * (0.87 * second - 0.5 * first),
+            points - size * (0.87 * second + 0.5 * first),
+        ],
+        axis=1,
+    )
+
+
+def distance_grid(
+    surface: SurfaceSamples,
+    cavity: Cavity,
+    inside: Mask,
+    ends: Sequence[VesselEnd],
+    *,
+    rotation: Array,
+    offset: Array,
+    resolution: float,
+) -> SignedDistanceGrid:
+    """Signed distance grid of a lumen, in a turned frame.
+
+    Args:
+        surface: what bounds the lumen, normals into it.
+        cavity: the lumen's lattice, in the frame of the surface.
+        inside: its voxels.
+        ends: its flat ends.
+        rotation: (3, 3) from the surface's frame to the grid's.
+        offset: (3,) m, added after the rotation.
+        resolution: m between the grid's points.
+
+    Returns:
+        The grid, positive inside, clamped far outside, with padding.
+    """
+    from scipy.ndimage import distance_transform_edt, label
+
+    lumen = (cavity.origin + np.argwhere(inside) * cavity.spacing) @ rotation.T + offset
+    low, high = lumen.min(axis=0) - cavity.spacing, lumen.max(axis=0) + cavity.spacing
+    origin = np.floor(low / resolution - PADDING) * resolution
+    shape = np.ceil((high - origin) / resolution).astype(int) + PADDING + 1
+    # Far from the lumen the distance is the clamp: those points are left out.
+    rough = np.zeros(shape, dtype=bool)
+    rough[tuple(np.rint((lumen - origin) / resolution).astype(int).T)] = True
+    far = distance_transform_edt(~rough) * resolution
+    chosen = np.argwhere(far < -OUTSIDE + 2 * resolution)
+    points = (origin + chosen * resolution - offset) @ rotation
+    distance, _ = surface.tree.query(points)
+    # A voxel next to the lumen and far from what bounds it belongs to a loose sheet in it, which is no wall.
+    away = distance_transform_edt(~inside).astype(np.float32)
+    sign = np.where(cavity.holds(away <= _LOOSE, points), 1.0, -1.0)
+    close = np.flatnonzero(distance < _EXACT)
+    exact, place, face = surface.nearest(points[close])
+    distance[close] = exact
+    side = np.einsum("ij,ij->i", points[close] - place, surface.normals[face])
+    # Within the wall's own voxels only the triangle itself tells the side.
+    unsure = (exact < _LOOSE * cavity.spacing) & cavity.holds(away <= _FACING + 1, points[close])
+    sign[close[unsure]] = np.where(side[unsure] >= 0, 1.0, -1.0)
+    distance *= sign
+    for end in ends:
+        height = (points - end.centre) @ end.normal
+        aside = np.linalg.norm(points - end.centre - height[:, None] * end.normal, axis=1)
+        beside = (np.abs(height) < 1.5 * end.radius) & (aside < 1.4 * end.radius)
+        distance[beside] = np.minimum(distance[beside], -height[beside])
+    values = np.full(shape, OUTSIDE, dtype=np.float32)
+    values[tuple(chosen.T)] = np.maximum(distance, OUTSIDE)
+    # Where flat ends meet the wall single points may come out on the wrong side: only what hangs together is lumen.
+    labels, count = label(values > 0)
+    if count > 1:
+        sizes = np.bincount(labels.reshape(-1))
+        sizes[0] = 0
+        specks = (labels > 0) & (labels != int(np.argmax(sizes)))
+        values[specks] *= -1
+    return SignedDistanceGrid(values, origin, resolution)

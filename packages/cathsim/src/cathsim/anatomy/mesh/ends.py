@@ -1,0 +1,178 @@
+"""Where a vessel ends: the last plane across it that its wall still surrounds; the lumen is cut flat there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.centreline import arc_length, resampled, smoothed
+from cathsim.anatomy.cross_section import across_frames
+from cathsim.anatomy.mesh.cavity import Cavity
+
+_RAYS = 48
+_SURROUNDED = 0.94  # share of rays across the vessel that must meet its wall
+_REACH = 2.2  # radii within which they must
+_PLATEAU = 0.75  # of the largest depth a little further in, at which a vessel counts as having its full width
+_CLOSING = 0.4  # of the usual reach: where the wall comes nearer than this, it closes the vessel
+_LOOK_BACK = 6e-3  # m, and two radii: how far further in that is
+_CENTRING = 6  # steps to the middle of the first plane
+_LONGEST = 6  # radii that an end is followed
+_BEYOND = 1.75  # radii from the middle of an end to where its way leads: further off the sweep left its vessel
+_STARTS = (1.5, 2.0, 2.5, 3.0, 1.2)  # depths before the tip of a short vessel at which the sweep begins, in this order
+_SHORT_BEYOND = 1.5  # radii, as _BEYOND, for those
+_FAR_BEYOND = 2.5  # radii beyond which an end that was found otherwise is none, either
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class VesselEnd:
+    """A flat end of a vessel.
+
+    Attributes:
+        centre: (3,) m.
+        normal: (3,) unit vector out of the vessel.
+        radius: m, furthest from the centre to the wall across the vessel.
+        way: (n, 3) m, the way from the vessel's inside to the centre, at even steps.
+    """
+
+    centre: Array
+    normal: Array
+    radius: float
+    way: Array
+
+
+def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
+    """Follows a vessel to its end.
+
+    Args:
+        cavity: the lumen.
+        wall: the wall's voxels, thickened so that no ray slips through.
+        way: (n, 3) m along the vessel's middle, to somewhere at its end.
+        depth: (n,) m, distance to the wall along it.
+
+    Returns:
+        The end, or None where the vessel's wall surrounds it nowhere.
+    """
+    from_end = arc_length(way[::-1])[::-1]
+    start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
+    radius = float(depth[start])
+    # The way bends to its corner a little before that.
+    start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
+    first = max(start - 4, min(start, 2))
+    end = _followed(cavity, wall, way, first + int(np.argmax(depth[first : start + 1])), radius)
+    if end is not None and _gap(end, way[-1]) <= _BEYOND:
+        return end
+    # A short vessel reaches its full width nowhere before it opens into a wider one, and the sweep began in that one.
+    for ratio in _STARTS:
+        start = int(np.flatnonzero(from_end >= ratio * depth)[-1]) if (from_end >= ratio * depth).any() else 0
+        short = _followed(cavity, wall, way, start, float(depth[start]))
+        if short is not None and _gap(short, way[-1]) <= _SHORT_BEYOND:
+            return short
+    return end if end is not None and _gap(end, way[-1]) <= _FAR_BEYOND else None
+
+
+def severs(end: VesselEnd, way: Array) -> bool:
+    """Whether a cut at an end would sever a way that leads on beyond it: then it is no end.
+
+    Args:
+        end: where the lumen would be cut.
+        way: (n, 3) m, from one end of the lumen to another.
+
+    Returns:
+        True where the way passes through the end and goes on for longer than from an end to its corner.
+    """
+    height = (way - end.centre) @ end.normal
+    aside = np.linalg.norm(way - end.centre - height[:, None] * end.normal, axis=1)
+    through = np.flatnonzero((height[1:] > 0) != (height[:-1] > 0))
+    for index in through[aside[through] < end.radius]:
+        beyond = way[index + 1 :] if height[index + 1] > 0 else way[: index + 1]
+        if max(_gap(end, point) for point in (beyond[0], beyond[-1])) > _BEYOND:
+            return True
+    return False
+
+
+def _gap(end: VesselEnd, place: Array) -> float:
+    return float(np.linalg.norm(end.centre - place)) / end.radius
+
+
+def _followed(cavity: Cavity, wall: NDArray[np.bool_], way: Array, start: int, radius: float) -> VesselEnd | None:
+    """The end of the vessel in which a place of a way lies, None where its wall does not surround it there."""
+    step = 0.5 * cavity.spacing
+    inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
+    centres, normal, reach = _sweep(cavity, wall, inner[-1], _direction(inner, 1.5 * radius), radius, step)
+    if len(centres) < 3:
+        return None
+    track = resampled(np.concatenate([inner[:-1], np.array(centres)]), 2 * step)
+    return VesselEnd(centres[-1], normal, max(reach, 2 * cavity.spacing), track)
+
+
+def _well_inside(from_end: Array, depth: Array, least: float) -> int:
+    """Last point of a way where the vessel has its full width: beyond, the way runs off to a corner of the end."""
+    wide = np.flatnonzero(depth >= least)
+    for index in reversed(wide.tolist()):
+        before = (from_end >= from_end[index]) & (from_end <= from_end[index] + 2 * depth[index] + _LOOK_BACK)
+        if depth[index] >= _PLATEAU * depth[before].max():
+            return index
+    return int(np.argmax(depth))
+
+
+def _direction(points: Array, length: float) -> Array:
+    """Unit direction of a polyline's last stretch."""
+    from_end = arc_length(points[::-1])[::-1]
+    some = points[from_end <= length]
+    if len(some) < 3:
+        some = points[-3:]
+    _, _, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
+    direction: Array = axes[0] * np.sign(axes[0] @ (some[-1] - some[0]))
+    return direction
+
+
+def _sweep(
+    cavity: Cavity, wall: NDArray[np.bool_], middle: Array, normal: Array, radius: float, step: float
+) -> tuple[list[Array], Array, float]:
+    """Goes along a vessel as long as its wall surrounds it: middles (3,) m, last direction, radius m about the last."""
+    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
+    travel = np.arange(step, _REACH * radius, step)
+
+    def across(middle: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Reaches of the rays, which of them met a wall, and the way to the middle between those walls."""
+        first, second = (v[0] for v in across_frames(normal[None]))
+        rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
+        struck = cavity.holds(wall, middle + travel[None, :, None] * rays[:, None, :])
+        met: NDArray[np.bool_] = struck.max(axis=1)
+        if not met.any():
+            return travel, met, np.zeros(3)
+        reach: Array = np.where(met, travel[np.argmax(struck, axis=1)], np.nan)
+        shift: Array = np.nanmean(np.minimum(reach, 1.3 * np.nanmedian(reach))[:, None] * rays, axis=0)
+        return reach, met, shift
+
+    centres: list[Array] = []
+    reaches: list[float] = []
+    whole, thick = 0, cavity.spacing
+    back = max(4, round(radius / step))
+    for _ in range(_CENTRING):
+        middle = middle + across(middle)[2]
+    for _ in range(int(_LONGEST * radius / step)):
+        reach, met, shift = across(middle)
+        if cavity.holds(wall, middle) or met.mean() < _SURROUNDED:
+            break
+        # The wall's voxels are thickened by one, which counts in a narrow vessel.
+        if reaches and np.nanmin(reach) + thick < _CLOSING * (np.median(reaches[-back:]) + thick):
+            break
+        middle = middle + min(1.0, 0.5 * step / max(float(np.linalg.norm(shift)), 1e-12)) * shift
+        centres.append(middle)
+        reaches.append(float(np.nanpercentile(reach, 90)))
+        if met.all():
+            whole = len(centres)
+        if len(centres) > back:
+            lately = middle - centres[-1 - back]
+            normal = 0.9 * normal + 0.1 * lately / np.linalg.norm(lately)
+            normal = normal / np.linalg.norm(normal)
+        middle = middle + step * normal
+    # A gap in the wall is passed; an opening cut aslant ends where it begins.
+    if 0 < len(centres) - whole <= 2 * radius / step:
+        centres, reaches = centres[:whole], reaches[:whole]
+    return centres, normal, float(np.median(reaches[-back:])) if reaches else 0.0

@@ -1,0 +1,1 @@
+"""Blood: its flow, the drag on the wire, and their plots."""

@@ -1,0 +1,1 @@
+"""The follower robot that feeds and turns the wire."""

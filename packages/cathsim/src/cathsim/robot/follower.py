@@ -1,0 +1,181 @@
+"""The follower robot that feeds the wire, and the leader that an operator moves.
+
+The wire's feeder moves as the platform does whose clamp holds it: clamps do not slip and the wire does not buckle
+between robot and sheath (the thesis's assumption of perfect motion).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import mujoco
+import numpy as np
+from annotated_types import Interval
+
+from cathsim.robot.cycle import FeedCycle, Measured, Phase
+from cathsim.robot.model import CARRIAGE, DRIVING_CLAMP, GUIDEWIRE_ROTARY, HOLDING_CLAMP, JAWS, WHEEL, robot_spec
+from cathsim.robot.model import RobotSettings as RobotSettings
+from cathsim.validation import Coordinate, Length, settings
+
+DRIVES = ("direct", "robot")
+_Scale = Annotated[float, Interval(gt=0, le=1000)]
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
+
+
+class FollowerRobot:
+    """A robot that feeds and turns a wire stroke by stroke.
+
+    Attributes:
+        settings: measures and limits.
+        model: of the robot alone; see `cathsim.robot.model` for its frame and joints.
+        data: its state.
+        cycle: the state machine behind its set points.
+
+    Args:
+        settings: by default those of `RobotSettings`.
+    """
+
+    def __init__(self, settings: RobotSettings | None = None) -> None:
+        self.settings = settings or RobotSettings()
+        self.model = robot_spec(self.settings).compile()
+        self.data = mujoco.MjData(self.model)
+        self.cycle = FeedCycle(self.settings)
+        place = {self.model.joint(i).name: i for i in range(self.model.njnt)}  # every joint has one number
+        self._carriage, self._wheel = place[DRIVING_CLAMP], place[WHEEL.format(GUIDEWIRE_ROTARY)]
+        self._pair = [place[name] for name in CARRIAGE]
+        self._driving = [place[jaw.format(DRIVING_CLAMP)] for jaw in JAWS]
+        self._holding = [place[jaw.format(HOLDING_CLAMP)] for jaw in JAWS]
+        self._servo = [int(self.model.actuator(self.model.joint(i).name).id) for i in range(self.model.njnt)]
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the rear end of the stroke, the wire clamped."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.cycle.reset()
+        self.data.qpos[self._holding] = self.cycle.holding_jaw
+        self.pending_translation = self.pending_rotation = 0.0
+        self._set()
+        mujoco.mj_forward(self.model, self.data)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a continuation depends on, to be pickled; for `restore`."""
+        joints = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self.data, joints, _STATE)
+        pending = (self.pending_translation, self.pending_rotation)
+        return {"joints": joints, "cycle": self.cycle.state(), "pending": pending}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Returns to a state of a robot with the same settings."""
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, state["joints"], _STATE)
+        mujoco.mj_kinematics(self.model, self.data)
+        self.cycle.restore(state["cycle"])
+        self.pending_translation, self.pending_rotation = state["pending"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"settings": self.settings, "state": self.state()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        FollowerRobot.__init__(self, state["settings"])
+        self.restore(state["state"])
+
+    @property
+    def phase(self) -> Phase:
+        """Where the feed cycle stands."""
+        return self.cycle.phase
+
+    @property
+    def driven(self) -> bool:
+        """Whether the wire follows the carriage at the moment."""
+        return self._measure().driven
+
+    def advance(self, translation: float, rotation: float, duration: float = 0.1) -> tuple[float, float]:
+        """Moves the robot on for a while.
+
+        Args:
+            translation: that is commanded on top of what is pending, m; positive inserts.
+            rotation: likewise, rad; positive about the direction of insertion.
+            duration: s.
+
+        Returns:
+            Translation (m) and rotation (rad) of the wire; zero while the driving clamp does not hold it.
+
+        Raises:
+            ValueError: a command that is not finite.
+        """
+        if not (np.isfinite(translation) and np.isfinite(rotation)):
+            raise ValueError(f"expected a finite translation (m) and rotation (rad), got {translation}, {rotation}")
+        moved = turned = 0.0
+        left, left_rotation = self.pending_translation + translation, self.pending_rotation + rotation
+        before = self._measure()
+        for _ in range(round(duration / self.settings.timestep)):
+            self.cycle.tick(before, left - moved, left_rotation - turned)
+            self._set()
+            mujoco.mj_step(self.model, self.data)
+            now = self._measure()
+            if before.driven and now.driven:
+                moved += now.carriage - before.carriage
+                turned += now.wheel - before.wheel
+            before = now
+        settings = self.settings
+        self.pending_translation = min(max(left - moved, -settings.backlog), settings.backlog)
+        most = settings.rotation_backlog
+        self.pending_rotation = min(max(left_rotation - turned, -most), most)
+        return moved, turned
+
+    def _measure(self) -> Measured:
+        qpos, qvel = self.data.qpos, self.data.qvel
+        return Measured(
+            carriage=float(qpos[self._carriage]),
+            carriage_speed=float(qvel[self._carriage]),
+            wheel=float(qpos[self._wheel]),
+            wheel_speed=float(qvel[self._wheel]),
+            driving_jaw=float(qpos[self._driving].max()),
+            holding_jaw=float(qpos[self._holding].max()),
+        )
+
+    def _set(self) -> None:
+        cycle = self.cycle
+        for joints, value in (
+            (self._pair, cycle.carriage),
+            ([self._wheel], cycle.wheel),
+            (self._driving, cycle.driving_jaw),
+            (self._holding, cycle.holding_jaw),
+        ):
+            for joint in joints:
+                self.data.ctrl[self._servo[joint]] = value
+
+
+@settings(frozen=False)
+class Leader:
+    """The operator's side: a handle whose displacement and rotation map linearly to the follower's command.
+
+    Attributes:
+        translation_scale: follower's translation over the leader's.
+        rotation_scale: follower's rotation over the leader's.
+        stroke: travel of the handle to either side of its middle, m; beyond it the handle stops.
+        position: of the handle, m.
+        engaged: with the clutch open the handle moves alone.
+    """
+
+    translation_scale: _Scale = 1.0
+    rotation_scale: _Scale = 1.0
+    stroke: Length = 0.060
+    position: Coordinate = 0.0
+    engaged: bool = True
+
+    def move(self, translation: float, rotation: float) -> tuple[float, float]:
+        """Moves the handle.
+
+        Args:
+            translation: m; what the handle's stroke does not allow is not done.
+            rotation: rad.
+
+        Returns:
+            The follower's command: translation (m) and rotation (rad), zero with the clutch open.
+        """
+        place = min(max(self.position + translation, -self.stroke), self.stroke)
+        done, self.position = place - self.position, place
+        if not self.engaged:
+            return 0.0, 0.0
+        return self.translation_scale * done, self.rotation_scale * rotation

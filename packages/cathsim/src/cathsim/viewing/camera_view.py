@@ -1,0 +1,181 @@
+"""A 3-D picture of the wire in the vessel, for people; needs EGL or OSMesa."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import sys
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from cathsim.anatomy import Phantom
+from cathsim.robot.follower import FollowerRobot
+from cathsim.robot.view import add_robot
+from cathsim.simulation import Simulation
+
+WALL = (0.82, 0.36, 0.34, 0.28)
+WIRE = (0.10, 0.10, 0.12, 1.0)
+TARGET = (0.10, 0.62, 0.28, 0.75)
+SHOWN_RADIUS = 0.9e-3  # the wire is drawn twice as thick as it is, m
+SHOWN_SHEATH = 0.030  # this much of the wire in the sheath is drawn, m
+
+
+class RenderingUnavailableError(RuntimeError):
+    """No OpenGL library for drawing without a screen was found."""
+
+
+def open_context(width: int, height: int) -> Any:
+    """An OpenGL context without a window: what MUJOCO_GL names, else EGL, else OSMesa.
+
+    Raises:
+        RenderingUnavailableError: none works here.
+    """
+    asked = os.environ.get("MUJOCO_GL", "").lower()
+    names = (
+        [asked] if asked in ("egl", "osmesa", "glfw") else ["egl", "osmesa"] if sys.platform == "linux" else ["glfw"]
+    )
+    reasons = []
+    for name in names:
+        os.environ["PYOPENGL_PLATFORM"] = name if name != "glfw" else ""
+        try:
+            module = __import__(f"mujoco.{name if name != 'glfw' else 'glfw'}", fromlist=["GLContext"])
+            context = module.GLContext(width, height)
+            context.make_current()
+        except Exception as error:  # the bindings raise ImportError, AttributeError, OSError, RuntimeError, …
+            reasons.append(f"{name}: {error}")
+            for loaded in [key for key in sys.modules if key == "OpenGL" or key.startswith("OpenGL.")]:
+                del sys.modules[loaded]
+        else:
+            return context
+    raise RenderingUnavailableError(
+        "3-D pictures need EGL or OSMesa and neither works; install one (Debian: apt install libegl1 libgl1-mesa-dri, "
+        f"or libosmesa6), or use render_mode='fluoroscopy', which needs neither ({'; '.join(reasons)})"
+    )
+
+
+class View:
+    """Draws a simulation from the front, the patient's head up.
+
+    Args:
+        phantom: its wall is drawn translucent.
+        width: px.
+        height: px.
+        azimuth_deg: from where it is seen; 90 is the front, 180 the patient's left.
+        elevation_deg: how far from above (negative) or below.
+        robot: the follower robot that feeds the wire, drawn behind the sheath.
+    """
+
+    def __init__(
+        self,
+        phantom: Phantom,
+        *,
+        width: int = 480,
+        height: int = 640,
+        azimuth_deg: float = 90.0,
+        elevation_deg: float = 0.0,
+        robot: FollowerRobot | None = None,
+    ) -> None:
+        self._context = open_context(width, height)
+        self._model = _wall_model(phantom, width, height)
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_forward(self._model, self._data)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=2000)
+        self._render_context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render_context)
+        self._camera = mujoco.MjvCamera()
+        low, high = phantom.bounds
+        self._robot = robot
+        if robot is not None:
+            low = low - [0.0, 0.0, robot.settings.length + 0.02]
+        self._camera.lookat[:] = (low + high) / 2
+        self._camera.azimuth, self._camera.elevation = azimuth_deg, elevation_deg
+        self._camera.distance = (1.25 if robot is None else 1.35) * float(high[2] - low[2])
+        self._viewport = mujoco.MjrRect(0, 0, width, height)
+
+    def render(self, simulation: Simulation, goal: np.ndarray | None = None) -> np.ndarray:
+        """The picture of the moment.
+
+        Args:
+            simulation: whose wire is drawn.
+            goal: target to mark, m. Shape (3,).
+
+        Returns:
+            Shape (height, width, 3), uint8.
+        """
+        self._context.make_current()
+        option, scene = mujoco.MjvOption(), self._scene
+        mujoco.mjv_updateScene(
+            self._model, self._data, option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL.value, scene
+        )
+        points = simulation.wire_points()
+        along = (points - simulation.vessel.entry) @ simulation.vessel.direction
+        points = points[along > -SHOWN_SHEATH]
+        for start, end in itertools.pairwise(points):
+            self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, WIRE)
+            mujoco.mjv_connector(
+                scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CAPSULE.value, SHOWN_RADIUS, start, end
+            )
+        if self._robot is not None:
+            add_robot(scene, self._robot, simulation.vessel.entry, simulation.vessel.direction, WIRE)
+        if goal is not None:
+            self._add(mujoco.mjtGeom.mjGEOM_SPHERE, TARGET, size=0.003, position=goal)
+        mujoco.mjr_render(self._viewport, scene, self._render_context)
+        picture = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
+        mujoco.mjr_readPixels(picture, None, self._viewport, self._render_context)
+        return picture[::-1].copy()
+
+    def _add(
+        self,
+        kind: mujoco.mjtGeom,
+        colour: tuple[float, ...],
+        *,
+        size: float = SHOWN_RADIUS,
+        position: np.ndarray | None = None,
+    ) -> None:
+        scene = self._scene
+        if scene.ngeom >= scene.maxgeom:
+            raise RuntimeError(f"the picture holds at most {scene.maxgeom} shapes")
+        place = np.zeros(3) if position is None else np.asarray(position, float)
+        mujoco.mjv_initGeom(
+            scene.geoms[scene.ngeom], kind, np.full(3, size), place, np.eye(3).ravel(), np.array(colour, np.float32)
+        )
+        scene.ngeom += 1
+
+    def close(self) -> None:
+        """Frees the OpenGL context."""
+        self._render_context.free()
+        self._context.free()
+
+
+def _wall_model(phantom: Phantom, width: int, height: int) -> mujoco.MjModel:
+    mesh = phantom.lumen_mesh
+    spec = mujoco.MjSpec()
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+    spec.visual.quality.shadowsize = 0
+    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
+    spec.visual.headlight.diffuse = [0.55, 0.55, 0.55]
+    spec.visual.headlight.specular = [0.25, 0.25, 0.25]
+    spec.visual.map.znear, spec.visual.map.zfar = 0.01, 10.0
+    spec.stat.extent = 0.3
+    spec.stat.center = phantom.bounds.mean(axis=0)
+    spec.add_mesh(
+        name="lumen",
+        uservert=np.asarray(mesh.vertices, np.float32).ravel(),
+        userface=np.asarray(mesh.faces, np.int32).ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=[0.97, 0.97, 0.98],
+        rgb2=[0.97, 0.97, 0.98],
+        width=16,
+        height=96,
+    )
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH, meshname="lumen", rgba=WALL, contype=0, conaffinity=0, group=0
+    )
+    return spec.compile()

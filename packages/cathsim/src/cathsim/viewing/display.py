@@ -1,0 +1,125 @@
+"""Pictures of an environment for people: as arrays, or in a window."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cathsim.observations.observables import Fluoroscope
+from cathsim.robot.follower import FollowerRobot
+from cathsim.simulation import CONTROL_STEP
+
+if TYPE_CHECKING:
+    from cathsim.viewing.camera_view import View
+
+MODES = ("human", "rgb_array", "fluoroscopy")
+LEAST_HEIGHT = 480  # px of the window: smaller pictures are enlarged by a whole number
+
+
+class Display:
+    """Draws the moment of an environment as its render mode says.
+
+    Args:
+        mode: "rgb_array", a 3-D view; "fluoroscopy", the frontal image; "human", a window that shows the 3-D view, or
+            the frontal image where OpenGL cannot draw; None: nothing.
+        fluoroscope: of the environment.
+        robot: that feeds the wire, or None.
+
+    Raises:
+        ValueError: an unknown mode.
+    """
+
+    def __init__(self, mode: str | None, fluoroscope: Fluoroscope, robot: FollowerRobot | None) -> None:
+        if mode is not None and mode not in MODES:
+            raise ValueError(f"unknown render_mode '{mode}'; there are {', '.join(MODES)}")
+        self.mode = mode
+        self._fluoroscope, self._robot = fluoroscope, robot
+        self._view: View | None = None
+        self._window: Window | None = Window() if mode == "human" else None
+        self._flat = mode == "fluoroscopy"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_view": None, "_window": None}  # what OpenGL and the screen hold stays where it is
+
+    def picture(self, goal: np.ndarray) -> np.ndarray | None:
+        """The picture of the moment, also in the mode "human".
+
+        Args:
+            goal: target to mark in the 3-D view, m. Shape (3,).
+
+        Returns:
+            Shape (height, width, 3), uint8; None in no mode.
+        """
+        if self.mode is None:
+            return None
+        if not self._flat and self._view is None:
+            from cathsim.viewing.camera_view import RenderingUnavailableError, View
+
+            try:
+                self._view = View(self._fluoroscope.simulation.phantom, robot=self._robot)
+            except RenderingUnavailableError:
+                if self.mode != "human":
+                    raise
+                self._flat = True
+        if self._view is not None:
+            return self._view.render(self._fluoroscope.simulation, goal)
+        return np.repeat(self._fluoroscope.image()[:, :, None], 3, axis=2)
+
+    def show(self, goal: np.ndarray) -> None:
+        """In the mode "human", shows the moment in the window; otherwise does nothing."""
+        if self.mode == "human":
+            picture = self.picture(goal)
+            assert picture is not None
+            self._window = self._window or Window()
+            self._window.show(picture)
+
+    def close(self) -> None:
+        """Frees the renderer and closes the window."""
+        if self._view is not None:
+            self._view.close()
+            self._view = None
+        if self._window is not None:
+            self._window.close()
+
+
+class Window:
+    """A window that shows pictures at the speed of the simulated time.
+
+    Raises:
+        ImportError: pygame, which draws it, is not installed.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import pygame
+        except ImportError:
+            raise ImportError(
+                "render_mode='human' needs pygame: pip install 'endonav-cathsim[human]'", name="pygame"
+            ) from None
+        self._pygame = pygame
+        self._surface: Any = None
+        self._clock = pygame.time.Clock()
+
+    def show(self, picture: np.ndarray) -> None:
+        """Shows a picture, and waits until the last one has been seen for a control step (0.1 s).
+
+        Args:
+            picture: shape (height, width, 3), uint8.
+        """
+        pygame, factor = self._pygame, max(1, -(-LEAST_HEIGHT // len(picture)))
+        if self._surface is None:
+            pygame.display.init()
+            pygame.display.set_caption("cathsim")
+            self._surface = pygame.display.set_mode((factor * picture.shape[1], factor * picture.shape[0]))
+        enlarged = picture.repeat(factor, axis=0).repeat(factor, axis=1)
+        self._surface.blit(pygame.surfarray.make_surface(enlarged.transpose(1, 0, 2)), (0, 0))
+        pygame.event.pump()
+        pygame.display.flip()
+        self._clock.tick(1 / CONTROL_STEP)
+
+    def close(self) -> None:
+        """Closes the window; showing another picture opens it again."""
+        if self._surface is not None:
+            self._pygame.display.quit()
+            self._surface = None

@@ -1,0 +1,1 @@
+"""Prediction of contact forces from what is observed."""

@@ -1,0 +1,1 @@
+"""Imitation learning: policies that learn from an expert's actions."""

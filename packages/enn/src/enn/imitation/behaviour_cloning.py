@@ -1,0 +1,226 @@
+"""Behaviour cloning: an expert's episodes distilled into a policy that sees fluoroscopic images alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import field, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import torch
+from annotated_types import Interval
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from enn.devices import seeded
+from enn.fitting import FitProgress, FitReport, FitSettings, fit
+from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
+from enn.networks.image_network import shifted
+from enn.networks.normalisation import standardised
+from enn.setting_kinds import PixelsOrNone, Weight, settings
+from enn.trajectory import Trajectory, episode_numbers, join
+
+
+@settings
+class BehaviourCloningSettings:
+    """How an expert is cloned.
+
+    Attributes:
+        network: of the student.
+        fit: of the fit.
+        entropy: beta, weight of the policy's entropy.
+        l2: lambda, weight of the sum of the squared weights.
+        feature_matching: weight of the mean squared difference to the expert's features, both normalised, where these
+            are given.
+        shift_px: images are moved by up to this much either way, as augmentation.
+        noise: standard deviation of the grey values' noise, as augmentation.
+
+    Source: thesis, section Downstream Tasks, Imitation Learning.
+    """
+
+    network: CloningSettings = field(default_factory=CloningSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+    entropy: Weight = 1e-3
+    l2: Weight = 0.0
+    feature_matching: Weight = 0.1
+    shift_px: PixelsOrNone = 0
+    noise: Annotated[float, Interval(ge=0, le=255)] = 0.0
+
+
+# Thesis, table of behaviour cloning's hyper-parameters.
+THESIS_CLONING = BehaviourCloningSettings(
+    network=CloningSettings(variant="thesis"),
+    fit=FitSettings(
+        epochs=800,
+        batch_size=32,
+        learning_rate=1e-3,
+        schedule="constant",
+        validation_share=0.0,
+        checkpoint_seconds=60.0,
+    ),
+    l2=1e-5,
+)
+DESK_CLONING = BehaviourCloningSettings(
+    network=CloningSettings(variant="desk"),
+    fit=FitSettings(epochs=20, batch_size=64, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle"),
+    shift_px=1,
+)
+
+
+def cloning_preset(variant: str) -> BehaviourCloningSettings:
+    """The settings of a variant, "thesis" or "desk"."""
+    presets = {"thesis": THESIS_CLONING, "desk": DESK_CLONING}
+    if variant not in presets:
+        raise ValueError(f"unknown variant '{variant}'; there are {', '.join(presets)}")
+    return presets[variant]
+
+
+def clone(
+    trajectories: Sequence[Trajectory],
+    settings: BehaviourCloningSettings = DESK_CLONING,
+    *,
+    expert_features: Sequence[NDArray[np.float32]] | None = None,
+    initial: ClonedPolicy | None = None,
+    seed: int = 0,
+    folder: Path | str | None = None,
+    progress: Callable[[FitProgress], None] | None = None,
+    device: torch.device | str = "cpu",
+) -> tuple[ClonedPolicy, FitReport]:
+    """Clones an expert.
+
+    Args:
+        trajectories: its episodes; `actions` are what the expert wanted done, whatever was done.
+        settings: of network, loss and fit; the network's image shape and actions are taken from the episodes.
+        expert_features: Z of each episode's moments, (T, z) or (T + 1, z); without, features are not matched.
+        initial: student to go on from instead of fresh weights.
+        seed: of weights, shuffling and augmentation.
+        folder: for a checkpoint, from which an interrupted fit goes on.
+        progress: called after every epoch.
+        device: where the student is fitted and stays.
+
+    Returns:
+        The student, and what the fit was like.
+
+    Raises:
+        ValueError: no episodes, episodes of different kinds, or features that do not fit them.
+        FitError: a checkpoint of something else.
+    """
+    keys = settings.network.keys
+    seen, actions, _ = join(trajectories, keys)
+    images = torch.as_tensor(np.concatenate([seen[key] for key in keys], axis=1))
+    wanted = torch.as_tensor(actions)
+    episodes = episode_numbers(trajectories)
+    target = None if expert_features is None else normalised_features(trajectories, expert_features)
+
+    channels, height, width = images.shape[1:]
+    network_settings = replace(
+        settings.network,
+        shape=(channels, height, width),
+        actions=actions.shape[1],
+        expert_features=0 if target is None else target.shape[1],
+    )
+    with seeded(seed, device):
+        network = CloningNetwork(network_settings)
+        network.images.fit_background(images)
+        if initial is not None:
+            take_over(network, initial)
+        network.to(device)
+        loss = _loss(network, settings, images, wanted, target)
+        report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
+    return ClonedPolicy(network), report
+
+
+def _loss(
+    network: CloningNetwork, settings: BehaviourCloningSettings, images: Tensor, wanted: Tensor, target: Tensor | None
+) -> Callable[[NDArray[np.int64], bool, np.random.Generator], Tensor]:
+    def loss(samples: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
+        index, device = torch.as_tensor(samples), network.images.background.device
+        batch = images[index].to(device)
+        if training:
+            batch = augmented(batch, settings, network.images.background, generator)
+        features = network.features(batch)
+        value = negative_log_likelihood(network.head(features), network.log_std, wanted[index].to(device))
+        if target is not None and settings.feature_matching:
+            value = value + settings.feature_matching * nn.functional.mse_loss(
+                network.matching(features), target[index].to(device)
+            )
+        if training:
+            value = value - settings.entropy * entropy(network.log_std)
+            if settings.l2:
+                value = value + settings.l2 * sum(weights.square().sum() for weights in network.parameters())
+        return value
+
+    return loss
+
+
+def negative_log_likelihood(mean: Tensor, log_std: Tensor, actions: Tensor) -> Tensor:
+    """Mean over samples of -log pi(a | s) of a Gaussian with diagonal covariance.
+
+    Args:
+        mean: (N, a).
+        log_std: (a,).
+        actions: (N, a).
+    """
+    normal = torch.distributions.Normal(mean, log_std.exp())
+    return -normal.log_prob(actions).sum(dim=1).mean()
+
+
+def entropy(log_std: Tensor) -> Tensor:
+    """Entropy of a Gaussian with diagonal covariance, nats."""
+    return (log_std + 0.5 * np.log(2 * np.pi * np.e)).sum()
+
+
+def augmented(
+    images: Tensor, settings: BehaviourCloningSettings, background: Tensor, generator: np.random.Generator
+) -> Tensor:
+    """Images moved and made noisy as the settings say; masks among the channels get the noise too."""
+    if settings.shift_px:
+        reach = settings.shift_px
+        offsets = torch.as_tensor(generator.integers(-reach, reach + 1, (len(images), 2)))
+        images = shifted(images, offsets, background)
+    if settings.noise:
+        noise = torch.as_tensor(generator.normal(0.0, settings.noise, tuple(images.shape)).astype(np.float32))
+        images = (images.float() + noise.to(images.device)).clamp(0.0, 255.0)
+    return images
+
+
+def normalised_features(trajectories: Sequence[Trajectory], features: Sequence[NDArray[np.float32]]) -> Tensor:
+    """The expert's features of every sample, each with mean 0 and standard deviation 1.
+
+    Args:
+        trajectories: the episodes.
+        features: of each, (T, z) or (T + 1, z).
+
+    Returns:
+        (N, z).
+
+    Raises:
+        ValueError: features of another number of episodes or steps, or not finite.
+    """
+    if len(features) != len(trajectories):
+        raise ValueError(f"expected features of each of {len(trajectories)} episodes, got {len(features)}")
+    for trajectory, values in zip(trajectories, features, strict=True):
+        if values.ndim != 2 or len(values) not in (len(trajectory), len(trajectory) + 1):
+            raise ValueError(
+                f"features of {trajectory.label} must have shape ({len(trajectory)}, z) or ({len(trajectory) + 1}, z), "
+                f"got {values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise ValueError(f"the expert's features of {trajectory.label} are not finite: check its observations")
+    joined = np.concatenate([v[: len(t)] for t, v in zip(trajectories, features, strict=True)]).astype(np.float32)
+    return torch.as_tensor(standardised(joined))
+
+
+def take_over(network: CloningNetwork, student: ClonedPolicy) -> None:
+    """Copies a student's weights into a network of the same architecture.
+
+    Raises:
+        ValueError: it is of another architecture.
+    """
+    state, mine = student.network.state_dict(), network.state_dict()
+    weights = {name: value for name, value in state.items() if not name.startswith("matching.")}
+    differing = [n for n, value in weights.items() if n not in mine or mine[n].shape != value.shape]
+    if differing:
+        raise ValueError(f"the student to go on from is of another architecture ({differing[0]}): start from none")
+    network.load_state_dict(mine | weights)

@@ -1,0 +1,204 @@
+"""Cloned policy: the image network with a Gaussian head that imitation fits, used and kept like any other policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from enn.devices import device_of
+from enn.model_file import read_network, write_network
+from enn.networks.image_network import ImageNetwork, ImageSettings
+from enn.setting_kinds import Pixels, Units, UnitsOrNone, settings
+
+FORMAT = "enn-cloned-policy-1"
+KEYS = ("image", "mask", "sequential")
+_LOG_STD_RANGE = (-4.0, 1.0)  # a deterministic expert would drive the likelihood to infinity
+
+
+@settings
+class CloningSettings:
+    """What shapes of weights depend on.
+
+    Attributes:
+        keys: image observations, stacked as channels: "image" alone as in the thesis, ("image", "mask"), ...
+        shape: channels of all together, height, width.
+        actions: number of actions.
+        variant: "thesis" or "desk", see `enn.networks.image_network`.
+        features: Z of the student.
+        expert_features: size of the expert's Z that is matched; 0: none.
+    """
+
+    keys: tuple[str, ...] = ("image",)
+    shape: tuple[Units, Pixels, Pixels] = (1, 80, 80)
+    actions: Units = 2
+    variant: str = "desk"
+    features: Units = 128
+    expert_features: UnitsOrNone = 0
+
+    def __post_init__(self) -> None:
+        """Refuses what it cannot see."""
+        if not self.keys or any(key not in KEYS for key in self.keys):
+            raise ValueError(f"a cloned policy sees some of {', '.join(KEYS)}, got {', '.join(self.keys) or 'none'}")
+
+
+class CloningNetwork(nn.Module):
+    """Images to features Z, and these to the mean of a Gaussian over actions.
+
+    Args:
+        settings: of the network.
+    """
+
+    def __init__(self, settings: CloningSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        channels, height, width = settings.shape
+        self.images = ImageNetwork(ImageSettings((channels, height, width), settings.variant, settings.features))
+        self.head = nn.Linear(settings.features, settings.actions)
+        self._log_std = nn.Parameter(torch.full((settings.actions,), -0.5))
+        self.matching: nn.Module = (
+            nn.Linear(settings.features, settings.expert_features) if settings.expert_features else nn.Identity()
+        )
+
+    @property
+    def log_std(self) -> Tensor:
+        """Logarithm of the Gaussian's standard deviation, the same for all states. Shape (actions,)."""
+        return self._log_std.clamp(*_LOG_STD_RANGE)
+
+    def features(self, images: Tensor) -> Tensor:
+        """Z of images (N, channels, height, width). Shape (N, features)."""
+        found: Tensor = self.images(images)
+        return found
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Mean action. Shape (N, actions)."""
+        mean: Tensor = self.head(self.features(images))
+        return mean
+
+    def layers(self) -> nn.Sequential:
+        """From image to action scores as one sequence, as the thesis's table lists it."""
+        return nn.Sequential(*self.images.layers, self.head)
+
+
+class ClonedPolicy:
+    """A student: image observations to actions.
+
+    Args:
+        network: fitted.
+        metadata: whatever else is worth keeping.
+    """
+
+    action_repeat = 1
+
+    def __init__(self, network: CloningNetwork, metadata: dict[str, Any] | None = None) -> None:
+        self.network = network.eval()
+        self.keys = network.settings.keys
+        self.metadata = dict(metadata or {})
+
+    def act(
+        self,
+        observation: Mapping[str, NDArray[Any]],
+        deterministic: bool = True,
+        generator: np.random.Generator | None = None,
+    ) -> NDArray[np.float32]:
+        """The action for one observation.
+
+        Args:
+            observation: by name, as the environment gives it.
+            deterministic: the mean instead of a draw.
+            generator: of the draw.
+
+        Returns:
+            Within -1 and 1. Shape (actions,).
+
+        Raises:
+            ValueError: as `act_batch`.
+        """
+        self._require(observation)
+        return self.act_batch({key: observation[key][None] for key in self.keys}, deterministic, generator)[0]
+
+    def act_batch(
+        self,
+        observations: Mapping[str, NDArray[Any]],
+        deterministic: bool = True,
+        generator: np.random.Generator | None = None,
+    ) -> NDArray[np.float32]:
+        """Actions for observations with a leading N. Shape (N, actions).
+
+        Raises:
+            ValueError: an observation is missing, has another shape than in training, or is not finite; a draw
+                without a generator.
+        """
+        with torch.inference_mode():
+            mean = self.network(self._images(observations)).cpu().numpy()
+            if not deterministic:
+                if generator is None:
+                    raise ValueError("a stochastic action needs a seeded numpy Generator")
+                spread = self.network.log_std.exp().cpu().numpy()
+                mean = mean + spread * generator.standard_normal(mean.shape, np.float32)
+        return np.clip(mean, -1.0, 1.0)
+
+    def features(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
+        """Z of observations with a leading N. Shape (N, features)."""
+        with torch.inference_mode():
+            found: NDArray[np.float32] = self.network.features(self._images(observations)).cpu().numpy()
+        return found
+
+    def controller(
+        self, deterministic: bool = True, seed: int = 0
+    ) -> Callable[[Mapping[str, NDArray[Any]], Any], NDArray[np.float32]]:
+        """The policy as a function of observation and info."""
+        generator = np.random.default_rng(seed)
+
+        def control(observation: Mapping[str, NDArray[Any]], info: Any = None) -> NDArray[np.float32]:
+            return self.act(observation, deterministic, generator)
+
+        return control
+
+    def _require(self, observations: Mapping[str, NDArray[Any]]) -> None:
+        missing = [key for key in self.keys if key not in observations]
+        if missing:
+            raise ValueError(
+                f"the policy sees {', '.join(self.keys)}, but {', '.join(missing)} is missing: make the environment "
+                "with these observations"
+            )
+
+    def _images(self, observations: Mapping[str, NDArray[Any]]) -> Tensor:
+        self._require(observations)
+        images = np.concatenate([observations[key] for key in self.keys], axis=1)
+        if images.shape[1:] != tuple(self.network.settings.shape):
+            raise ValueError(
+                f"the policy was trained with images of shape {tuple(self.network.settings.shape)}, got "
+                f"{images.shape[1:]}: make the environment with that image_size"
+            )
+        if images.dtype.kind == "f" and not np.isfinite(images).all():
+            raise ValueError("an image is not finite: look at what makes the observations")
+        return torch.as_tensor(images).to(device_of(self.network))
+
+    def save(self, path: Path | str) -> None:
+        """Writes settings and weights into one file, atomically."""
+        write_network(path, FORMAT, self.network, self.metadata)
+
+    @classmethod
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> ClonedPolicy:
+        """Reads a student onto a device.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged, no student, or its weights do not fit its settings.
+        """
+        return cls(
+            *read_network(
+                path,
+                FORMAT,
+                lambda settings: CloningNetwork(CloningSettings(**settings)),
+                kind="cloned policy",
+                verb="clone",
+                device=device,
+            )
+        )

@@ -1,0 +1,236 @@
+"""DAgger: the student steers, the expert says what it would have done there, and all of it is learnt from.
+
+Source: S. Ross, G. Gordon, D. Bagnell, A reduction of imitation learning and structured prediction to no-regret online
+learning, AISTATS 2011, algorithm 3.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from enn.fitting import FitProgress, FitReport
+from enn.imitation.behaviour_cloning import DESK_CLONING, BehaviourCloningSettings, clone
+from enn.imitation.cloned_policy import ClonedPolicy
+from enn.setting_kinds import Count, Share, settings
+from enn.trajectory import Trajectory
+
+Act = Callable[[Mapping[str, NDArray[Any]], Mapping[str, Any]], NDArray[Any]]  # observation, info -> action
+
+
+@settings
+class DaggerSettings:
+    """How episodes are aggregated.
+
+    Attributes:
+        rounds: of roll-outs and fits.
+        episodes: a round.
+        expert_share: chance that the expert steers a step of the first round, beside the student; it falls by half
+            from round to round.
+        warm_start: fits go on from the student of the round before.
+        cloning: of each fit.
+    """
+
+    rounds: Count = 3
+    episodes: Count = 10
+    expert_share: Share = 0.0
+    warm_start: bool = True
+    cloning: BehaviourCloningSettings = DESK_CLONING
+
+
+@dataclass(frozen=True)
+class DaggerRound:
+    """What a round came to."""
+
+    round: int
+    episodes: int  # aggregated so far
+    success: float  # share of this round's roll-outs
+    disagreement: float  # mean distance of the student's actions from the expert's, in the roll-outs
+    fit: FitReport
+
+
+def record(
+    environment: gymnasium.Env[Any, Any],
+    steers: Act,
+    *,
+    seed: int,
+    keys: Sequence[str],
+    labels: Act | None = None,
+    metadata: dict[str, Any] | None = None,
+) -> Trajectory:
+    """Runs an episode and keeps what one actor did, or what another would have done.
+
+    Args:
+        environment: with dictionary observations that both actors can see, and `tip` and `force` in its info.
+        steers: whose actions are carried out.
+        seed: of the reset.
+        keys: observations to keep.
+        labels: whose actions are kept; None: the steering actor's.
+        metadata: of the trajectory.
+
+    Returns:
+        The episode.
+    """
+    for actor in (steers, labels):
+        if hasattr(actor, "reset"):
+            actor.reset()  # type: ignore[union-attr]
+    observation, info = environment.reset(seed=seed)
+    seen: dict[str, list[Any]] = {key: [observation[key]] for key in keys}
+    tips, actions, rewards, forces = [info["tip"]], [], [], []
+    ended = terminated = False
+    while not ended:
+        done = np.asarray(steers(observation, info), np.float32)
+        actions.append(done if labels is None else np.asarray(labels(observation, info), np.float32))
+        observation, reward, terminated, truncated, info = environment.step(done)
+        for key in keys:
+            seen[key].append(observation[key])
+        tips.append(info["tip"])
+        rewards.append(reward)
+        forces.append(info["force"])
+        ended = bool(terminated or truncated)
+    return Trajectory(
+        observations={key: np.stack(values) for key, values in seen.items()},
+        actions=np.stack(actions),
+        rewards=np.array(rewards, np.float64),
+        terminated=bool(terminated),
+        forces=np.array(forces, np.float64),
+        tips=np.array(tips, np.float64),
+        metadata={"seed": seed, **(metadata or {})},
+    )
+
+
+class Disturbed:
+    """An actor whose actions are disturbed on their way: demonstrations that also show how to recover.
+
+    With some probability a spell of a few steps begins in which a random action is carried out instead; between
+    spells Gaussian noise is added.
+
+    Args:
+        actor: to be disturbed.
+        generator: of the disturbance.
+        noise: standard deviation added to each action.
+        spell_chance: that a spell begins at a step.
+        spell_steps: longest length of a spell.
+        push: mean of the first action in a spell; above zero, spells press the tip forwards, into whatever is there.
+
+    Source: M. Laskey et al., DART: Noise injection for robust imitation learning, CoRL 2017, for the idea.
+    """
+
+    def __init__(
+        self,
+        actor: Act,
+        generator: np.random.Generator,
+        *,
+        noise: float = 0.3,
+        spell_chance: float = 0.05,
+        spell_steps: int = 8,
+        push: float = 0.2,
+    ) -> None:
+        self.actor, self.generator = actor, generator
+        self.noise, self.spell_chance, self.spell_steps, self.push = noise, spell_chance, spell_steps, push
+        self._left, self._spell = 0, np.zeros(0, np.float32)
+
+    def reset(self) -> None:
+        """Starts an episode."""
+        self._left = 0
+        if hasattr(self.actor, "reset"):
+            self.actor.reset()
+
+    def __call__(self, observation: Mapping[str, NDArray[Any]], info: Mapping[str, Any]) -> NDArray[np.float32]:
+        """The action that is carried out. Shape (actions,)."""
+        wanted = np.asarray(self.actor(observation, info), np.float32)
+        if self._left == 0 and self.generator.random() < self.spell_chance:
+            self._left = int(self.generator.integers(1, self.spell_steps + 1))
+            self._spell = self.generator.uniform(-1.0, 1.0, wanted.shape).astype(np.float32)
+            self._spell[0] = np.clip(self._spell[0] + self.push, -1.0, 1.0)
+        if self._left > 0:
+            self._left -= 1
+            return self._spell
+        noisy: NDArray[np.float32] = np.clip(wanted + self.generator.normal(0.0, self.noise, wanted.shape), -1.0, 1.0)
+        return noisy.astype(np.float32)
+
+
+def dagger(
+    make_environment: Callable[[], gymnasium.Env[Any, Any]],
+    expert: Act,
+    trajectories: Sequence[Trajectory],
+    settings: DaggerSettings | None = None,
+    *,
+    student: ClonedPolicy | None = None,
+    seed: int = 0,
+    folder: Path | str | None = None,
+    progress: Callable[[int, FitProgress], None] | None = None,
+    device: torch.device | str = "cpu",
+) -> tuple[ClonedPolicy, list[DaggerRound], list[Trajectory]]:
+    """Improves a student where it goes itself.
+
+    Args:
+        make_environment: makes an environment with the observations of both expert and student.
+        expert: says what to do at an observation.
+        trajectories: the expert's own episodes; may be none.
+        settings: of rounds and fits.
+        student: to start from; None: it is cloned from `trajectories`, of which there must be some then.
+        seed: of roll-outs and fits.
+        folder: for checkpoints of the fits, one each.
+        progress: called with the round (0: the first clone) after every epoch.
+        device: where the student is fitted.
+
+    Returns:
+        The student, what each round came to, and all episodes that it has learnt from.
+
+    Raises:
+        ValueError: neither a student nor episodes to clone one from.
+    """
+    settings = settings or DaggerSettings()
+    everything = list(trajectories)
+
+    def refit(index: int, initial: ClonedPolicy | None) -> tuple[ClonedPolicy, FitReport]:
+        return clone(
+            everything,
+            settings.cloning,
+            initial=initial if settings.warm_start else None,
+            seed=seed + index,
+            folder=None if folder is None else Path(folder) / f"round{index}",
+            progress=None if progress is None else lambda told: progress(index, told),
+            device=device,
+        )
+
+    if student is None:
+        student, _ = refit(0, None)
+    environment = make_environment()
+    rounds = []
+    for index in range(1, settings.rounds + 1):
+        generator = np.random.default_rng((seed, index))
+        share = settings.expert_share * 0.5 ** (index - 1)
+        new, apart = [], []
+        for episode in range(settings.episodes):
+            steers = _mixed(student, expert, share, generator)
+            start = int(generator.integers(2**31))
+            name = f"round {index}, episode {episode}"
+            new.append(
+                record(environment, steers, seed=start, keys=student.keys, labels=expert, metadata={"file": name})
+            )
+            done = student.act_batch({key: new[-1].observations[key][:-1] for key in student.keys})
+            apart.append(np.linalg.norm(done - new[-1].actions, axis=1))
+        everything += new
+        student, report = refit(index, student)
+        success = float(np.mean([trajectory.terminated for trajectory in new]))
+        rounds.append(DaggerRound(index, len(everything), success, float(np.concatenate(apart).mean()), report))
+    environment.close()
+    return student, rounds, everything
+
+
+def _mixed(student: ClonedPolicy, expert: Act, share: float, generator: np.random.Generator) -> Act:
+    def act(observation: Mapping[str, NDArray[Any]], info: Mapping[str, Any]) -> NDArray[Any]:
+        if share and generator.random() < share:
+            return expert(observation, info)
+        return student.act(observation)
+
+    return act

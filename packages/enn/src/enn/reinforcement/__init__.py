@@ -1,0 +1,1 @@
+"""Reinforcement learning: SAC and PPO from settings to the best policy."""

@@ -1,0 +1,187 @@
+"""Proximal policy optimisation: stable-baselines3's updates, and how they take part in a training."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import VecEnv
+
+from enn.networks.network import network_class
+from enn.networks.normalisation import fit_normalisation
+from enn.reinforcement.training_settings import TrainingSettings
+
+HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
+STORED = ("actions", "rewards", "episode_starts", "values", "log_probs")
+
+
+class PpoLearner:
+    """PPO's part in a training: acts, fills a roll-out, updates when it is full.
+
+    Args:
+        settings: of the training.
+        envs: whose spaces and number it is for.
+        seed: of weights, noise and the order of batches.
+    """
+
+    def __init__(self, settings: TrainingSettings, envs: VecEnv, seed: int) -> None:
+        self.settings, self.n_envs = settings, envs.num_envs
+        policy, arguments = network_class(settings.network, envs.observation_space)
+        self.model = PPO(
+            policy,  # type: ignore[arg-type]
+            envs,
+            learning_rate=settings.learning_rate,
+            n_steps=settings.n_steps,
+            batch_size=min(settings.batch_size, settings.n_steps * envs.num_envs),
+            n_epochs=settings.epochs,
+            gamma=settings.gamma,
+            gae_lambda=settings.gae_lambda,
+            clip_range=settings.clip_range,
+            ent_coef=float(settings.ent_coef),
+            policy_kwargs=arguments,
+            seed=seed,
+            device=settings.device,
+        )
+        self._values: dict[str, float] = {}
+        self._logger = Logger(None, [])
+        self.model.set_logger(self._logger)
+        self.policy = self.model.policy
+        self.rollout = self.model.rollout_buffer
+        self._generator = np.random.default_rng(seed)
+        self._starts = np.ones(self.n_envs, bool)
+        self._first: list[Any] = []  # observations of the random decisions, for the normalisation
+        self._latest: Any = None
+        self._started = False
+        self.updates = 0
+
+    def act(self, observations: Any, *, explore: bool) -> NDArray[np.float32]:
+        """Actions within the action space; `explore`: uniform ones. Shape (environments, actions)."""
+        space: Any = self.policy.action_space
+        if explore:
+            unit = self._generator.uniform(0, 1, (self.n_envs, *space.shape)).astype(np.float32)
+            return space.low + unit * (space.high - space.low)
+        if not self._started:
+            self._start()
+        with torch.inference_mode():
+            features = self.policy.extract_features(self._tensors(observations), self.policy.features_extractor)
+            latent, latent_value = self.policy.mlp_extractor(features)
+            mean, self._value = self.policy.action_net(latent), self.policy.value_net(latent_value)
+            log_std = self.policy.log_std
+            noise = torch.as_tensor(self._generator.standard_normal(mean.shape, np.float32), device=mean.device)
+            self._action = mean + log_std.exp() * noise
+            self._log_prob = (-0.5 * noise.square() - log_std - HALF_LOG_2_PI).sum(dim=1)
+        return self._action.cpu().numpy().clip(space.low, space.high)
+
+    def _start(self) -> None:
+        self._started = True
+        if self.settings.normalise and self._first:
+            fit_normalisation(self.policy, self._tensors(_stacked(self._first)))
+        self._first = []
+
+    def observe(
+        self,
+        observations: Any,
+        rewards: NDArray[Any],
+        dones: NDArray[Any],
+        after: Any,
+        infos: list[dict[str, Any]],
+        *,
+        explore: bool,
+    ) -> None:
+        """Remembers what the last actions led to."""
+        if explore:
+            self._first.append(observations)
+            self._starts = dones.copy()
+            return
+        rewards = rewards.copy()
+        for index in np.flatnonzero(dones).tolist():
+            if infos[index]["TimeLimit.truncated"]:
+                last = infos[index]["terminal_observation"]
+                single = {k: v[None] for k, v in last.items()} if isinstance(last, dict) else last[None]
+                with torch.inference_mode():
+                    rewards[index] += self.settings.gamma * float(self.policy.predict_values(self._tensors(single)))
+        self.rollout.add(observations, self._action.cpu().numpy(), rewards, self._starts, self._value, self._log_prob)
+        self._starts, self._latest = dones.copy(), after
+
+    def set_learning_rate(self, rate: float) -> None:
+        """Sets the learning rate."""
+        self.model.lr_schedule = lambda _: rate
+
+    def update(self, *, explore: bool) -> None:
+        """Updates when the roll-out is full."""
+        if explore or not self.rollout.full:
+            return
+        with torch.inference_mode():
+            values = self.policy.predict_values(self._tensors(self._latest))
+        self.rollout.compute_returns_and_advantage(last_values=values, dones=self._starts)
+        # the library shuffles with numpy's global generator: lent a seed, and given back as it was
+        before = np.random.get_state()  # noqa: NPY002
+        np.random.seed(int(self._generator.integers(2**32)))  # noqa: NPY002
+        try:
+            self.model.train()
+        finally:
+            np.random.set_state(before)  # noqa: NPY002
+        self._values = {name: float(value) for name, value in self._logger.name_to_value.items()}
+        self.rollout.reset()
+        self.policy.set_training_mode(False)
+        self.updates += self.settings.epochs * -(-self.rollout.buffer_size * self.n_envs // self.model.batch_size)
+
+    def scalars(self) -> dict[str, float]:
+        """Losses of the last update."""
+        return dict(self._values)
+
+    def state(self) -> dict[str, Any]:
+        """Everything but the roll-out, as plain data; for `restore`."""
+        return {
+            "policy": self.policy.state_dict(),
+            "optimizer": self.policy.optimizer.state_dict(),
+            "generator": self._generator.bit_generator.state,
+            "starts": self._starts,
+            "first": self._first,
+            "started": self._started,
+            "updates": self.updates,
+            "position": self.rollout.pos,
+            "rollout": {name: getattr(self.rollout, name)[: self.rollout.pos] for name in STORED},
+            "observations": _each(self.rollout.observations, lambda array: array[: self.rollout.pos]),
+        }
+
+    def chunks(self) -> Iterator[tuple[str, int, NDArray[Any]]]:
+        """Nothing is large enough to be saved in pieces."""
+        return iter(())
+
+    def restore(self, state: dict[str, Any], chunks: dict[str, NDArray[Any]]) -> None:
+        """Goes on where a learner with the same settings was saved."""
+        self.policy.load_state_dict(state["policy"])
+        self.policy.optimizer.load_state_dict(state["optimizer"])
+        self._generator.bit_generator.state = state["generator"]
+        self._starts, self._first = state["starts"], list(state["first"])
+        self._started, self.updates = state["started"], state["updates"]
+        self.rollout.reset()
+        position = state["position"]
+        for name, array in state["rollout"].items():
+            getattr(self.rollout, name)[:position] = array
+        if isinstance(self.rollout.observations, dict):
+            for name, array in state["observations"].items():
+                self.rollout.observations[name][:position] = array
+        else:
+            self.rollout.observations[:position] = state["observations"]
+        self.rollout.pos, self.rollout.full = position, position == self.rollout.buffer_size
+
+    def _tensors(self, observations: Any) -> Any:
+        return _each(observations, lambda array: torch.as_tensor(array, device=self.model.device))
+
+
+def _each(values: Any, work: Any) -> Any:
+    return {name: work(array) for name, array in values.items()} if isinstance(values, dict) else work(values)
+
+
+def _stacked(batches: list[Any]) -> Any:
+    if isinstance(batches[0], dict):
+        return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
+    return np.concatenate(batches)

@@ -1,0 +1,384 @@
+"""Training run: the loop of decisions, updates, evaluations and checkpoints behind `enn.reinforcement.training.Training`."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+import zlib
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+import torch
+from stable_baselines3.common.utils import get_device
+
+from enn.model_file import UNFIT
+from enn.policy import Policy
+from enn.reinforcement.best_policy import Judge
+from enn.reinforcement.case_reset_bank import CaseBank
+from enn.reinforcement.checkpoint import CheckpointFolder
+from enn.reinforcement.demonstrations import demonstration_replay, fill_bank
+from enn.reinforcement.proximal_policy import PpoLearner
+from enn.reinforcement.random_states import random_states, restore_random_states
+from enn.reinforcement.reset_bank import ResetBank
+from enn.reinforcement.sampling import SampledEnvs, without_checks
+from enn.reinforcement.soft_actor_critic import SacLearner
+from enn.reinforcement.training_curve import COLUMNS, replace_text, write_curve
+
+if TYPE_CHECKING:
+    from enn.reinforcement.training import Training
+
+logger = logging.getLogger(__name__)
+
+REWARD_WINDOW, EPISODE_WINDOW = 100, 50
+TICK = 0.25  # s between calls of the progress callback
+# settings that may change between the runs of one training
+FREE = {
+    "decisions",
+    "threads",
+    "evaluate_every",
+    "evaluation_episodes",
+    "stop_after",
+    "curve_every",
+    "checkpoint_seconds",
+    "tensorboard",
+    "device",
+}
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training stands.
+
+    Attributes:
+        decisions: taken so far.
+        total: the budget.
+        success: share of the latest training episodes from the usual start that succeeded; None before the first.
+        best_success: deterministic success of the best policy so far; None before the first evaluation.
+        wall_s: since the training began, all its runs together.
+        remaining_s: estimate to the end of the budget.
+    """
+
+    decisions: int
+    total: int
+    success: float | None
+    best_success: float | None
+    wall_s: float
+    remaining_s: float
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """What a training gives.
+
+    Attributes:
+        policy: the best by evaluation (or the last, when there were none).
+        curve: rows of training.csv.
+        timings: seconds in all and in parts, and what was done in them.
+        evaluation: of the best policy: success, stochastic_success, steps, path_mm, force_mean, force_max, decisions.
+    """
+
+    policy: Policy
+    curve: list[dict[str, Any]]
+    timings: dict[str, float]
+    evaluation: dict[str, float] | None
+
+
+class TrainingRun:
+    """A training while it runs: its environments, learner, counters and clocks.
+
+    Args:
+        training: what is to be trained.
+        progress: called a few times a second between decisions.
+    """
+
+    def __init__(self, training: Training, progress: Callable[[Progress], None] | None) -> None:
+        settings = training.settings
+        if training.encoder is not None:
+            settings = replace(settings, normalise=False)  # the encoder's features are normalised already
+        self.training, self.settings, self.progress = training, settings, progress
+        torch.set_num_threads(1)
+        bank: ResetBank | None = None
+        if settings.bank_cases:
+            bank = CaseBank(settings.bank_cases, settings.bank_share, settings.bank_capacity, training.seed)
+        elif settings.bank_share > 0:
+            bank = ResetBank(settings.bank_share, settings.bank_capacity, training.seed)
+        keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
+        self.sampled = SampledEnvs(
+            [training.make_env] * settings.n_envs,
+            seed=training.seed,
+            threads=settings.threads,
+            action_repeat=settings.action_repeat,
+            bank=bank,
+            keys=keys if training.encoder is None else (),
+        )
+        self.envs: Any = self.sampled
+        if training.encoder is not None:
+            from enn.reinforcement.encoded import EncodedEnvs
+
+            training.encoder.to(get_device(settings.device))
+            self.envs = EncodedEnvs(self.sampled, training.encoder, settings.passthrough)
+        demonstrations = None
+        if settings.demonstrations_in_replay > 0 and training.demonstrations:
+            demonstrations = demonstration_replay(
+                training.demonstrations,
+                self.envs.observation_space,
+                self.envs.action_space,
+                action_repeat=settings.action_repeat,
+                encode=None if training.encoder is None else self._encode,
+                seed=training.seed,
+            )
+        self.learner: SacLearner | PpoLearner
+        if settings.algorithm == "sac":
+            self.learner = SacLearner(settings, self.envs, training.seed, demonstrations)
+        else:
+            self.learner = PpoLearner(settings, self.envs, training.seed)
+        self.policy = Policy(
+            settings.network,
+            self.learner.policy,
+            self.sampled.observation_space,
+            self.sampled.action_space,  # type: ignore[arg-type]
+            encoder=training.encoder,
+            passthrough=settings.passthrough,
+            action_repeat=settings.action_repeat,
+            metadata=training.metadata,
+        )
+        self._arenas: list[gymnasium.Env[Any, Any]] = []
+        self.decisions = self.env_steps = 0
+        self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
+        self.judge = Judge(settings.evaluation_episodes, training.seed)
+        self.curve: list[dict[str, Any]] = []
+        self.latest: dict[str, Any] = {}
+        self.rewards: deque[float] = deque(maxlen=REWARD_WINDOW)
+        self.episodes: deque[tuple[int, bool]] = deque(maxlen=EPISODE_WINDOW)
+        self.spent = {"wall_s": 0.0, "cpu_s": 0.0, "simulation_s": 0.0, "update_s": 0.0, "evaluation_s": 0.0}
+        self.began = time.perf_counter(), time.process_time()
+        self.here = 0  # decisions of this run alone
+        self.ticked = 0.0
+        self.consistent = False
+        self.writer: Any = None
+        self.checkpoint = None
+        if training.folder is not None:
+            training.folder.mkdir(parents=True, exist_ok=True)
+            self.checkpoint = CheckpointFolder(training.folder / "checkpoint", self._architecture())
+        if self.checkpoint is not None and self.checkpoint.exists():
+            state, pieces = self.checkpoint.read()
+            try:
+                self._restore(state, pieces)
+            except UNFIT as error:
+                reason = " ".join(str(error).split())[:200]
+                raise self.checkpoint.unusable(f"its state cannot be taken up: {reason}") from error
+        else:
+            if bank is not None:
+                fill_bank(bank, training.demonstrations)
+                for states in training.starts:
+                    bank.add_episode(states)
+            self.observations = self.envs.reset()
+        self.saved = time.perf_counter()
+        if settings.tensorboard and training.folder is not None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self.writer = SummaryWriter(str(training.folder / "tensorboard"), purge_step=self.decisions or None)
+
+    def train(self) -> TrainingResult:
+        """Trains to the end; whatever stops it between decisions leaves a checkpoint of that moment."""
+        self.consistent = True
+        try:
+            while not self._pause():
+                self._decide()
+        except BaseException:
+            if self.consistent and self.checkpoint is not None:
+                self._save()
+            raise
+        return self._finish()
+
+    def _decide(self) -> None:
+        """One decision of every environment, and the updates that it pays for."""
+        self.consistent = False
+        explore = self.decisions < self.settings.learning_starts
+        actions = self.learner.act(self.observations, explore=explore)
+        clock = time.perf_counter()
+        after, rewards, dones, infos = self.envs.step(actions)
+        self.spent["simulation_s"] += time.perf_counter() - clock
+        self.learner.observe(self.observations, rewards, dones, after, infos, explore=explore)
+        self.observations = after
+        self.decisions += self.sampled.num_envs
+        self.here += self.sampled.num_envs
+        for reward, info in zip(rewards.tolist(), infos, strict=True):
+            self.env_steps += info["steps"]
+            self.rewards.append(reward / info["steps"])
+            episode = info.get("episode")
+            if episode is not None and episode["fresh"]:
+                self.episodes.append((episode["l"], episode["success"]))
+        clock = time.perf_counter()
+        self.learner.set_learning_rate(self._learning_rate())
+        self.learner.update(explore=explore)
+        self.spent["update_s"] += time.perf_counter() - clock
+        self.consistent = True
+
+    def _learning_rate(self) -> float:
+        settings = self.settings
+        done = min(self.decisions / settings.decisions, 1.0)
+        return settings.learning_rate * (1.0 - (1.0 - settings.final_learning_rate) * done)
+
+    def _pause(self) -> bool:
+        """What is due between decisions; whether the training is over."""
+        over = self.decisions >= self.settings.decisions
+        last_word = over and self.settings.evaluate_every > 0 and self.judge.judged < self.decisions
+        if self.decisions >= self.next_evaluation or last_word:
+            self._evaluate()
+            while self.next_evaluation <= self.decisions:
+                self.next_evaluation += self.settings.evaluate_every
+        over |= 0 < self.settings.stop_after <= self.judge.perfect
+        last = self.curve[-1]["decisions"] if self.curve else 0
+        if self.decisions >= self.next_row or (over and last < self.decisions):
+            self._row()
+            while self.next_row <= self.decisions:
+                self.next_row += self.settings.curve_every
+        waited = time.perf_counter() - self.saved >= self.settings.checkpoint_seconds
+        if not over and self.checkpoint is not None and self.here and waited:
+            self._save()
+        self._tick()
+        return over
+
+    def _evaluate(self) -> None:
+        clock = time.perf_counter()
+        while len(self._arenas) < min(self.settings.evaluation_episodes, self.settings.n_envs):
+            self._arenas.append(without_checks(self.training.make_validation_env()))
+        self.policy.module.set_training_mode(False)
+        self.latest = self.judge.judge(self.policy, self._arenas, self.decisions, self._tick)
+        self.spent["evaluation_s"] += time.perf_counter() - clock
+
+    def _row(self) -> None:
+        wall, cpu = self._clocks()
+        row = {
+            "decisions": self.decisions,
+            "env_steps": self.env_steps,
+            "wall_s": round(wall, 3),
+            "cpu_s": round(cpu, 3),
+            "reward": float(np.mean(self.rewards)) if self.rewards else None,
+            "episode_length": float(np.mean([length for length, _ in self.episodes])) if self.episodes else None,
+            "success": self._success(),
+            **self.latest,
+        }
+        self.latest = {}
+        self.curve.append({name: row.get(name) for name in COLUMNS})
+        if self.training.folder is not None:
+            write_curve(self.training.folder / "training.csv", self.curve)
+        if self.writer is not None:
+            for name, value in {**{f"curve/{k}": v for k, v in row.items()}, **self.learner.scalars()}.items():
+                if value is not None and name != "curve/decisions":
+                    self.writer.add_scalar(name, value, self.decisions)
+
+    def _success(self) -> float | None:
+        return float(np.mean([success for _, success in self.episodes])) if self.episodes else None
+
+    def _clocks(self) -> tuple[float, float]:
+        wall, cpu = time.perf_counter() - self.began[0], time.process_time() - self.began[1]
+        return self.spent["wall_s"] + wall, self.spent["cpu_s"] + cpu
+
+    def _tick(self) -> None:
+        now = time.perf_counter()
+        if self.progress is None or now - self.ticked < TICK:
+            return
+        self.ticked = now
+        total = self.settings.decisions
+        pace = (now - self.began[0]) / self.here if self.here else 0.0
+        self.progress(
+            Progress(
+                self.decisions,
+                total,
+                self._success(),
+                self.judge.success,
+                self._clocks()[0],
+                pace * (total - self.decisions),
+            )
+        )
+
+    def _architecture(self) -> dict[str, Any]:
+        settings = {name: value for name, value in asdict(self.settings).items() if name not in FREE}
+        encoder = self.training.encoder
+        weights = b"" if encoder is None else b"".join(v.cpu().numpy().tobytes() for v in encoder.state_dict().values())
+        return {
+            **settings,
+            "observations": str(self.envs.observation_space),
+            "actions": str(self.envs.action_space),
+            "seed": self.training.seed,
+            "encoder": zlib.adler32(weights),
+        }
+
+    def _save(self) -> None:
+        assert self.checkpoint is not None
+        wall, cpu = self._clocks()
+        state = {
+            "learner": self.learner.state(),
+            "envs": self.sampled.state(),
+            "random": random_states(),
+            "counters": (self.decisions, self.env_steps, self.next_row, self.next_evaluation),
+            "judge": self.judge.state(),
+            "curve": self.curve,
+            "latest": self.latest,
+            "rewards": list(self.rewards),
+            "episodes": list(self.episodes),
+            "spent": {**self.spent, "wall_s": wall, "cpu_s": cpu},
+        }
+        self.checkpoint.write(state, self.learner.chunks())
+        self.saved = time.perf_counter()
+
+    def _restore(self, state: dict[str, Any], pieces: dict[str, Any]) -> None:
+        self.learner.restore(state["learner"], pieces)
+        observations = self.sampled.restore(state["envs"])
+        self.observations = observations if self.training.encoder is None else self._encode(observations)
+        restore_random_states(state["random"])
+        self.decisions, self.env_steps, self.next_row, self.next_evaluation = state["counters"]
+        self.judge.restore(state["judge"])
+        # the intervals may have been changed since
+        self.next_evaluation = min(self.next_evaluation, self.decisions + (self.settings.evaluate_every or 1 << 62))
+        self.next_row = min(self.next_row, self.decisions + self.settings.curve_every)
+        self.curve, self.latest = state["curve"], state["latest"]
+        self.rewards.extend(state["rewards"])
+        self.episodes.extend(state["episodes"])
+        self.spent |= state["spent"]
+        logger.info("training goes on after %d of %d decisions", self.decisions, self.settings.decisions)
+
+    def _encode(self, observations: Any) -> dict[str, Any]:
+        return self.envs.encode(observations)
+
+    def _finish(self) -> TrainingResult:
+        wall, cpu = self._clocks()
+        timings = {
+            **self.spent,
+            "wall_s": wall,
+            "cpu_s": cpu,
+            "decisions": float(self.decisions),
+            "env_steps": float(self.env_steps),
+            "updates": float(self.learner.updates),
+        }
+        evaluation = self.judge.give_best(self.policy.module)
+        self.policy.metadata |= {"decisions": self.decisions}
+        folder = self.training.folder
+        if folder is not None:
+            self.policy.save(folder / "policy.pt")
+            write_curve(folder / "training.csv", self.curve)
+            record = {
+                "settings": asdict(self.settings),
+                "metadata": self.policy.metadata,
+                "timings": timings,
+                "evaluation": evaluation,
+            }
+            replace_text(folder / "training.json", json.dumps(record, indent=2))
+        if self.checkpoint is not None:
+            self.checkpoint.remove()
+        return TrainingResult(self.policy, self.curve, timings, evaluation)
+
+    def close(self) -> None:
+        """Frees environments and files."""
+        if self.writer is not None:
+            self.writer.close()
+        self.sampled.close()
+        for env in self._arenas:
+            env.close()

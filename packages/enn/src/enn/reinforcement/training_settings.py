@@ -1,0 +1,239 @@
+"""Training settings: everything a reinforcement learning run is defined by, and the presets of thesis and desk."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from typing import Annotated
+
+from annotated_types import Interval
+
+from enn.networks.network import NetworkSettings
+from enn.setting_kinds import Count, CountOrNone, LearningRate, Seconds, Share, Units, Weight, settings
+
+_LEARNT_ENTROPY = re.compile(r"auto(_(?P<start>[0-9.]+(e-?[0-9]+)?))?")
+# Settings that an algorithm does not look at: another value than the default would say what is not done.
+UNUSED = {
+    "sac": ("n_steps", "epochs", "gae_lambda", "clip_range"),
+    "ppo": (
+        "critic_layer_norm",
+        "gradient_steps",
+        "actor_every",
+        "tau",
+        "target_entropy",
+        "buffer_size",
+        "half",
+    ),
+}
+
+
+@settings
+class TrainingSettings:
+    """A reinforcement learning run; one decision is one action of one environment, held for `action_repeat` steps.
+
+    Attributes:
+        algorithm: "sac" or "ppo".
+        variant: of the networks: "thesis", "desk" or "baselines".
+        keys: observations that the actor sees, without an encoder; none: all.
+        critic_keys: observations that the critic sees where they differ (SAC).
+        passthrough: observations beside the encoder's features.
+        extractor: "vectors" or "multimodal"; see `enn.networks.network`.
+        image_features: features an image in the multimodal extractor.
+        hidden: units of the hidden layers.
+        critic_hidden: of the critic alone, where they differ.
+        shared: features that actor and critic share, by whose loss they are trained; see `enn.networks.network`.
+        activation: "relu" or "tanh".
+        critic_layer_norm: layer normalisation in SAC's critics.
+        normalise: fits mean and scale of vector observations to the first decisions; never with an encoder, whose
+            features are normalised.
+        decisions: budget, all environments together.
+        n_envs: environments sampled together.
+        threads: that step them.
+        action_repeat: environment steps a decision.
+        learning_rate: of Adam.
+        final_learning_rate: share of it that is left at the end of the budget, to which it falls evenly.
+        batch_size: transitions an update.
+        gamma: discount a decision.
+        learning_starts: random decisions at the start.
+        gradient_steps: updates a decision (SAC); may be a fraction.
+        actor_every: updates of the critic for one of the actor and of the entropy's weight (SAC).
+        tau: share of the new weights in the target critic.
+        ent_coef: weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05; for PPO a number.
+        target_entropy: that "auto" aims at; None: minus the number of actions. A fixed weight has none.
+        buffer_size: transitions in the replay buffer.
+        half: vectors of the replay buffer in half precision.
+        demonstrations_in_replay: share of each batch drawn from demonstrations.
+        n_steps: decisions of each environment between PPO's updates.
+        epochs: of PPO over each roll-out.
+        gae_lambda: of PPO.
+        clip_range: of PPO.
+        bank_share: share of the resets that start from the bank; 0: there is no bank.
+        bank_capacity: states in the bank; with cases, of each of them.
+        bank_cases: how many cases (an anatomy and a target each, say) the environment chooses from; each then has room
+            of its own in the bank, and episodes take place more often where they fail. 0: nothing is known of cases.
+        evaluate_every: decisions between evaluations; 0: none, the last policy is kept.
+        evaluation_episodes: deterministic episodes, and as many stochastic ones where those were no worse than the best
+            so far; when the first three fail, the rest are not played.
+        stop_after: evaluations in a row that are perfect and no shorter than the best, after which training stops
+            early; 0: never.
+        curve_every: decisions between rows of the curve.
+        checkpoint_seconds: between checkpoints; 0: after every decision.
+        tensorboard: writes event files into the folder.
+        device: of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one.
+    """
+
+    algorithm: str = "sac"
+    variant: str = "desk"
+    keys: tuple[str, ...] = ()
+    critic_keys: tuple[str, ...] = ()
+    passthrough: tuple[str, ...] = ()
+    extractor: str = "vectors"
+    image_features: Units = 128
+    hidden: tuple[Units, ...] = (128, 128)
+    critic_hidden: tuple[Units, ...] | None = None
+    shared: str = ""
+    activation: str = "relu"
+    critic_layer_norm: bool = False
+    normalise: bool = True
+    decisions: Count = 6000
+    n_envs: Annotated[int, Interval(ge=1, le=4096)] = 8
+    threads: Annotated[int, Interval(ge=1, le=4096)] = 1
+    action_repeat: Count = 3
+    learning_rate: LearningRate = 1e-3
+    final_learning_rate: Annotated[float, Interval(gt=0, le=1e3)] = 1.0
+    batch_size: Count = 128
+    gamma: Annotated[float, Interval(gt=0, le=1)] = 0.99
+    learning_starts: CountOrNone = 304
+    gradient_steps: Annotated[float, Interval(ge=0, le=1e4)] = 1.0
+    actor_every: Count = 1
+    tau: Annotated[float, Interval(gt=0, le=1)] = 0.005
+    ent_coef: str | Weight = "auto_0.05"
+    target_entropy: Annotated[float, Interval(ge=-1e4, le=1e4)] | None = None
+    buffer_size: Count = 50_000
+    half: bool = False
+    demonstrations_in_replay: Annotated[float, Interval(ge=0, lt=1)] = 0.0
+    n_steps: Count = 256
+    epochs: Count = 10
+    gae_lambda: Share = 0.95
+    clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2
+    bank_share: Share = 0.75
+    bank_capacity: Count = 4096
+    bank_cases: CountOrNone = 0
+    evaluate_every: CountOrNone = 1000
+    evaluation_episodes: Count = 10
+    stop_after: CountOrNone = 0
+    curve_every: Count = 200
+    checkpoint_seconds: Seconds = 60.0
+    tensorboard: bool = False
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        """Refuses what cannot be trained with."""
+        if self.algorithm == "ppo":
+            if isinstance(self.ent_coef, str):
+                raise ValueError(f"PPO needs a number as ent_coef, got '{self.ent_coef}': only SAC learns it")
+            if self.demonstrations_in_replay:
+                raise ValueError("PPO keeps no replay buffer: leave demonstrations_in_replay at 0")
+        self._refuse_unused()
+        self._check_entropy()
+        self.network  # noqa: B018 - refuses unknown names
+
+    def _check_entropy(self) -> None:
+        if isinstance(self.ent_coef, str):
+            learnt = _LEARNT_ENTROPY.fullmatch(self.ent_coef)
+            if learnt is None or not float(learnt["start"] or 1.0) > 0:
+                raise ValueError(
+                    f"ent_coef must be a number, auto, or auto_ and the positive number to start from, got "
+                    f"'{self.ent_coef}'"
+                )
+        elif self.target_entropy is not None:
+            raise ValueError(
+                f"a fixed ent_coef of {self.ent_coef} aims at no entropy: leave target_entropy out, or learn the "
+                f"weight with ent_coef='auto_{self.ent_coef}'"
+            )
+
+    def _refuse_unused(self) -> None:
+        defaults = {field.name: field.default for field in fields(self)}
+        for name in UNUSED.get(self.algorithm, ()):
+            if getattr(self, name) != defaults[name]:
+                raise ValueError(
+                    f"{self.algorithm} does not use {name}: leave it at {defaults[name]}, got {getattr(self, name)}"
+                )
+
+    @property
+    def network(self) -> NetworkSettings:
+        """The part that shapes of weights depend on."""
+        return NetworkSettings(
+            algorithm=self.algorithm,
+            keys=self.keys,
+            critic_keys=self.critic_keys,
+            extractor=self.extractor,
+            variant=self.variant,
+            image_features=self.image_features,
+            hidden=self.hidden,
+            critic_hidden=self.critic_hidden,
+            shared=self.shared,
+            activation=self.activation,
+            critic_layer_norm=self.critic_layer_norm,
+        )
+
+
+# Thesis, table of SAC's hyper-parameters, features of its architecture table; the layers after them, which it does not
+# print, are the library's. Budget: 600,000 steps. Its entropy coefficient of 1 and target entropy of -2 fit together
+# only if the coefficient is learnt from 1 on; -2 is minus the number of its actions, and for 21 actions it is -21.
+THESIS_SAC = TrainingSettings(
+    variant="thesis",
+    extractor="multimodal",
+    hidden=(256, 256),
+    normalise=False,
+    decisions=600_000,
+    action_repeat=1,
+    n_envs=1,
+    learning_rate=3e-4,
+    batch_size=256,
+    learning_starts=100,
+    ent_coef="auto_1.0",
+    buffer_size=1_000_000,
+    bank_share=0.0,
+    evaluate_every=10_000,
+    curve_every=1000,
+)
+# Thesis, CathSim chapter: Adam at 3e-4; the rest as in stable-baselines3.
+THESIS_PPO = TrainingSettings(
+    algorithm="ppo",
+    variant="thesis",
+    extractor="multimodal",
+    hidden=(64, 64),
+    activation="tanh",
+    normalise=False,
+    decisions=600_000,
+    action_repeat=1,
+    n_envs=1,
+    learning_rate=3e-4,
+    batch_size=64,
+    learning_starts=0,
+    ent_coef=0.0,
+    n_steps=2048,
+    bank_share=0.0,
+    evaluate_every=10_000,
+    curve_every=2048,
+)
+# Measured on the simulator: with demonstrations in the bank, holding an action for 0.3 s is what makes LCCA quick.
+DESK_SAC = TrainingSettings(
+    decisions=4000,
+    critic_layer_norm=True,
+    demonstrations_in_replay=0.25,
+    final_learning_rate=0.1,
+    evaluate_every=500,
+)
+DESK_PPO = TrainingSettings(
+    algorithm="ppo",
+    activation="tanh",
+    decisions=60_000,
+    learning_rate=1e-3,
+    batch_size=256,
+    ent_coef=0.0,
+    n_steps=128,
+    evaluate_every=5000,
+    curve_every=1024,
+)

@@ -1,0 +1,1 @@
+"""Calibration of X-ray cameras and of their detectors' distortion."""

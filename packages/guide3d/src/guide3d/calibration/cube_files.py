@@ -1,0 +1,167 @@
+"""The files of a calibration: images, bead coordinates and marked beads, with errors that name the file."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from guide3d.geometry.camera import UNITS_MM
+
+__all__ = ["CubeFiles", "find_files", "read_beads", "read_grey", "read_references"]
+
+_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_SHEET = "undistort"
+
+
+@dataclass(frozen=True)
+class CubeFiles:
+    """What a folder holds.
+
+    sheets: by detector, the image of the perforated sheet
+    cubes: by (pose, detector), the image of the cube
+    beads: the bead coordinates
+    references: the marked beads, or None
+    """
+
+    sheets: dict[str, Path]
+    cubes: dict[tuple[str, str], Path]
+    beads: Path
+    references: Path | None
+
+
+def find_files(folder: str | Path) -> CubeFiles:
+    """Sort the files of a folder by their names.
+
+    Args:
+        folder: With undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv (or _mm) and, if marked, a .ref file.
+
+    Returns:
+        The files.
+
+    Raises:
+        FileNotFoundError: The folder, the bead file, a sheet or all cubes are missing.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"folder {folder} is missing: expected one with sheet and cube images and a bead file")
+    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in _IMAGES and "_" in path.stem)
+    named = {tuple(path.stem.rsplit("_", 1)): path for path in images}
+    sheets = {detector: path for (name, detector), path in named.items() if name == _SHEET}
+    if not sheets:
+        raise FileNotFoundError(
+            f"{folder}: expected an image of a perforated sheet, undistort_<detector>.png, found none"
+        )
+    beads = sorted(path for path in folder.glob("framespec_*.csv"))
+    if not beads:
+        raise FileNotFoundError(
+            f"{folder}: expected a bead file, framespec_cm.csv (x, y, z with a header row), found none"
+        )
+    cubes = {(name, detector): path for (name, detector), path in named.items() if name != _SHEET}
+    for (_, detector), path in cubes.items():
+        if detector not in sheets:
+            raise FileNotFoundError(
+                f"{path}: expected a sheet image undistort_{detector}.png beside it, found sheets of detectors "
+                f"{', '.join(sorted(sheets))}"
+            )
+    if not cubes:
+        raise FileNotFoundError(f"{folder}: expected images of the bead cube, <pose>_<detector>.png, found none")
+    references = sorted(folder.glob("*.ref"))
+    return CubeFiles(sheets, cubes, beads[0], references[0] if references else None)
+
+
+def read_grey(path: str | Path) -> np.ndarray:
+    """Read an image as grey values.
+
+    Args:
+        path: PNG, JPEG, TIFF or BMP, 8 or 16 bits, grey or colour.
+
+    Returns:
+        (h, w) float.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is damaged or no image.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"image {path} is missing")
+    try:
+        with Image.open(path) as image:
+            image.load()
+            grey = image if image.mode in ("L", "I", "F") or image.mode.startswith("I;16") else image.convert("L")
+            values = np.asarray(grey, float)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{path}: expected a readable image, found a damaged or foreign file ({error})") from None
+    if values.ndim != 2 or np.ptp(values) == 0:
+        raise ValueError(f"{path}: expected a grey X-ray image, found one value everywhere")
+    return values
+
+
+def read_beads(path: str | Path) -> np.ndarray:
+    """Read bead coordinates.
+
+    Args:
+        path: Comma-separated x, y, z with a header row; the unit stands at the end of the name (framespec_cm.csv).
+
+    Returns:
+        (n, 3) mm.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: Malformed rows or a unit that is not known.
+    """
+    path = Path(path)
+    unit = path.stem.rsplit("_", 1)[-1]
+    if unit not in UNITS_MM:
+        raise ValueError(f"{path}: expected a name that ends in its unit, _mm, _cm or _m, found {path.name}")
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise FileNotFoundError(f"bead file {path} is missing") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: expected a text file of bead coordinates, found binary data") from None
+    rows = []
+    for number, line in enumerate(lines[1:], 2):  # the first row is the header
+        if not line.strip():
+            continue
+        try:
+            row = [float(cell) for cell in line.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != 3 or not np.isfinite(row).all():
+            raise ValueError(f"{path}, line {number}: expected three numbers x,y,z, found {line.strip()!r}")
+        rows.append(row)
+    if len(rows) < 8:
+        raise ValueError(f"{path}: expected the coordinates of 8 beads or more below the header, found {len(rows)}")
+    return np.array(rows) * UNITS_MM[unit]
+
+
+def read_references(path: str | Path, beads: int) -> dict[str, int]:
+    """Read which beads are marked.
+
+    Args:
+        path: Lines "<bead counted from 1> <mark>", as XMALab writes them.
+        beads: How many beads there are.
+
+    Returns:
+        Bead number counted from 0, by mark.
+
+    Raises:
+        ValueError: A malformed line, or a bead that does not exist.
+    """
+    path = Path(path)
+    marked = {}
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        if not line.strip():
+            continue
+        found = re.fullmatch(r"\s*(\d+)\s+(\S+)\s*", line)
+        if found is None or not 1 <= int(found[1]) <= beads:
+            raise ValueError(
+                f"{path}, line {number}: expected a bead from 1 to {beads} and its mark, found {line.strip()!r}"
+            )
+        marked[found[2]] = int(found[1]) - 1
+    return marked

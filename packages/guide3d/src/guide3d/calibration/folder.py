@@ -1,0 +1,73 @@
+"""A folder of calibration: both cameras' files, and the maps of their distortion where there are some."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from guide3d.dataset.annotation_files import DETECTOR
+from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml
+from guide3d.geometry.distortion import Distortion
+
+__all__ = ["cameras_in", "distortions_in"]
+
+_CAMERA_ENDINGS = ("txt", "yaml", "yml")
+
+
+def cameras_in(folder: Path) -> tuple[Camera, Camera] | None:
+    """Cameras A (detector 16710) and B (16709) of a folder, or of its sub-folder "calibration".
+
+    Args:
+        folder: with *16710*.txt and *16709*.txt (world unit cm), or .yaml.
+
+    Returns:
+        Both; None where there is neither.
+
+    Raises:
+        FileNotFoundError: only one of them is there, or no such folder.
+        ValueError: several files of one detector, or one that cannot be understood.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is missing: expected a folder with camera files")
+    for place in (folder / "calibration", folder):
+        files = {view: _only(place, detector, _CAMERA_ENDINGS) for view, detector in DETECTOR.items()}
+        found = {view: file for view, file in files.items() if file is not None}
+        if len(found) == 1:
+            missing = next(view for view in DETECTOR if view not in found)
+            raise FileNotFoundError(
+                f"{place} holds {next(iter(found.values())).name} only: the file of camera {missing.upper()}, "
+                f"*{DETECTOR[missing]}*.txt or .yaml, is missing"
+            )
+        if found:
+            a, b = (
+                read_camera(file) if file.suffix == ".txt" else read_opencv_yaml(file)
+                for file in (found["a"], found["b"])
+            )
+            return a, b
+    return None
+
+
+def distortions_in(folder: Path) -> tuple[Distortion, Distortion] | None:
+    """Maps of both detectors' distortion in a folder, or in its sub-folder "calibration".
+
+    Args:
+        folder: with *16710*.npz and *16709*.npz, as `Distortion.save` writes them.
+
+    Returns:
+        Those of cameras A and B; None unless both are there.
+
+    Raises:
+        ValueError: several files of one detector, or one that cannot be understood.
+    """
+    for place in (folder / "calibration", folder):
+        files = [_only(place, DETECTOR[view], ("npz",)) for view in ("a", "b")]
+        if files[0] is not None and files[1] is not None:
+            return Distortion.load(files[0]), Distortion.load(files[1])
+    return None
+
+
+def _only(folder: Path, detector: str, endings: tuple[str, ...]) -> Path | None:
+    files = [file for ending in endings for file in sorted(folder.glob(f"*{detector}*.{ending}"))]
+    if len(files) > 1:
+        names = ", ".join(file.name for file in files)
+        raise ValueError(f"{folder} holds several files of detector {detector} ({names}): keep the one that is meant")
+    return files[0] if files else None

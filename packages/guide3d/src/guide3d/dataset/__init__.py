@@ -1,0 +1,1 @@
+"""The Guide3D data set: its layout, its annotation and its split."""

@@ -1,0 +1,1 @@
+"""Geometry of two views: cameras, distortion, epipolar lines, curves. It never imports torch."""

@@ -1,0 +1,292 @@
+"""Image-intensifier distortion: from the raw image to where a flat lattice would have been, and back.
+
+The map stands on the holes of a perforated sheet. Undistorted pixels live in a frame of the same size: the hexagonal
+lattice is scaled, turned and shifted to fit all holes by least squares, so that it does not hang on a few border holes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from guide3d.atomic_file import whole_file
+from guide3d.calibration.hexagonal_lattice import lattice_points, local_lattice
+from guide3d.calibration.perforated_sheet import SheetHoles
+from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
+from guide3d.setting_kinds import Numbers, Pixels, settings
+
+__all__ = ["FRAMES", "METHODS", "Distortion", "ideal_lattice", "leave_out_errors", "swirl_pattern"]
+
+METHODS = ("local weighted mean", "spline")
+FRAMES = ("least squares", "bounding box")
+_FOLDS = 13  # of q + 3 r: left-out holes are never neighbours
+_GRID_PX = 8  # images are mapped through a grid this fine; between, the map is smooth
+
+
+def ideal_lattice(holes: SheetHoles, frame: str = "least squares") -> np.ndarray:
+    """Where the holes would be without distortion.
+
+    Args:
+        holes: Of a sheet.
+        frame: "least squares": scale, angle and shift that fit all holes best. "bounding box": turned as the lattice in
+            the middle of the image, then scaled along x and along y to the box around the holes, as XMALab does it;
+            needed only to go with projections that were calibrated there.
+
+    Returns:
+        (n, 2) undistorted px.
+
+    Raises:
+        ValueError: There is no such frame.
+    """
+    places, seen = lattice_points(holes.indices), holes.centres_px
+    if frame == "least squares":
+        mean = places.mean(axis=0)
+        a = (places - mean) @ np.array([1, 1j])  # a similarity is a complex factor
+        b = (seen - seen.mean(axis=0)) @ np.array([1, 1j])
+        turned = a * (np.vdot(a, b) / np.vdot(a, a))
+        return np.column_stack([turned.real, turned.imag]) + seen.mean(axis=0)
+    if frame == "bounding box":
+        middle = int(np.argmin(np.linalg.norm(seen - (np.array([holes.width, holes.height]) - 1) / 2, axis=1)))
+        a, b, c, d = local_lattice(seen, holes.indices, holes.indices[middle : middle + 1])[0].ravel()
+        angle = np.arctan2(c - b, a + d)  # of the rotation nearest to the local lattice
+        places = places @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        return low + (places - places.min(axis=0)) / np.ptp(places, axis=0) * (high - low)
+    raise ValueError(f"expected a frame among {', '.join(FRAMES)}, found {frame!r}")
+
+
+@settings(eq=False)
+class Distortion:
+    """The map of one detector at one time.
+
+    raw_px: (n, 2) control points in the raw image
+    ideal_px: (n, 2) the same, undistorted
+    width, height: of the image
+    method: "local weighted mean" or "spline"
+    neighbours: of the local weighted mean
+    spans: of the spline, along each axis
+    """
+
+    raw_px: Numbers
+    ideal_px: Numbers
+    width: Pixels
+    height: Pixels
+    method: str = "local weighted mean"
+    neighbours: Annotated[int, Interval(ge=1, le=10_000)] = 25
+    spans: Annotated[int, Interval(ge=1, le=10_000)] = 24
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ValueError(f"expected a method among {', '.join(METHODS)}, found {self.method!r}")
+        if (
+            np.ndim(self.raw_px) != 2
+            or np.shape(self.raw_px) != np.shape(self.ideal_px)
+            or np.shape(self.raw_px)[1] != 2
+        ):
+            raise ValueError(
+                f"expected control points (n, 2) twice, found {np.shape(self.raw_px)} and {np.shape(self.ideal_px)}"
+            )
+        if not np.isfinite(self.raw_px).all() or not np.isfinite(self.ideal_px).all():
+            raise ValueError("control points must be finite: leave out what was not found")
+
+    @classmethod
+    def from_holes(
+        cls,
+        holes: SheetHoles,
+        method: str = "local weighted mean",
+        neighbours: int = 25,
+        spans: int = 24,
+        frame: str = "least squares",
+    ) -> Distortion:
+        """The map of a sheet's holes; see the class and `ideal_lattice` for the arguments."""
+        return cls(holes.centres_px, ideal_lattice(holes, frame), holes.width, holes.height, method, neighbours, spans)
+
+    @cached_property
+    def _forward(self) -> LocalWeightedMean | SplineField:
+        return _field(self.raw_px, self.ideal_px, self)
+
+    @cached_property
+    def _backward(self) -> LocalWeightedMean | SplineField:
+        return _field(self.ideal_px, self.raw_px, self)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.raw_px)
+
+    @cached_property
+    def _reach_px(self) -> float:
+        return 1.2 * float(np.median(self._tree.query(self.raw_px, k=2)[0][:, 1]))
+
+    @property
+    def displacement_px(self) -> np.ndarray:
+        """How far each control point lies from where it should, (n,) px."""
+        return np.asarray(np.linalg.norm(self.raw_px - self.ideal_px, axis=1))
+
+    def covers(self, raw_points: np.ndarray) -> np.ndarray:
+        """Whether raw pixels (..., 2) lie among the holes (to 1.2 pitches), where the map is measured: bool (...)."""
+        return np.asarray(self._tree.query(np.asarray(raw_points, float))[0] <= self._reach_px)
+
+    def undistort_points(self, raw_points: np.ndarray) -> np.ndarray:
+        """Raw pixels to undistorted ones.
+
+        Args:
+            raw_points: (..., 2) px as annotated on the image.
+
+        Returns:
+            (..., 2) px; beyond the holes a continuation, see `covers`.
+
+        Raises:
+            ValueError: The points are not two-dimensional.
+        """
+        return self._forward(_checked(raw_points))
+
+    def distort_points(self, points: np.ndarray) -> np.ndarray:
+        """Undistorted pixels (..., 2) to raw ones (..., 2): the inverse of `undistort_points`, to 1e-6 px."""
+        points = _checked(points)
+        raw = self._backward(points)
+        # the two fits miss each other by hundredths of a pixel; the map is near enough to a shift for plain iteration
+        missing = points - self._forward(raw)
+        for _ in range(12):
+            tried = raw + missing
+            left = points - self._forward(tried)
+            better = (np.abs(left).max(axis=-1) < np.abs(missing).max(axis=-1))[..., None]
+            raw, missing = np.where(better, tried, raw), np.where(better, left, missing)
+            if not better.any() or np.abs(missing).max() < 1e-7:
+                break
+        return raw
+
+    @cached_property
+    def _sources(self) -> np.ndarray:
+        """Where each undistorted pixel comes from: (2, h, w) rows and columns of the raw image."""
+        x = np.arange(-_GRID_PX, self.width + 2 * _GRID_PX, _GRID_PX)
+        y = np.arange(-_GRID_PX, self.height + 2 * _GRID_PX, _GRID_PX)
+        coarse = self._backward(np.stack(np.meshgrid(x, y), axis=-1).astype(float))
+        rows, columns = np.mgrid[: self.height, : self.width] / _GRID_PX + 1
+        return np.stack([ndimage.map_coordinates(coarse[..., axis], [rows, columns], order=3) for axis in (1, 0)])
+
+    def undistort_image(self, image: np.ndarray, fill: float = 0.0) -> np.ndarray:
+        """The image as an undistorted detector would have taken it.
+
+        Args:
+            image: (height, width) or (height, width, channels), raw.
+            fill: Grey value of what lies outside the raw image.
+
+        Returns:
+            An array of the same shape and type.
+
+        Raises:
+            ValueError: The image has another size than the sheet's.
+        """
+        image = np.asarray(image)
+        if image.shape[:2] != (self.height, self.width) or image.ndim not in (2, 3):
+            size = " x ".join(str(side) for side in image.shape[1::-1])
+            raise ValueError(f"expected an image of {self.width} x {self.height} px, as the sheet's, found {size}")
+        if image.ndim == 3:
+            return np.stack([self.undistort_image(image[..., c], fill) for c in range(image.shape[2])], axis=-1)
+        values = ndimage.map_coordinates(image.astype(float), self._sources, order=1, cval=fill)
+        if np.issubdtype(image.dtype, np.integer):
+            limits = np.iinfo(image.dtype)
+            values = np.clip(np.rint(values), limits.min, limits.max)
+        return values.astype(image.dtype)
+
+    def swirled(self, shift_px: float) -> Distortion:
+        """This map followed by a swirl of `shift_px` at the border, as `guide3d.calibration.rig` finds it."""
+        ideal = self.ideal_px + shift_px * swirl_pattern(self.ideal_px, self.width, self.height)
+        return replace(self, ideal_px=ideal)
+
+    def save(self, path: str | Path) -> None:
+        """Write the map to a .npz file, whole or not at all."""
+        with whole_file(path) as file:
+            np.savez_compressed(
+                file,
+                kind="guide3d distortion 1",
+                raw_px=self.raw_px,
+                ideal_px=self.ideal_px,
+                size=[self.width, self.height],
+                method=self.method,
+                fit=[self.neighbours, self.spans],
+            )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Distortion:
+        """Read a map that `save` wrote.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: The file holds something else.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"distortion file {path} is missing")
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                width, height = (int(side) for side in data["size"])
+                neighbours, spans = (int(number) for number in data["fit"])
+                return cls(data["raw_px"], data["ideal_px"], width, height, str(data["method"]), neighbours, spans)
+        except Exception as error:  # a damaged archive raises a dozen kinds
+            raise ValueError(f"{path}: expected a map as Distortion.save writes it, found {error}") from None
+
+
+def leave_out_errors(
+    holes: SheetHoles, method: str = "local weighted mean", neighbours: int = 25, spans: int = 24
+) -> np.ndarray:
+    """How far the map puts holes that it was not fitted to from where they should be.
+
+    A thirteenth of the holes at a time, no two of them near each other.
+
+    Args:
+        holes: Of a sheet.
+        method: As in `Distortion`.
+        neighbours: As in `Distortion`.
+        spans: As in `Distortion`.
+
+    Returns:
+        (n,) px, in the undistorted frame.
+    """
+    whole = Distortion.from_holes(holes, method, neighbours, spans)
+    fold = (holes.indices[:, 0] + 3 * holes.indices[:, 1]) % _FOLDS
+    errors = np.zeros(len(holes))
+    for number in range(_FOLDS):
+        out = fold == number
+        field = _field(whole.raw_px[~out], whole.ideal_px[~out], whole)
+        errors[out] = np.linalg.norm(field(whole.raw_px[out]) - whole.ideal_px[out], axis=1)
+    return errors
+
+
+def swirl_pattern(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Shift of undistorted pixels by a swirl of one pixel.
+
+    The part of an image intensifier's distortion that turns the image more the farther from its middle; it follows the
+    magnetic field, so it need not be the same when the cube is imaged as when the sheet was.
+
+    Args:
+        pixels: (..., 2) undistorted px.
+        width: Of the image, px.
+        height: Of the image, px.
+
+    Returns:
+        (..., 2) px, of length one at half the longer side from the middle, growing with the cube of the distance.
+    """
+    half = max(width, height) / 2
+    away = (np.asarray(pixels, float) - (np.array([width, height]) - 1) / 2) / half
+    return np.stack([-away[..., 1], away[..., 0]], axis=-1) * (away**2).sum(axis=-1, keepdims=True)
+
+
+def _field(sources: np.ndarray, targets: np.ndarray, fit: Distortion) -> LocalWeightedMean | SplineField:
+    if fit.method == "spline":
+        return SplineField(sources, targets, (fit.width, fit.height), fit.spans)
+    return LocalWeightedMean(sources, targets, fit.neighbours)
+
+
+def _checked(points: np.ndarray) -> np.ndarray:
+    points = np.asarray(points, float)
+    if points.shape[-1:] != (2,):
+        raise ValueError(f"expected pixels of shape (..., 2), found {points.shape}")
+    return points

@@ -1,0 +1,156 @@
+"""Model file: a network's size, preprocessing and weights in one file, whole or not there, and checked when read.
+
+::
+
+    sha256 <64 hexadecimal digits of lower case>    one line: the digest of every byte after it
+    <what `torch.save` wrote>                       read with `weights_only`, which runs no code
+
+The digest is needed: torch checks no checksum when it reads, so a weight with a wrong bit would be taken as it is.
+What a network's file holds::
+
+    format        "guide3d-network-1"
+    kind          "shape", "fgrn" or "segmentation"
+    network       what `guide3d.learning.build` makes the network from: numbers, strings, lists
+    preprocessing fields of `guide3d.learning.preprocessing.Preprocessing`
+    metadata      what else is known: data, training, versions
+    weights       the network's state dictionary; normalisation is part of it
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.utils._pytree import tree_map_only
+
+from guide3d.atomic_file import whole_file
+
+FORMAT = "guide3d-network-1"
+_PARTS = ("network", "preprocessing", "metadata", "weights")
+
+
+class OlderFormatError(ValueError):
+    """A file of torch's own format, which has no digest: earlier versions wrote these."""
+
+
+def write_content(path: Path | str, content: Any) -> None:
+    """Writes numbers, strings, lists, tuples, dictionaries and tensors; a reader sees the former file or this one."""
+    stream = io.BytesIO()
+    torch.save(tree_map_only(Tensor, lambda tensor: tensor.detach().cpu(), content), stream)  # opens on any device
+    with whole_file(path) as file:
+        file.write(_digest_line(stream.getbuffer()))
+        file.write(stream.getbuffer())
+
+
+def read_content(path: Path | str) -> Any:
+    """Reads what `write_content` wrote, its tensors on the CPU.
+
+    Raises:
+        OSError: it cannot be read.
+        OlderFormatError: it is a file without a digest.
+        ValueError: a byte is missing or differs.
+    """
+    data = Path(path).read_bytes()
+    if data.startswith(b"PK"):
+        raise OlderFormatError("a file of an older format, without a digest")
+    body = memoryview(data)[len(_digest_line(b"")) :]
+    if data[: len(data) - len(body)] != _digest_line(body):
+        raise ValueError("its digest does not match")
+    return torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+
+
+def write_model(
+    path: Path | str,
+    *,
+    kind: str,
+    network: dict[str, Any],
+    preprocessing: dict[str, Any],
+    module: nn.Module,
+    metadata: dict[str, Any] | None = None,
+) -> None:
+    """Writes a network; a reader sees the former file or this one.
+
+    Args:
+        path: of the file; its folder is made when missing.
+        kind: of the network.
+        network: what it is built from.
+        preprocessing: of its images.
+        module: whose weights are kept.
+        metadata: numbers and strings.
+
+    Raises:
+        ValueError: a weight is NaN or infinite; the former file stays.
+    """
+    weights = {name: value.detach().cpu() for name, value in module.state_dict().items()}
+    spoilt = _not_finite(weights)
+    if spoilt is not None:
+        raise ValueError(f"{path} was not written: {spoilt} is not finite; train it again with a lower learning rate")
+    content = {
+        "format": FORMAT,
+        "kind": kind,
+        "network": network,
+        "preprocessing": preprocessing,
+        "metadata": metadata or {},
+        "weights": weights,
+    }
+    write_content(path, content)
+
+
+def read_model(path: Path | str, kind: str) -> dict[str, Any]:
+    """Reads what `write_model` wrote.
+
+    Args:
+        path: of the file.
+        kind: of network that it must be.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is damaged, of an older format, holds something else, or a weight is NaN or infinite.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no network {path}: train one first")
+    try:
+        content = read_content(path)
+    except OlderFormatError as error:
+        raise ValueError(f"{path} is {error}: train it again") from error
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read ({error.strerror}): look at the disk, or train it again") from error
+    except Exception as error:
+        reason = str(error) if isinstance(error, ValueError) else type(error).__name__
+        raise ValueError(f"{path} is damaged or no network ({reason}): train it again") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ValueError(f"{path} is no network of format {FORMAT}: train it again")
+    if content.get("kind") != kind:
+        raise ValueError(f"{path} is a network of kind {content.get('kind')}, expected {kind}: give the other file")
+    missing = [name for name in _PARTS if not isinstance(content.get(name), dict)]
+    if missing:
+        raise ValueError(f"{path} is no whole network, without {', '.join(missing)}: train it again")
+    spoilt = _not_finite(content["weights"])
+    if spoilt is not None:
+        raise ValueError(f"{path}: {spoilt} is not finite: train it again")
+    return content
+
+
+# what building or filling a network raises when the file is of another version
+UNFIT = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+
+
+def another_architecture(path: Path | str, error: Exception) -> ValueError:
+    """The error of a file whose weights do not fit its own settings; `error`: what building or filling raised."""
+    reason = " ".join(str(error).split())[:200]
+    return ValueError(f"{path} is of another architecture than this version builds ({reason}): train it again")
+
+
+def _digest_line(body: bytes | memoryview) -> bytes:
+    return b"sha256 " + hashlib.sha256(body).hexdigest().encode() + b"\n"
+
+
+def _not_finite(weights: dict[str, Any]) -> str | None:
+    """The first weight that is not finite, if there is one."""
+    tensors = ((name, value) for name, value in weights.items() if isinstance(value, Tensor))
+    return next((name for name, value in tensors if not bool(torch.isfinite(value).all())), None)

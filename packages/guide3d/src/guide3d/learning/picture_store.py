@@ -1,0 +1,115 @@
+"""Store of prepared pictures: each image is read once, when it is first needed; a damaged one is skipped by name."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from guide3d.learning.preprocessing import Preprocessing
+
+if TYPE_CHECKING:
+    from guide3d.dataset.frame import Frame
+
+UNREAD, READY, DAMAGED = 0, 1, 2
+
+_LOGGER = logging.getLogger(__name__)
+
+
+class PictureStore:
+    """Pictures of frames by index, in memory or in files that several processes share."""
+
+    def __init__(
+        self, frames: Sequence[Frame], camera: str, preprocessing: Preprocessing, folder: Path | None = None
+    ) -> None:
+        """Args:
+        frames: of the data set.
+        camera: "a" or "b".
+        preprocessing: of their images.
+        folder: keeps pictures from one run to the next; None: in memory.
+        """
+        self.frames, self.camera, self.preprocessing = frames, camera, preprocessing
+        size = preprocessing.size_px
+        shape = (len(frames), size, size)
+        self._state: NDArray[np.uint8]
+        self._pictures: NDArray[np.uint8]
+        if folder is None:
+            self._state, self._pictures = np.zeros(len(frames), np.uint8), np.zeros(shape, np.uint8)
+        else:
+            stem = f"prepared-{camera}-{size}-{self._fingerprint()}"
+            self._state = _shared(folder / f"{stem}.state", (len(frames),))
+            self._pictures = _shared(folder / f"{stem}.pixels", shape)
+        self._told: set[int] = set()
+
+    def healthy(self, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Reads what has not been read yet.
+
+        Args:
+            indices: of frames, of any shape.
+
+        Returns:
+            Whether each can be used.
+        """
+        for index in np.unique(indices).tolist():
+            # A picture found damaged by an earlier run may have been mended.
+            if self._state[index] != READY and index not in self._told:
+                self._read(index)
+        return np.asarray(self._state[indices] == READY)
+
+    def pictures(self, indices: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """Gives pictures.
+
+        Args:
+            indices: of frames, of any shape.
+
+        Returns:
+            (..., size_px, size_px) uint8; of damaged images zeros.
+        """
+        self.healthy(indices)
+        return np.asarray(self._pictures[indices])
+
+    @property
+    def damaged(self) -> list[str]:
+        """Names of the frames whose image could not be read so far."""
+        return [self.frames[index].label for index in sorted(self._told)]
+
+    def _read(self, index: int) -> None:
+        frame = self.frames[index]
+        try:
+            picture = self.preprocessing(frame.image(self.camera))
+        except (ValueError, OSError) as error:
+            self._told.add(index)
+            self._state[index] = DAMAGED
+            _LOGGER.warning("frame %s is skipped: %s", frame.label, error)
+            return
+        self._pictures[index] = picture
+        self._state[index] = READY  # last: another process that sees it finds the picture
+
+    def _fingerprint(self) -> str:
+        digest = hashlib.sha256(json.dumps(asdict(self.preprocessing), sort_keys=True).encode())
+        for frame in self.frames:
+            path = frame.image_path(self.camera)
+            status = path.stat() if path is not None and path.exists() else None
+            told = () if status is None else (status.st_size, status.st_mtime_ns)
+            digest.update(f"{frame.label}:{path}:{told}".encode())
+        return digest.hexdigest()[:16]
+
+
+def _shared(path: Path, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """A file of zeros that processes share, made at once if it is not there or has another size."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    size = int(np.prod(shape))
+    if not path.is_file() or path.stat().st_size != size:
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+        with temporary.open("wb") as file:
+            file.truncate(size)  # sparse: takes no room until it is written
+        os.replace(temporary, path)
+    return np.memmap(path, np.uint8, "r+", shape=shape)

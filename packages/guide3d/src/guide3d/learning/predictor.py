@@ -1,0 +1,281 @@
+"""Predictors: uint8 images of a camera to a curve in millimetres, or to a mask; the border between numpy and torch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from guide3d.geometry.polyline import Array
+from guide3d.learning.build import build_fgrn, build_segmenter, described, rebuilt
+from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
+from guide3d.learning.preprocessing import Preprocessing
+from guide3d.modeling.fgrn import FGRN
+from guide3d.modeling.shape_network import ShapeNetwork
+
+Images = NDArray[np.uint8]
+_BATCH = 16
+_OVERLAP = 0.125  # of a tile's side, at least
+
+
+class ShapePredictor:
+    """Frames of one camera to the wire in space."""
+
+    def __init__(
+        self,
+        network: ShapeNetwork,
+        size: dict[str, Any],
+        preprocessing: Preprocessing,
+        metadata: dict[str, Any],
+    ) -> None:
+        """Args:
+        network: that predicts.
+        size: as `build.described` told it.
+        preprocessing: of the images.
+        metadata: what else is known of it.
+        """
+        self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata
+
+    def predict(self, images: Sequence[Images] | Images) -> Array:
+        """Predicts the wire at the last of some frames.
+
+        Args:
+            images: frames in time order, (h, w) uint8 each, as the camera took them; only the last few count, and
+                where there are fewer than the network sees, the first is repeated.
+
+        Returns:
+            (n, 3) mm, world, tip first.
+
+        Raises:
+            ValueError: no image, or one of another size or type.
+        """
+        if not len(images):
+            raise ValueError("expected at least one image, got none")
+        frames = self.network.frames
+        pictures = [self.preprocessing(image) for image in images[-frames:]]
+        pictures = [pictures[0]] * (frames - len(pictures)) + pictures
+        return self.predict_pictures(np.stack(pictures)[None])[0]
+
+    def predict_pictures(self, windows: Images) -> list[Array]:
+        """Predicts from windows of pictures that are prepared already.
+
+        Args:
+            windows: (n, frames, size_px, size_px) uint8.
+
+        Returns:
+            A curve a window, (m, 3) mm each.
+        """
+        curves: list[Array] = []
+        device = next(self.network.parameters()).device
+        with torch.inference_mode():
+            for start in range(0, len(windows), _BATCH):
+                part = torch.from_numpy(windows[start : start + _BATCH].astype(np.float32)).to(device)
+                curves += [curve.double().cpu().numpy() for curve in self.network.curves(part)]
+        return curves
+
+    def save(self, path: Path | str) -> None:
+        """Writes network, preprocessing and metadata into one file, whole or not at all."""
+        _save(path, "shape", self.size, self)
+
+    @classmethod
+    def load(cls, path: Path | str, device: str = "cpu") -> ShapePredictor:
+        """Reads a predictor.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
+        """
+        return cls(*_loaded(path, "shape", device, rebuilt))
+
+    @classmethod
+    def of(cls, network: ShapeNetwork, size: Any, preprocessing: Preprocessing, **metadata: Any) -> ShapePredictor:
+        """The predictor of a network just trained; `size` is its `build.ShapeSize`."""
+        return cls(network, described(size, network.form, network.positions), preprocessing, metadata)
+
+
+class FGRNPredictor:
+    """One image to a fixed number of points along the wire."""
+
+    def __init__(
+        self, network: FGRN, size: dict[str, Any], preprocessing: Preprocessing, metadata: dict[str, Any]
+    ) -> None:
+        """Args:
+        network: that predicts.
+        size: arguments of `build.build_fgrn`.
+        preprocessing: of the images.
+        metadata: what else is known of it.
+        """
+        self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata
+
+    def predict(self, image: Images) -> Array:
+        """Predicts the wire in an image; it has no stop, so points beyond the wire's end are told, too.
+
+        Args:
+            image: (h, w) uint8, as the camera took it.
+
+        Returns:
+            (points, 3) mm, world, tip first.
+        """
+        result: Array = self.predict_pictures(self.preprocessing(image)[None])[0]
+        return result
+
+    def predict_pictures(self, pictures: Images) -> Array:
+        """(n, size_px, size_px) uint8, prepared already, to (n, points, 3) mm."""
+        device = self.network.point_mean.device
+        with torch.inference_mode():
+            return self.network(torch.from_numpy(pictures.astype(np.float32)).to(device)).double().cpu().numpy()
+
+    def save(self, path: Path | str) -> None:
+        """Writes network, preprocessing and metadata into one file, whole or not at all."""
+        _save(path, "fgrn", self.size, self)
+
+    @classmethod
+    def load(cls, path: Path | str, device: str = "cpu") -> FGRNPredictor:
+        """Reads a predictor.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
+        """
+        return cls(*_loaded(path, "fgrn", device, lambda told: build_fgrn(**told)))
+
+
+class SegmentationPredictor:
+    """An image to the mask of the wire."""
+
+    def __init__(
+        self, network: torch.nn.Module, size: dict[str, Any], preprocessing: Preprocessing, metadata: dict[str, Any]
+    ) -> None:
+        """Args:
+        network: that predicts.
+        size: ``name``, ``crop_px`` and ``sizes``, arguments of `build.build_segmenter`.
+        preprocessing: of the images.
+        metadata: what else is known of it.
+        """
+        self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata
+
+    def predict(self, image: Images) -> Images:
+        """Predicts the mask of an image.
+
+        Args:
+            image: (h, w) uint8, as the camera took it.
+
+        Returns:
+            (h, w) uint8, 255 on the wire.
+        """
+        return np.where(self.enlarged(self.chances(self.preprocessing(image))) >= 0.5, 255, 0).astype(np.uint8)
+
+    def chances(self, picture: Images) -> NDArray[np.float32]:
+        """The chance of each pixel of a picture, prepared already, to be wire.
+
+        Tiles that the network can see at once overlap; there, what lies further from a tile's border counts more.
+
+        Args:
+            picture: (size_px, size_px) uint8.
+
+        Returns:
+            Likewise, 0 to 1.
+        """
+        side, tile = picture.shape[0], self.size["crop_px"]
+        corners = _corners(side, tile)
+        weight = _weight(tile)
+        total, weights = np.zeros(picture.shape, np.float32), np.zeros(picture.shape, np.float32)
+        device = next(self.network.parameters()).device
+        places = [(row, column) for row in corners for column in corners]
+        tiles = np.stack([picture[row : row + tile, column : column + tile] for row, column in places])
+        with torch.inference_mode():
+            for start in range(0, len(places), 4):
+                part = torch.from_numpy(tiles[start : start + 4].astype(np.float32))[:, None].to(device)
+                chance = self.network(part).float().sigmoid()[:, 0].cpu().numpy()
+                for (row, column), one in zip(places[start : start + 4], chance, strict=True):
+                    total[row : row + tile, column : column + tile] += weight * one
+                    weights[row : row + tile, column : column + tile] += weight
+        return total / weights
+
+    def enlarged(self, chances: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Chances at the size of the camera's image, interpolated."""
+        side = self.preprocessing.source_px
+        if chances.shape[0] == side:
+            return chances
+        one = torch.from_numpy(chances)[None, None]
+        big = torch.nn.functional.interpolate(one, size=(side, side), mode="bilinear", align_corners=False)
+        return big[0, 0].numpy()
+
+    def save(self, path: Path | str) -> None:
+        """Writes network, preprocessing and metadata into one file, whole or not at all."""
+        _save(path, "segmentation", self.size, self)
+
+    @classmethod
+    def load(cls, path: Path | str, device: str = "cpu") -> SegmentationPredictor:
+        """Reads a predictor.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
+        """
+        return cls(*_loaded(path, "segmentation", device, built))
+
+
+def built(told: dict[str, Any]) -> torch.nn.Module:
+    """A segmentation network, its first layer after one that makes grey values of 0 to 255 into about -1 to 1."""
+    return torch.nn.Sequential(Scaled(), build_segmenter(told["name"], told["crop_px"], **told["sizes"]))
+
+
+class Scaled(torch.nn.Module):
+    """Grey values with mean and scale of what was learnt from taken out."""
+
+    pixel_mean: torch.Tensor
+    pixel_scale: torch.Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("pixel_mean", torch.zeros(()))
+        self.register_buffer("pixel_scale", torch.ones(()))
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Any shape to the same."""
+        return (images - self.pixel_mean) / self.pixel_scale
+
+
+def _corners(side: int, tile: int) -> list[int]:
+    if tile >= side:
+        return [0]
+    count = math.ceil((side - tile) / (tile * (1 - _OVERLAP))) + 1
+    return np.linspace(0, side - tile, count).round().astype(int).tolist()
+
+
+def _weight(tile: int) -> NDArray[np.float32]:
+    edge = np.minimum(np.arange(tile), np.arange(tile)[::-1]) + 1.0
+    ramp = np.minimum(edge / (tile * _OVERLAP), 1.0)
+    return np.outer(ramp, ramp).astype(np.float32)
+
+
+def _save(path: Path | str, kind: str, size: dict[str, Any], predictor: Any) -> None:
+    write_model(
+        path,
+        kind=kind,
+        network=size,
+        preprocessing=asdict(predictor.preprocessing),
+        module=predictor.network,
+        metadata=predictor.metadata,
+    )
+
+
+def _loaded(
+    path: Path | str, kind: str, device: str, build: Callable[[dict[str, Any]], Any]
+) -> tuple[Any, dict[str, Any], Preprocessing, dict[str, Any]]:
+    """What a predictor of this kind is made of."""
+    content = read_model(path, kind)
+    try:
+        network = build(content["network"])
+        network.load_state_dict(content["weights"])
+        preprocessing = Preprocessing(**content["preprocessing"])
+    except UNFIT as error:
+        raise another_architecture(path, error) from error
+    return network.to(device), content["network"], preprocessing, content["metadata"]

@@ -1,0 +1,315 @@
+"""Training: epochs of shuffled batches, validated by acquisition, the best weights kept, exactly resumable by epoch.
+
+One code path serves one process and many (torchrun), with and without GPUs; on GPUs numbers are mixed precision. In the
+folder of a training lie, while it goes on::
+
+    last.pt   weights, optimiser, schedule and table after the last finished epoch
+    best.pt   weights of the epoch with the best validation
+
+A process killed at any moment loses the epoch it was in: every epoch draws from generators of its own, seeded by the
+training's seed and the epoch's number, so what follows is what would have followed.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+import torch
+from annotated_types import Interval
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from guide3d.learning.distributed import Ranks
+from guide3d.learning.model_file import UNFIT, read_content, write_content
+from guide3d.setting_kinds import Count, CountOrNone, LearningRate, Weight, settings
+
+OPTIMISERS = ("nadam", "adamw", "sgd")
+SCHEDULES = ("plateau", "one_cycle", "polynomial", "constant")
+FORMAT = "guide3d-training-1"
+LAST, BEST = "last.pt", "best.pt"
+_RISE = 0.2  # share of a one-cycle schedule in which the rate rises
+_PRIME = 1_000_003
+
+Indices = NDArray[np.int64]
+Batch = Mapping[str, Tensor]
+
+
+@settings
+class FitSettings:
+    """How a network is trained; the defaults are those of the thesis's shape network.
+
+    Attributes:
+        epochs: at most.
+        batch_size: items an update, over all processes.
+        optimiser: "nadam", "adamw" or "sgd" (momentum 0.9).
+        learning_rate: the first, or the highest of a one-cycle schedule.
+        weight_decay: of the optimiser.
+        schedule: "plateau" (times `factor` after `plateau_patience` epochs without a better validation), "one_cycle",
+            "polynomial" (to nothing, power 0.9) or "constant".
+        factor: of the plateau.
+        plateau_patience: epochs.
+        patience: epochs without a better validation after which training stops; 0: never.
+        clip: largest norm of the gradient; 0: any.
+    """
+
+    epochs: Count = 400
+    batch_size: Count = 16
+    optimiser: str = "nadam"
+    learning_rate: LearningRate = 1e-4
+    weight_decay: Weight = 0.0
+    schedule: str = "plateau"
+    factor: Annotated[float, Interval(gt=0, lt=1)] = 0.1
+    plateau_patience: CountOrNone = 10
+    patience: CountOrNone = 30
+    clip: Weight = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuses unknown names."""
+        for name, known in (("optimiser", OPTIMISERS), ("schedule", SCHEDULES)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"unknown {name} '{getattr(self, name)}'; there are {', '.join(known)}")
+
+
+class Objective(Protocol):
+    """What a network learns from: items to learn from and others to validate with, and the loss of a batch."""
+
+    training_items: Indices
+    validation_items: Indices
+
+    def batch(self, items: Indices, generator: np.random.Generator | None) -> Batch:
+        """Tensors of items; augmented where there is a generator. Items that cannot be read are replaced."""
+
+    def loss(self, module: nn.Module, batch: Batch) -> Tensor:
+        """Mean loss of a batch."""
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """How far a training is."""
+
+    epoch: int  # finished ones
+    epochs: int
+    loss: float
+    validation: float | None
+
+
+@dataclass
+class FitReport:
+    """What a training was like.
+
+    Attributes:
+        rows: an epoch each: epoch, loss, validation (None without), learning_rate, cpu_s.
+        best_epoch: whose weights are kept.
+    """
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    best_epoch: int = 0
+
+    @property
+    def cpu_s(self) -> float:
+        """Processor time of this process, of every start."""
+        return float(self.rows[-1]["cpu_s"]) if self.rows else 0.0
+
+
+class TrainingError(ValueError):
+    """A training cannot go on: its checkpoint is of something else, or its loss is no number."""
+
+
+def fit(
+    module: nn.Module,
+    objective: Objective,
+    settings: FitSettings,
+    *,
+    folder: Path | str,
+    seed: int = 0,
+    ranks: Ranks | None = None,
+    progress: Callable[[FitProgress], None] | None = None,
+) -> FitReport:
+    """Trains a module in place and leaves it with the weights of its best epoch.
+
+    Args:
+        module: to be trained.
+        objective: what it learns.
+        settings: of the training.
+        folder: for the checkpoints; `finished` removes them.
+        seed: of shuffling, augmentation and dropout.
+        ranks: that train together; None: this process alone, on the processor.
+        progress: called after every epoch, when its checkpoint is written; what it raises ends the training there.
+
+    Returns:
+        What it was like.
+
+    Raises:
+        TrainingError: a checkpoint of another architecture, other items or other settings; a loss that is not finite.
+    """
+    ranks = ranks or Ranks(0, 1, torch.device("cpu"))
+    folder = Path(folder)
+    module.to(ranks.device)
+    optimiser = _optimiser(module, settings)
+    plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
+        optimiser, factor=settings.factor, patience=settings.plateau_patience
+    )
+    on_gpu = ranks.device.type == "cuda"
+    precision = torch.bfloat16 if on_gpu and torch.cuda.is_bf16_supported() else torch.float16
+    scaler = torch.amp.GradScaler(ranks.device.type, enabled=on_gpu and precision == torch.float16)
+    parts: dict[str, Any] = {"module": module, "optimiser": optimiser, "plateau": plateau, "scaler": scaler}
+    report = FitReport()
+    identity = {
+        "weights": {name: list(value.shape) for name, value in module.state_dict().items()},
+        "items": [len(objective.training_items), len(objective.validation_items)],
+        "settings": asdict(settings),
+        "seed": seed,
+    }
+    if (folder / LAST).is_file():
+        _resume(folder / LAST, identity, parts, report)
+    shared = ranks.wrapped(module)
+    while len(report.rows) < settings.epochs and not _out_of_patience(report, settings):
+        epoch, started = len(report.rows), time.process_time()
+        torch.manual_seed((seed * _PRIME + epoch) * 64 + ranks.rank)
+        generator = np.random.default_rng((seed, epoch, ranks.rank))
+        shared.train()
+        total = count = 0.0
+        batches = _batches(objective.training_items, settings, np.random.default_rng((seed, epoch)), ranks)
+        for number, items in enumerate(batches):
+            _set_rate(optimiser, settings, (epoch + number / len(batches)) / settings.epochs)
+            batch = _moved(objective.batch(items, generator), ranks.device)
+            with torch.autocast(ranks.device.type, precision, enabled=on_gpu):
+                value = objective.loss(shared, batch)
+            optimiser.zero_grad()
+            scaler.scale(value).backward()
+            if settings.clip:
+                scaler.unscale_(optimiser)
+                nn.utils.clip_grad_norm_(module.parameters(), settings.clip)
+            scaler.step(optimiser)
+            scaler.update()
+            total, count = total + float(value.detach()) * len(items), count + len(items)
+        total, count = ranks.summed(total, count)
+        mean = total / count
+        if not math.isfinite(mean):
+            raise TrainingError(
+                f"the loss became {mean} in epoch {epoch + 1}: look for odd samples, or lower learning_rate"
+            )
+        validation = validate(module, objective, settings, ranks)
+        if settings.schedule == "plateau":
+            plateau.step(mean if validation is None else validation)
+        spent = time.process_time() - started + report.cpu_s
+        rate = float(optimiser.param_groups[0]["lr"])
+        known = [row["validation"] for row in report.rows]
+        row = {"epoch": epoch + 1, "loss": mean, "validation": validation, "learning_rate": rate, "cpu_s": spent}
+        report.rows.append(row)
+        better = validation is None or all(other is None or validation < other for other in known)
+        if better:
+            report.best_epoch = epoch + 1
+        if ranks.rank == 0:
+            if better:
+                write_content(folder / BEST, module.state_dict())
+            states = {name: part.state_dict() for name, part in parts.items()}
+            write_content(folder / LAST, {"format": FORMAT, "identity": identity, "report": asdict(report), **states})
+        if progress is not None:
+            progress(FitProgress(epoch + 1, settings.epochs, mean, validation))
+    ranks.wait()
+    try:
+        module.load_state_dict(read_content(folder / BEST))
+    except (OSError, *UNFIT) as error:
+        raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start anew") from error
+    module.eval()
+    return report
+
+
+def finished(folder: Path | str) -> None:
+    """Removes the checkpoints of a training whose network is safe elsewhere, and the folder if that is all in it."""
+    folder = Path(folder)
+    for name in (LAST, BEST):
+        (folder / name).unlink(missing_ok=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+@torch.no_grad()
+def validate(module: nn.Module, objective: Objective, settings: FitSettings, ranks: Ranks) -> float | None:
+    """Mean loss of the validation items, not augmented.
+
+    Args:
+        module: likewise.
+        objective: has the items.
+        settings: of the training.
+        ranks: that share the work.
+
+    Returns:
+        The loss; None without items.
+    """
+    own = objective.validation_items[ranks.rank :: ranks.count]
+    if not len(objective.validation_items):
+        return None
+    module.eval()
+    total = 0.0
+    size = max(1, settings.batch_size // ranks.count)
+    for start in range(0, len(own), size):
+        items = own[start : start + size]
+        total += float(objective.loss(module, _moved(objective.batch(items, None), ranks.device))) * len(items)
+    total, count = ranks.summed(total, len(own))
+    return total / count
+
+
+def _batches(items: Indices, settings: FitSettings, generator: np.random.Generator, ranks: Ranks) -> list[Indices]:
+    """This rank's batches of an epoch; every rank has as many of them, of the same sizes."""
+    order = generator.permutation(items)
+    missing = -len(order) % ranks.count
+    own = np.concatenate((order, order[:missing]))[ranks.rank :: ranks.count]
+    size = max(1, settings.batch_size // ranks.count)
+    return [own[start : start + size] for start in range(0, len(own), size)]
+
+
+def _optimiser(module: nn.Module, settings: FitSettings) -> torch.optim.Optimizer:
+    weights = [weight for weight in module.parameters() if weight.requires_grad]
+    if settings.optimiser == "nadam":
+        return torch.optim.NAdam(weights, settings.learning_rate, weight_decay=settings.weight_decay)
+    if settings.optimiser == "adamw":
+        return torch.optim.AdamW(weights, settings.learning_rate, weight_decay=settings.weight_decay, fused=True)
+    return torch.optim.SGD(weights, settings.learning_rate, momentum=0.9, weight_decay=settings.weight_decay)
+
+
+def _set_rate(optimiser: torch.optim.Optimizer, settings: FitSettings, share: float) -> None:
+    if settings.schedule == "one_cycle":
+        if share < _RISE:
+            factor = 0.04 + 0.96 * 0.5 * (1 - math.cos(math.pi * share / _RISE))
+        else:
+            factor = 0.5 * (1 + math.cos(math.pi * (share - _RISE) / (1 - _RISE)))
+    elif settings.schedule == "polynomial":
+        factor = (1.0 - share) ** 0.9
+    else:
+        return
+    for group in optimiser.param_groups:
+        group["lr"] = settings.learning_rate * max(factor, 1e-6)
+
+
+def _moved(batch: Batch, device: torch.device) -> Batch:
+    return {name: value.to(device, non_blocking=True) for name, value in batch.items()}
+
+
+def _out_of_patience(report: FitReport, settings: FitSettings) -> bool:
+    return bool(settings.patience) and len(report.rows) - report.best_epoch >= settings.patience
+
+
+def _resume(file: Path, identity: dict[str, Any], parts: dict[str, Any], report: FitReport) -> None:
+    try:
+        content = read_content(file)
+        if content["format"] != FORMAT:
+            raise KeyError("format")
+        for name, mine in identity.items():
+            if content["identity"][name] != mine:
+                what = "another architecture" if name == "weights" else f"a training with other {name}"
+                raise TrainingError(f"{file} is of {what}: remove it to start anew, or take another folder")
+        for name, part in parts.items():
+            part.load_state_dict(content[name])
+        report.rows, report.best_epoch = content["report"]["rows"], content["report"]["best_epoch"]
+    except TrainingError:
+        raise
+    except (OSError, *UNFIT) as error:
+        raise TrainingError(f"{file} is damaged or no checkpoint of a training: remove it to start anew") from error

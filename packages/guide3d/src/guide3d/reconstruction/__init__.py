@@ -1,0 +1,1 @@
+"""Reconstruction of a wire in space from two images."""

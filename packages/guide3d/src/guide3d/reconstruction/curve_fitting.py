@@ -1,0 +1,210 @@
+"""The smooth curve in space that passes through both annotations, with the uncertainty of each of its points.
+
+Unknown is a uniform cubic B-spline. An annotated point says that the curve's image passes it, not where along the
+curve it lies: its residual is the distance across, and its place along follows the curve (the tip alone is a point in
+both images). So matching decides which branch belongs to which, and no more. Where a wire runs along the epilines the
+images leave its depth open; there the prior decides: a wire is stiff. Its curvature, and the change of its curvature
+along the wire, have heavy-tailed priors, which keep shafts straight and let hooks be hooks. Gauss-Newton (compiled)
+finds the most probable curve; the noise of the annotation is estimated with it; the inverse of the normal matrix is
+the covariance.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solveh_banded
+
+from guide3d.geometry.bspline import BSplineCurve
+from guide3d.geometry.camera import Camera
+from guide3d.geometry.polyline import arc_length, at_length
+from guide3d.native_library import ImageStruct, PriorStruct, SplineStruct, address, library
+from guide3d.setting_kinds import Millimetres, PixelDistance, Positive, settings
+
+Array = NDArray[np.float64]
+
+START_SMOOTHING_MM = 3.0  # of the first curve, through triangulated pairs
+
+
+@settings
+class FitSettings:
+    """What is known of a wire and of its annotation beforehand.
+
+    pitch_mm: distance of the spline's knots
+    noise_px: noise of an annotated point in each coordinate, to start from
+    estimate_noise: whether to estimate it from the residuals
+    least_noise_px: least noise an estimate may have
+    outlier: in noises, the distance at which an annotated point has lost half its weight
+    bending_per_mm: spectral density of the curvature (1/mm)^2 mm; smaller is stiffer
+    bend_per_mm: curvature beyond which more bending costs ever less
+    changing_per_mm3: spectral density of the curvature's derivative
+    change_per_mm2: derivative of the curvature beyond which more change costs ever less
+    speed: how far the parameter may deviate from arc length, relative, per square root of mm
+    margin_mm: how far the spline reaches beyond the matched end
+    iterations: at most
+    """
+
+    pitch_mm: Millimetres = 4.0
+    noise_px: PixelDistance = 1.0
+    estimate_noise: bool = True
+    least_noise_px: PixelDistance = 0.15
+    outlier: Positive = 3.0
+    bending_per_mm: Positive = 3e-4
+    bend_per_mm: Positive = 0.01
+    changing_per_mm3: Positive = 1e-5
+    change_per_mm2: Positive = 2e-3
+    speed: Positive = 0.2
+    margin_mm: Millimetres = 10.0
+    iterations: Annotated[int, Interval(ge=1, le=100_000)] = 25
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCurve:
+    """A wire in space.
+
+    spline: mm; its parameter is nearly the arc length
+    end: parameter at which the wire leaves the image that it leaves first
+    band: (3 n, 12) covariance of the control points, mm^2: element (j + k, j) at [j, k]
+    along: per view, parameter of each annotated point
+    off_px: per view, signed distance of each annotated point from the curve's image
+    noise_px: noise of the annotation, as estimated
+    iterations: that it took
+    """
+
+    spline: BSplineCurve
+    end: float
+    band: Array
+    along: tuple[Array, Array]
+    off_px: tuple[Array, Array]
+    noise_px: float
+    iterations: int
+
+    def sample(self, spacing_mm: float) -> tuple[Array, Array]:
+        """Returns points (n, 3) mm at equal arc length from the tip and their covariances (n, 3, 3) mm^2."""
+        fine = np.linspace(0.0, self.end, max(2, int(4 * self.end / spacing_mm)))
+        along = arc_length(self.spline.at(fine))
+        u = np.interp(spacing_mm * np.arange(int(along[-1] / spacing_mm + 1e-9) + 1), along, fine)
+        return self.spline.at(u), self.covariance(u)
+
+    def covariance(self, u: ArrayLike) -> Array:
+        """Returns the covariance (n, 3, 3) mm^2 of the curve's points at parameters u."""
+        pitch = self.spline.knots[4] - self.spline.knots[3]
+        cell, value = _basis(np.asarray(u, dtype=float), pitch, len(self.spline.coefficients))
+        low = np.minimum(np.arange(12)[:, None], np.arange(12))
+        high = np.maximum(np.arange(12)[:, None], np.arange(12))
+        cells = np.arange(len(self.spline.coefficients) - 3)
+        blocks = self.band[3 * cells[:, None, None] + low, high - low].reshape(-1, 4, 3, 4, 3)
+        return np.asarray(np.einsum("na,nadbe,nb->nde", value, blocks[cell], value, optimize=True))
+
+
+def fit_curve(
+    cameras: tuple[Camera, Camera],
+    annotated: Sequence[Array],
+    along: Sequence[Array],
+    start_mm: ArrayLike,
+    tip_seen: Sequence[bool],
+    settings: FitSettings | None = None,
+) -> FittedCurve:
+    """Fits a curve in space to its annotations in two images.
+
+    Args:
+        cameras: A and B.
+        annotated: per view (n, 2) undistorted px, tip first.
+        along: per view (n,) mm, about where on `start_mm` each point lies; beyond its end where one view sees more.
+        start_mm: (m, 3) a first curve, tip first, up to where one of the views ends.
+        tip_seen: per view, whether the first annotated point is the tip.
+        settings: priors.
+
+    Returns:
+        The most probable curve.
+
+    Raises:
+        ValueError: the images do not determine a curve.
+    """
+    chosen = settings or FitSettings()
+    start = np.asarray(start_mm, dtype=float)
+    length = float(arc_length(start)[-1])
+    control = _first_control_points(start, length, chosen)
+    band = np.zeros((control.size, 12))
+    images = (ImageStruct * 2)()
+    places = tuple(np.array(value, dtype=float, order="C") for value in along)
+    offsets = tuple(np.zeros(len(value)) for value in places)
+    held = []  # the structs hold addresses only
+    for view, camera in enumerate(cameras):
+        P = np.ascontiguousarray(camera.P, dtype=float)
+        points = np.ascontiguousarray(annotated[view], dtype=float)
+        held.append((P, points))
+        fields = (address(P), address(points), address(places[view]), int(tip_seen[view]), address(offsets[view]))
+        images[view] = ImageStruct(len(points), *fields)
+    spline = SplineStruct(len(control), chosen.pitch_mm, address(control), address(band))
+    prior = PriorStruct(
+        chosen.noise_px,
+        chosen.least_noise_px,
+        int(chosen.estimate_noise),
+        chosen.outlier,
+        chosen.bending_per_mm,
+        chosen.bend_per_mm,
+        chosen.changing_per_mm3,
+        chosen.change_per_mm2,
+        chosen.speed,
+        chosen.iterations,
+        0.0,
+    )
+    iterations = library().guide3d_fit(images, ctypes.byref(spline), ctypes.byref(prior))
+    if iterations < 0 or not np.isfinite(control).all():
+        raise ValueError(
+            f"no curve in space fits the {len(annotated[0])} and {len(annotated[1])} annotated points; "
+            "check the order of the cameras and that both annotations start at the tip"
+        )
+    knots = chosen.pitch_mm * np.arange(-3.0, len(control) + 1)
+    end = min(*(float(place[-1]) for place in places), float(knots[-4]))
+    curve = BSplineCurve(knots, control)
+    return FittedCurve(curve, end, band, (places[0], places[1]), (offsets[0], offsets[1]), prior.noise, iterations)
+
+
+def smoothed(points_mm: Array, weights: Array, stiffness: float) -> Array:
+    """Smooths (n, 3) points by a penalty on their second differences (Whittaker), with a weight (n,) each."""
+    n = len(points_mm)
+    band = _difference_band(n, stiffness)
+    band[0] += weights
+    return np.asarray(solveh_banded(band, points_mm * weights[:, None], lower=True))
+
+
+def _difference_band(n: int, weight: float) -> Array:
+    band = np.zeros((3, n))
+    stencil = (1.0, -2.0, 1.0)
+    for first in range(3):
+        for second in range(first, 3):
+            band[second - first, first : n - 2 + first] += weight * stencil[first] * stencil[second]
+    return band
+
+
+def _basis(s: Array, pitch: float, count: int) -> tuple[NDArray[np.int64], Array]:
+    cell = np.clip((s / pitch).astype(np.int64), 0, count - 4)
+    u = s / pitch - cell
+    v = 1.0 - u
+    return cell, np.stack([v**3, 3 * u**3 - 6 * u**2 + 4, 3 * v**3 - 6 * v**2 + 4, u**3], axis=1) / 6
+
+
+def _first_control_points(start: Array, length: float, settings: FitSettings) -> Array:
+    """Least squares of the spline through the first curve; beyond its end the spline goes straight on."""
+    count = int(np.ceil((length + settings.margin_mm) / settings.pitch_mm)) + 3
+    s = np.linspace(0.0, length, max(50, 4 * count))
+    cell, value = _basis(s, settings.pitch_mm, count)
+    points = at_length(start, s)
+    band, right = np.zeros((4, count)), np.zeros((count, 3))
+    difference = _difference_band(count, 1.0 / settings.pitch_mm)
+    band[:3] += difference
+    band[0] += 1e-9
+    for first in range(4):
+        for second in range(first, 4):
+            band[second - first] += np.bincount(cell + first, value[:, first] * value[:, second], count)
+        for axis in range(3):
+            right[:, axis] += np.bincount(cell + first, value[:, first] * points[:, axis], count)
+    return np.ascontiguousarray(solveh_banded(band, right, lower=True))

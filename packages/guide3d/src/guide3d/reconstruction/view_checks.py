@@ -1,0 +1,115 @@
+"""Whether annotations and cameras belong together, by epipolar residuals: swapped cameras, raw or undistorted points.
+
+The residual of a pair is the epipolar distance, root mean square, of its best monotone match. One pair may deceive:
+over a whole set the right assignment is the one with the least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from guide3d.geometry.camera import Camera
+from guide3d.geometry.epipolar import EpipolarGeometry
+from guide3d.reconstruction.matching import MatchingSettings, clearly_better, image_curve, match_curves
+
+Array = NDArray[np.float64]
+Pair = tuple[ArrayLike, ArrayLike]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Which of two readings of the data fits the geometry.
+
+    answer: the reading
+    residual_px: its median epipolar residual
+    other_px: that of the other reading
+    sure: whether the difference is beyond chance
+    sentence: all that in words
+    """
+
+    answer: str
+    residual_px: float
+    other_px: float
+    sure: bool
+    sentence: str
+
+
+def epipolar_residuals(
+    camera_a: Camera, camera_b: Camera, pairs: Sequence[Pair], settings: MatchingSettings | None = None
+) -> Array:
+    """Returns the epipolar residual (n,) px of each pair of annotations, (k, 2) px in A and (l, 2) px in B.
+
+    Raises:
+        ValueError: no pairs, or an annotation that is no curve.
+    """
+    if not len(pairs):
+        raise ValueError("expected at least one pair of annotations, got none")
+    chosen = settings or MatchingSettings()
+    geometry = EpipolarGeometry(camera_a, camera_b)
+    residuals = []
+    for a, b in pairs:
+        curves = (
+            image_curve(a, chosen.sample_px, "annotation of camera A"),
+            image_curve(b, chosen.sample_px, "annotation of camera B"),
+        )
+        # what leaves the tips out has no residual of its own, and is as bad as what is matched at the limit
+        residuals.append(min(match_curves(geometry, *curves, settings=chosen).residual_px, 2 * chosen.crossing_px))
+    return np.array(residuals)
+
+
+def swapped_cameras(camera_a: Camera, camera_b: Camera, pairs: Sequence[Pair]) -> Verdict:
+    """Tells whether the cameras belong to each other's images.
+
+    Args:
+        camera_a: thought to have taken the first of each pair.
+        camera_b: thought to have taken the second.
+        pairs: annotations ((n, 2), (m, 2)) px, tip first.
+
+    Returns:
+        answer "as given" or "swapped".
+    """
+    given = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
+    other = float(np.median(epipolar_residuals(camera_b, camera_a, pairs)))
+    return _verdict(("as given", "swapped"), given, other, "the cameras are", len(pairs))
+
+
+def undistorted_or_raw(
+    camera_a: Camera,
+    camera_b: Camera,
+    pairs: Sequence[Pair],
+    undistort_a: Callable[[Array], Array],
+    undistort_b: Callable[[Array], Array],
+) -> Verdict:
+    """Tells whether annotations are undistorted already, or raw pixels of the image intensifier.
+
+    Args:
+        camera_a: of undistorted pixels.
+        camera_b: of undistorted pixels.
+        pairs: annotations ((n, 2), (m, 2)) px, tip first.
+        undistort_a: takes raw px (n, 2) of A to undistorted ones.
+        undistort_b: the same of B.
+
+    Returns:
+        answer "undistorted" or "raw".
+    """
+    moved = [(undistort_a(np.asarray(a, dtype=float)), undistort_b(np.asarray(b, dtype=float))) for a, b in pairs]
+    given = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
+    other = float(np.median(epipolar_residuals(camera_a, camera_b, moved)))
+    return _verdict(("undistorted", "raw"), given, other, "the annotations are", len(pairs))
+
+
+def _verdict(answers: tuple[str, str], given: float, other: float, subject: str, count: int) -> Verdict:
+    better = other < given
+    answer = answers[1] if better else answers[0]
+    residual, worse = (other, given) if better else (given, other)
+    sure = clearly_better(residual, worse)
+    tone = "" if sure else ", probably"
+    sentence = (
+        f"{subject} {answer}{tone}: epipolar residual {residual:.2f} px, against {worse:.2f} px were they "
+        f"{answers[0 if better else 1]} (median of {count} pairs)"
+    )
+    return Verdict(answer, residual, worse, sure, sentence)

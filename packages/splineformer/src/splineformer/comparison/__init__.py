@@ -1,0 +1,1 @@
+"""Comparison with curves traced from a segmentation."""

@@ -1,0 +1,138 @@
+"""From a wire's mask to a curve: the rival's way. Skeleton, its longest way, gaps joined, the tip told from the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+
+from guide3d.geometry.polyline import Array, arc_length
+from guide3d.setting_kinds import CountOrNone, PixelDistanceOrNone, settings
+
+_EIGHT = np.ones((3, 3), int)
+_SMOOTHING_PX = 3.0  # standard deviation, along the way, of the filter that takes the steps of pixels off
+_HALF = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2**0.5), (1, -1, 2**0.5))  # half of the neighbours, each pair counted once
+
+
+@settings
+class SkeletonSettings:
+    """How a mask is traced.
+
+    Attributes:
+        smallest_px: pieces of the skeleton with fewer pixels are specks, and dropped.
+        widest_gap_px: pieces whose ends are nearer than this to the wire traced so far are joined to it.
+    """
+
+    smallest_px: CountOrNone = 12
+    widest_gap_px: PixelDistanceOrNone = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class TracedMask:
+    """A curve traced from a mask.
+
+    Attributes:
+        points_px: (n, 2) tip first; None where the mask shows nothing.
+        pieces: connected parts of the mask, specks left out.
+    """
+
+    points_px: Array | None
+    pieces: int
+
+    @property
+    def discontinuities(self) -> int:
+        """Gaps in the mask."""
+        return max(self.pieces - 1, 0)
+
+
+def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | None = None) -> TracedMask:
+    """Traces the wire in a mask.
+
+    Each piece of the skeleton gives its longest shortest way, so a loop is cut short where the wire crosses itself. The
+    longest piece comes first; others are joined to its ends, the nearest first.
+
+    Args:
+        mask: (h, w), not 0 on the wire.
+        end_px: (2,) where wires of this camera usually enter the image: the traced end nearer to it is not the tip.
+        settings: of the tracing.
+
+    Returns:
+        The curve, and how many pieces the mask has.
+
+    Raises:
+        ValueError: a mask of another shape.
+    """
+    from skimage.morphology import skeletonize
+
+    settings = settings or SkeletonSettings()
+    wire = np.asarray(mask) != 0
+    if wire.ndim != 2:
+        raise ValueError(f"mask: expected (h, w), got {wire.shape}")
+    rows, columns = np.nonzero(wire.any(axis=1))[0], np.nonzero(wire.any(axis=0))[0]
+    if not len(rows):
+        return TracedMask(None, 0)
+    # only the part of the image where there is anything: thinning is slow
+    top, left = rows[0], columns[0]
+    line = skeletonize(np.pad(wire[top : rows[-1] + 1, left : columns[-1] + 1], 1))
+    labels, count = ndimage.label(line, _EIGHT)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    kept = [label for label in range(1, count + 1) if sizes[label] >= settings.smallest_px]
+    if not kept:
+        return TracedMask(None, 0)
+    corner = np.array([left - 1, top - 1])
+    ways = [_longest_way(labels == label) + corner for label in kept]
+    points = _joined(ways, settings.widest_gap_px)
+    ends = np.linalg.norm(points[[0, -1]] - np.asarray(end_px, float), axis=1)
+    return TracedMask(_smooth(points[::-1] if ends[0] < ends[1] else points), len(kept))
+
+
+def _longest_way(line: NDArray[np.bool_]) -> Array:
+    """(n, 2) x, y of the longest shortest way through the pixels of a connected skeleton."""
+    places = np.argwhere(line)
+    number = np.full(line.shape, -1)
+    number[tuple(places.T)] = np.arange(len(places))
+    starts, ends, lengths = [], [], []
+    for down, right, length in _HALF:
+        rows, columns = places[:, 0] + down, places[:, 1] + right
+        inside = (rows < line.shape[0]) & (columns >= 0) & (columns < line.shape[1])
+        to = np.full(len(places), -1)
+        to[inside] = number[rows[inside], columns[inside]]
+        there = np.flatnonzero(to >= 0)
+        starts.append(there)
+        ends.append(to[there])
+        lengths.append(np.full(len(there), length))
+    graph = sparse.coo_matrix(
+        (np.concatenate(lengths), (np.concatenate(starts), np.concatenate(ends))), (len(places),) * 2
+    ).tocsr()
+    first = int(np.argmax(csgraph.dijkstra(graph, directed=False, indices=0)))
+    distance, before = csgraph.dijkstra(graph, directed=False, indices=first, return_predecessors=True)
+    way = [int(np.argmax(distance))]
+    while way[-1] != first:
+        way.append(int(before[way[-1]]))
+    return places[way][:, ::-1].astype(float)
+
+
+def _joined(ways: list[Array], widest: float) -> Array:
+    ways = sorted(ways, key=lambda way: -arc_length(way)[-1])
+    whole, others = ways[0], ways[1:]
+    while others:
+        gaps = [
+            (float(np.linalg.norm(whole[end] - other[start])), place, end, start)
+            for place, other in enumerate(others)
+            for end in (0, -1)
+            for start in (0, -1)
+        ]
+        gap, place, end, start = min(gaps)
+        if gap > widest:
+            break
+        other = others.pop(place)
+        other = other if start == 0 else other[::-1]
+        whole = np.vstack([whole, other]) if end == -1 else np.vstack([other[::-1], whole])
+    return whole
+
+
+def _smooth(points: Array) -> Array:
+    return ndimage.gaussian_filter1d(points, _SMOOTHING_PX, axis=0, mode="nearest")

@@ -1,0 +1,106 @@
+"""Training: a data set, its split and a recipe to a predictor; resumable by epoch, on one process or many."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from guide3d.dataset.dataset import VIEWS, images_of
+from guide3d.learning.distributed import Ranks
+from guide3d.learning.picture_store import PictureStore
+from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.training import FitProgress, FitReport, fit
+from splineformer.build import Network, build
+from splineformer.learning.recipes import Recipe
+from splineformer.learning.samples import SplineObjective, curves_of
+from splineformer.modeling.splineformer import SplineFormer
+from splineformer.predictor import Predictor
+
+if TYPE_CHECKING:
+    from guide3d.dataset.dataset import Dataset
+    from guide3d.dataset.split import Split
+
+_MANY = 256  # curves whose mean a network starts from
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def train(
+    data: Dataset,
+    split: Split,
+    recipe: Recipe,
+    *,
+    folder: Path,
+    pictures: Path | None = None,
+    seed: int = 0,
+    ranks: Ranks | None = None,
+    progress: Callable[[FitProgress], None] | None = None,
+) -> tuple[Predictor, FitReport]:
+    """Trains a variant on both cameras' images.
+
+    Args:
+        data: the data set.
+        split: of its acquisitions.
+        recipe: of network and training.
+        folder: of the checkpoints, which `guide3d.learning.training.finished` removes.
+        pictures: folder that keeps small pictures; None: in memory.
+        seed: of weights, shuffling and variety.
+        ranks: that train together.
+        progress: called after every epoch.
+
+    Returns:
+        The predictor, and what its training was like.
+
+    Raises:
+        ValueError: images that are not square, or none to learn from.
+        TrainingError: checkpoints of something else in the folder.
+    """
+    source_px = square_side(data)
+    preprocessing = Preprocessing(recipe.settings.image_px, source_px)
+    stores = [PictureStore(data.frames, camera, preprocessing, pictures) for camera in VIEWS]
+    torch.manual_seed(seed)
+    network = build(recipe.settings)
+    objective = SplineObjective(
+        stores,
+        curves_of(data),
+        images_of(data, split.train, recipe.images),
+        images_of(data, split.validation, recipe.validation_images),
+        network,
+        augmentation=recipe.augmentation,
+        weights=recipe.weights,
+        source_px=source_px,
+    )
+    start_at_mean(network, objective)
+    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
+    for store, camera in zip(stores, VIEWS, strict=True):
+        if store.damaged:
+            _LOGGER.warning("camera %s: %d images could not be read", camera, len(store.damaged))
+    return Predictor(network, source_px=source_px), report
+
+
+def start_at_mean(network: Network, objective: SplineObjective) -> None:
+    """Lets the tip predictor start from the mean first token, and the overview from the mean curve."""
+    items = objective.training_items
+    chosen = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
+    targets = objective.targets([np.asarray(objective.curves[item]) for item in chosen], None)
+    if isinstance(network, SplineFormer):
+        network.tip.start_at(targets["tokens"][:, 0].mean(0))
+    else:
+        network.start_at(targets["course"].mean(0), float(targets["length"].mean()))
+
+
+def square_side(data: Dataset) -> int:
+    """Side of the data set's images, px.
+
+    Raises:
+        ValueError: they are not square.
+    """
+    width, height = data.frames[0].size_px[VIEWS[0]]
+    if width != height:
+        raise ValueError(f"{data.root}: expected square images, got {width} x {height} px")
+    return width

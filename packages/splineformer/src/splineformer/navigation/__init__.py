@@ -1,0 +1,1 @@
+"""Navigation on curves that SplineFormer reads."""

@@ -1,0 +1,1 @@
+"""The encoding of episode logs: the MCAP container and its messages."""

@@ -1,0 +1,292 @@
+"""The MCAP container, read with every checksum verified: summary, chunks, messages, and a walk that survives damage."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import Any, NamedTuple
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
+
+from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA
+from pipeline.episodes.errors import ContainerError
+
+_RECORD_HEAD = struct.Struct("<BQ")
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_CHUNK_HEAD = struct.Struct("<QQQII")
+_FOOTER = struct.Struct("<BQQQI")
+_MAX_UNCOMPRESSED = 1 << 26  # a writer's chunks are far smaller, but for a mesh or a picture that is a chunk by itself
+_MAX_SUMMARY = 1 << 28
+_MAX_MESSAGES = 100_000  # of a chunk
+
+
+class MessageSpan(NamedTuple):
+    """A message within the bytes of a chunk."""
+
+    channel_id: int
+    log_time_ns: int
+    start: int
+    end: int
+
+
+@dataclass
+class Summary:
+    """The index at the end of a file."""
+
+    start: int = 0
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunk_indexes: list[ChunkIndex] = field(default_factory=list)
+    metadata_indexes: list[MetadataIndex] = field(default_factory=list)
+    statistics: Statistics | None = None
+
+
+def parse_record(kind: Any, content: bytes) -> Any:
+    """Parse the content of a record.
+
+    Args:
+        kind: a record class of `mcap.records`.
+        content: the record's bytes after opcode and length.
+
+    Returns:
+        The record.
+
+    Raises:
+        ContainerError: the content is no such record.
+    """
+    try:
+        return kind.read(ReadDataStream(BytesIO(content)))
+    except (McapError, struct.error, ValueError, EOFError, OverflowError) as error:
+        raise ContainerError(f"a {kind.__name__} record cannot be parsed") from error
+
+
+def check_magic(fd: int) -> int:
+    """Check that a file begins as MCAP.
+
+    Args:
+        fd: file descriptor.
+
+    Returns:
+        The file's size in bytes.
+
+    Raises:
+        ContainerError: it is empty or begins differently.
+    """
+    size = os.fstat(fd).st_size
+    if size == 0:
+        raise ContainerError("it is empty")
+    if os.pread(fd, len(MCAP0_MAGIC), 0) != MCAP0_MAGIC:
+        raise ContainerError("it does not begin as an MCAP file")
+    return size
+
+
+def read_summary(fd: int) -> Summary:
+    """Read the index at the end of a file.
+
+    Args:
+        fd: file descriptor.
+
+    Returns:
+        The index, its checksum verified.
+
+    Raises:
+        ContainerError: there is no index, or it is damaged.
+    """
+    size = check_magic(fd)
+    tail = _FOOTER.size + len(MCAP0_MAGIC)
+    ending = os.pread(fd, tail, size - tail) if size >= tail + len(MCAP0_MAGIC) else b""
+    if ending[_FOOTER.size :] != MCAP0_MAGIC or ending[0] != Opcode.FOOTER:
+        raise ContainerError("it has no index at its end, so its writer was stopped or the file was cut off")
+    _, length, start, _, crc = _FOOTER.unpack_from(ending)
+    if length != _FOOTER.size - 9 or not 0 < start <= size - tail or size - start > _MAX_SUMMARY:
+        raise ContainerError("the end of its index is malformed")
+    content = os.pread(fd, size - tail - start, start)
+    if zlib.crc32(ending[: _FOOTER.size - 4], zlib.crc32(content)) != crc:
+        raise ContainerError("the checksum of its index does not match")
+    summary = Summary(start=start)
+    for opcode, begin, end in walk(content):
+        if opcode == Opcode.SCHEMA:
+            schema = parse_record(Schema, content[begin:end])
+            summary.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = parse_record(Channel, content[begin:end])
+            summary.channels[channel.id] = channel
+        elif opcode == Opcode.CHUNK_INDEX:
+            summary.chunk_indexes.append(parse_record(ChunkIndex, content[begin:end]))
+        elif opcode == Opcode.METADATA_INDEX:
+            summary.metadata_indexes.append(parse_record(MetadataIndex, content[begin:end]))
+        elif opcode == Opcode.STATISTICS:
+            summary.statistics = parse_record(Statistics, content[begin:end])
+    return summary
+
+
+def _read(fd: int, length: int, offset: int) -> bytes:
+    """Bytes that an index names; none when they do not lie in the file, so that no more is asked for than is there."""
+    return os.pread(fd, length, offset) if offset + length <= os.fstat(fd).st_size else b""
+
+
+def read_metadata(fd: int, index: MetadataIndex) -> Metadata:
+    """Read the metadata record that an index names.
+
+    Args:
+        fd: file descriptor.
+        index: where it lies.
+
+    Returns:
+        The record.
+
+    Raises:
+        ContainerError: it is damaged.
+    """
+    data = _read(fd, index.length, index.offset)
+    if data[:1] != bytes((Opcode.METADATA,)):
+        raise ContainerError(f"the metadata record {index.name} is not where the index says")
+    metadata: Metadata = parse_record(Metadata, data[9:])
+    return metadata
+
+
+def read_chunk(fd: int, index: ChunkIndex) -> bytes:
+    """Read and decompress the chunk that an index names.
+
+    Args:
+        fd: file descriptor.
+        index: where it lies.
+
+    Returns:
+        The chunk's records, checksum verified.
+
+    Raises:
+        ContainerError: it is damaged.
+    """
+    data = _read(fd, index.chunk_length, index.chunk_start_offset)
+    if data[:1] != bytes((Opcode.CHUNK,)):
+        raise ContainerError(f"the chunk at byte {index.chunk_start_offset} is not where the index says")
+    return open_chunk(data[9:], index.chunk_start_offset)
+
+
+def open_chunk(content: bytes, offset: int) -> bytes:
+    """Decompress a chunk and verify its checksum.
+
+    Args:
+        content: the chunk record after opcode and length.
+        offset: where the record begins in the file, for messages.
+
+    Returns:
+        The chunk's records.
+
+    Raises:
+        ContainerError: it is damaged.
+    """
+    where = f"the chunk at byte {offset}"
+    try:
+        _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
+        position = _CHUNK_HEAD.size + name_length
+        compression = content[_CHUNK_HEAD.size : position]
+        compressed = content[position + 8 :]
+        if size > _MAX_UNCOMPRESSED or struct.unpack_from("<Q", content, position)[0] != len(compressed):
+            raise ContainerError(f"{where} has an impossible size")
+        if compression == b"zstd":
+            if zstandard.get_frame_parameters(compressed).content_size not in (0, size):  # it would be believed
+                raise ContainerError(f"{where} has an impossible size")
+            data = zstandard.ZstdDecompressor().decompress(compressed, max_output_size=size)
+        elif compression == b"":
+            data = compressed
+        else:
+            raise ContainerError(f"{where} is compressed as {compression!r}, expected zstd")
+    except (struct.error, zstandard.ZstdError) as error:
+        raise ContainerError(f"{where} cannot be decompressed") from error
+    if len(data) != size or zlib.crc32(data) != crc:
+        raise ContainerError(f"the checksum of {where} does not match")
+    return data
+
+
+def messages(chunk: bytes) -> Iterator[MessageSpan]:
+    """List the messages of a chunk.
+
+    Args:
+        chunk: its decompressed records.
+
+    Yields:
+        Channel, time, and where the payload lies in `chunk`.
+
+    Raises:
+        ContainerError: the records do not fill the chunk.
+    """
+    position, size, count = 0, len(chunk), 0
+    unpack, head = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size
+    while position < size:
+        if position + 9 > size:
+            raise ContainerError("a chunk ends within a record")
+        opcode, length = _RECORD_HEAD.unpack_from(chunk, position)
+        end = position + 9 + length
+        if end > size:
+            raise ContainerError("a chunk ends within a record")
+        if opcode == Opcode.MESSAGE and length >= head - 9:
+            _, _, channel_id, _, log_time_ns, _ = unpack(chunk, position)
+            count += 1
+            if count > _MAX_MESSAGES:
+                raise ContainerError(f"a chunk holds more than {_MAX_MESSAGES} messages")
+            yield MessageSpan(channel_id, log_time_ns, position + head, end)
+        position = end
+
+
+def walk(data: Any, start: int = 0) -> Iterator[tuple[int, int, int]]:
+    """Walk over the records of a buffer.
+
+    Args:
+        data: bytes or a memory map.
+        start: where the first record begins.
+
+    Yields:
+        Opcode, and where the record's content begins and ends.
+
+    Raises:
+        ContainerError: a record reaches beyond the end.
+    """
+    position, size = start, len(data)
+    while position < size:
+        if position + 9 > size:
+            raise ContainerError(f"it is cut off at byte {size}")
+        opcode, length = _RECORD_HEAD.unpack_from(data, position)
+        end = position + 9 + length
+        if end > size:
+            raise ContainerError(f"the record at byte {position} reaches beyond the end of the file")
+        yield opcode, position + 9, end
+        position = end
+
+
+_CHUNK_MARK = b"\x04\x00\x00\x00zstd"
+_CHUNK_MARK_OFFSET = 9 + _CHUNK_HEAD.size - 4
+_METADATA_MARKS = tuple(struct.pack("<I", len(name)) + name.encode() for name in (EPISODE_METADATA, OUTCOME_METADATA))
+
+
+def find_record(data: Any, start: int) -> int | None:
+    """Find the next place that looks like a chunk or like an episode's metadata.
+
+    Args:
+        data: bytes or a memory map.
+        start: where to begin.
+
+    Returns:
+        Where the record begins, or None. Whether it is intact is for its checksum to say.
+    """
+    marks = ((_CHUNK_MARK, _CHUNK_MARK_OFFSET, Opcode.CHUNK), *((m, 9, Opcode.METADATA) for m in _METADATA_MARKS))
+    found = []
+    for mark, offset, opcode in marks:
+        position = data.find(mark, start + offset)
+        while position >= 0:
+            begin = position - offset
+            if data[begin] == opcode and begin + 9 + _RECORD_HEAD.unpack_from(data, begin)[1] <= len(data):
+                found.append(begin)
+                break
+            position = data.find(mark, position + 1)
+    return min(found, default=None)

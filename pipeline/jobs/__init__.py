@@ -1,0 +1,1 @@
+"""Jobs of a stage: processes, their devices, progress and costs."""

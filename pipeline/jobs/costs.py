@@ -1,0 +1,94 @@
+"""What a job has cost: time, memory, and memory of a GPU, kept in the manifest of its stage."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.store.atomic_files import read_json, write_json
+
+COSTS = ".costs"  # folder of a stage under way; the manifest takes it over
+_FILE = "jobs.json"
+_MB = 1e6
+_RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # bytes
+OK = "ok"
+OWN_PROCESS = ""  # key of the stage's own process
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of a job, in its own process.
+
+    Attributes:
+        wall_s: from its start to its end.
+        cpu_s: of all its threads.
+        memory_mb: the most that its process had in memory, what was imported before included.
+        gpu_mb: the most that torch had allocated on a GPU; 0: it used none.
+        device: "cpu", or the name of the GPU.
+        outcome: "ok", or why the job failed.
+    """
+
+    wall_s: float
+    cpu_s: float
+    memory_mb: float
+    gpu_mb: float
+    device: str
+    outcome: str = OK
+
+
+class CostMeter:
+    """Measures this process from here on."""
+
+    def __init__(self) -> None:
+        self._began, self._worked = time.monotonic(), time.process_time()
+
+    def read(self, outcome: str = OK) -> Cost:
+        """What the job has cost so far.
+
+        Args:
+            outcome: how it ended.
+        """
+        gpu_bytes, device = _gpu()
+        return Cost(
+            wall_s=round(time.monotonic() - self._began, 3),
+            cpu_s=round(time.process_time() - self._worked, 3),
+            memory_mb=round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT / _MB, 1),
+            gpu_mb=round(gpu_bytes / _MB, 1),
+            device=device,
+            outcome=outcome,
+        )
+
+
+def _gpu() -> tuple[int, str]:
+    torch: Any = sys.modules.get("torch")
+    if torch is None or not torch.cuda.is_initialized():
+        return 0, "cpu"
+    return int(torch.cuda.max_memory_allocated()), str(torch.cuda.get_device_name())
+
+
+def keep_cost(folder: Path, key: str, cost: Cost) -> None:
+    """Adds a job's cost to those of its stage, which an interrupted stage finds again.
+
+    Args:
+        folder: of the stage.
+        key: of the job.
+        cost: what it was.
+    """
+    write_json(folder / COSTS / _FILE, {**kept_costs(folder), key: asdict(cost)})
+
+
+def kept_costs(folder: Path) -> dict[str, dict[str, Any]]:
+    """Costs of the jobs that have ended in a stage under way, by their keys; a damaged file counts as none.
+
+    Args:
+        folder: of the stage.
+    """
+    try:
+        found = read_json(folder / COSTS / _FILE)
+    except (FileNotFoundError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,74 @@
+"""GPU memory that a job is expected to need: an estimate from its images and batches, before anything has run.
+
+While a job runs its process tells what it really uses, and `pipeline.jobs.gpus` goes by that where it is more.
+"""
+
+from __future__ import annotations
+
+from pipeline.jobs.gpus import CUDA_CONTEXT_BYTES
+from pipeline.stages.networks.settings import SEGMENTATION_ROWS
+from pipeline.stages.networks.splineformer_settings import SPLINEFORMER_VARIANTS
+
+_GB = 1e9
+CONTEXT_GB = CUDA_CONTEXT_BYTES / _GB
+# Bytes kept for the way back of a pixel of an image through the thesis's convolutions (32 channels at a quarter of the
+# side, 64 at an eighth, twice, with what follows each), and how many such networks an update of SAC passes, twice.
+_BYTES_A_PIXEL = 40
+_PASSES = 8
+_LEAST_BATCH = 512  # images that pass a network together where nothing is learnt
+LEARNT_BATCH = 64  # samples an update of what learns from episodes
+_WEIGHTS_GB = 0.4  # weights, gradients, moments and copies of the networks that steer; a GRU's workspace
+# Bytes kept for the way back of a pixel of what the network sees, counted on the CPU for one image (a clip of three for
+# the shape networks), and the number of weights: of the thesis's sizes, and of a desk's, which serve for a smoke's too.
+# See docs/results/memory.md.
+_THESIS = {
+    "unet": (3280, 31.0e6), "transunet": (8070, 105.3e6), "swinunet": (4160, 27.2e6), "fgrn": (400, 3.4e6),
+    "shape": (9250, 88.1e6), "published": (164, 15.8e6), "ordered": (268, 22.7e6),
+}  # fmt: skip
+_DESK = {
+    "unet": (620, 0.1e6), "transunet": (680, 0.7e6), "swinunet": (2030, 1.7e6), "fgrn": (400, 3.4e6),
+    "shape": (286, 2.2e6), "published": (61, 5.3e6), "ordered": (74, 2.1e6),
+}  # fmt: skip
+_BYTES_A_WEIGHT = 20  # itself, its gradient, two moments, the best so far
+_MORE = 1.5  # workspaces of convolutions, and what the allocator cannot use
+
+
+def policy_gb(image_px: int, channels: int, batch: int = 0) -> float:
+    """For a policy, a student or a force predictor.
+
+    Args:
+        image_px: side of its images.
+        channels: grey images that it sees at once; 0: vectors alone.
+        batch: samples an update.
+    """
+    pixels = max(batch * _PASSES, _LEAST_BATCH) * max(channels, 0) * image_px**2
+    return CONTEXT_GB + _WEIGHTS_GB + pixels * _BYTES_A_PIXEL / _GB
+
+
+def network_gb(network: str, size: str) -> float:
+    """For a network on images of a data set.
+
+    Args:
+        network: row or variant.
+        size: of its recipe.
+    """
+    side, batch = _seen(network, size)
+    table = _DESK if size in ("desk", "smoke") else _THESIS
+    bytes_a_pixel, weights = table.get(network, table["shape"])
+    return CONTEXT_GB + (_BYTES_A_WEIGHT * weights + _MORE * batch * side**2 * bytes_a_pixel) / _GB
+
+
+def _seen(network: str, size: str) -> tuple[int, int]:
+    """Side of what a network sees, px, and how many of them an update."""
+    if network in SPLINEFORMER_VARIANTS:
+        from splineformer.build import size_of
+        from splineformer.learning.recipes import recipe_of
+
+        return size_of(network, size).image_px, recipe_of(network, size).fit.batch_size
+    from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
+
+    if network in SEGMENTATION_ROWS:
+        recipe = segmentation_recipe(network, size)
+        return recipe.crop_px, recipe.fit.batch_size
+    kept = fgrn_recipe(size) if network == "fgrn" else shape_recipe(size)
+    return kept.preprocessing.size_px, kept.fit.batch_size

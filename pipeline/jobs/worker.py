@@ -1,0 +1,186 @@
+"""The process of a job: it runs the job, tells its progress, and leaves when it is asked to or left alone."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from pydantic import ValidationError
+
+from pipeline.jobs.costs import Cost, CostMeter
+from pipeline.jobs.gpus import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
+from pipeline.settings.checks import sentence
+from pipeline.store.errors import PipelineError
+from pipeline.store.written_files import noted
+
+_SECONDS_BETWEEN_MESSAGES = 0.5
+_EXIT_LEFT_ALONE = 1
+
+
+@dataclass(frozen=True)
+class Message:
+    """What a job's process tells the stage: "progress", "log", "failed" or "done"."""
+
+    kind: str
+    text: str = ""
+    fraction: float = 0.0
+    level: int = logging.INFO
+    traceback: str = ""
+    result: Any = None
+    gpu_bytes: int = 0  # that the process uses of its GPU's memory
+    cost: Cost | None = None  # of a job that has ended
+
+
+class Report:
+    """Where a job tells how far it is; the same place tells the job where to compute, and to stop."""
+
+    def __init__(self, send: Callable[[Message], None] | None = None, device: str = "cpu") -> None:
+        """Args:
+        send: takes the messages; None: nobody listens.
+        device: where the job's networks belong: "cpu", or "cuda", which is the job's own GPU.
+        """
+        self._send, self.device = send, device
+        self._asked = False  # no lock: a signal's handler sets it
+        self._last = 0.0
+
+    def __call__(self, fraction: float, text: str = "") -> None:
+        """Tells the progress; call it often, it is cheap.
+
+        Args:
+            fraction: of the whole job, 0 to 1.
+            text: a few words, e.g. ``success 0.8``.
+
+        Raises:
+            KeyboardInterrupt: the job is to write its checkpoint and leave.
+        """
+        if self._asked:
+            raise KeyboardInterrupt
+        now = time.monotonic()
+        if self._send is not None and now - self._last >= _SECONDS_BETWEEN_MESSAGES:
+            self._last = now
+            share = min(max(float(fraction), 0.0), 1.0)
+            self._send(Message("progress", text, fraction=share, gpu_bytes=_gpu_bytes()))
+
+    def part(self, start: float, end: float, label: str = "") -> Callable[[float, str], None]:
+        """A report for a part of the job.
+
+        Args:
+            start: what of the job is done before the part, 0 to 1.
+            end: what is done after it.
+            label: put before the part's words.
+
+        Returns:
+            Takes the fraction of the part, and words.
+        """
+
+        def report(fraction: float, text: str = "") -> None:
+            self(start + (end - start) * min(max(fraction, 0.0), 1.0), f"{label} {text}".strip())
+
+        return report
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the job has been asked to stop."""
+        return self._asked
+
+    def stop(self) -> None:
+        """From here on every call raises `KeyboardInterrupt`."""
+        self._asked = True
+
+
+class _ToStage(logging.Handler):
+    """Passes warnings on, so that they stand in the stage's log."""
+
+    def __init__(self, send: Callable[[Message], None], report: Report) -> None:
+        super().__init__(logging.WARNING)
+        self._pass_on, self._report = send, report
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if not self._report.stopping:  # what is left unfinished is finished by the next run
+            self._pass_on(Message("log", record.getMessage(), level=record.levelno))
+
+
+def _gpu_bytes() -> int:
+    """The most that this process has used of its GPU's memory."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None or not torch.cuda.is_initialized():
+        return 0
+    return int(torch.cuda.max_memory_reserved()) + CUDA_CONTEXT_BYTES
+
+
+def work(
+    run: Callable[[Any, Report], Any],
+    given: Any,
+    connection: Connection,
+    notes: tuple[Path, Path],
+    gpus: tuple[str, ...] = (),
+) -> None:
+    """Runs a job in this process, which is its own.
+
+    Args:
+        run: the job's function.
+        given: to it.
+        connection: to the stage; its end means that the stage is no more.
+        notes: the stage's folder, and the file where the job's files below it are noted.
+        gpus: that it computes on, as `CUDA_VISIBLE_DEVICES` calls them; none: it sees no GPU.
+    """
+    os.environ[VISIBLE] = ",".join(gpus)  # before torch looks for GPUs, which it does only when it needs one
+    gate = threading.Lock()
+
+    def send(message: Message) -> None:
+        with gate, contextlib.suppress(OSError):
+            connection.send(message)
+
+    report = Report(send, CUDA if gpus else CPU)
+
+    def asked(number: int, frame: FrameType | None) -> None:
+        report.stop()
+
+    # Ctrl-C in a terminal and a batch system's SIGTERM reach every process: a job leaves at its next report, not
+    # in the middle of what its checkpoint needs whole.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, asked)
+    threading.Thread(target=_obey, args=(connection, report), daemon=True).start()
+    logging.getLogger().addHandler(_ToStage(send, report))
+    meter = CostMeter()
+    if "torch" in sys.modules:  # preloaded
+        sys.modules["torch"].set_num_threads(1)
+    try:
+        with noted(*notes):
+            result = run(given, report)
+    except KeyboardInterrupt:
+        pass  # asked to: whoever asked does not wait for a word
+    except PipelineError as error:
+        send(Message("failed", str(error), cost=meter.read(str(error))))
+    except ValidationError as error:
+        send(Message("failed", sentence(error), cost=meter.read(sentence(error))))
+    except Exception as error:
+        first = next((line for line in str(error).splitlines() if line.strip()), "")
+        reason = f"{type(error).__name__}: {first}" if first else type(error).__name__
+        send(Message("failed", reason, traceback=traceback.format_exc(), cost=meter.read(reason)))
+    else:
+        send(Message("done", result=result, cost=meter.read()))
+    connection.close()
+
+
+def _obey(connection: Connection, report: Report) -> None:
+    try:
+        while True:
+            connection.recv()
+            report.stop()
+    except (EOFError, OSError, TypeError):
+        if not getattr(connection, "closed", True):
+            # The stage was killed. Its lock is free: another may already work in the folder, so not one more file.
+            os._exit(_EXIT_LEFT_ALONE)

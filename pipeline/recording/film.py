@@ -1,0 +1,103 @@
+"""A short film of an episode: fluoroscopy on the left, the wire in the vessel in 3-D on the right."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.store.atomic_files import atomic_path
+
+if TYPE_CHECKING:
+    from cathsim import NavigateEnv
+
+HEIGHT_PX = 400
+VIEW_WIDTH_PX = 300
+FRAMES_PER_SECOND = 12.5  # of playback; every second step is shown, so at 2.5 times the episode's own speed
+STRIDE = 2
+_GREYS = 112  # of the palette, for the fluoroscopy; the other colours are those of the 3-D view
+
+_LOGGER = logging.getLogger(__name__)
+
+
+class Film:
+    """Collects frames of an episode and writes them as an animated GIF.
+
+    Where no OpenGL library is found the film is of the fluoroscopy alone, and a warning says how to have the rest.
+    """
+
+    def __init__(self) -> None:
+        self._frames: list[np.ndarray] = []
+        self._count = 0
+        self._fluoroscope: Any = None
+        self._view: Any = None
+
+    def add(self, environment: NavigateEnv) -> None:
+        """Looks at a step of the episode.
+
+        Args:
+            environment: always the same one.
+        """
+        if self._fluoroscope is None:
+            self._open(environment)
+        ended = bool(environment.steps and environment.ended)
+        if self._count % STRIDE == 0 or ended:
+            self._fluoroscope.update()
+            frame = np.repeat(self._fluoroscope.image()[:, :, None], 3, axis=2)
+            if self._view is not None:
+                goal = environment.task.goal(environment.phantom)
+                frame = np.concatenate((frame, self._view.render(environment.simulation, goal)), axis=1)
+            self._frames.append(frame)
+        self._count += 1
+
+    def _open(self, environment: NavigateEnv) -> None:
+        from cathsim.observations.observables import Fluoroscope
+        from cathsim.viewing.camera_view import RenderingUnavailableError, View
+
+        self._fluoroscope = Fluoroscope(environment.simulation, HEIGHT_PX)
+        try:
+            self._view = View(environment.phantom, width=VIEW_WIDTH_PX, height=HEIGHT_PX)
+        except RenderingUnavailableError as error:
+            _LOGGER.warning("the film shows fluoroscopy only: %s", error)
+
+    def write(self, path: Path) -> None:
+        """Writes the film.
+
+        Args:
+            path: of the GIF; appears whole or not at all.
+        """
+        from PIL import Image
+
+        # one palette for the whole film keeps colours from flickering
+        palette = _palette(self._frames[:: max(1, len(self._frames) // 6)])
+        frames = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in self._frames]
+        pause = round(1000 / FRAMES_PER_SECOND)
+        durations = [pause] * (len(frames) - 1) + [1500]
+        with atomic_path(path) as temporary:
+            frames[0].save(
+                temporary, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, disposal=1
+            )
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        if self._view is not None:
+            self._view.close()
+            self._view = None
+
+
+def _palette(frames: list[np.ndarray]) -> Any:
+    from PIL import Image
+
+    greys = np.linspace(0, 255, _GREYS).round().astype(np.uint8)
+    colours = np.repeat(greys[:, None], 3, axis=1)
+    views = [frame[:, HEIGHT_PX:] for frame in frames if frame.shape[1] > HEIGHT_PX]
+    if views:
+        # the method that keeps rare colours, such as the target's
+        quantized = Image.fromarray(np.concatenate(views)).quantize(256 - _GREYS, method=Image.Quantize.MAXCOVERAGE)
+        seen = np.array(quantized.getpalette(), np.uint8).reshape(-1, 3)[: 256 - _GREYS]
+        colours = np.concatenate((colours, seen))
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colours.ravel().tolist())
+    return palette

@@ -1,0 +1,142 @@
+"""A human's episodes: the recorder that the console finds, which writes them as logs with `operator` "human"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cathsim.console.recorder import OPERATOR, episode_path, write_answers
+from pipeline.episodes import EpisodeOutcome, EpisodeWriter
+from pipeline.episodes.annotate import annotate
+from pipeline.recording.record import CAMERA, describe_episode, log_step, open_log, phantom_mesh, step_record
+
+if TYPE_CHECKING:
+    from cathsim import NavigateEnv
+    from cathsim.metrics import EpisodeMetrics
+
+FOLDER = "human"  # of a run: the episodes, which no stage may clear away
+SUFFIX = ".mcap"
+QUESTIONNAIRE = "questionnaire"  # the annotation's key
+
+
+def recordings(runs_dir: Path, run: str) -> Path:
+    """Where the episodes of a run lie.
+
+    Args:
+        runs_dir: folder of the runs.
+        run: its name.
+    """
+    return runs_dir / run / FOLDER
+
+
+class McapRecorder:
+    """Writes each episode step by step, `<folder>/<phantom>/<target>/<NNN>.mcap`; a kill loses less than a second.
+
+    An episode that is broken off is kept with the status "interrupted" and an unknown success.
+
+    Args:
+        folder: where the episodes go.
+    """
+
+    default_folder = recordings(Path("runs"), "desk")
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._log: EpisodeWriter | None = None
+        self._begin: Callable[[NavigateEnv], EpisodeWriter] | None = None
+        self._steps = 0
+
+    def start(self, environment: NavigateEnv, info: Mapping[str, Any], *, seed: int) -> None:
+        """Keeps the state after reset; the log is opened with the first step, when the operator touches the controls.
+
+        Args:
+            environment: after its reset.
+            info: of the reset.
+            seed: of the reset.
+        """
+        still = np.zeros(environment.action_space.shape or (), np.float32)
+        record = step_record(environment, 0, still, 0.0, info)
+        image, mask = environment.fluoroscope.image(), environment.fluoroscope.mask()
+        task, entry = environment.task, environment.simulation.entry
+        phantom_mesh(environment.phantom, task.target, entry)  # made now, so that the first touch does not wait
+
+        def begin(environment: NavigateEnv) -> EpisodeWriter:
+            path = episode_path(self.folder, environment.phantom.name, task.target_name, SUFFIX)
+            description = describe_episode(environment, seed=seed, operator=OPERATOR)
+            log = open_log(environment, path, description, overwrite=False)
+            log.step(record, images={CAMERA: image}, masks={CAMERA: mask})
+            return log
+
+        self._begin, self._log, self._steps = begin, None, 0
+
+    def step(
+        self,
+        environment: NavigateEnv,
+        action: np.ndarray,
+        reward: float,
+        info: Mapping[str, Any],
+        *,
+        terminated: bool,
+        truncated: bool,
+    ) -> None:
+        """Writes a step.
+
+        Args:
+            environment: after the step.
+            action: shape (2,).
+            reward: of the step.
+            info: likewise.
+            terminated: likewise.
+            truncated: likewise.
+
+        Raises:
+            EpisodeWriteError: the log cannot be written.
+        """
+        if self._begin is None:
+            raise RuntimeError("no episode was started: call start() before step()")
+        if self._log is None:
+            self._log = self._begin(environment)
+        self._steps += 1
+        record = step_record(environment, self._steps, action, reward, info, terminated=terminated, truncated=truncated)
+        try:
+            log_step(self._log, record, environment)
+        except BaseException:
+            self._log.abandon()
+            raise
+
+    def finish(self, metrics: EpisodeMetrics | None) -> Path | None:
+        """Ends the log.
+
+        Args:
+            metrics: of the episode; None when it was broken off.
+
+        Returns:
+            The log, or None when there was no step.
+
+        Raises:
+            EpisodeWriteError: the log cannot be written.
+        """
+        log, self._log, self._begin = self._log, None, None
+        if log is None:
+            return None
+        if metrics is None:
+            return log.finish(EpisodeOutcome(success=None, steps=self._steps, status="interrupted"))
+        return log.finish(EpisodeOutcome(success=metrics.success, steps=self._steps, metrics=asdict(metrics)))
+
+    def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
+        """Keeps a questionnaire in the log, and in a JSON file beside it.
+
+        Args:
+            episode: a finished log.
+            answers: as `cathsim.console.check_answers` gives them.
+
+        Returns:
+            The JSON file.
+        """
+        beside = write_answers(episode, answers)
+        annotate(episode, QUESTIONNAIRE, answers)
+        return beside

@@ -1,0 +1,238 @@
+"""Recording an episode: a policy steers the simulator, every step goes to a log, and some to a film."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.episodes import Camera, EpisodeInfo, EpisodeOutcome, EpisodeWriter, PhantomMesh, StepRecord
+from pipeline.store.provenance import software_versions
+
+if TYPE_CHECKING:
+    from cathsim import NavigateEnv, Phantom
+    from cathsim.anatomy.point_target import Point
+    from cathsim.fluoroscopy import Projector
+    from cathsim.metrics import EpisodeMetrics
+    from pipeline.recording.film import Film
+
+CAMERA = "frontal"
+_MESH_STRIDE = 3  # grid nodes a node of the logged mesh: a viewer needs no finer wall
+
+Policy = Callable[[Any, Mapping[str, Any]], np.ndarray]  # observation, info -> action
+
+
+def step_record(
+    environment: NavigateEnv,
+    step: int,
+    action: np.ndarray,
+    reward: float,
+    info: Mapping[str, Any],
+    *,
+    terminated: bool = False,
+    truncated: bool = False,
+) -> StepRecord:
+    """The record of a step that the environment has just made.
+
+    Args:
+        environment: after the step.
+        step: its index; 0 is the state after reset.
+        action: shape (actions,).
+        reward: of the step.
+        info: as the environment gave it.
+        terminated: likewise.
+        truncated: likewise.
+
+    Returns:
+        The record.
+    """
+    simulation = environment.simulation
+    contacts = simulation.contacts()
+    return StepRecord(
+        step=step,
+        action=np.asarray(action, np.float64),
+        reward=reward,
+        terminated=terminated,
+        truncated=truncated,
+        joint_positions=simulation.joint_positions(),
+        joint_velocities=simulation.joint_velocities(),
+        wire_points=simulation.wire_points(),
+        tip=info["tip"],
+        contact_positions=contacts.points,
+        contact_forces=contacts.forces,
+        resultant_force=info["force_vector"],
+        insertion=info["insertion"],
+        rotation=info["rotation"],
+        extra={"distance_m": info["distance"]},
+    )
+
+
+def camera_of(environment: NavigateEnv) -> Camera:
+    """The environment's fluoroscope as the log describes it."""
+    return _camera(environment.fluoroscope.renderer.projector)
+
+
+def cameras_of(environment: NavigateEnv) -> dict[str, Camera]:
+    """Every camera of an environment by its topic's name: the frontal view, then those of `cameras`."""
+    cameras = {CAMERA: camera_of(environment)}
+    if environment.biplane is not None:
+        views = environment.biplane.fluoroscope.cameras
+        cameras |= {name: _camera(view.projector) for name, view in views.items()}
+    return cameras
+
+
+def _camera(projector: Projector) -> Camera:
+    return Camera(
+        P=projector.P, K=projector.K, R=projector.R, t=projector.t, width=projector.width, height=projector.height
+    )
+
+
+@functools.lru_cache(maxsize=32)
+def phantom_mesh(phantom: Phantom, target: str | Point, entry: str) -> PhantomMesh:
+    """A coarse surface of a phantom's lumen for viewers, with target and entry."""
+    from cathsim.anatomy import SignedDistanceGrid
+    from cathsim.anatomy.surface import lumen_surface
+
+    grid, stride = phantom.grid, _MESH_STRIDE
+    coarse = SignedDistanceGrid(grid.values[::stride, ::stride, ::stride], grid.origin, grid.spacing * stride)
+    mesh = lumen_surface(coarse)
+    return PhantomMesh(
+        vertices=np.asarray(mesh.vertices),
+        faces=np.asarray(mesh.faces),
+        target=phantom.target(target).position,
+        entry=phantom.entry(entry).position,
+    )
+
+
+def describe_episode(
+    environment: NavigateEnv, *, seed: int, operator: str, configuration: Mapping[str, Any] | None = None
+) -> EpisodeInfo:
+    """What is known of an episode before its first step.
+
+    Args:
+        environment: that the episode runs in.
+        seed: of its reset.
+        operator: who steers, e.g. "sampling_expert".
+        configuration: kept beside that of task and wire.
+    """
+    from cathsim.simulation import CONTROL_STEP
+
+    return EpisodeInfo(
+        phantom=environment.phantom.name,
+        phantom_hash=environment.phantom.hash,
+        target=environment.task.target_name,
+        entry=environment.simulation.entry,
+        seed=seed,
+        operator=operator,
+        control_dt=CONTROL_STEP,
+        configuration={
+            **asdict(environment.task),
+            "image_size": environment.fluoroscope.shape[0],
+            "wire": asdict(environment.simulation.wire),
+            "numerics": asdict(environment.simulation.numerics),
+            **({} if environment.biplane is None else {"cameras": environment.biplane.fluoroscope.to_json()}),
+            **(configuration or {}),
+        },
+        versions=software_versions(),
+    )
+
+
+def open_log(
+    environment: NavigateEnv, path: Path, info: EpisodeInfo, *, overwrite: bool, pictures: bool = True
+) -> EpisodeWriter:
+    """Starts the log of an episode with the environment's fluoroscope and phantom.
+
+    Args:
+        environment: that the episode runs in.
+        path: of the log; its folder is made.
+        info: as `describe_episode` gives it.
+        overwrite: replace a log that is there.
+        pictures: whether the log gets images and masks; without, it declares no camera.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return EpisodeWriter(
+        path,
+        info,
+        cameras=cameras_of(environment) if pictures else {},
+        phantom_mesh=phantom_mesh(environment.phantom, environment.task.target, info.entry),
+        overwrite=overwrite,
+    )
+
+
+def log_step(log: EpisodeWriter, record: StepRecord, environment: NavigateEnv) -> None:
+    """Gives a step with the fluoroscope's image and mask to a log.
+
+    Args:
+        log: from `open_log`.
+        record: of the step.
+        environment: after the step.
+    """
+    fluoroscope, biplane = environment.fluoroscope, environment.biplane
+    images, masks = {CAMERA: fluoroscope.image()}, {CAMERA: fluoroscope.mask()}
+    if biplane is not None:
+        frames = {name: biplane.frame(name) for name in biplane.fluoroscope.names}
+        images |= {name: frame.image for name, frame in frames.items()}
+        masks |= {name: frame.mask for name, frame in frames.items()}
+    log.step(record, images=images, masks=masks)
+
+
+def record_episode(
+    environment: NavigateEnv,
+    policy: Policy,
+    path: Path,
+    *,
+    seed: int,
+    operator: str,
+    configuration: Mapping[str, Any] | None = None,
+    film: Film | None = None,
+    pictures: bool = True,
+) -> EpisodeMetrics:
+    """Runs one episode and logs it; the log appears under its name only when it is whole.
+
+    Args:
+        environment: to be reset and steered.
+        policy: gives the action to an observation and info.
+        path: of the log; one that is there is replaced.
+        seed: of the reset.
+        operator: who steers, e.g. "sampling_expert".
+        configuration: kept in the log.
+        film: takes a frame a step.
+        pictures: log image and mask of every step, whatever the observation is; without, nothing is drawn that the
+            policy does not look at.
+
+    Returns:
+        The episode's metrics, also kept in the log's outcome.
+    """
+    from cathsim.metrics import EpisodeMetrics
+
+    observation, info = environment.reset(seed=seed)
+    tips, forces, rewards = [info["tip"]], [], []
+    description = describe_episode(environment, seed=seed, operator=operator, configuration=configuration)
+    action: np.ndarray = np.zeros(environment.action_space.shape or (), np.float32)
+    reward, terminated, truncated, step = 0.0, False, False, 0
+    with open_log(environment, path, description, overwrite=True, pictures=pictures) as log:
+        while True:
+            record = step_record(environment, step, action, reward, info, terminated=terminated, truncated=truncated)
+            if pictures:
+                log_step(log, record, environment)
+            else:
+                log.step(record)
+            if film is not None:
+                film.add(environment)
+            if terminated or truncated:
+                break
+            action = policy(observation, info)
+            observation, reward, terminated, truncated, info = environment.step(action)
+            step += 1
+            tips.append(info["tip"])
+            forces.append(info["force"])
+            rewards.append(reward)
+        metrics = EpisodeMetrics.from_arrays(
+            np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=description.target
+        )
+        log.finish(EpisodeOutcome(success=metrics.success, steps=step, metrics=asdict(metrics)))
+    return metrics

@@ -1,0 +1,232 @@
+"""Replay: a log's actions once more in the simulator, which gives back every state and any observation of its moments.
+
+A log keeps what happened, not what a learner wants to see: its episode is repeated from its seed and its actions. The
+simulator is deterministic, so the tip must go through the very same positions, bit for bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from pipeline.episodes import EpisodeReader, EpisodeReadError
+from pipeline.settings.checks import sentence, shown
+from pipeline.store.errors import StageError
+
+if TYPE_CHECKING:
+    from cathsim import Guidewire, NavigateEnv
+    from cathsim.navigation import NavigationTask
+    from enn.trajectory import Trajectory
+    from pipeline.episodes import EpisodeInfo
+
+_MM = 1e3
+
+
+class ReplayError(StageError):
+    """An episode that the simulator does not repeat."""
+
+
+def replay(
+    log: Path | str,
+    observation: Sequence[str] = (),
+    *,
+    image_size: int | None = None,
+    reward: str | None = None,
+    force_penalty: float | None = None,
+    path_penalty: float | None = None,
+    environment: NavigateEnv | None = None,
+) -> Trajectory:
+    """Repeats a logged episode.
+
+    Args:
+        log: of an episode that a feeder or tip motors steered.
+        observation: names of the observations wanted.
+        image_size: of images among them, px; None: as the log's camera has it, or 80.
+        reward: of the steps, "distance" or "geodesic"; None: as it was recorded.
+        force_penalty: of the reward; None: as it was recorded.
+        path_penalty: likewise.
+        environment: made by `replay_environment` for another log of the same task, to save making it anew.
+
+    Returns:
+        The episode, with a state at every moment that an episode can start from.
+
+    Raises:
+        ReplayError: the tip goes another way: the log is of another version, anatomy or set of settings.
+        EpisodeReadError: the log cannot be read.
+    """
+    from enn.trajectory import Trajectory
+
+    with EpisodeReader(log) as reader:
+        info, outcome = reader.info, reader.outcome
+        arrays = reader.load_arrays(pictures=False)
+    if outcome.missing_steps:
+        raise ReplayError(f"{log} lacks step {outcome.missing_steps[0]} and cannot be repeated: leave it out")
+    env = environment or replay_environment(
+        log,
+        observation,
+        image_size=image_size,
+        reward=reward,
+        force_penalty=force_penalty,
+        path_penalty=path_penalty,
+    )
+    _require_same(log, info, env)
+    actions = arrays["action"][1:].astype(np.float32)
+    if actions.shape[1:] != env.action_space.shape or not np.isfinite(actions).all():
+        raise ReplayError(
+            f"{log} holds actions of shape {actions.shape[1:]}, the environment takes finite ones of "
+            f"{env.action_space.shape}: record it anew"
+        )
+    tips, forces = arrays["tip"], arrays["resultant_force_norm"][1:]
+    seen, moment = env.reset(seed=info.seed)
+    _compare(log, 0, tips[0], moment["tip"])
+    observations, states, rewards = [seen], [env.start_state()], []
+    terminated = False
+    for step, action in enumerate(actions):
+        seen, earned, terminated, _, moment = env.step(action)
+        _compare(log, step + 1, tips[step + 1], moment["tip"])
+        observations.append(seen)
+        states.append(env.start_state())
+        rewards.append(earned)
+    names = list(observations[0]) if isinstance(observations[0], Mapping) else []
+    return Trajectory(
+        observations={name: np.stack([one[name] for one in observations]) for name in names if name in observation},
+        actions=actions,
+        rewards=np.array(rewards),
+        terminated=bool(terminated),
+        forces=forces,
+        tips=tips,
+        simulation_states=np.stack(states),
+        metadata={
+            "file": str(log),
+            "phantom": info.phantom,
+            "target": info.target,
+            "seed": info.seed,
+            "operator": info.operator,
+        },
+    )
+
+
+def replay_environment(
+    log: Path | str,
+    observation: Sequence[str] = (),
+    *,
+    image_size: int | None = None,
+    reward: str | None = None,
+    force_penalty: float | None = None,
+    path_penalty: float | None = None,
+) -> NavigateEnv:
+    """Makes the environment that a log was recorded in.
+
+    Args:
+        log: of an episode.
+        observation: as `replay` takes it.
+        image_size: likewise.
+        reward: likewise.
+        force_penalty: likewise.
+        path_penalty: likewise.
+    """
+    from cathsim import NavigateEnv
+
+    with EpisodeReader(log) as reader:
+        info, size = reader.info, image_size
+        if size is None:
+            size = reader.camera(reader.cameras[0]).width if reader.cameras else 80
+        action = reader.step(0).action
+    task = _task(info)
+    changed: dict[str, Any] = {"reward": reward, "force_penalty": force_penalty, "path_penalty": path_penalty}
+    task = dataclasses.replace(task, **{name: value for name, value in changed.items() if value is not None})
+    wire, accuracy = recorded_wire(info), _accuracy(info)
+    with told(info, "phantom, entry or camera"):
+        return NavigateEnv(
+            info.phantom,
+            task=task,
+            entry=info.entry,
+            wire=wire,
+            accuracy=accuracy,
+            actions="feeder" if len(action) == 2 else "tip_motors",
+            observation=tuple(observation) or ("tip",),
+            image_size=size,
+        )
+
+
+@contextlib.contextmanager
+def told(info: EpisodeInfo, what: str) -> Iterator[None]:
+    """Words what a log says of itself and what cannot be used, e.g. because it was written by another version.
+
+    Args:
+        info: of the log.
+        what: that is read of it.
+
+    Raises:
+        EpisodeReadError: in place of what the body raises over values of the wrong kind.
+    """
+    try:
+        yield
+    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        if isinstance(error, EpisodeReadError):
+            raise
+        reason = sentence(error) if isinstance(error, ValidationError) else f"{type(error).__name__}: {error}"
+        raise EpisodeReadError(
+            f"the log of seed {info.seed} in {shown(info.phantom)} says a {what} that cannot be used "
+            f"({shown(reason)}): record it anew"
+        ) from error
+
+
+def _task(info: EpisodeInfo) -> NavigationTask:
+    from cathsim import NavigationTask
+
+    fields = {field.name for field in dataclasses.fields(NavigationTask)}
+    with told(info, "task"):
+        return NavigationTask(**{name: value for name, value in info.configuration.items() if name in fields})
+
+
+def recorded_wire(info: EpisodeInfo) -> Guidewire:
+    """The guidewire that an episode was recorded with."""
+    from cathsim import Guidewire
+
+    with told(info, "wire"):
+        values = info.configuration["wire"]
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+        }
+        return Guidewire(**fields)
+
+
+def _accuracy(info: EpisodeInfo) -> Any:
+    from cathsim.presets import Accuracy
+
+    numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
+    with told(info, "time stepping"):
+        return Accuracy(**numerics) if numerics else "accurate"
+
+
+def _require_same(log: Path | str, info: EpisodeInfo, env: NavigateEnv) -> None:
+    """Refuses an episode of another task than the environment's: its start would be another."""
+    here, there = env.task, _task(info)
+    if env.phantom.name != info.phantom or env.phantom.hash != info.phantom_hash:
+        raise ReplayError(
+            f"{log} was recorded in {info.phantom} ({info.phantom_hash[:8]}), the simulator has {env.phantom.name} "
+            f"({env.phantom.hash[:8]}): record it anew"
+        )
+    for name in ("target", "success_radius", "max_steps", "start_jitter", "start_rotation"):
+        if getattr(here, name) != getattr(there, name):
+            raise ReplayError(
+                f"{log} was recorded with {name}={getattr(there, name)}, the environment has {getattr(here, name)}"
+            )
+    if env.simulation.wire != recorded_wire(info):
+        raise ReplayError(f"{log} was recorded with another wire than the environment's: replay each in its own")
+
+
+def _compare(log: Path | str, step: int, recorded: np.ndarray, now: np.ndarray) -> None:
+    if not np.array_equal(recorded, now):
+        away = _MM * float(np.linalg.norm(recorded - now))
+        raise ReplayError(
+            f"{log} does not repeat: at step {step} the tip is {away:.2g} mm from where it was; it was recorded by "
+            "another version or with other settings, so record it anew"
+        )

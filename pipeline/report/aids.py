@@ -1,0 +1,128 @@
+"""What helped the measured rows that stand beside the thesis's: worded from the jobs that made them, so it is true.
+
+The thesis trains on its reward, from one start, with its networks on raw observations, an action a step. What a job has
+beyond that is an aid, and the report names it beneath the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from pipeline.stages.learning.task import REWARD_OF_EVALUATION
+from pipeline.task import Task, number_of_actions
+
+if TYPE_CHECKING:
+    from pipeline.stages.learning.force import ForceJob
+    from pipeline.stages.learning.imitation import ImitationJob
+    from pipeline.stages.learning.training import TrainingJob
+    from pipeline.stages.navigation.jobs import NavigatorJob
+
+_PICTURES = ("image", "mask", "sequential")
+
+
+def note_of(rows: Mapping[str, Sequence[str]]) -> str:
+    """One note for a table: first what all rows share, then the rest, rows with the same aids together.
+
+    Args:
+        rows: name of a row to its aids in words.
+    """
+    every = list(rows.values())
+    shared = [aid for aid in every[0] if all(aid in aids for aids in every)] if every else []
+    groups: dict[str, list[str]] = {}
+    for row, aids in rows.items():
+        groups.setdefault("; ".join(aid for aid in aids if aid not in shared), []).append(row)
+    told = [f"How the measured rows were made: {'; '.join(shared) or 'with nothing in common'}."] if every else []
+    told += [f"{', '.join(names)}: {text}." for text, names in groups.items() if text]
+    return " ".join(told)
+
+
+def training_note(jobs: Iterable[TrainingJob]) -> str:
+    """The note of trainings by reinforcement learning."""
+    return note_of({job.origin.row: of_training(job) for job in jobs})
+
+
+def of_training(job: TrainingJob) -> list[str]:
+    """What a policy was trained with."""
+    settings, task, told = job.settings, job.task, []
+    if task.reward != REWARD_OF_EVALUATION:
+        price = f", less {task.path_penalty:g} a metre of the tip's way" if task.path_penalty else ""
+        told.append(f"shaped reward of training ({task.reward}{price})")
+    if task.force_penalty:
+        told.append(f"a newton costs {task.force_penalty:g} in the reward")
+    if settings.bank_share:
+        states = "demonstrations and own successes" if job.demonstrations else "own successes"
+        told.append(f"{100 * settings.bank_share:.0f} % of the resets along the way, to states of {states}")
+    if settings.demonstrations_in_replay and job.demonstrations:
+        share, count = 100 * settings.demonstrations_in_replay, len(job.demonstrations)
+        told.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")
+    if job.encoder is not None:
+        told.append("an encoder fitted beforehand and frozen")
+    if settings.action_repeat > 1:
+        told.append(f"actions held for {settings.action_repeat} steps")
+    told += _of_task(task.task, job.observation)
+    return [*told, f"{settings.decisions:,} decisions"]
+
+
+def imitation_note(jobs: Iterable[ImitationJob]) -> str:
+    """The note of students of behaviour cloning and DAgger."""
+    return note_of({job.origin.row: of_imitation(job) for job in jobs})
+
+
+def of_imitation(job: ImitationJob) -> list[str]:
+    """What a student was fitted with."""
+    told = [
+        f"{job.variant} network, from {job.episodes} episodes of the expert, which had the aids of its own table",
+        *_of_task(job.task.task, job.observations),
+    ]
+    if job.feature_matching:
+        told.append(f"the expert's features matched with weight {job.feature_matching:g}, which is ours")
+    if job.disturbed_episodes:
+        told.append(f"{job.disturbed_episodes} more episodes with disturbed actions")
+    if job.dagger_rounds:
+        told.append(f"{job.dagger_rounds} rounds of {job.dagger_episodes} own episodes with the expert's advice")
+    return told
+
+
+def force_note(jobs: Iterable[ForceJob], task: Task) -> str:
+    """The note of networks that tell forces, with the task of their episodes."""
+    text = {
+        f"{job.inputs}, {job.samples:,} samples": [
+            f"{job.variant} network on disturbed episodes of the expert, which had the aids of its own table",
+            *_of_task(task, _PICTURES),
+        ]
+        for job in jobs
+    }
+    return note_of(text)
+
+
+def navigation_note(jobs: Iterable[NavigatorJob]) -> str:
+    """The note of navigators."""
+    return note_of({job.origin.row: of_navigator(job) for job in jobs})
+
+
+def of_navigator(job: NavigatorJob) -> list[str]:
+    """What a navigator was trained with and sees."""
+    told = [f"{len(job.rig.cameras)} cameras of {job.rig.image_size_px} px"]
+    if job.guided:
+        told.append("a contrast run before the procedure")
+    if job.space:
+        told.append("wire and vessels measured in space by the cameras' known geometry")
+    told.append(f"actions held for {job.action_repeat} steps")
+    if job.episodes:
+        told.append(f"cloned from {job.episodes} episodes a target of an expert that knows the state")
+    if job.rounds:
+        places = len({anatomy for course in job.courses for anatomy in course.anatomies})
+        told.append(
+            f"{job.rounds} rounds of {job.lessons} lessons in {places} anatomies with a teacher that knows the state"
+        )
+    return told
+
+
+def _of_task(task: Task, observed: Sequence[str]) -> list[str]:
+    told = [f"{number_of_actions(task)} actions"]
+    if any(name in _PICTURES for name in observed):
+        told.append(f"images of {task.image_size_px} px")
+    if task.start_rotation_deg:
+        told.append(f"starts turned by up to {task.start_rotation_deg:g} degrees either way")
+    return told

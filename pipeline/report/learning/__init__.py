@@ -1,0 +1,1 @@
+"""The report's section on learning, computed from evaluation logs."""

@@ -1,0 +1,274 @@
+"""Figures of learning: which plots the report shows of the training curves and evaluation logs of a run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.report.learning.curves import Curve
+from pipeline.report.learning.logs import MODES, Evaluation
+from pipeline.report.learning.statistics import counted, of_mode
+from pipeline.report.learning.tables import EXPERT_ROW, named_rows, row_place
+from pipeline.report.results import Cell, Figure, Table
+from pipeline.report.tables import group_labels, row_labels
+
+CURVES_GROUP = "Learning: training"
+FORCES_GROUP = "Learning: forces"
+WAYS_GROUP = "Learning: ways in the vessel"
+BEYOND_GROUP = "Learning: beyond the thesis"
+HEAT_EPISODES = 42  # logs behind a heat map, evenly taken from all rows
+WAYS_SHOWN = 10  # ways of each who steered
+TARGETS = ("bca", "lcca", "lsa")
+_MM = 1e3
+_STEERED = {"enn": "ENN", "expert": "Sampling expert", "human": "Human"}
+_LABELS = {"baselines": "cathsim_results", "enn": "ablation", "imitation": "imitation"}  # stage -> table with its words
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the figures are drawn from.
+
+    Attributes:
+        run_path: folder of the run, which the logs' names are relative to.
+        evaluations: of all stages.
+        curves: of all trainings.
+        tables: computed from the logs, and those the stages wrote.
+    """
+
+    run_path: Path
+    evaluations: Sequence[Evaluation]
+    curves: Sequence[Curve]
+    tables: Mapping[str, Table]
+
+
+def draw_learning(material: Material, folder: Path) -> list[Figure]:
+    """Draws every figure that there is something for.
+
+    Args:
+        material: of the run.
+        folder: where the PNGs go.
+
+    Returns:
+        The figures, their files relative to the folder.
+    """
+    return [
+        *_training(material, folder),
+        *_lengths(material, folder),
+        *_largest_forces(material, folder),
+        *_heat(material, folder),
+        *_ways(material, folder),
+        *_front(material, folder),
+        *_generalisation(material, folder),
+    ]
+
+
+def task_words(phantom: str, target: str) -> str:
+    """A task in words, e.g. "Type I arch, BCA"."""
+    groups = group_labels()
+    return f"{groups.get(phantom, phantom)}, {groups.get(target, target.upper())}"
+
+
+def _grouped(curves: Sequence[Curve]) -> dict[str, dict[str, list[Curve]]]:
+    """Task to row to a curve a seed."""
+    tasks: dict[str, dict[str, list[Curve]]] = {}
+    for curve in sorted(curves, key=lambda one: (one.phantom, one.target, row_place(one.row), one.row, one.seed)):
+        tasks.setdefault(task_words(curve.phantom, curve.target), {}).setdefault(curve.row, []).append(curve)
+    return tasks
+
+
+def _training(material: Material, folder: Path) -> list[Figure]:
+    from pipeline.report.learning.plots import TRAINING_PANELS, draw_training
+
+    shown = []
+    curves = [
+        curve for curve in material.curves if any(len(curve.pairs(panel.x, panel.y)[0]) for panel in TRAINING_PANELS)
+    ]  # a supervised training has no reward
+    for stage in dict.fromkeys(curve.stage for curve in curves):
+        tasks = _grouped([curve for curve in curves if curve.stage == stage])
+        file = f"training_{stage}.png"
+        draw_training(tasks, row_labels(_LABELS.get(stage, stage)), folder / file)
+        seeds = max(len(of_row) for of_task in tasks.values() for of_row in of_task.values())
+        spread = " One seed."
+        if seeds > 1:
+            spread = (
+                f" Thin: up to {seeds} seeds; thick: their mean, as far as all trained; band: ± one standard deviation."
+            )
+        caption = (
+            "The training's own reward (the tables have the thesis's), exploration included, and success of the "
+            f"evaluated policy.{spread}"
+        )
+        shown.append(Figure(f"Training curves, {stage}", caption, file, CURVES_GROUP))
+    return shown
+
+
+def _lengths(material: Material, folder: Path) -> list[Figure]:
+    from pipeline.report.learning.plots import draw_lengths
+
+    curves = [curve for curve in material.curves if curve.stage == "enn"]
+    tasks = _grouped([curve for curve in curves if curve.row == EXPERT_ROW] or curves)
+    if not any(len(curve.pairs("decisions", "evaluation_length")[0]) for curve in curves):
+        return []
+    human: dict[str, NDArray[np.float64]] = {}
+    for (stage, phantom, target, _), episodes in named_rows(material.evaluations).items():
+        if stage == "human":
+            human[task_words(phantom, target)] = np.array([float(one.metrics.steps) for one in episodes])
+    file = "episode_length.png"
+    draw_lengths(tasks, human, row_labels("ablation"), folder / file)
+    beside = (
+        "Dashed: people at the console, mean ± one standard deviation." if human else "There are no human episodes."
+    )
+    caption = f"Evaluated episode length by checkpoint; failures count with the step limit. {beside}"
+    return [Figure("Episode length during training", caption, file, CURVES_GROUP)]
+
+
+def _largest_forces(material: Material, folder: Path) -> list[Figure]:
+    from pipeline.report.learning.plots import draw_largest_forces
+
+    labels, groups = row_labels("cathsim_results"), group_labels()
+    phantoms: dict[str, dict[tuple[str, str], NDArray[np.float64]]] = {}
+    count = 0
+    for (stage, phantom, target, row), evaluations in named_rows(material.evaluations).items():
+        chosen = of_mode(evaluations, MODES[0])
+        if stage == "baselines" and chosen:
+            boxes = phantoms.setdefault(groups.get(phantom, phantom), {})
+            boxes[labels.get(row, row), target] = np.array([one.metrics.force_max for one in chosen])
+            count += len(chosen)
+    if not phantoms:
+        return []
+    draw_largest_forces(phantoms, folder / "largest_forces.png")
+    caption = (
+        f"Largest resultant contact force of each of {count} evaluation episodes. Box: quartiles; whiskers: 5 and 95 %."
+    )
+    return [Figure("Largest forces of the baselines", caption, "largest_forces.png", FORCES_GROUP)]
+
+
+def _heat(material: Material, folder: Path) -> list[Figure]:
+    from pipeline.report.force_statistics import episode_forces
+    from pipeline.report.plots.forces import draw_heat
+
+    shown = []
+    chosen = of_mode([one for one in material.evaluations if one.stage == "baselines"], MODES[0])
+    for phantom, target in sorted({(one.phantom, one.target) for one in chosen}):
+        vessel = _phantom(phantom)
+        if vessel is None:
+            continue
+        of_task = [one for one in chosen if (one.phantom, one.target) == (phantom, target)]
+        episodes = [episode_forces(material.run_path / one.log) for one in _evenly(of_task, HEAT_EPISODES)]
+        contacts = sum(len(episode.forces) for episode in episodes)
+        if not contacts:
+            continue  # the logs say nothing of single contacts
+        file = f"heat_{phantom}_{target}.png"
+        title = f"{task_words(phantom, target)}: contact forces of the baselines"
+        draw_heat(np.asarray(vessel.lumen_mesh.vertices, np.float64), episodes, folder / file, title=title)
+        caption = f"{contacts} contacts of {len(episodes)} of {len(of_task)} deterministic episodes, all rows together."
+        shown.append(Figure(title, caption, file, FORCES_GROUP))
+    return shown
+
+
+def _ways(material: Material, folder: Path) -> list[Figure]:
+    from pipeline.episodes import EpisodeReader
+    from pipeline.report.learning.plots import draw_ways
+
+    tasks: dict[tuple[str, str], dict[str, list[Evaluation]]] = {}
+    for one in of_mode(counted(material.evaluations), MODES[0]):
+        if one.stage in _STEERED and (one.stage != "enn" or one.row == EXPERT_ROW):
+            tasks.setdefault((one.phantom, one.target), {}).setdefault(_STEERED[one.stage], []).append(one)
+    shown = []
+    for (phantom, target), steered in sorted(tasks.items()):
+        vessel = _phantom(phantom)
+        if vessel is None or "ENN" not in steered:
+            continue
+        ways: dict[str, list[tuple[NDArray[Any], bool]]] = {}
+        for who in _STEERED.values():
+            for one in _evenly(steered.get(who, []), WAYS_SHOWN):
+                with EpisodeReader(material.run_path / one.log) as log:
+                    tips = log.load_arrays(pictures=False)["tip"]
+                ways.setdefault(who, []).append((tips, one.metrics.success))
+        file = f"ways_{phantom}_{target}.png"
+        radius_mm = _MM * steered["ENN"][0].success_radius
+        draw_ways(vessel, target, ways, folder / file, radius_mm=radius_mm)
+        caption = (
+            f"Ways of the tip, at most {WAYS_SHOWN} episodes each; they end in a dot on success, in a cross otherwise. "
+            "The target's sphere of success is dashed."
+        )
+        shown.append(Figure(f"{task_words(phantom, target)}: ways of the tip", caption, file, WAYS_GROUP))
+    return shown
+
+
+def _front(material: Material, folder: Path) -> list[Figure]:
+    from pipeline.report.learning.plots import Point, draw_front
+
+    weights = {
+        (phantom, target, row): evaluations[0].force_weight
+        for (stage, phantom, target, row), evaluations in named_rows(material.evaluations).items()
+        if stage == "enn" and (row == EXPERT_ROW or row.startswith(f"{EXPERT_ROW} "))
+    }
+    points = []
+    for (phantom, target, row), weight in weights.items():
+        cells = material.tables.get("enn", {}).get(f"{phantom}/{target}/{row}", {})
+        shown = [_pair(cells.get(name)) for name in ("force_n", "success_pct", "force_max_n", "episode_length_steps")]
+        pairs = [pair for pair in shown if pair is not None]
+        if len(pairs) < len(shown):
+            continue
+        words = row.removeprefix(EXPERT_ROW).strip()
+        named = re.search(r"[0-9.]+$", words)  # a weight in the row's name
+        order = float(named.group()) if named else weight
+        points.append(Point(task_words(phantom, target), words or EXPERT_ROW, order, *pairs))
+    fronts = {point.task for point in points if point.label != EXPERT_ROW}
+    points = [point for point in points if point.task in fronts]
+    if not points:
+        return []
+    draw_front(points, folder / "front.png")
+    caption = (
+        f"{EXPERT_ROW} without and with a cost of the force in its reward; a number is what a newton costs in a step. "
+        "Bars: standard deviation over the training seeds."
+    )
+    return [Figure("Success against force", caption, "front.png", BEYOND_GROUP)]
+
+
+def _generalisation(material: Material, folder: Path) -> list[Figure]:
+    from pipeline.report.learning.plots import draw_generalisation
+
+    curves: dict[str, list[tuple[int, float, float]]] = {}
+    for row, cells in material.tables.get("generalisation_curve", {}).items():
+        group, _, number = row.rpartition("/")
+        for column in ("success_pct", *(f"success_{target}_pct" for target in TARGETS)):
+            pair = _pair(cells.get(column))
+            if pair is not None and number.isdecimal():
+                target = column.removeprefix("success_").removesuffix("pct").strip("_").upper()
+                name = ", ".join(filter(None, (group.replace("_", " "), target)))
+                curves.setdefault(name or "all targets", []).append((int(number), *pair))
+    if not curves:
+        return []
+    draw_generalisation(curves, folder / "generalisation.png")
+    caption = (
+        "Deterministic episodes on anatomies that were in no training; what each policy sees names its curve. The "
+        "points of the roadmap's curve had equally many decisions; the main policy and the students stand alone."
+    )
+    return [Figure("Success against training anatomies", caption, "generalisation.png", BEYOND_GROUP)]
+
+
+def _evenly(evaluations: Sequence[Evaluation], most: int) -> list[Evaluation]:
+    """At most so many, evenly from all seeds and rows."""
+    places = np.linspace(0, len(evaluations) - 1, min(len(evaluations), most)).round().astype(int)
+    return [evaluations[place] for place in places]
+
+
+def _pair(cell: Cell) -> tuple[float, float] | None:
+    """Mean and spread of a cell; None where it is no number."""
+    if isinstance(cell, list):
+        return float(cell[0]), float(cell[1])
+    return (float(cell), 0.0) if isinstance(cell, int | float) else None
+
+
+def _phantom(name: str) -> Any:
+    """A phantom of the library; None for a random or a user's own, whose vessel is not known here."""
+    from cathsim import PHANTOMS, load_phantom
+
+    return load_phantom(name) if name in PHANTOMS else None

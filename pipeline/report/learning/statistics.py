@@ -1,0 +1,115 @@
+"""Statistics over evaluations: shortest ways for SPL, Wilson's interval, means and spread over training seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.report.learning.logs import DEMONSTRATION, Evaluation, Task
+from pipeline.report.results import Cell
+
+if TYPE_CHECKING:
+    from cathsim.metrics import Summary
+
+Z_95 = 1.959964  # two-sided 95 % of the normal distribution
+
+
+def shortest_ways(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
+    """The shortest way by which any successful episode reached each target: the optimum of SPL, for every policy alike.
+
+    Args:
+        evaluations: all of a run, demonstrations, the sampling expert's and people's among them.
+
+    Returns:
+        Task to m. Episodes share a task when phantom, target, entry, wire, start and success radius agree.
+
+    Source: thesis, section Evaluation Metrics, SPL.
+    """
+    shortest: dict[Task, float] = {}
+    for one in evaluations:
+        if one.metrics.success:
+            shortest[one.task] = min(one.metrics.path_length, shortest.get(one.task, math.inf))
+    return shortest
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share.
+
+    Args:
+        successes: how many.
+        trials: of how many, at least one; taken as independent.
+
+    Returns:
+        Lower and upper bound, 0 to 1.
+
+    Raises:
+        ValueError: for no trials, or more successes than trials.
+
+    Source: Wilson 1927, "Probable inference, the law of succession, and statistical inference".
+    """
+    if not 0 <= successes <= trials or trials < 1:
+        raise ValueError(f"expected 0 to n successes of n >= 1 trials, got {successes} of {trials}")
+    share, square = successes / trials, Z_95**2
+    centre = (share + square / (2 * trials)) / (1 + square / trials)
+    half = Z_95 / (1 + square / trials) * math.sqrt(share * (1 - share) / trials + square / (4 * trials**2))
+    # at the ends one bound is the share itself, which rounding may miss
+    return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
+
+
+def summary(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> Summary:
+    """Mean and standard deviation over episodes, in the thesis's columns.
+
+    Args:
+        evaluations: at least one.
+        shortest: from `shortest_ways`.
+
+    Returns:
+        The summary; SPL by the shortest way of each episode's own task.
+    """
+    from cathsim.metrics import summarise
+
+    return summarise(
+        [one.metrics for one in evaluations], shortest=[shortest.get(one.task, math.nan) for one in evaluations]
+    )
+
+
+def over_seeds(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> dict[str, Cell]:
+    """Means over the training seeds' means, with their standard deviation.
+
+    Args:
+        evaluations: of one mode, at least one.
+        shortest: from `shortest_ways`.
+
+    Returns:
+        The columns of `cathsim.metrics.Summary` and `contact_force_n`; [mean, standard deviation with n - 1 in the
+        denominator] where there are several seeds, else the mean alone. None where there is nothing to average.
+    """
+    seeds: dict[int, list[Evaluation]] = {}
+    for one in evaluations:
+        seeds.setdefault(one.training_seed, []).append(one)
+    means: dict[str, list[float]] = {}
+    for of_seed in seeds.values():
+        for name, value in summary(of_seed, shortest).as_dict().items():
+            means.setdefault(name, []).append(float(value[0] if isinstance(value, list) else value))
+        contacts = [one.contact_force for one in of_seed if one.contact_force is not None]
+        if contacts:
+            means.setdefault("contact_force_n", []).append(float(np.mean(contacts)))
+    return {"contact_force_n": None, **{name: _mean_and_spread(values) for name, values in means.items()}}
+
+
+def _mean_and_spread(values: list[float]) -> Cell:
+    mean = float(np.mean(values))
+    return [mean, float(np.std(values, ddof=1))] if len(values) > 1 else mean
+
+
+def of_mode(evaluations: Sequence[Evaluation], mode: str) -> list[Evaluation]:
+    """Those of one mode, "deterministic" or "stochastic"."""
+    return [one for one in evaluations if one.mode == mode]
+
+
+def counted(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
+    """Those that belong to a row: all but demonstrations."""
+    return [one for one in evaluations if one.mode != DEMONSTRATION]

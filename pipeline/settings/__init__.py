@@ -1,0 +1,1 @@
+"""Kinds and checks of settings."""

@@ -1,0 +1,120 @@
+"""Kinds of settings: annotations with the range that a value of each kind can be meant to have.
+
+The upper bounds are far above what any run needs; they refuse slips of a unit or of a zero before hours are spent.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from annotated_types import Ge, Gt, Le
+from pydantic import AfterValidator
+
+from pipeline.settings.checks import shown
+
+_LONGEST_NAME = 100  # file systems take 255 bytes, and what is made of a name gets more letters
+_DEVICE = re.compile(r"auto|cpu|cuda(:[0-9]{1,3})?")
+_FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
+
+
+def folder_name(value: str) -> str:
+    """Accepts a name that can become a folder on every system; raises a ValueError otherwise."""
+    if len(value) > _LONGEST_NAME:
+        raise ValueError(f"has {len(value)} letters: a name that becomes a folder has at most {_LONGEST_NAME}")
+    if not _FOLDER_NAME.fullmatch(value):
+        raise ValueError(
+            f"cannot be {value!r}, for it becomes a folder: use letters, digits, '.', '_', '+' and '-', beginning with "
+            "a letter or digit"
+        )
+    return value
+
+
+def path_text(value: str) -> str:
+    """Accepts a text that can be a path; raises a ValueError otherwise."""
+    if not value.strip() or "\0" in value:
+        raise ValueError("is empty: give a path" if not value.strip() else "holds a zero byte, which no path can")
+    return value
+
+
+def one_of(*choices: str) -> AfterValidator:
+    """The check that a text is one of the choices."""
+
+    def check(value: str) -> str:
+        if value not in choices:
+            raise ValueError(f"has no {shown(value)}: choose from {', '.join(choices)}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _list_check(problem: Callable[[list[Any]], str | None]) -> AfterValidator:
+    def check(values: list[Any]) -> list[Any]:
+        if found := problem(values):
+            raise ValueError(found)
+        return values
+
+    return AfterValidator(check)
+
+
+def _device(value: str) -> str:
+    if not _DEVICE.fullmatch(value):
+        raise ValueError(f"has no {shown(value)}: choose from auto, cpu, cuda, or one GPU such as cuda:1")
+    return value
+
+
+NOT_EMPTY = _list_check(lambda values: None if values else "is empty: name at least one")
+UNIQUE = _list_check(
+    lambda values: f"names something twice: {', '.join(map(str, values))}" if len(set(values)) < len(values) else None
+)
+RISING = _list_check(
+    lambda values: f"must rise, got {', '.join(map(str, values))}" if values != sorted(values) else None
+)
+
+Device = Annotated[str, AfterValidator(_device)]  # of networks: see `pipeline.jobs.gpus`
+PathText = Annotated[str, AfterValidator(path_text)]
+FolderName = Annotated[str, AfterValidator(folder_name)]
+FolderNames = Annotated[list[FolderName], UNIQUE]
+SomeFolderNames = Annotated[FolderNames, NOT_EMPTY]
+
+Seed = Annotated[int, Ge(0), Le(1_000_000)]  # those drawn from it stay below 2^32, which NumPy's old generators need
+Count = Annotated[int, Ge(1), Le(1_000_000)]
+CountOrNone = Annotated[int, Ge(0), Le(1_000_000)]  # 0: none, or the recipe's own number
+Episodes = Annotated[int, Ge(1), Le(1_000)]  # a training has 1,000 seeds of its own for episodes
+RisingEpisodes = Annotated[list[Episodes], UNIQUE, RISING, NOT_EMPTY]
+EpisodesOrNone = Annotated[int, Ge(0), Le(1_000)]
+Decisions = Annotated[int, Ge(1), Le(1_000_000_000)]
+Trainings = Annotated[int, Ge(1), Le(1_000)]
+Units = Annotated[int, Ge(1), Le(65_536)]  # of a network's layer
+Processes = Annotated[int, Ge(0), Le(1_024)]  # beside each other; 0: one a core
+ImageSize = Annotated[int, Ge(36), Le(4_096)]  # px; the learnt encoders' convolutions need 36
+
+
+def _wire_length(value: float) -> float:
+    if value and not 100 <= value <= 2_000:
+        raise ValueError(f"must be 0 (as long as the preset) or 100 to 2000 mm, got {value}")
+    return value
+
+
+SuccessRadius = Annotated[float, Gt(0), Le(100)]  # mm
+StartJitter = Annotated[float, Ge(0), Le(50)]  # mm
+StartRotation = Annotated[float, Ge(0), Le(180)]  # degrees
+WireLength = Annotated[float, AfterValidator(_wire_length)]  # mm; 0: the preset's own
+NoisePixels = Annotated[float, Ge(0), Le(100)]
+Weight = Annotated[float, Ge(0), Le(1e6)]
+
+
+def _branch_names(value: Any) -> Any:
+    """Accepts None, a mapping from names to names, or a list of names."""
+    if value is None:
+        return None
+    names = [*value, *value.values()] if isinstance(value, dict) else value
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"must be a mapping such as {{lcca: lsa}} or a list of names, got {shown(value)}")
+    for name in names:
+        folder_name(name)
+    return value
+
+
+BranchNames = Annotated[Any, AfterValidator(_branch_names)]  # of a mesh's branches

@@ -1,0 +1,100 @@
+"""The annotation of a simulated wire: where a person would click, exactly or with a shaky hand, and what is in view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from guide3d.geometry.polyline import arc_length, at_length
+
+Array = NDArray[np.float64]
+
+SPACING_PX, TURNING = 8.0, 0.2  # rad, of an exact annotation: within 0.05 px of the wire
+CLICKS_PX = (15.0, 30.0)  # between the clicks of a person on a straight stretch
+TURN_PX = 30.0  # a turn of 1 rad asks for clicks like so much more length
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A wire as one camera sees it.
+
+    Attributes:
+        points: (n, 2) px, tip first, to where the wire leaves the image.
+        visible: arc length from the tip to there, in the unit of the curve.
+    """
+
+    points: Array
+    visible: float
+
+
+def in_view(pixels: Array, arc: Array, size_px: int) -> View | None:
+    """Cuts a projected curve where it first leaves the image.
+
+    Args:
+        pixels: (n, 2) px, of the curve from the tip.
+        arc: (n,) arc length in space.
+        size_px: side of the image.
+
+    Returns:
+        The part in view; None where the tip is not.
+    """
+    beyond = np.maximum(-pixels, pixels - (size_px - 1)).max(axis=1)
+    outside = np.flatnonzero(beyond > 0)
+    if not len(outside):
+        return View(pixels, float(arc[-1]))
+    end = int(outside[0])
+    if end == 0:
+        return None
+    share = -beyond[end - 1] / (beyond[end] - beyond[end - 1])  # of the last short, straight piece
+    last = pixels[end - 1] + share * (pixels[end] - pixels[end - 1])
+    visible = arc[end - 1] + share * (arc[end] - arc[end - 1])
+    return View(np.vstack([pixels[:end], last]), float(visible))
+
+
+def annotated(points: Array, noise_px: float, size_px: int, generator: np.random.Generator) -> Array:
+    """The polyline that an annotator leaves.
+
+    Args:
+        points: (n, 2) px, the wire in view, dense.
+        noise_px: standard deviation of a click in each direction; 0 gives the exact, dense polyline.
+        size_px: side of the image, which no click leaves.
+        generator: of the clicks.
+
+    Returns:
+        (m, 2) px, both ends of the wire among them.
+    """
+    if noise_px == 0:
+        return thinned_by_turning(points, SPACING_PX, TURNING)
+    along = arc_length(points)
+    measure = along + TURN_PX * _turned(points)
+    places = np.cumsum(generator.uniform(*CLICKS_PX, int(measure[-1] / CLICKS_PX[0]) + 1))
+    inner = places[places < measure[-1] - CLICKS_PX[0] / 2]
+    clicks = at_length(points, np.interp([0.0, *inner, measure[-1]], measure, along))
+    return np.clip(clicks + noise_px * generator.standard_normal(clicks.shape), 0.0, size_px - 1.0)
+
+
+def thinned_by_turning(points: Array, spacing: float, turning: float) -> Array:
+    """Some of the points of a dense curve: closer together where it turns, so that no chord strays far from it.
+
+    Args:
+        points: (n, d) dense.
+        spacing: longest distance of neighbours on a straight stretch, in the unit of the points.
+        turning: largest turn between neighbours, rad. A chord strays by at most spacing x turning / 32.
+
+    Returns:
+        (m, d) of the points, both ends among them.
+    """
+    measure = arc_length(points) / spacing + _turned(points) / turning
+    count = max(2, int(np.ceil(measure[-1])) + 1)
+    kept = np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, len(points) - 1)
+    return points[np.unique(np.concatenate([[0], kept, [len(points) - 1]]))]
+
+
+def _turned(points: Array) -> Array:
+    """How far a dense curve has turned up to each of its points, rad, whichever way. Shape (n,)."""
+    steps = np.diff(points, axis=0)
+    steps = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
+    bends = 2 * np.arcsin(np.minimum(np.linalg.norm(np.diff(steps, axis=0), axis=1) / 2, 1.0))
+    return np.concatenate([[0.0], np.cumsum(bends), [bends.sum()]])

@@ -1,0 +1,112 @@
+"""The folder of the stage guide3d, as later stages read it: where the data set lies, and its curves in space."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from guide3d.dataset.dataset import Dataset
+from pipeline.store.atomic_files import write_json
+from pipeline.store.errors import StageError
+
+SOURCE, RECONSTRUCTIONS = "source.json", "sphere.json"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a data set lies; paths are relative to the stage's folder, or absolute.
+
+    Attributes:
+        root: of the data set.
+        images: folder of its images, where they lie elsewhere.
+        calibration: folder of its cameras, likewise.
+        undistorted: whether its annotations are undistorted, where somebody said so or the residuals did.
+    """
+
+    root: str
+    images: str | None = None
+    calibration: str | None = None
+    undistorted: bool | None = None
+
+    def write(self, folder: Path) -> None:
+        """Writes source.json into the stage's folder."""
+        write_json(folder / SOURCE, asdict(self))
+
+    def place(self, folder: Path, name: str) -> Path | None:
+        """Where images, calibration or curves in space lie, if not with the data set.
+
+        Args:
+            folder: of the stage.
+            name: "images", "calibration" or "curves".
+        """
+        if name == "curves":
+            return folder / RECONSTRUCTIONS if (folder / RECONSTRUCTIONS).exists() else None
+        told = getattr(self, name)
+        return None if told is None else folder / told
+
+    def open(self, folder: Path) -> Dataset:
+        """Opens the data set.
+
+        Args:
+            folder: of the stage.
+
+        Raises:
+            StageError: it is not there or cannot be used.
+        """
+        try:
+            return Dataset.open(
+                folder / self.root,
+                images=self.place(folder, "images"),
+                calibration=self.place(folder, "calibration"),
+                curves=self.place(folder, "curves"),
+                undistorted=self.undistorted,
+            )
+        except (OSError, ValueError) as error:
+            raise StageError(str(error)) from error
+
+
+def open_dataset(folder: Path) -> Dataset:
+    """The data set of a finished stage guide3d, generated or the user's own.
+
+    Args:
+        folder: of the stage, ``runs/<name>/guide3d``.
+
+    Returns:
+        The data set; frames that were reconstructed have their `reconstruction_mm`.
+
+    Raises:
+        StageError: the stage left none, or it has gone.
+    """
+    return read_source(folder).open(folder)
+
+
+def read_source(folder: Path) -> Source:
+    """Where the data set of a finished stage guide3d lies.
+
+    Args:
+        folder: of the stage, ``runs/<name>/guide3d``.
+
+    Raises:
+        StageError: the stage left none.
+    """
+    path = folder / SOURCE
+    if not path.is_file():
+        raise StageError(f"{folder} holds no data set: run stage=guide3d again")
+    return Source(**json.loads(path.read_text(encoding="utf-8")))
+
+
+def reconstructed_curves(folder: Path, data: Dataset) -> dict[int, np.ndarray]:
+    """The reconstructed wires.
+
+    Args:
+        folder: of the stage.
+        data: from `open_dataset`.
+
+    Returns:
+        Index of a frame to its curve, (n, 3) mm from the tip, a point a millimetre; without those that were rejected.
+    """
+    found = {index: frame.reconstruction_mm for index, frame in enumerate(data.frames)}
+    return {index: curve for index, curve in found.items() if curve is not None}

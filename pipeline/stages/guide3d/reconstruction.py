@@ -1,0 +1,183 @@
+"""Reconstruction over a data set: every pair's wire in space, what it misses in the images and of the truth.
+
+Four ways stand beside each other: the global one and the thesis's greedy one, on the annotations as they are and, where
+the truth is known, on clicks of a shaky hand. The global one on the annotations takes every pair; the others take pairs
+spread over the data.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from guide3d.dataset.annotation_files import Views, write_curves
+from guide3d.dataset.dataset import Dataset
+from guide3d.dataset.frame import Frame
+from guide3d.dataset.true_curves import VIEWS
+from guide3d.geometry.bspline import BSplineCurve
+from guide3d.geometry.metrics import curve_metrics, distances_along
+from guide3d.geometry.polyline import arc_length, resample
+from guide3d.reconstruction.reconstruction import reconstruct, reconstruct_greedy
+from pipeline.jobs.worker import Report
+from pipeline.stages.guide3d.annotation import annotated
+from pipeline.stages.guide3d.folder import RECONSTRUCTIONS, Source
+from pipeline.store.atomic_files import write_text
+
+Array = NDArray[np.float64]
+Record = dict[str, Any]
+
+PARTS, RECORDS = ".parts", "reconstructions.json"  # the former until the stage is done
+PLACES = 30  # along the wire at which errors are told, from the tip to its end
+ON_ANNOTATION, ON_CLICKS = ("global", "greedy"), ("global, clicks", "greedy, clicks")
+WAYS = (*ON_ANNOTATION, *ON_CLICKS)
+_DENSE_PX = 1.0  # of the polyline that clicks are drawn from
+
+
+@dataclass(frozen=True)
+class ReconstructionJob:
+    """Pairs to be reconstructed by one process.
+
+    Attributes:
+        folder: of the stage.
+        source: where the data set lies.
+        part: number of the job.
+        frames: indices of frames.
+        compared: those of them that all ways take, not only ours.
+        noise_px: standard deviation of a click.
+        seed: of the clicks.
+    """
+
+    folder: Path
+    source: Source
+    part: int
+    frames: tuple[int, ...]
+    compared: frozenset[int]
+    noise_px: float
+    seed: int
+
+
+def reconstruct_pairs(job: ReconstructionJob, report: Report) -> dict[str, Any]:
+    """Reconstructs pairs and writes their records and curves.
+
+    Args:
+        job: which.
+        report: takes the progress.
+
+    Returns:
+        ``pairs``.
+    """
+    data = job.source.open(job.folder)
+    entries: list[Record] = []
+    with _quiet():
+        for place, index in enumerate(job.frames):
+            frame = data.frames[index]
+            drawn = {view: frame.polyline(view) for view in VIEWS}
+            ways = WAYS[:1] if index not in job.compared else ON_ANNOTATION if frame.truth is None else WAYS
+            entries += [_entry(data, index, way, drawn) for way in ways if way in ON_ANNOTATION]
+            if len(ways) == len(WAYS):
+                generator = np.random.default_rng((job.seed, index))
+                clicks = {view: _clicked(drawn[view], job, frame, view, generator) for view in VIEWS}
+                entries += [_entry(data, index, way, clicks) for way in ON_CLICKS]
+            report(place / len(job.frames), f"{place} of {len(job.frames)} pairs")
+    write_text(part_file(job.folder, job.part), json.dumps(entries))
+    return {"pairs": len(job.frames)}
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps what single pairs warn of out of the log: the records hold it, and the stage has judged the cameras."""
+    logger = logging.getLogger(reconstruct.__module__)
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def part_file(folder: Path, part: int) -> Path:
+    """Where a job's records lie until they are gathered."""
+    return folder / PARTS / f"{part:03d}.json"
+
+
+def _clicked(points: Array, job: ReconstructionJob, frame: Frame, view: str, generator: np.random.Generator) -> Array:
+    dense = resample(points, count=max(2, int(arc_length(points)[-1] / _DENSE_PX)))
+    return annotated(dense, job.noise_px, min(frame.size_px[view]), generator)
+
+
+def _entry(data: Dataset, index: int, way: str, points: dict[str, Array]) -> Record:
+    """Reconstructs one pair in one way."""
+    frame, (a, b) = data.frames[index], (data.undistort(view, points[view]) for view in VIEWS)
+    assert data.camera_a is not None
+    assert data.camera_b is not None
+    started = time.process_time()
+    run = reconstruct if way.startswith("global") else reconstruct_greedy
+    record: Record = {"index": index, "label": frame.label, "way": way}
+    try:
+        found = run(data.camera_a, data.camera_b, a, b)
+    except ValueError as error:
+        return {**record, "accepted": False, "reason": str(error)}
+    record["cpu_s"] = time.process_time() - started
+    record |= {
+        "accepted": bool(found.accepted),
+        "reason": "; ".join(found.warnings),
+        "mean_a_px": float(found.mean_a_px),
+        "mean_b_px": float(found.mean_b_px),
+        "coverage": float(found.coverage),
+        "tangent_share": max(found.tangent_share),
+        "along_a_px": _along(found.residual_a_px),
+        "along_b_px": _along(found.residual_b_px),
+        "length_mm": found.length_mm,
+        "sd_mm": float(found.sd_mm.mean()),
+    }
+    truth = frame.curve_mm
+    if truth is not None:
+        record |= curve_metrics(truth, found.curve_mm)
+        record["along_mm"] = _along(distances_along(truth, found.curve_mm))
+        record["length_error_mm"] = record["length_mm"] - float(arc_length(truth)[-1])
+    if way == WAYS[0] and found.accepted:
+        record["curve"] = found.spline.to_tck()
+    return record
+
+
+def _along(values: Array) -> list[float]:
+    """Values at `PLACES` places from the tip to the end."""
+    return np.interp(np.linspace(0.0, 1.0, PLACES), np.linspace(0.0, 1.0, len(values)), values).tolist()
+
+
+def gather(folder: Path, source: Source, parts: Sequence[int]) -> list[Record]:
+    """Joins what the jobs left: the accepted curves in the public layout, then the records in one file.
+
+    Args:
+        folder: of the stage.
+        source: where the data set lies.
+        parts: numbers of the jobs.
+
+    Returns:
+        The records, without curves.
+    """
+    gathered = folder / RECORDS
+    if gathered.exists():
+        return list(json.loads(gathered.read_text(encoding="utf-8")))
+    records: list[Record] = []
+    for part in parts:
+        records += json.loads(part_file(folder, part).read_text(encoding="utf-8"))
+    data = source.open(folder)
+    curves: dict[tuple[str, int], Views] = {}
+    for record in records:
+        if (curve := record.pop("curve", None)) is not None:
+            frame = data.frames[record["index"]]
+            space = BSplineCurve.from_tck(curve)
+            curves[frame.acquisition, frame.number] = Views(frame.spline("a"), frame.spline("b"), space)
+    write_curves(folder / RECONSTRUCTIONS, [frame.annotation for frame in data.frames], curves)
+    write_text(gathered, json.dumps(records))
+    return records

@@ -1,0 +1,89 @@
+"""Settings of the stage guide3d: a data set of one's own, or how one is generated; and how wires are reconstructed."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Ge, Le
+
+from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.kinds import Count, NoisePixels, PathText, Processes, SomeFolderNames, one_of
+from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import hash_file, hash_value
+
+FEWEST_IMAGES = 8  # a pair of each wire, with and without fluid
+FILLINGS = ("fluid", "contrast")
+_ANNOTATIONS = tuple(f"{folder}{name}" for folder in ("", "*/", "*/*/") for name in ("raw.json", "*.xml"))
+# What is read of a data set, beside its images.
+_READ = (".json", ".xml", ".txt", ".yaml", ".yml", ".npz", ".jpg")
+
+
+@validated("guide3d.")
+class Guide3dSource:
+    """A data set of one's own: the top-level keys ``guide3d.root=PATH`` and its like."""
+
+    root: PathText | None = None  # folder in the public layout, or its raw.json
+    images: PathText | None = None  # folder of the images, where they lie elsewhere
+    calibration: PathText | None = None  # folder of the camera files (and perforated sheets), where they lie elsewhere
+    undistorted: bool | None = None  # whether annotations are undistorted; found out by epipolar residuals if left out
+
+
+@validated()
+class Guide3dSettings:
+    """Settings of the guide3d stage."""
+
+    name: str = "guide3d"
+    images: Annotated[int, Ge(FEWEST_IMAGES), Le(1_000_000)] = 2400  # to be generated, both cameras together
+    pairs: Count = 13  # of an acquisition, at most
+    phantoms: SomeFolderNames = field(default_factory=lambda: ["type_1"])
+    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])
+    steps: Count = 4  # of 0.1 s from one pair to the next
+    image_size_px: Annotated[int, Ge(64), Le(4_096)] = 1024
+    distorted: bool = False  # images and annotations as the detectors show them
+    annotation_noise_px: NoisePixels = 0.0  # of a click; 0: exact annotations
+    filling: Annotated[str, one_of(*FILLINGS)] = "fluid"  # what the lumen holds where it is filled, or contrast
+    validation_noise_px: NoisePixels = 1.0  # of the clicks in the second part of the simulated validation
+    compared: Count = 300  # pairs that are also reconstructed in the thesis's way, and from clicks
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # processes beside each other; 0: one a core
+    root: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # its content counts, not its place
+    image_root: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
+    calibration: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
+    undistorted: bool | None = None
+    root_sha256: str | None = None  # filled in
+
+    def __post_init__(self) -> None:
+        """Checks that the data set of one's own is there, and that images make pairs."""
+        self.root_sha256 = None
+        if self.root is not None:
+            for key in ("root", "images", "calibration"):
+                path = self.image_root if key == "images" else getattr(self, key)
+                if path is not None and not Path(path).exists():
+                    raise ConfigurationError(f"guide3d.{key}={path} is missing: give the folder of a data set")
+            _require_annotation(Path(self.root))
+            self.root_sha256 = _content(Path(self.root), self.calibration)
+        elif self.image_root is not None or self.calibration is not None or self.undistorted is not None:
+            raise ConfigurationError(
+                "guide3d.images, guide3d.calibration.rig and guide3d.undistorted belong to a data set of your own: give "
+                "guide3d.root=PATH too"
+            )
+        if self.images % 2:
+            raise ConfigurationError(f"stage.images must be even, got {self.images}")
+
+
+def _require_annotation(root: Path) -> None:
+    """Refuses a folder that is no data set before all that lies below it is read, which may be a whole disk."""
+    if root.is_dir() and not any(next(root.glob(pattern), None) for pattern in _ANNOTATIONS):
+        raise ConfigurationError(
+            f"guide3d.root={root} holds no annotation: give the folder with raw.json or with an export of CVAT (*.xml)"
+        )
+
+
+def _content(root: Path, calibration: str | None) -> str:
+    """Hash over annotations and calibration; images count by their number."""
+    folders = [root] if calibration is None else [root, Path(calibration)]
+    files = sorted({file for folder in folders for file in ([folder] if folder.is_file() else folder.rglob("*"))})
+    read = [hash_file(file) for file in files if file.is_file() and file.suffix.lower() in _READ]
+    images = sum(1 for file in files if file.suffix.lower() == ".png")
+    return hash_value({"read": read, "images": images})

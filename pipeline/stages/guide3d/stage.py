@@ -1,0 +1,154 @@
+"""The guide3d stage: a bi-planar data set, generated or one's own, and the wires of its pairs in space."""
+
+from __future__ import annotations
+
+import logging
+from itertools import groupby
+
+import numpy as np
+
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.report.results import write_figures, write_results
+from pipeline.stages import Stage, StageContext
+from pipeline.stages.guide3d.figures import reconstruction_figures, sample_figure
+from pipeline.stages.guide3d.folder import Source
+from pipeline.stages.guide3d.generator import DATASET, GenerationJob, Studio, assemble, generate
+from pipeline.stages.guide3d.own_data import own_source
+from pipeline.stages.guide3d.plan import Acquisition, plan_acquisitions
+from pipeline.stages.guide3d.reconstruction import ReconstructionJob, Record, gather, reconstruct_pairs
+from pipeline.stages.guide3d.settings import Guide3dSettings
+from pipeline.stages.guide3d.tables import comparison_row, composition_table, reconstruction_tables
+from pipeline.stages.guide3d.wire_motions import targets_of
+from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.store.errors import ConfigurationError
+
+PRELOAD = (
+    "cathsim",
+    "guide3d.dataset.dataset",
+    "guide3d.reconstruction.reconstruction",
+    "pipeline.stages.guide3d.generator",
+)
+_PAIRS_A_JOB = 150
+_SECONDS_A_PAIR, _SECONDS_A_RECONSTRUCTION = 0.1, 0.05
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def check_guide3d(settings: Guide3dSettings) -> None:
+    """Refuses unknown phantoms, and targets that one of them does not have.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    if settings.root is not None:
+        return
+    require_known_phantoms(settings.phantoms)
+    from cathsim import load_phantom
+
+    for name in settings.phantoms:
+        known = targets_of(load_phantom(name))
+        unknown = [target for target in settings.targets if target not in known]
+        if unknown:
+            raise ConfigurationError(f"phantom {name} has no branch {unknown[0]!r}: choose from {', '.join(known)}")
+
+
+def run_guide3d(settings: Guide3dSettings, context: StageContext) -> None:
+    """Generates a data set or takes one's own, reconstructs its wires and sums them up.
+
+    Args:
+        settings: of the stage.
+        context: where to write.
+    """
+    source = _generated(settings, context) if settings.root is None else own_source(settings, context.path)
+    source.write(context.path)
+    data = source.open(context.path)
+    tables = {
+        "guide3d_composition": composition_table(data),
+        "datasets": comparison_row(data, simulated=settings.root is None),
+    }
+    records: list[Record] = []
+    if data.camera_a is None:
+        _LOGGER.warning("no camera files: nothing is reconstructed; give their folder by guide3d.calibration=PATH")
+    else:
+        jobs = _reconstructions(settings, context, source, len(data))
+        run_jobs(context.folder, jobs, workers=settings.workers, label="reconstructions", preload=PRELOAD)
+        records = gather(context.path, source, range(len(jobs)))
+        tables |= reconstruction_tables(records)
+    sample = sample_figure(data, context.path)
+    figures = reconstruction_figures(data, records, context.path)
+    write_results(context.path, tables)
+    write_figures(context.path, [*([sample] if sample else []), *figures])
+
+
+def _generated(settings: Guide3dSettings, context: StageContext) -> Source:
+    from cathsim import load_phantom
+
+    # one pair of cameras for all phantoms, which all lie about the world's origin
+    x, y, z = load_phantom(settings.phantoms[0]).bounds.mean(axis=0).tolist()
+    studio = Studio(
+        (x, y, z), settings.image_size_px, settings.distorted, settings.annotation_noise_px, settings.filling
+    )
+    planned = plan_acquisitions(
+        settings.images, settings.pairs, settings.phantoms, settings.targets, settings.steps, context.seed
+    )
+    jobs = [
+        Job(
+            f"acquisitions/{number}",
+            generate,
+            GenerationJob(context.path, own, studio),
+            weight=_SECONDS_A_PAIR * sum(one.script.shapes for one in own),
+        )
+        for number, own in enumerate(_chunks(planned))
+    ]
+    run_jobs(context.folder, jobs, workers=settings.workers, label="acquisitions", preload=PRELOAD)
+    assemble(context.path, planned, studio)
+    return Source(DATASET)
+
+
+def _chunks(planned: list[Acquisition]) -> list[tuple[Acquisition, ...]]:
+    """Acquisitions of one phantom and filling together: the still parts of their images are computed once."""
+
+    def kind(one: Acquisition) -> tuple[str, bool]:
+        return one.script.phantom, one.fluid
+
+    chunks: list[tuple[Acquisition, ...]] = []
+    for _, group in groupby(sorted(planned, key=kind), key=kind):
+        chunk: list[Acquisition] = []
+        for one in group:
+            if chunk and sum(other.script.shapes for other in chunk) + one.script.shapes > _PAIRS_A_JOB:
+                chunks.append(tuple(chunk))
+                chunk = []
+            chunk.append(one)
+        chunks.append(tuple(chunk))
+    return chunks
+
+
+def _reconstructions(settings: Guide3dSettings, context: StageContext, source: Source, count: int) -> list[Job]:
+    compared = frozenset(np.unique(np.linspace(0, count - 1, min(settings.compared, count)).astype(int)).tolist())
+    parts = np.array_split(np.arange(count), -(-count // (4 * _PAIRS_A_JOB)))
+    return [
+        Job(
+            f"reconstructions/{number}",
+            reconstruct_pairs,
+            ReconstructionJob(
+                context.path, source, number, tuple(part.tolist()), compared, settings.validation_noise_px, context.seed
+            ),
+            weight=_SECONDS_A_RECONSTRUCTION * len(part),
+        )
+        for number, part in enumerate(parts)
+    ]
+
+
+STAGE = Stage(
+    name="guide3d",
+    run=run_guide3d,
+    writes=(
+        "dataset/{raw.json, b_spline.json, cvat.xml, truth.json, dataset.json, calibration/, images/} (generated)",
+        "calibration/{camera_<detector>.yaml, distortion_<detector>.npz} (of a data set of one's own)",
+        "source.json, sphere.json, reconstructions.json",
+        "samples.png, reprojection.png, segments.png, overlays.png, space.png",
+        "results.json",
+        "figures.json",
+    ),
+    check=check_guide3d,
+)  # fmt: skip

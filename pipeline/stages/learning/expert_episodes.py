@@ -1,0 +1,271 @@
+"""Expert episodes: the logs with images that the enn stage leaves, read for what learns from them."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.episodes import EpisodeReader
+from pipeline.episodes.errors import EpisodeReadError
+from pipeline.recording.replay import recorded_wire
+from pipeline.stages.learning.task import LearningTask
+from pipeline.stages.learning.training import EXPERT, POLICY
+from pipeline.store.errors import StageError
+from pipeline.task import FEEDER, MOTION, TASK, TIP_MOTORS, Task, require_same_task, task_from
+
+if TYPE_CHECKING:
+    from cathsim import Guidewire
+    from enn.policy import Policy
+    from enn.trajectory import Trajectory
+
+CAMERA = "frontal"
+_MM = 1e3
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def read_episode(log: Path) -> Trajectory:
+    """Reads an episode with its images, as a learner sees it.
+
+    Args:
+        log: of an episode that was logged with images.
+
+    Returns:
+        Observations `image` and `mask` (T + 1, 1, H, W), `joints`, `feeder` and `shape`, as the environment gives them.
+
+    Raises:
+        EpisodeReadError: the log is damaged or unfinished.
+        StageError: it holds no images.
+        ValueError: it holds no step, or a value that is not finite.
+    """
+    from enn.trajectory import Trajectory
+
+    with EpisodeReader(log) as reader:
+        info, outcome = reader.info, reader.outcome
+        if CAMERA not in reader.cameras or not reader.has(CAMERA, "image"):
+            raise StageError(f"{log} was logged without images: nothing can be learnt to see from it")
+        arrays = reader.load_arrays()
+        wire = recorded_wire(info)
+    feeder = np.column_stack((arrays["insertion"], np.cos(arrays["rotation"]), np.sin(arrays["rotation"])))
+    joints = np.concatenate((arrays["joint_positions"], arrays["joint_velocities"]), axis=1)
+    return Trajectory(
+        observations={
+            "image": arrays[f"image/{CAMERA}"][:, None],
+            "mask": arrays[f"mask/{CAMERA}"][:, None] * np.uint8(255),
+            "joints": joints.astype(np.float32),
+            "feeder": feeder.astype(np.float32),
+            "shape": arrays["wire_points"].astype(np.float32),
+        },
+        actions=arrays["action"][1:].astype(np.float32),
+        rewards=arrays["reward"][1:],
+        terminated=bool(outcome.success),
+        forces=np.linalg.norm(arrays["resultant_force"][1:], axis=1),
+        tips=arrays["tip"],
+        metadata={"file": str(log), "phantom": info.phantom, "target": info.target, "seed": info.seed, "wire": wire},
+    )
+
+
+def read_episodes(logs: Sequence[Path], wanted: int | None = None) -> list[Trajectory]:
+    """Reads episodes that are to be learnt from together; a damaged one is left out with a warning.
+
+    Args:
+        logs: in the order in which they are to be taken.
+        wanted: how many; None: all.
+
+    Returns:
+        The episodes.
+
+    Raises:
+        StageError: there are no logs, none can be read, or one is of another wire or image size than the rest.
+    """
+    episodes: list[Trajectory] = []
+    for log in logs:
+        if wanted is not None and len(episodes) == wanted:
+            break
+        try:
+            episodes.append(read_episode(log))
+        except (EpisodeReadError, ValueError) as error:
+            _LOGGER.warning("%s is left out: %s", log, error)
+    if not episodes:
+        place = f" of {len(logs)} in {logs[0].parent}" if logs else ""
+        raise StageError(f"there is no expert episode to learn from{place}: run stage=enn with stage.expert_episodes>0")
+    require_alike(episodes)
+    if wanted is not None and len(episodes) < wanted:
+        _LOGGER.warning("%d expert episodes were asked for, there are %d", wanted, len(episodes))
+    return episodes
+
+
+def require_alike(episodes: Sequence[Trajectory]) -> None:
+    """Refuses episodes of several wires or image sizes.
+
+    Raises:
+        StageError: names the first that differs.
+    """
+    from enn.trajectory import require_same_shapes
+
+    for episode in episodes:
+        if episode.metadata["wire"] != episodes[0].metadata["wire"]:
+            raise StageError(
+                f"{episode.label} was recorded with another wire than {episodes[0].label}: keep episodes of one kind "
+                "together"
+            )
+    try:
+        require_same_shapes(episodes, ("image", "joints"))
+    except ValueError as error:
+        raise StageError(str(error)) from error
+
+
+def expert_folder(enn: Path, task: str, row: str) -> Path:
+    """The training whose policy is the expert: the first seed that has expert episodes, or else a policy.
+
+    Args:
+        enn: folder of the stage.
+        task: phantom and target, ``type_1/bca``.
+        row: of its table, ``I+V+M``.
+
+    Raises:
+        StageError: there is none.
+    """
+    folders = sorted((enn / task / row).glob("seed*"), key=lambda folder: int(folder.name.removeprefix("seed")))
+    trained = [folder for folder in folders if (folder / POLICY).is_file()]
+    recorded = [folder for folder in trained if any((folder / EXPERT).glob("*.mcap"))]
+    for folder in (*recorded, *trained):
+        return folder
+    raise StageError(
+        f"stage enn has trained no {row} for {task}: run stage=enn with this phantom and target, or choose others"
+    )
+
+
+def expert_logs(folder: Path) -> list[Path]:
+    """Logs of the expert episodes of a training, in their order."""
+    return sorted((folder / EXPERT).glob("*.mcap"))
+
+
+def load_expert(folder: Path, device: str = "cpu") -> Policy:
+    """The policy of a training of the stage enn, on a device.
+
+    Raises:
+        StageError: it cannot be read.
+    """
+    return load_policy(folder / POLICY, "enn", device)
+
+
+def load_policy(file: Path, maker: str, device: str = "cpu") -> Policy:
+    """A policy of an earlier stage.
+
+    Args:
+        file: of the policy.
+        maker: the stage that trained it.
+        device: where it goes.
+
+    Raises:
+        StageError: it cannot be read.
+    """
+    from enn.policy import Policy
+
+    try:
+        return Policy.load(file, device)
+    except ValueError as error:
+        raise StageError(f"{error}; run stage={maker} again") from error
+
+
+def require_expert(stage: str, asked: LearningTask, folder: Path) -> None:
+    """Refuses an expert that was trained for another task than a stage was asked for.
+
+    Args:
+        stage: that goes on from it.
+        asked: its task.
+        folder: of the expert's training, with its policy and its logs.
+
+    Raises:
+        StageError: names every difference; or there is no episode, or the policy cannot be read.
+    """
+    told = task_from(load_expert(folder).metadata.get(TASK))
+    if told is not None:
+        require_same_task(stage, asked.task, told, f"the expert policy of {asked.name}", "enn")
+    logs = expert_logs(folder) or sorted(folder.glob("evaluation/*/*.mcap"))
+    require_same_task(stage, asked.task, task_of_logs(logs).task, f"the expert's first episode of {asked.name}", "enn")
+
+
+def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]) -> None:
+    """Refuses episodes of the sampling expert with another wire or other actions than a stage learns with.
+
+    Where they started and when they were cut off does not matter: they show the way.
+
+    Args:
+        stage: that learns from them.
+        asked: its task.
+        logs: of the stage expert; those that cannot be read are left out elsewhere.
+
+    Raises:
+        StageError: names every difference.
+    """
+    for log in logs:
+        with contextlib.suppress(EpisodeReadError):
+            found = task_of_log(log).task
+            require_same_task(stage, asked.task, found, f"the episode {log}", "expert", MOTION)
+
+
+def task_of_logs(logs: Sequence[Path]) -> LearningTask:
+    """The task that episodes were recorded in: that of the first one that can be read.
+
+    Args:
+        logs: of the enn stage, of one task.
+
+    Raises:
+        StageError: none can be read.
+    """
+    for log in logs:
+        with contextlib.suppress(EpisodeReadError):
+            return task_of_log(log)
+    place = f" of {len(logs)} in {logs[0].parent}" if logs else ""
+    raise StageError(f"there is no episode that can be read{place}: run stage=enn again")
+
+
+def task_of_log(log: Path) -> LearningTask:
+    """The task that an episode was recorded in.
+
+    Args:
+        log: of an episode; one of an earlier version without images is taken to have had those of 80 px.
+
+    Raises:
+        EpisodeReadError: the log is damaged or unfinished.
+        StageError: its wire is none of this version's.
+    """
+    with EpisodeReader(log) as reader:
+        info, wire = reader.info, recorded_wire(reader.info)
+        size = reader.camera(CAMERA).width if CAMERA in reader.cameras else 80
+        actions = len(reader.step(0).action)
+    told: dict[str, Any] = dict(info.configuration)
+    name, length_mm = _named(wire, log)
+    task = Task(
+        wire=name,
+        wire_length_mm=length_mm,
+        actions=FEEDER if actions == 2 else TIP_MOTORS,
+        image_size_px=told.get("image_size", size),
+        max_steps=told["max_steps"],
+        success_radius_mm=_MM * told["success_radius"],
+        start_jitter_mm=_MM * told["start_jitter"],
+        start_rotation_deg=math.degrees(told["start_rotation"]),
+    )
+    return LearningTask(info.phantom, info.target, task)
+
+
+def _named(wire: Guidewire, log: Path) -> tuple[str, float]:
+    """The preset of a wire, and the length in mm that it was scaled to; 0: it was not."""
+    from cathsim import GUIDEWIRES, load_guidewire
+
+    presets = {name: load_guidewire(name) for name in GUIDEWIRES}
+    for name, preset in presets.items():
+        if preset == wire:
+            return name, 0.0
+    for name, preset in presets.items():
+        if preset.scaled(wire.length) == wire:
+            return name, _MM * wire.length
+    raise StageError(f"{log} was recorded with a wire that this version does not have: record it anew")

@@ -1,0 +1,192 @@
+"""Settings of the learning stages: baselines, Expert Navigation Network, imitation, force, unseen anatomies."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le
+
+from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.kinds import (
+    NOT_EMPTY,
+    RISING,
+    UNIQUE,
+    Count,
+    CountOrNone,
+    Decisions,
+    Device,
+    Episodes,
+    EpisodesOrNone,
+    FolderName,
+    FolderNames,
+    PathText,
+    Processes,
+    RisingEpisodes,
+    SomeFolderNames,
+    Trainings,
+    Units,
+    Weight,
+    one_of,
+)
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import Task, task_in_random_arches
+
+# What forces are predicted from: the image alone, the same without the loss on features, three images, and more.
+FORCE_INPUTS = ("V", "V_plain", "V3", "V+M", "I+V", "I+V_action", "I")
+BASELINE_OBSERVATIONS = ("internal", "image", "sequential")
+
+_Variant = Annotated[str, one_of("desk", "thesis")]
+_Algorithms = Annotated[list[Annotated[str, one_of("ppo", "sac")]], UNIQUE, NOT_EMPTY]
+_BaselineObservations = Annotated[list[Annotated[str, one_of(*BASELINE_OBSERVATIONS)]], UNIQUE, NOT_EMPTY]
+_StudentObservations = Annotated[list[Annotated[str, one_of("image", "mask")]], UNIQUE, NOT_EMPTY]
+_ForceInputs = Annotated[list[Annotated[str, one_of(*FORCE_INPUTS)]], UNIQUE, NOT_EMPTY]
+_Reward = Annotated[str, one_of("geodesic", "distance")]
+_Samples = Annotated[list[Decisions], UNIQUE, RISING, NOT_EMPTY]
+_Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
+_SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], UNIQUE]
+
+
+@validated()
+class LearningSettings:
+    """What the stages that train policies have in common: the task, the trainings' sizes, and how they are run."""
+
+    phantoms: FolderNames = field(default_factory=list)
+    targets: FolderNames = field(default_factory=list)
+    seeds: Trainings = 1  # trainings a row and task; run seed k trains with seeds k * seeds, k * seeds + 1, ...
+    variant: _Variant = "desk"  # networks and hyper-parameters: those that learn fast, or the thesis's
+    decisions: Decisions = 6_000  # budget of a training
+    evaluation_episodes: Episodes = 30  # deterministic ones, and as many stochastic ones
+    demonstrations: bool = True  # desk: states along the sampling expert's episodes are starts of training episodes
+    encoder_samples: Count = 15_000  # desk: images that the encoder is fitted to
+    encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
+    task: Task = field(default_factory=Task)
+    reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
+    path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
+    tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+    target: FolderName | None = None  # filled in by target=… and phantom.name=…: the only one
+    phantom: FolderName | None = None
+
+    def __post_init__(self) -> None:
+        """Takes the sweep's keys over and checks that there is a task."""
+        self.targets = [self.target] if self.target is not None else self.targets
+        self.phantoms = [self.phantom] if self.phantom is not None else self.phantoms
+        self.target = self.phantom = None  # so that a choice and the same list count as the same settings
+        for key in ("phantoms", "targets"):
+            if not getattr(self, key):
+                raise ConfigurationError(f"stage.{key} is empty: name at least one")
+
+
+@validated()
+class BaselinesSettings(LearningSettings):
+    """Settings of the reinforcement learning baselines."""
+
+    name: str = "baselines"
+    algorithms: _Algorithms = field(default_factory=lambda: ["ppo", "sac"])
+    observations: _BaselineObservations = field(default_factory=lambda: list(BASELINE_OBSERVATIONS))
+    ppo_decisions: Decisions = 60_000  # PPO's budget; `decisions` is SAC's
+    path_follower: bool = True  # also the thesis's attempt to follow the planned path
+
+
+@validated()
+class EnnSettings(LearningSettings):
+    """Settings of the Expert Navigation Network and its ablation."""
+
+    name: str = "enn"
+    expert: FolderName = "I+V+M"  # modality set of the row that later stages learn from
+    modalities: FolderNames = field(default_factory=list)  # the ablation's other rows
+    ablation_phantoms: FolderNames = field(default_factory=list)  # where those are trained
+    ablation_seeds: Trainings = 1
+    safe_weights: _SafeWeights = field(default_factory=list)  # of the force in the reward, 1/N: a row each, there too
+    expert_episodes: EpisodesOrNone = 100  # with images, for imitation, of each task's first training of the expert row
+    modality: FolderName | None = None  # filled in by modality=…: the only row, on every phantom
+
+    def __post_init__(self) -> None:
+        """Takes the sweep's key over and checks the rows."""
+        super().__post_init__()
+        if self.modality is not None:
+            self.modalities, self.safe_weights = [self.modality], []
+            self.ablation_phantoms, self.ablation_seeds = list(self.phantoms), self.seeds
+        if (self.modalities or self.safe_weights) and not self.ablation_phantoms:
+            raise ConfigurationError("stage.ablation_phantoms is empty: name at least one")
+
+
+@validated()
+class ImitationSettings:
+    """Settings of imitation: the expert's episodes of the stage enn, learnt from with the image alone."""
+
+    name: str = "imitation"
+    phantoms: SomeFolderNames = field(default_factory=list)
+    targets: SomeFolderNames = field(default_factory=list)
+    expert: FolderName = "I+V+M"  # row of the stage enn whose episodes are learnt from
+    task: Task = field(default_factory=Task)  # that of the stage enn
+    variant: _Variant = "desk"  # network and hyper-parameters: those that learn fast, or the thesis's
+    observations: _StudentObservations = field(default_factory=lambda: ["image"])  # that the student sees
+    episodes: RisingEpisodes = field(default_factory=list)  # expert's; the last is the table's
+    disturbed_episodes: EpisodesOrNone = 0  # further ones, with the expert's actions disturbed: a row of its own
+    dagger_rounds: CountOrNone = 0  # 0: no DAgger
+    dagger_episodes: Episodes = 10  # a round
+    feature_matching: Weight = 0.1  # weight of the distance to the expert's features
+    epochs: CountOrNone = 0  # 0: the variant's own number
+    evaluation_episodes: Episodes = 30
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # fits beside each other; 0: one a core
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+
+
+@validated()
+class ForceSettings:
+    """Settings of force prediction: disturbed episodes of the expert, and networks of several amounts of samples."""
+
+    name: str = "force"
+    phantom: FolderName = "type_1"
+    targets: SomeFolderNames = field(default_factory=list)
+    expert: FolderName = "I+V+M"  # row of the stage enn whose policy steers
+    task: Task = field(default_factory=Task)  # that of the stage enn
+    variant: _Variant = "desk"
+    samples: _Samples = field(default_factory=list)  # to learn from; inputs beside the image are tried with the last
+    test_samples: Decisions = 4_000  # of episodes that are not learnt from
+    noise: Annotated[float, Ge(0), Le(10)] = 0.3  # standard deviation added to the expert's actions
+    spell_chance: Annotated[float, Ge(0), Le(1)] = 0.1  # that some steps of random, forward pushing begin
+    epochs: CountOrNone = 0  # 0: the variant's own number
+    inputs: _ForceInputs = field(default_factory=lambda: ["V"])  # V: the image alone, as the thesis; see the stage
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+
+
+@validated()
+class UnseenSettings:
+    """Settings of the policies for anatomies that were never seen."""
+
+    name: str = "unseen"
+    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca"])  # of every policy
+    anatomies: Count = 32  # random arches that the roadmap policy is trained on
+    curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each
+    demonstrations: CountOrNone = 12  # that the sampling expert tries, in as many arches
+    decisions: Decisions = 16_000  # of the roadmap policy's training
+    curve_decisions: Decisions = 8_000  # of each of the curve's policies, the one on `anatomies` arches among them
+    hidden: Units = 256  # units of each of their two layers
+    validation_anatomies: Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
+    validation_episodes: Episodes = 48  # in them
+    image: bool = True  # also the student that sees images and is told the wire's true mask
+    xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
+    image_anatomies: Count = 64  # arches that each is trained on
+    segmenter_epochs: Count = 50
+    wire_epochs: Count = 6  # of the network that finds the wire
+    rounds: Count = 6  # of lessons
+    lessons: Count = 90  # episodes a round
+    epochs: Count = 12  # over all lessons so far, a round
+    test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
+    phantoms: FolderNames = field(default_factory=list)  # named anatomies, none of them trained on
+    named_episodes: Episodes = 10  # on each, for each target
+    mesh: PathText | None = None  # scanned anatomy; left out where the file is missing
+    mesh_episodes: Annotated[int, Ge(1), Le(500)] = 20
+    wires: FolderNames = field(default_factory=list)  # further wires: presets, "softer", "stiffer"
+    wire_anatomies: Count = 10  # unseen arches that each is tried on
+    # errors of the roadmap's registration that its policy is tried with, mm an axis; 0 is the test without any
+    registration_noise_mm: _Noises = field(default_factory=lambda: [0.0, 1.0, 2.0, 4.0])
+    task: Task = field(default_factory=task_in_random_arches)
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+    tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)

@@ -1,0 +1,266 @@
+"""Training jobs: one policy of a learning stage from nothing to its logged episodes, and the encoder it sees through.
+
+A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, draws as::
+
+    policy.pt  training.csv  training.json        what was trained, and how it went
+    tensorboard/                                  event files, if asked for
+    evaluation/{deterministic,stochastic}/NNN.mcap
+    expert/NNN.mcap                               with images: what imitation learns from
+    checkpoint/                                   until the training is finished
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.episodes import EpisodeReader
+from pipeline.episodes.errors import EpisodeReadError
+from pipeline.jobs.worker import Report
+from pipeline.recording.replay import ReplayError, recorded_wire, replay
+from pipeline.recording.trials import MODES, Origin, controllers, run_trials, summary
+from pipeline.seeds import expert_seeds, held_out_seeds
+from pipeline.stages.learning.task import LearningTask
+from pipeline.store.atomic_files import write_json
+from pipeline.store.errors import stopping_the_stage
+from pipeline.task import FEEDER, TASK
+
+if TYPE_CHECKING:
+    from enn.reinforcement.training import Progress, TrainingSettings
+    from enn.trajectory import Trajectory
+
+POLICY, RECORD, CURVE = "policy.pt", "training.json", "training.csv"
+EVALUATION, EXPERT = "evaluation", "expert"
+# What every job imports: once, before the jobs' processes are forked.
+PRELOAD = ("cathsim", "enn.reinforcement.training", "enn.encoder", "pipeline.recording.record")
+_SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
+_SECONDS_A_DECISION = 1e-2
+_SAMPLES_SHARE = 0.4  # of the time that an encoder takes
+_NOWHERE_MM = 1e-3  # a radius that no tip comes into
+_ACCURACY_OF_SAMPLES = "fast"  # an encoder learns shapes, and these it sees twice as fast
+_NEVER = 100_000  # steps that no roll-out takes
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class EncoderJob:
+    """An encoder to fit.
+
+    Attributes:
+        file: where it goes, with its report beside it as JSON.
+        task: whose anatomy it is to see; the target does not matter.
+        keys: observations that it encodes.
+        demonstrations: logs of an expert's episodes, along which some of the roll-outs start.
+        samples: of scripted roll-outs to fit it to.
+        epochs: over the samples; 0: as the library's default has it.
+        seed: of roll-outs and fit.
+    """
+
+    file: Path
+    task: LearningTask
+    keys: tuple[str, ...]
+    demonstrations: tuple[Path, ...]
+    samples: int
+    epochs: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class TrainingJob:
+    """A policy to train and to evaluate.
+
+    Attributes:
+        folder: of the training.
+        task: that it is trained for and evaluated on.
+        settings: of the training.
+        observation: names that the environment gives.
+        seed: of the training.
+        origin: kept in the logs.
+        encoder: file of a fitted encoder; None: the policy sees the observations themselves.
+        demonstrations: logs of an expert's episodes of the task.
+        evaluation_episodes: deterministic ones, and as many stochastic ones.
+        expert_episodes: with images, for imitation.
+    """
+
+    folder: Path
+    task: LearningTask
+    settings: TrainingSettings
+    observation: tuple[str, ...]
+    seed: int
+    origin: Origin
+    encoder: Path | None = None
+    demonstrations: tuple[Path, ...] = ()
+    evaluation_episodes: int = 30
+    expert_episodes: int = 0
+
+    @property
+    def weight(self) -> float:
+        """Guess of its seconds, beside other jobs."""
+        steps = (2 * self.evaluation_episodes + self.expert_episodes) * self.task.task.max_steps / 3
+        return self.settings.decisions * _SECONDS_A_DECISION + steps * _SECONDS_A_STEP
+
+
+def fit(job: EncoderJob, report: Report) -> dict[str, Any]:
+    """Fits an encoder; one that is there already is kept.
+
+    Args:
+        job: what to fit.
+        report: takes the progress.
+
+    Returns:
+        What the fit says of itself, with ``wall_s``.
+    """
+    from enn.encoder import EncoderSettings, fit_encoder, scripted_samples
+    from enn.exploration import TRUTH
+
+    record = job.file.with_suffix(".json")
+    if job.file.is_file() and record.is_file():
+        return dict(json.loads(record.read_text(encoding="utf-8")))
+    began = time.monotonic()
+    # No roll-out is to end at a target, nor at a limit: one encoder serves them all.
+    endless = replace(job.task.task, success_radius_mm=_NOWHERE_MM, max_steps=_NEVER)
+    task = replace(job.task, task=endless, accuracy=_ACCURACY_OF_SAMPLES)
+    states = [found.simulation_states for found in repeat(job.demonstrations, job.task)]
+    samples = scripted_samples(
+        task.factory((*job.keys, *TRUTH)),
+        job.samples,
+        job.seed,
+        starts=np.concatenate([one for one in states if one is not None]) if states else None,
+        progress=lambda done, count: report(_SAMPLES_SHARE * done / count, "samples"),
+    )
+    settings = EncoderSettings(seed=job.seed)
+    settings = replace(settings, epochs=job.epochs or settings.epochs)
+    fitted, told = fit_encoder(
+        samples,
+        job.keys,
+        settings,
+        lambda done, errors: report.part(_SAMPLES_SHARE, 1.0, "fit")(done, ""),
+        device=report.device,
+    )
+    fitted.save(job.file)
+    said = {**told, "wall_s": time.monotonic() - began}
+    write_json(record, said)
+    return said
+
+
+def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
+    """Trains a policy, evaluates it on held-out seeds, and records expert episodes; each part only where it lacks.
+
+    Args:
+        job: what to train.
+        report: takes the progress.
+
+    Returns:
+        ``training_s`` and ``decisions``, ``deterministic`` and ``stochastic`` summaries.
+    """
+    from enn.encoder import Encoder
+    from enn.reinforcement.checkpoint import CheckpointError
+    from enn.reinforcement.training import Training
+
+    for leftover in job.folder.glob(".*.tmp"):  # of a killed training
+        leftover.unlink()
+    trained = _training_share(job)
+    training = Training(
+        replace(job.settings, device=report.device),
+        job.task.factory(job.observation),
+        job.folder,
+        seed=job.seed,
+        demonstrations=[] if (job.folder / RECORD).is_file() else _demonstrations(job),
+        encoder=None if job.encoder is None else Encoder.load(job.encoder),
+        metadata={
+            **job.origin.configuration("training"),
+            "phantom": job.task.phantom,
+            "target": job.task.target,
+            TASK: asdict(job.task.task),
+        },
+    )
+    with stopping_the_stage(CheckpointError):
+        result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
+    outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
+    done, rest = trained, (1.0 - trained) / (2 * job.evaluation_episodes + job.expert_episodes)
+    environment = job.task.environment(result.policy.keys)
+    for mode in MODES:
+        after = done + rest * job.evaluation_episodes
+        metrics = run_trials(
+            environment,
+            controllers(result.policy, mode),
+            job.folder / EVALUATION / mode,
+            seeds=held_out_seeds(job.seed, job.evaluation_episodes),
+            mode=mode,
+            origin=job.origin,
+            report=report.part(done, after, mode),
+        )
+        outcome[mode], done = summary(metrics), after
+    if job.expert_episodes:
+        run_trials(
+            environment,
+            controllers(result.policy, MODES[0]),
+            job.folder / EXPERT,
+            seeds=expert_seeds(job.seed, job.expert_episodes),
+            mode=MODES[0],
+            origin=job.origin,
+            pictures=True,
+            report=report.part(done, 1.0, "expert episodes"),
+        )
+    environment.close()
+    return outcome
+
+
+def _training_share(job: TrainingJob) -> float:
+    """Share of the job that is training, by time."""
+    return job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)
+
+
+def _words(progress: Progress) -> str:
+    best = "" if progress.best_success is None else f", best {100 * progress.best_success:.0f} %"
+    now = "" if progress.success is None else f"success {100 * progress.success:.0f} %"
+    return f"{now}{best}".strip(", ")
+
+
+def _demonstrations(job: TrainingJob) -> list[Trajectory]:
+    """The expert's episodes, as far as the training uses them."""
+    if not (job.settings.bank_share or job.settings.demonstrations_in_replay):
+        return []
+    return repeat(job.demonstrations, job.task, job.observation if job.settings.demonstrations_in_replay else ())
+
+
+def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...] = ()) -> list[Trajectory]:
+    """Repeats an expert's episodes; one that cannot be used is left out with a warning.
+
+    Args:
+        logs: of the episodes.
+        task: whose wire and reward they are to have.
+        observation: names of the observations wanted.
+
+    Returns:
+        The episodes; none for tip motors, whose states no expert went through.
+    """
+    if task.task.actions != FEEDER:
+        return []
+    found = []
+    for log in logs:
+        try:
+            with EpisodeReader(log) as reader:
+                if recorded_wire(reader.info) != task.task.guidewire():
+                    raise ReplayError(f"it was recorded with another wire than {task.task.wire}")
+            found.append(
+                replay(
+                    log,
+                    observation,
+                    image_size=task.task.image_size_px,
+                    reward=task.reward,
+                    force_penalty=task.force_penalty,
+                    path_penalty=task.path_penalty,
+                )
+            )
+        except (EpisodeReadError, ReplayError, ValueError) as error:
+            _LOGGER.warning("%s is left out: %s", log, error)
+    return found

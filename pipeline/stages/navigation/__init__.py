@@ -1,0 +1,1 @@
+"""The stage navigation: autonomous navigation on predicted curves."""

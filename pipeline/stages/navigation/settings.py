@@ -1,0 +1,81 @@
+"""Settings of the stage that navigates from fluoroscopic images alone."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Annotated
+
+from annotated_types import Ge, Le
+
+from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.kinds import (
+    NOT_EMPTY,
+    UNIQUE,
+    Count,
+    CountOrNone,
+    Device,
+    Episodes,
+    FolderName,
+    FolderNames,
+    Processes,
+    RisingEpisodes,
+    SomeFolderNames,
+    Units,
+    one_of,
+)
+from pipeline.stages.networks.splineformer_settings import SPLINEFORMER_VARIANTS
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import Task, task_in_random_arches
+
+_Cameras = Annotated[list[Annotated[str, one_of("a", "b")]], UNIQUE, NOT_EMPTY]
+
+
+@validated()
+class NavigationSettings:
+    """Settings of autonomous navigation with SplineFormer."""
+
+    name: str = "navigation"
+    splineformer: Annotated[str, one_of(*SPLINEFORMER_VARIANTS)] = "ordered"  # the stage splineformer's variant
+    cameras: _Cameras = field(default_factory=lambda: ["a"])  # of the data set's pair
+    image_size_px: Annotated[int, Ge(64), Le(4_096)] = 1024
+    guided: bool = True  # by a contrast run before the procedure; false: by the target's mark alone
+    space: bool = True  # two guided cameras also measure wire and vessels in space, by their known geometry
+    phantoms: SomeFolderNames = field(default_factory=list)  # whose experts are cloned
+    transfer_phantoms: FolderNames = field(default_factory=list)  # navigated in without having been learnt in
+    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca"])
+    expert: FolderName = "I+V+M"  # row of the stage enn whose episodes are cloned, and which gives advice
+    episodes: RisingEpisodes = field(default_factory=list)  # trials of the expert a target: a navigator each
+    epochs: Count = 60  # of cloning
+    updates: CountOrNone = 1500  # of it, at least: after 300 of them 20 trials are not learnt yet
+    dagger_rounds: CountOrNone = 3  # 0: no fine-tuning
+    dagger_lessons: Count = 60  # episodes a round
+    dagger_epochs: Count = 30  # of every round
+    arches: CountOrNone = 64  # random ones that the navigator for unseen anatomies learns in; 0: none is trained
+    arch_rounds: Count = 5
+    arch_lessons: Count = 96
+    arch_epochs: Count = 20
+    arch_hidden: Units = 256  # units of that navigator
+    test_arches: CountOrNone = 20
+    trials: Episodes = 30  # a target in each named phantom
+    reader_arches: CountOrNone = 30  # random ones under whose cameras the SplineFormer is trained further
+    reader_frames: Count = 40  # in each
+    reader_epochs: CountOrNone = 3  # 0: it stays as it is
+    hidden: Units = 128  # units of the other navigators
+    action_repeat: Annotated[int, Ge(1), Le(100)] = 3  # steps of 0.1 s that they hold an action: an image a decision
+    task: Task = field(default_factory=Task)  # in named phantoms: that of the stage enn
+    arch_task: Task = field(default_factory=task_in_random_arches)  # that of the stage unseen
+    pixel_cloning: bool = True  # the rival that clones from pixels
+    film: bool = True
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+
+    @property
+    def in_space(self) -> bool:
+        """Whether wire and vessels are measured in space: it takes two cameras and their contrast runs."""
+        return self.space and self.guided and len(self.cameras) == 2
+
+    def __post_init__(self) -> None:
+        """Checks that no phantom is both learnt in and kept for the transfer."""
+        both = set(self.phantoms) & set(self.transfer_phantoms)
+        if both:
+            raise ConfigurationError(f"stage.transfer_phantoms names {', '.join(sorted(both))}, which is learnt in")

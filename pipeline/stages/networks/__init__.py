@@ -1,0 +1,1 @@
+"""Jobs of the stages that train networks on images."""

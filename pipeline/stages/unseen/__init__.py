@@ -1,0 +1,1 @@
+"""The stage unseen: policies for anatomies that were not trained on."""

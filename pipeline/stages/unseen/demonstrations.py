@@ -1,0 +1,156 @@
+"""Demonstrations of the sampling expert in some of the training anatomies.
+
+One file a demonstration, ``demonstrations/<target>_<anatomy>.npz`` in the stage's folder, with everything that an
+`enn.trajectory.Trajectory` holds. A demonstration that fails is kept too, without a use, so that it is not tried again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.jobs.worker import Report
+from pipeline.seeds import arch_demonstration_seed
+from pipeline.stages.unseen.task import ROADMAP_KEYS
+from pipeline.store.atomic_files import atomic_path
+
+if TYPE_CHECKING:
+    from cathsim.many_anatomies import NavigateManyEnv
+    from enn.trajectory import Trajectory
+    from pipeline.stages.unseen.task import UnseenTask
+
+ROLLOUTS = 1200  # of the expert, after which a demonstration counts as failed
+
+
+@dataclass(frozen=True)
+class DemonstrationsJob:
+    """Demonstrations to make.
+
+    Attributes:
+        folder: of all demonstrations.
+        task: of the episodes.
+        anatomies: seeds of all random arches trained on, so that states know their case.
+        shown: those of them with a demonstration each.
+        target: that is demonstrated.
+        hold: steps for which the expert holds an action: those of a decision of the policy.
+        seed: of the run.
+    """
+
+    folder: Path
+    task: UnseenTask
+    anatomies: tuple[int, ...]
+    shown: tuple[int, ...]
+    target: str
+    hold: int
+    seed: int
+
+
+def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, Any]:
+    """Plays the episodes whose file is not there yet.
+
+    Returns:
+        How many were played, and how many of them reached their target.
+    """
+    environment = job.task.training_environment(job.anatomies, ROADMAP_KEYS)
+    target = job.task.targets.index(job.target)
+    reached = 0
+    for done, seed in enumerate(job.shown):
+        told = f"{job.target} of arch {seed}, {reached}/{done} reached"
+        path = job.folder / f"{job.target}_{seed}.npz"
+        if not path.is_file():
+            case = environment.case_of(job.anatomies.index(seed), target)
+            tick = partial(report, done / len(job.shown), told)
+            _write(
+                path, demonstrate(environment, case, hold=job.hold, seed=arch_demonstration_seed(job.seed), tick=tick)
+            )
+        with np.load(path) as arrays:
+            reached += bool(arrays["terminated"])
+    environment.close()
+    return {"shown": len(job.shown), "reached": reached}
+
+
+def demonstrate(
+    environment: NavigateManyEnv, case: int, *, hold: int, seed: int, tick: Callable[[], None] = lambda: None
+) -> dict[str, np.ndarray]:
+    """One episode of the sampling expert.
+
+    Args:
+        environment: over the training anatomies, with the observations of a roadmap policy.
+        case: that it plays in.
+        hold: steps for which an action is held.
+        seed: of the start and of the expert.
+        tick: called after every step.
+
+    Returns:
+        The arrays of a trajectory: observations by their names, actions, rewards, forces, tips, states, terminated.
+    """
+    from cathsim.planning.sampling import ExpertSettings, SamplingExpert
+
+    observation, _ = environment.reset(seed=seed, options={"case": case})
+    settings = ExpertSettings(horizon=5 * hold, hold=hold, execute=hold)
+    expert = SamplingExpert(environment.current, seed=seed, threads=1, settings=settings)
+    rows: dict[str, list[Any]] = {
+        **{key: [observation[key]] for key in ROADMAP_KEYS},
+        "tips": [environment.simulation.tip.copy()],
+        "states": [environment.start_state()],
+        "actions": [],
+        "rewards": [],
+        "forces": [],
+    }
+    terminated = truncated = False
+    while not (terminated or truncated) and expert.rollouts < ROLLOUTS:
+        action = expert.action()
+        observation, reward, terminated, truncated, info = environment.step(action)
+        for key in ROADMAP_KEYS:
+            rows[key].append(observation[key])
+        rows["tips"].append(environment.simulation.tip.copy())
+        rows["states"].append(environment.start_state())
+        rows["actions"].append(action)
+        rows["rewards"].append(reward)
+        rows["forces"].append(info["force"])
+        tick()
+    expert.close()
+    return {**{name: np.array(values) for name, values in rows.items()}, "terminated": np.array(terminated)}
+
+
+def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajectory]:
+    """The demonstrations that reached their target, in some anatomies.
+
+    Args:
+        folder: of all demonstrations.
+        anatomies: seeds of the random arches wanted.
+    """
+    from enn.trajectory import Trajectory
+
+    found = []
+    for path in sorted(folder.glob("*.npz")):
+        target, anatomy = path.stem.split("_")
+        if int(anatomy) not in anatomies:
+            continue
+        with np.load(path) as arrays:
+            if not arrays["terminated"]:
+                continue
+            found.append(
+                Trajectory(
+                    {key: arrays[key] for key in ROADMAP_KEYS},
+                    arrays["actions"],
+                    arrays["rewards"],
+                    True,
+                    arrays["forces"],
+                    arrays["tips"],
+                    arrays["states"],
+                    {"file": str(path), "target": target, "anatomy": int(anatomy)},
+                )
+            )
+    return found
+
+
+def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]

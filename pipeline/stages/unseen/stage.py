@@ -1,0 +1,318 @@
+"""The unseen stage: one policy for every target, trained on random anatomies, tested on those it has never seen.
+
+Rows say what a policy sees. `roadmap`: the way, walls, wire, force and tip as the simulator has them; the rows
+`roadmap <k>` are the curve's, each trained on k arches for equally many decisions. `image_true_mask`: images without
+noise, the lumen always filled, and the simulator's own mask of the wire. `xray`: noisy X-ray images, no mask, and one
+contrast run before the episode.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.jobs.gpu_memory import policy_gb
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.recording.trials import Origin
+from pipeline.report.learning.tables import tables_from_logs
+from pipeline.report.results import write_results
+from pipeline.seeds import training_arches, unseen_arches, validation_arches
+from pipeline.stages import Stage, StageContext
+from pipeline.stages.learning.settings import UnseenSettings
+from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.stages.unseen.demonstrations import DemonstrationsJob, record_demonstrations
+from pipeline.stages.unseen.image_policy import StudentJob, train_student
+from pipeline.stages.unseen.jobs import (
+    POLICY,
+    PRELOAD,
+    AnatomiesJob,
+    RoadmapJob,
+    build_anatomies,
+    train_roadmap,
+)
+from pipeline.stages.unseen.starts import StartsJob, lay_starts
+from pipeline.stages.unseen.tables import IMAGE, MISREGISTERED, ROADMAP, UNSEEN, XRAY, curve, registration
+from pipeline.stages.unseen.task import ROADMAP_KEYS, TEST_PHANTOM, UnseenTask, training_arch
+from pipeline.stages.unseen.trials import HeldOutSet
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import require_feeder, require_known_task
+
+if TYPE_CHECKING:
+    from enn.reinforcement.training import TrainingSettings
+
+DEMONSTRATIONS, STARTS = "demonstrations", "starts"
+ROADMAP_TESTS = "roadmap tests"
+REAL_MESH = "real_mesh"
+TARGETS = ("bca", "lcca", "lsa")
+ACTION_REPEAT = 3  # steps of a decision
+STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
+_ANATOMIES_A_JOB = 16
+_PARTS = 2  # jobs that demonstrate beside each other
+DEMONSTRATED = "lcca"  # the target that is hard to find without
+BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
+# guesses
+_SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 10.0, "lesson": 0.6, "test": 0.4,
+            "xray": 1.5}  # fmt: skip
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def check_unseen(settings: UnseenSettings) -> None:
+    """Refuses unknown phantoms, targets and wires.
+
+    Args:
+        settings: of the stage.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    from cathsim import GUIDEWIRES
+
+    if settings.phantoms:
+        require_known_phantoms(settings.phantoms)
+    unknown = [name for name in settings.targets if name not in TARGETS]
+    if unknown:
+        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
+    wires = (*GUIDEWIRES, "softer", "stiffer")
+    unknown = [name for name in settings.wires if name not in wires]
+    if unknown:
+        raise ConfigurationError(f"unknown wire {', '.join(map(repr, unknown))}: choose from {', '.join(wires)}")
+    require_known_task(settings.task)
+    require_feeder(settings.task, "unseen")
+
+
+def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
+    """Trains and tests every policy and sums them up.
+
+    Args:
+        settings: of the stage.
+        context: where to write.
+    """
+    jobs = plan(settings, context.path, context.seed, context.budget)
+    outcomes = run_jobs(
+        context.folder,
+        jobs,
+        workers=settings.workers,
+        label="anatomies and policies",
+        preload=PRELOAD,
+        device=settings.device,
+    )
+    tables = tables_from_logs(context.path)
+    tables["generalisation_curve"] = curve(jobs, outcomes)
+    if settings.registration_noise_mm:
+        tables["registration"] = registration(settings, outcomes[ROADMAP_TESTS]["tests"])
+    write_results(context.path, tables)
+
+
+def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) -> list[Job]:
+    """The jobs: anatomies first, then the roadmap policies, the students' teacher before the others.
+
+    Args:
+        settings: of the stage.
+        folder: of the stage.
+        run_seed: of the run; also which random arches are trained on.
+        variant: kept in the logs: the budget, whose sizes the policies have.
+
+    Returns:
+        In the order in which they should start.
+    """
+    task = UnseenTask(tuple(settings.targets), settings.task)
+    students = [IMAGE] * settings.image + [XRAY] * settings.xray
+    most = max(count for _, count, _ in policies_of(settings))
+    arches = training_arches(run_seed, max(most, settings.image_anatomies))
+    trained = arches[: max(most, settings.image_anatomies if students else 0)]
+    tested = unseen_arches(settings.test_anatomies)
+    validated = validation_arches(settings.validation_anatomies)
+    jobs = []
+    for name, kinds in (
+        ("training", [training_arch(seed) for seed in trained]),
+        ("validation", [training_arch(seed) for seed in validated]),
+        ("test", [(TEST_PHANTOM, seed) for seed in tested]),
+    ):
+        for part in _parts(kinds):
+            building = AnatomiesJob(tuple(part), task.targets)
+            weight = len(part) * _SECONDS["anatomy"]
+            jobs.append(Job(f"{name}/{part[0][1]}", build_anatomies, building, weight=weight))
+    built = tuple(job.key for job in jobs)
+    laid = [
+        Job(
+            f"{STARTS}/{part[0]}",
+            lay_starts,
+            StartsJob(folder / STARTS, task, tuple(part), run_seed),
+            after=(f"training/{part[0]}",),
+            weight=len(part) * _SECONDS["starts"],
+        )
+        for part in _parts(trained[:most])
+    ]
+    jobs += laid
+    shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, arches, run_seed)
+    jobs += [replace(job, after=built) for job in shown]
+    taught = (*built, *(job.key for job in (*laid, *shown)))
+    main = test_sets(settings)
+    plain = (replace(main[0], modes=("deterministic",)),)
+    vectors, images = policy_gb(settings.task.image_size_px, 0), policy_gb(settings.task.image_size_px, 1)
+    for row, count, decisions in policies_of(settings):
+        given = RoadmapJob(
+            folder=folder / row / f"seed{run_seed}",
+            task=task,
+            anatomies=tuple(arches[:count]),
+            settings=training_settings(settings, count, decisions),
+            seed=run_seed,
+            origin=Origin("unseen", row, run_seed, variant),
+            tests=(*main, *misregistered(settings)) if row == ROADMAP else plain,
+            demonstrations=folder / DEMONSTRATIONS if shown else None,
+            starts=folder / STARTS,
+            validated=tuple(validated),
+        )
+        tests, weight = _tests(given.tests, settings), decisions * _SECONDS["decision"]
+        if row == ROADMAP:  # its tests are a job of their own, so that the students need not wait for them
+            jobs.append(Job(row, train_roadmap, replace(given, tests=()), after=taught, weight=weight, gpu_gb=vectors))
+            jobs.append(Job(ROADMAP_TESTS, train_roadmap, given, after=(row,), weight=tests, gpu_gb=vectors))
+        else:  # the one with most arches never beside another that keeps as many in memory
+            after = (*taught, *([ROADMAP, *students] if count == most else []))
+            jobs.append(Job(row, train_roadmap, given, after=after, weight=weight + tests, gpu_gb=vectors))
+    teacher = next(place for place, job in enumerate(jobs) if job.key == ROADMAP)
+    for row in students:  # the longest chain of jobs: next after their teacher
+        student = StudentJob(
+            folder=folder / row / f"seed{run_seed}",
+            expert=folder / ROADMAP / f"seed{run_seed}" / POLICY,
+            task=task,
+            anatomies=tuple(arches[: settings.image_anatomies]),
+            segmenter_epochs=settings.segmenter_epochs,
+            rounds=settings.rounds,
+            lessons=settings.lessons,
+            epochs=settings.epochs,
+            seed=run_seed,
+            origin=Origin("unseen", row, run_seed, variant),
+            tests=tuple(replace(test, modes=("deterministic",)) for test in main),
+            xray=row == XRAY,
+            wire_epochs=settings.wire_epochs,
+        )
+        weight = settings.rounds * settings.lessons * _SECONDS["xray" if student.xray else "lesson"]
+        weight += _tests(student.tests, settings)
+        jobs.insert(teacher + 1, Job(row, train_student, student, after=(ROADMAP,), weight=weight, gpu_gb=images))
+    return jobs
+
+
+def policies_of(settings: UnseenSettings) -> list[tuple[str, int, int]]:
+    """Row, training anatomies and decisions of the roadmap policies, the main one first.
+
+    Those of the curve all have equally many decisions; where it has points, the main one's number of anatomies is one
+    of them.
+    """
+    counts = sorted({*settings.curve, settings.anatomies}) if settings.curve else []
+    further = [(f"{ROADMAP} {count}", count, settings.curve_decisions) for count in counts]
+    return [(ROADMAP, settings.anatomies, settings.decisions), *further]
+
+
+def _parts(whole: Sequence[Any]) -> list[Any]:
+    return [whole[k : k + _ANATOMIES_A_JOB] for k in range(0, len(whole), _ANATOMIES_A_JOB)]
+
+
+def demonstrations(settings: UnseenSettings, folder: Path, task: UnseenTask, arches: range, run_seed: int) -> list[Job]:
+    """The jobs that demonstrate the way in the first training anatomies, so that small policies have some too."""
+    anatomies = arches[: settings.anatomies]
+    shown = anatomies[: settings.demonstrations]
+    jobs = []
+    for part in range(min(_PARTS, len(shown))):
+        given = DemonstrationsJob(
+            folder=folder / DEMONSTRATIONS,
+            task=task,
+            anatomies=tuple(anatomies),
+            shown=tuple(shown[part::_PARTS]),
+            target=DEMONSTRATED,
+            hold=ACTION_REPEAT,
+            seed=run_seed,
+        )
+        weight = len(given.shown) * _SECONDS["demonstration"]
+        jobs.append(Job(f"{DEMONSTRATIONS}/{part}", record_demonstrations, given, weight=weight))
+    return jobs
+
+
+def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
+    episodes = sum(len(test.phantoms) * test.episodes * len(test.modes) for test in tests)
+    return episodes * len(settings.targets) * _SECONDS["test"]
+
+
+def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) -> TrainingSettings:
+    """Those of the roadmap policies: a wider network than for one anatomy, and a bank that knows of its cases.
+
+    Args:
+        settings: of the stage.
+        anatomies: how many the policy is trained on.
+        decisions: of the training.
+    """
+    from enn.reinforcement.training import DESK_SAC
+
+    return replace(
+        DESK_SAC,
+        keys=ROADMAP_KEYS,
+        hidden=(settings.hidden, settings.hidden),
+        batch_size=256,
+        gradient_steps=0.5,
+        n_envs=16,
+        decisions=decisions,
+        buffer_size=max(decisions, 1000),
+        learning_starts=min(DESK_SAC.learning_starts, decisions // 4),
+        action_repeat=ACTION_REPEAT,
+        bank_share=BANK_SHARE,
+        bank_capacity=BANK_CAPACITY,
+        bank_cases=anatomies * len(settings.targets),
+        evaluate_every=max(decisions // 5, 1),
+        evaluation_episodes=settings.validation_episodes,
+        stop_after=STOP_AFTER,
+        tensorboard=settings.tensorboard,
+    )
+
+
+def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
+    """The tests of a policy: unseen random arches first, named phantoms, the mesh, and other wires on unseen arches.
+
+    Args:
+        settings: of the stage.
+
+    Returns:
+        Those that there are; a mesh that is not there is left out with a warning.
+    """
+    unseen = tuple(unseen_arches(settings.test_anatomies))
+    wire = settings.task.wire
+    tests = [HeldOutSet(UNSEEN, unseen, wire=wire, modes=("deterministic", "stochastic"))]
+    tests += [HeldOutSet(name, (name,), settings.named_episodes, wire) for name in settings.phantoms]
+    if settings.mesh is not None:
+        if Path(settings.mesh).is_file():
+            tests.append(HeldOutSet(REAL_MESH, (settings.mesh,), settings.mesh_episodes, wire))
+        else:
+            _LOGGER.warning("there is no mesh %s: the test on a scanned anatomy is left out", settings.mesh)
+    tests += [HeldOutSet(f"{UNSEEN} {kind}", unseen[: settings.wire_anatomies], wire=kind) for kind in settings.wires]
+    return tuple(tests)
+
+
+def misregistered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
+    """The tests of the roadmap policy with errors of the registration, on the same arches and starts as without.
+
+    Args:
+        settings: of the stage.
+    """
+    arches = tuple(unseen_arches(settings.test_anatomies))
+    return tuple(
+        HeldOutSet(f"{MISREGISTERED} {noise:g} mm", arches, registration_noise=noise / 1e3)
+        for noise in settings.registration_noise_mm
+        if noise
+    )
+
+
+STAGE = Stage(
+    name="unseen",
+    run=run_unseen,
+    writes=(
+        "starts/<arch>.npz",
+        "demonstrations/<target>_<arch>.npz",
+        "<row>/seed<k>/{policy.pt or student.pt, training.csv, training.json}",
+        "<row>/seed<k>/evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap",
+        "results.json",
+    ),
+    check=check_unseen,
+)

@@ -1,0 +1,92 @@
+"""Task of the stage `unseen`: several targets in many anatomies, and the environments for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pipeline.stages.learning.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING
+from pipeline.task import Task
+
+if TYPE_CHECKING:
+    from cathsim import Guidewire, NavigateEnv
+    from cathsim.many_anatomies import NavigateManyEnv
+
+TEST_PHANTOM, WIDE_PHANTOM = "random", "random_wide"
+ROADMAP_KEYS = ("roadmap", "history")  # what a policy with a roadmap sees
+RESOLUTION = 1e-3  # m: at 1.5 mm thin walls open, and ways become short cuts
+
+
+def training_arch(seed: int) -> tuple[str, int]:
+    """The training anatomy of a seed: by turns one like those of the tests, and one of rare shapes as often as not."""
+    return (WIDE_PHANTOM if seed % 2 else TEST_PHANTOM), seed
+
+
+@dataclass(frozen=True)
+class UnseenTask:
+    """A task with several targets in many anatomies.
+
+    Attributes:
+        targets: names, each as likely in training.
+        task: wire, images, limits and start; the wires of the tests are as long as its own.
+        accuracy: of the training's physics; tests always have the accurate one.
+    """
+
+    targets: tuple[str, ...]
+    task: Task
+    accuracy: str = "fast"
+
+    def wire(self, kind: str) -> Guidewire:
+        """A wire of the tests: a preset's name, or "softer" and "stiffer", half and twice as stiff as the task's."""
+        factor = {"softer": 0.5, "stiffer": 2.0}.get(kind)
+        if factor is None:
+            return self.task.scaled(kind)
+        wire = self.task.guidewire()
+        return replace(
+            wire,
+            shaft_stiffness_nmm2=factor * wire.shaft_stiffness_nmm2,
+            tip_stiffness_nmm2=factor * wire.tip_stiffness_nmm2,
+        )
+
+    def training_environment(
+        self, anatomies: Sequence[int], observation: tuple[str, ...], accuracy: str | None = None
+    ) -> NavigateManyEnv:
+        """An environment over random arches with the shaped reward."""
+        from cathsim.many_anatomies import NavigateManyEnv
+
+        return NavigateManyEnv(
+            [training_arch(seed) for seed in anatomies],
+            self.targets,
+            (self.task.guidewire(),),
+            resolution=RESOLUTION,
+            accuracy=accuracy or self.accuracy,
+            observation=observation,
+            reward=REWARD_OF_TRAINING,
+            **self.task.rules(),
+        )
+
+    def test_environment(
+        self, phantom: str | int, target: str, wire: str, observation: tuple[str, ...], registration_noise: float = 0.0
+    ) -> NavigateEnv:
+        """An environment of a test.
+
+        Args:
+            phantom: a named phantom, a mesh's path, or the seed of a random arch.
+            target: name.
+            wire: as `wire` takes it.
+            observation: names.
+            registration_noise: of the roadmap, m an axis.
+        """
+        from cathsim import NavigateEnv
+
+        named = {"phantom": phantom} if isinstance(phantom, str) else {"phantom": TEST_PHANTOM, "phantom_seed": phantom}
+        return NavigateEnv(
+            **named,
+            target=target,
+            wire=self.wire(wire),
+            observation=observation,
+            reward=REWARD_OF_EVALUATION,
+            registration_noise=registration_noise,
+            **self.task.rules(),
+        )

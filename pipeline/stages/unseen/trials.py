@@ -1,0 +1,118 @@
+"""Tests of the stage `unseen`: anatomies, wires and registrations that a policy has not met, and its episodes there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from pipeline.recording.trials import Controller, Origin, run_trials, summary
+from pipeline.seeds import held_out_seeds
+
+if TYPE_CHECKING:
+    from cathsim.metrics import EpisodeMetrics
+    from pipeline.stages.unseen.task import UnseenTask
+
+
+@dataclass(frozen=True)
+class HeldOutSet:
+    """Anatomies and a wire that a policy has not been trained with.
+
+    Attributes:
+        name: in the tables.
+        phantoms: names, paths of meshes, or seeds of random arches.
+        episodes: on each, for each target.
+        wire: a preset, "softer" or "stiffer".
+        modes: "deterministic", "stochastic".
+        registration_noise: of the roadmap, m an axis.
+    """
+
+    name: str
+    phantoms: tuple[str | int, ...]
+    episodes: int = 1
+    wire: str = "default"
+    modes: tuple[str, ...] = ("deterministic",)
+    registration_noise: float = 0.0
+
+
+class TestedJob(Protocol):
+    """A job whose policy is put to tests: what `run_tests` asks of it."""
+
+    @property
+    def folder(self) -> Path:
+        """Of the policy."""
+
+    @property
+    def task(self) -> UnseenTask:
+        """Of its episodes."""
+
+    @property
+    def anatomies(self) -> tuple[int, ...]:
+        """Seeds of the random arches trained on."""
+
+    @property
+    def seed(self) -> int:
+        """Of the training."""
+
+    @property
+    def origin(self) -> Origin:
+        """Kept in the logs."""
+
+    @property
+    def tests(self) -> tuple[HeldOutSet, ...]:
+        """That the policy is put to."""
+
+
+def run_tests(
+    job: TestedJob,
+    controllers: Callable[[str], Callable[[int], Controller]],
+    observation: tuple[str, ...],
+    report: Callable[[float, str], None],
+    seen: Callable[[Any], Any] = lambda environment: environment,
+) -> list[dict[str, Any]]:
+    """Puts a policy to its tests; episodes whose log is there are not repeated.
+
+    Args:
+        job: whose tests.
+        controllers: gives, for a mode, the policy for the episode of a seed.
+        observation: that the policy sees.
+        report: takes the share done and a few words.
+        seen: the environment as the policy sees it.
+
+    Returns:
+        A row for each test set, target and mode: their names and the summary of the episodes.
+    """
+    rows = []
+    cells = [(test, target, mode) for test in job.tests for target in job.task.targets for mode in test.modes]
+    total = sum(len(test.phantoms) for test, _, _ in cells)
+    done = 0
+    for test, target, mode in cells:
+        metrics: list[EpisodeMetrics] = []
+        origin = Origin(
+            job.origin.stage,
+            job.origin.row,
+            job.origin.training_seed,
+            job.origin.variant,
+            {**job.origin.further, "test_set": test.name, "training_anatomies": len(job.anatomies)},
+        )
+        for place, phantom in enumerate(test.phantoms):
+            environment = seen(
+                job.task.test_environment(phantom, target, test.wire, observation, test.registration_noise)
+            )
+            name = environment.phantom.name
+            seeds = held_out_seeds(job.seed, len(test.phantoms) * test.episodes)
+            metrics += run_trials(
+                environment,
+                controllers(mode),
+                job.folder / "evaluation" / test.name / target / mode / name,
+                seeds=seeds[place * test.episodes : (place + 1) * test.episodes],
+                mode=mode,
+                origin=origin,
+            )
+            environment.close()
+            done += 1
+            won = sum(one.success for one in metrics)
+            report(done / total, f"{test.name} {target} {won}/{len(metrics)}")
+        rows.append({"test_set": test.name, "target": target, "mode": mode, **summary(metrics)})
+    return rows

@@ -1,0 +1,208 @@
+"""Noisy X-ray images of the stage `unseen`: the navigation's fluoroscope in the frontal view, and its contrast run.
+
+Nothing here tells a student where the wire is. Before an episode there is a contrast run: an image of the vessels
+without wire or contrast medium, and one with contrast medium. While the wire moves its images have neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.lifetime_cache import kept_with_owner
+
+if TYPE_CHECKING:
+    from cathsim import NavigateEnv
+    from cathsim.anatomy import Phantom
+    from cathsim.fluoroscopy import BiplaneFluoroscope
+    from cathsim.many_anatomies import NavigateManyEnv
+    from enn.imitation.wire_segmentation import WireSegmenter
+    from enn.policy import Policy
+
+VIEW = "frontal"
+BEFORE, MOVING, FILLED = "plain", "fluid", "contrast"  # what is kept of the run, and fillings of the lumen
+_BETWEEN = 8  # steps between two images that the wire's segmenter learns from
+
+
+class ContrastRun(NamedTuple):
+    """Two images from before an episode. Shapes (1, size, size), uint8."""
+
+    plain: NDArray[np.uint8]
+    contrast: NDArray[np.uint8]
+
+
+def fluoroscope_of(phantom: Phantom, size: int, wire_radius: float) -> BiplaneFluoroscope:
+    """The frontal X-ray camera over a phantom while the wire moves.
+
+    Args:
+        phantom: the anatomy.
+        size: side of the images, px.
+        wire_radius: m.
+    """
+    return _fluoroscope(phantom, size, wire_radius, MOVING)
+
+
+@kept_with_owner
+def _fluoroscope(phantom: Phantom, size: int, wire_radius: float, filling: str) -> BiplaneFluoroscope:
+    from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, Distortion, Projector, radiograph, scene, wire_material
+    from cathsim.fluoroscopy.c_arms import XRayCamera
+
+    centre = phantom.bounds.mean(axis=0)
+    detector = PAIRS["guide3d"](centre, size)[0].detector  # light, blur and noise of the navigation's first camera
+    camera = XRayCamera(Projector.view(VIEW, phantom.bounds, size), Distortion.none(size, size), detector)
+    still = radiograph(phantom.grid, camera, scene("bath", filling), key=phantom.hash)
+    return BiplaneFluoroscope([camera], [still], material=wire_material("default", wire_radius), centre=centre)
+
+
+@kept_with_owner
+def contrast_run(phantom: Phantom, size: int, wire_radius: float) -> ContrastRun:
+    """The images before an episode, with a noise of the phantom's own.
+
+    Args:
+        phantom: the anatomy.
+        size: side of the images, px.
+        wire_radius: m, of the wire that is not in them.
+    """
+    nothing, generator = np.empty((0, 3)), np.random.default_rng(int(phantom.hash[:8], 16))
+    before = fluoroscope_of(phantom, size, wire_radius).render(nothing, generator)[VIEW]
+    filled = _fluoroscope(phantom, size, wire_radius, FILLED).render(nothing, generator)[VIEW]
+    return ContrastRun(before.image[None], filled.image[None])
+
+
+class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
+    """An environment with X-ray images among its observations: `image`, `plain` and `contrast`, (1, size, size) uint8.
+
+    The noise of an image depends on the seed of the reset and on the step.
+
+    Args:
+        environment: with a dictionary of observations, none of them of these names.
+        size: side of the images, px.
+        with_mask: also `mask`, the wire's pixels in `image`, for a segmenter to learn from.
+    """
+
+    def __init__(self, environment: NavigateEnv | NavigateManyEnv, size: int, *, with_mask: bool = False) -> None:
+        self.environment, self.size, self._with_mask = environment, size, with_mask
+        assert isinstance(environment.observation_space, gymnasium.spaces.Dict)
+        names = ("image", "plain", "contrast", *(["mask"] if with_mask else []))
+        picture = gymnasium.spaces.Box(0, 255, (1, size, size), np.uint8)
+        self.observation_space = gymnasium.spaces.Dict(
+            {**environment.observation_space.spaces, **dict.fromkeys(names, picture)}
+        )
+        self.action_space = environment.action_space
+        self._noise, self._step = 0, 0
+
+    def __getattr__(self, name: str) -> Any:
+        """Whatever else an environment has: its simulation, phantom and task."""
+        if name == "environment":
+            raise AttributeError(name)
+        return getattr(self.environment, name)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode, as the environment does."""
+        super().reset(seed=seed)
+        self._noise, self._step = int(self.np_random.integers(2**63)), 0
+        observation, info = self.environment.reset(seed=seed, options=options)
+        return self._seen(observation), info
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advances by 0.1 s."""
+        observation, reward, terminated, truncated, info = self.environment.step(action)
+        self._step += 1
+        return self._seen(observation), reward, terminated, truncated, info
+
+    def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
+        from cathsim.observations.observables import points_to_border
+
+        simulation, phantom = self.environment.simulation, self.environment.phantom
+        radius = simulation.wire.radius
+        run = contrast_run(phantom, self.size, radius)
+        generator = np.random.default_rng((self._noise, self._step))
+        frame = fluoroscope_of(phantom, self.size, radius).render(points_to_border(simulation), generator)[VIEW]
+        mask = {"mask": frame.mask[None] * np.uint8(255)} if self._with_mask else {}
+        return {**observation, "image": frame.image[None], "plain": run.plain, "contrast": run.contrast, **mask}
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self.environment.close()
+
+
+def wire_frames(
+    environment: XrayEnvironment,
+    expert: Policy,
+    cases: Sequence[int],
+    generator: np.random.Generator,
+    tick: Callable[[int], None] = lambda done: None,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Images of episodes that an expert steers, each with a share of noise in its actions, from none to all.
+
+    So the segmenter also sees tips that fold at walls and lie in wrong branches.
+
+    Args:
+        environment: over the training anatomies, with the expert's observations and masks.
+        expert: that steers.
+        cases: of the episodes.
+        generator: of starts and noise.
+        tick: called with the number of finished episodes.
+
+    Returns:
+        Images, images without a wire, and masks. Shapes (n, size, size).
+    """
+    from enn.imitation.perturbed_controller import PerturbedController
+
+    images, plains, masks = [], [], []
+    for number, case in enumerate(cases):
+        tick(number)
+        observation, _ = environment.reset(seed=int(generator.integers(2**31)), options={"case": case})
+        steer = PerturbedController(expert, generator)
+        over, step = False, 0
+        while not over:
+            if step % _BETWEEN == 0:
+                images.append(observation["image"][0])
+                plains.append(observation["plain"][0])
+                masks.append(observation["mask"][0])
+            observation, _, terminated, truncated, _ = environment.step(steer(observation))
+            over, step = terminated or truncated, step + 1
+    return np.stack(images), np.stack(plains), np.stack(masks)
+
+
+def train_wire_segmenter(
+    environment: XrayEnvironment,
+    expert: Policy,
+    cases: Sequence[int],
+    *,
+    epochs: int,
+    seed: int,
+    report: Callable[[float, str], None],
+    device: str = "cpu",
+) -> tuple[WireSegmenter, float]:
+    """Trains the network that finds the wire, on X-ray images of the training anatomies.
+
+    Args:
+        environment: over them, with masks.
+        expert: steers the episodes.
+        cases: of the episodes.
+        epochs: over the images.
+        seed: of everything.
+        report: takes the share done and a few words.
+        device: where the network is trained and stays.
+
+    Returns:
+        The network, and the Dice score of its masks on the images that it was trained on.
+    """
+    from enn.imitation.wire_segmentation import fit_wire_segmenter
+
+    generator = np.random.default_rng((seed, len(cases)))
+    frames = wire_frames(
+        environment, expert, cases, generator, lambda done: report(0.7 * done / len(cases), "X-ray images of wires")
+    )
+    return fit_wire_segmenter(
+        *frames,
+        epochs=epochs,
+        seed=seed,
+        device=device,
+        progress=lambda epoch, _: report(0.7 + 0.3 * epoch / epochs, "segmenter"),
+    )

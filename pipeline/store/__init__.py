@@ -1,0 +1,1 @@
+"""Files of a run: folders, manifests, atomic writing, provenance."""

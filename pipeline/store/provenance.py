@@ -1,0 +1,131 @@
+"""Provenance: which code, versions and machine a result came from, and hashes that tell whether it is current."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+from pathlib import Path
+from typing import Any
+
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+_REPORTED_DISTRIBUTIONS = ("numpy", "scipy", "mujoco", "gymnasium", "dm_control", "scikit-image", "trimesh", "torch",
+                           "stable-baselines3", "mcap", "hydra-core")  # fmt: skip
+
+
+def hash_value(value: Any) -> str:
+    """Hashes any JSON-like value, independent of the order of its keys.
+
+    Args:
+        value: dicts, lists, numbers, strings.
+
+    Returns:
+        SHA-256 in hex.
+    """
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def hash_file(path: Path) -> str:
+    """Hashes a file's content.
+
+    Args:
+        path: the file.
+
+    Returns:
+        SHA-256 in hex.
+    """
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@functools.cache
+def git_state() -> dict[str, Any]:
+    """Names the commit the code stands at.
+
+    Returns:
+        ``commit`` (hex, or "unknown" outside a repository or before the first commit) and ``dirty`` (True when files
+        differ from the commit; None when unknown).
+    """
+    commit = _git("rev-parse", "HEAD")
+    if commit is None:
+        return {"commit": "unknown", "dirty": None}
+    status = _git("status", "--porcelain")
+    return {"commit": commit, "dirty": None if status is None else bool(status)}
+
+
+def _git(*arguments: str) -> str | None:
+    if not (PROJECT_ROOT / ".git").exists():  # installed: a repository around it is somebody else's
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(PROJECT_ROOT), *arguments], capture_output=True, text=True, timeout=10, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def software_versions() -> dict[str, str]:
+    """Lists the versions of Python and of the distributions that results depend on.
+
+    Returns:
+        Name to version; what is not installed is left out.
+    """
+    return dict(_installed_versions())
+
+
+@functools.cache  # reading them takes as long as some twenty steps of the simulator
+def _installed_versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in _REPORTED_DISTRIBUTIONS:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+@functools.cache
+def machine() -> dict[str, str]:
+    """Describes the computer: what a speed or a training time was measured on.
+
+    Returns:
+        ``operating_system``, ``processor``, ``cores``, ``memory_gb`` and ``gpu``, as text for the report.
+    """
+    return {
+        "operating_system": _operating_system(),
+        "processor": _first_value(Path("/proc/cpuinfo"), "model name") or platform.processor() or platform.machine(),
+        "cores": str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()),
+        "memory_gb": f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f}",
+        "gpu": _gpu() or "none",
+    }
+
+
+def _operating_system() -> str:
+    try:
+        return platform.freedesktop_os_release()["PRETTY_NAME"]
+    except (OSError, KeyError):
+        return platform.platform(terse=True)
+
+
+def _first_value(path: Path, key: str) -> str | None:
+    try:
+        lines = path.read_text().splitlines()
+    except OSError:
+        return None
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith(key) and ":" in line), None)
+
+
+def _gpu() -> str | None:
+    try:
+        done = subprocess.run(
+            ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"],
+            capture_output=True, text=True, timeout=10, check=False,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip().replace("\n", ", ") or None if done.returncode == 0 else None

@@ -1,0 +1,249 @@
+"""The run folder of a stage: lock, manifest, the check whether it is up to date, going on after an interruption.
+
+``runs/<name>/<stage>/`` belongs to one stage; a job of a sweep gets ``runs/<name>/<stage>@<overrides>/`` beside it.
+In it:
+
+- ``manifest.json``, written last: a folder without it is unfinished, whatever else lies there.
+- ``.progress/``: marks of finished items, so that an interrupted stage goes on where it stopped; see `pipeline.store.item_marks`.
+- ``.lock``: held while a process works here. The kernel frees it when the process dies, so it never goes stale.
+- other names that begin with a dot: what the stage's parts hand to each other. All of it is gone at the end.
+
+``runs/<name>/.cache/digests/`` remembers the digests of every folder's files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pipeline.jobs.costs import kept_costs
+from pipeline.store.atomic_files import remove_unfinished, write_json
+from pipeline.store.errors import FolderBusyError, StageError
+from pipeline.store.file_memory import digests_of
+from pipeline.store.interruption import stop_if_asked
+from pipeline.store.item_marks import Marks
+from pipeline.store.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
+from pipeline.store.progress import progress
+
+Item = TypeVar("Item")
+
+_LOCK = ".lock"
+
+_LOGGER = logging.getLogger(__name__)
+
+
+class RunFolder:
+    """The folder one stage writes to, while it is being worked on."""
+
+    def __init__(self, path: Path, identity: Identity) -> None:
+        """Args:
+        path: the folder; it is made when missing.
+        identity: what the results will depend on.
+        """
+        self.path = path
+        self.identity = identity
+        self._memory = digests_of(path)
+        self._marks = Marks(path, self._memory)
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Holds the folder for this process.
+
+        Raises:
+            FolderBusyError: when another process holds it.
+            StageError: when the folder holds files that no stage wrote: working here would remove them.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        if any(self.path.iterdir()) and not (self.path / _LOCK).exists():
+            raise StageError(f"{self.path} holds files that no stage wrote: choose another name=… or runs_dir=…")
+        with (self.path / _LOCK).open("a+") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                lock.seek(0)
+                holder = lock.read().strip() or "another process"
+                raise FolderBusyError(
+                    f"{self.path} is in use by {holder}: wait for it, or give this run another name=…"
+                ) from None
+            lock.truncate(0)
+            lock.write(f"process {os.getpid()} on {os.uname().nodename}")
+            lock.flush()
+            yield
+
+    def is_up_to_date(self) -> bool:
+        """Tells whether the folder holds the finished results of this identity.
+
+        Returns:
+            True when the manifest matches and every file it lists is there with its content.
+        """
+        manifest = read_manifest(self.path)
+        if manifest is None or manifest.identity != self.identity:
+            return False
+        changed = manifest.changed_output(self.path, self._memory)
+        self._memory.save()
+        if changed is not None:
+            _LOGGER.warning("%s, so the stage runs again", changed)
+            return False
+        foreign = manifest.foreign_file(self.path)
+        if foreign is not None:
+            _LOGGER.warning("%s was not written by this stage: move it away, or later stages refuse to read", foreign)
+        return True
+
+    def prepare(self, *, force: bool = False) -> int:
+        """Readies the folder for work: keeps finished items of the same identity, removes everything else.
+
+        Args:
+            force: start from nothing even when finished items could be kept.
+
+        Returns:
+            How many finished items are kept.
+        """
+        manifest = self.path / MANIFEST
+        if not force and not manifest.exists() and self._marks.belong_to(self.identity.fingerprint):
+            remove_unfinished(self.path)
+            kept = self._marks.verify()
+            self._memory.save()
+            return kept
+        # In this order a kill at any point leaves a folder that the next run clears: no mark, no manifest to trust.
+        self._marks.revoke()
+        manifest.unlink(missing_ok=True)
+        for entry in self.path.iterdir():
+            if entry.name != _LOCK:
+                shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+        self._marks.begin(self.identity.fingerprint)
+        return 0
+
+    def result_of(self, key: str) -> Any | None:
+        """What a finished item left for the stage's summary.
+
+        Args:
+            key: the item's key.
+
+        Returns:
+            The value given to ``mark_done`` ({} when none was), or None while the item is not done.
+        """
+        return self._marks.result(key)
+
+    def pending(self, items: Sequence[Item], *, key: Callable[[Item], str] = str) -> list[Item]:
+        """Lists the items that are not done yet, for stages that hand them to worker processes themselves.
+
+        Args:
+            items: all items of the stage.
+            key: names an item; names must differ.
+
+        Returns:
+            Those to do, in order.
+
+        Raises:
+            ValueError: when two items have the same key.
+        """
+        keys = [key(item) for item in items]
+        if len(set(keys)) != len(keys):
+            raise ValueError(f"items must have different keys, got {keys}")
+        return [item for item, name in zip(items, keys, strict=True) if self.result_of(name) is None]
+
+    def noted(self, key: str) -> contextlib.AbstractContextManager[None]:
+        """Notes the files that this process writes while the body runs as an item's.
+
+        Args:
+            key: the item's key.
+        """
+        return self._marks.noted(key)
+
+    def journal(self, key: str) -> Path:
+        """Where another process that works on an item notes its files: see `pipeline.store.written_files.noted`.
+
+        Args:
+            key: the item's key.
+        """
+        return self._marks.journal(key)
+
+    def mark_done(self, key: str, result: Any = None) -> None:
+        """Records that an item is finished, with the files noted for it; call it after they are written.
+
+        Args:
+            key: the item's key.
+            result: JSON value that the stage wants back in its summary, also after an interruption.
+        """
+        self._marks.mark(key, {} if result is None else result)
+
+    def forget(self, key: str) -> None:
+        """Has an item done again from nothing.
+
+        Args:
+            key: the item's key.
+        """
+        self._marks.forget(key)
+
+    def resumable(
+        self, items: Sequence[Item], *, key: Callable[[Item], str] = str, label: str = "items"
+    ) -> Iterator[Item]:
+        """Passes on the items that are not done yet, with progress, and marks each as done when the loop comes back.
+
+        An item whose body raises, or during which the process dies, stays to be done. A body with something to hand
+        to the summary calls ``mark_done(key, result)`` itself, as its last act.
+
+        Args:
+            items: all items of the stage.
+            key: names an item; names must differ.
+            label: what the items are, for the progress line.
+
+        Yields:
+            Each unfinished item.
+        """
+        todo = self.pending(items, key=key)
+        for item in progress(todo, label, done_before=len(items) - len(todo)):
+            with self.noted(key(item)):
+                yield item
+            if self.result_of(key(item)) is None:
+                self.mark_done(key(item))
+            stop_if_asked()
+
+    def finish(
+        self, *, stage: str, run: str, budget: str, seed: int, config: dict[str, Any], started: float,
+        overrides: Sequence[str] = (), variant: Sequence[str] = (),
+    ) -> Manifest:  # fmt: skip
+        """Writes the manifest, the last act of a stage.
+
+        Args:
+            stage: its name.
+            run: the run's name.
+            budget: the budget's name.
+            seed: the run's seed.
+            config: the stage's settings.
+            started: ``time.monotonic()`` when the work began.
+            overrides: what the user asked for.
+            variant: those of them that the folder is named after.
+
+        Returns:
+            The manifest as written.
+        """
+        remove_unfinished(self.path)
+        manifest = Manifest(
+            stage=stage, run=run, budget=budget, seed=seed, config=config, identity=self.identity,
+            overrides=list(overrides), variant=list(variant), outputs=self._outputs(),
+            jobs=kept_costs(self.path),
+            wall_time_s=round(time.monotonic() - started, 3), finished=datetime.now(UTC).isoformat(timespec="seconds"),
+        )  # fmt: skip
+        write_json(self.path / MANIFEST, asdict(manifest))
+        self._memory.save()
+        for entry in self.path.iterdir():
+            if entry.name.startswith(".") and entry.name != _LOCK and entry.is_dir():
+                shutil.rmtree(entry, ignore_errors=True)
+        return manifest
+
+    def _outputs(self) -> dict[str, dict[str, Any]]:
+        return {
+            name: {"sha256": self._memory.digest(self.path / name), "bytes": (self.path / name).stat().st_size}
+            for name in files_below(self.path)
+            if name != MANIFEST
+        }

@@ -1,0 +1,175 @@
+"""Damaged meshes: each is imported as it was meant, or refused in one sentence within the budget of an import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
+from cathsim.anatomy.mesh import importer
+from cathsim.anatomy.mesh.budget import Budget
+from cathsim.anatomy.mesh.openings import close_openings
+from cathsim.anatomy.mesh.reading import Triangles
+from cathsim.anatomy.mesh.samples import sample_surface
+from cathsim.anatomy.mesh.unit import Size, detect_unit
+from tests.cathsim.anatomy.generator.drawn_arch import arch_mesh
+
+COARSE = 2e-3
+WHOLE = ("aorta", "bca", "lcca", "lsa")
+Surface = tuple[np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def surface() -> Surface:
+    """Vertices (mm) and faces of a closed arch of about 40,000 triangles."""
+    mesh = arch_mesh(0.03, cut_open=False)
+    return np.asarray(mesh.vertices) * 1e3, np.asarray(mesh.faces)
+
+
+def imported(surface: Surface, folder: Path, unit: str | None = None) -> Phantom:
+    path = folder / "damaged.ply"
+    trimesh.Trimesh(*surface, process=False).export(path)
+    return import_mesh(path, unit=unit, resolution=COARSE, cache_dir=folder)
+
+
+def with_loose_triangles(surface: Surface) -> Surface:
+    vertices, faces = surface
+    middle, edges = vertices.mean(axis=0), faces[::20, :2]
+    tips = 0.7 * vertices[edges[:, 0]] + 0.3 * middle
+    loose = np.column_stack([edges, len(vertices) + np.arange(len(edges))])
+    return np.concatenate([vertices, tips]), np.concatenate([faces, loose])
+
+
+def with_fins(surface: Surface) -> Surface:
+    vertices, faces = surface
+    edges = faces[:500, :2]
+    fins = np.column_stack([edges, len(vertices) + np.arange(len(edges))])
+    return np.concatenate([vertices, vertices[edges[:, 0]] + [0, 15, 0]]), np.concatenate([faces, fins])
+
+
+def with_slivers(surface: Surface) -> Surface:
+    vertices, faces = surface
+    generator = np.random.default_rng(0)
+    corners = generator.integers(0, len(vertices), (6000, 2))
+    slivers = np.column_stack([corners, generator.integers(0, len(vertices), 6000)])
+    return vertices, np.concatenate([faces, slivers])
+
+
+def with_holes(share: float, surface: Surface) -> Surface:
+    vertices, faces = surface
+    return vertices, faces[np.random.default_rng(0).random(len(faces)) > share]
+
+
+def moved(changes: dict[int, float], surface: Surface) -> Surface:
+    vertices = surface[0].copy()
+    for step, value in changes.items():
+        vertices[::step] = value
+    return vertices, surface[1]
+
+
+MENDED = {
+    "every second face missing": lambda s: (s[0], s[1][::2]),
+    "two fifths missing": lambda s: with_holes(0.4, s),
+    "every face thrice": lambda s: (s[0], np.concatenate([s[1], s[1], s[1][:, ::-1]])),
+    "fins outside": with_fins,
+    "vertices that are no numbers": lambda s: moved({50: np.nan}, s),
+    "infinite vertices": lambda s: moved({70: np.inf}, s),
+}
+
+
+@pytest.mark.parametrize("damage", list(MENDED))
+def test_what_can_be_mended_is_imported(damage: str, surface: Surface, tmp_path: Path):
+    found = imported(MENDED[damage](surface), tmp_path)
+    assert found.tree.names == WHOLE
+    assert found.imported is not None
+    if "missing" in damage:
+        assert any(note.endswith("missing triangles put back") for note in found.imported.notes)
+
+
+REFUSED = {
+    "half the faces missing": (lambda s: with_holes(0.5, s), "full of holes: 50% of its edges"),
+    "no two faces joined": (
+        lambda s: (s[0], np.random.default_rng(0).permutation(s[1].ravel()).reshape(-1, 3)),
+        "full of holes: 100% of its edges",
+    ),
+    "loose triangles inside": (with_loose_triangles, r"no wall surrounds the vessel at \d+ of the lumen's \d+ ends"),
+    "slivers across": (with_slivers, r"the import would take [\d.]+ GB, it may take 4"),
+    "a vertex far off": (
+        lambda s: moved({len(s[0]): 1e30}, s),
+        r"stray vertices: most lie within 133, all within 1e\+30",
+    ),
+    "too large numbers": (lambda s: (s[0] * 1e30, s[1]), "in no unit is this an aorta"),
+}
+
+
+@pytest.mark.parametrize("damage", list(REFUSED))
+def test_what_cannot_be_mended_is_refused_in_one_sentence(damage: str, surface: Surface, tmp_path: Path):
+    make, reason = REFUSED[damage]
+    with pytest.raises(MeshRefusedError, match=reason) as refusal:
+        imported(make(surface), tmp_path)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("given", ["mm", "cm", "inch", "m"])
+def test_a_wrong_unit_is_told_with_the_one_that_fits(given: str, surface: Surface, tmp_path: Path):
+    right = "m" if given != "m" else "mm"
+    scale = 1e-3 if right == "m" else 1.0
+    with pytest.raises(
+        MeshRefusedError, match=rf"; {right} would fit \(22\.6 mm wide\): give that unit, or leave it out"
+    ):
+        imported((surface[0] * scale, surface[1]), tmp_path, unit=given)
+
+
+def test_an_unsure_unit_is_noted():
+    assert detect_unit(Size(28.0, 220.0))[0::2] == ("mm", ())
+    unit, reason, notes = detect_unit(Size(1.6, 14.0))
+    assert unit == "inch"
+    assert "cm could be meant" in reason
+    assert len(notes) == 1
+    assert notes[0].startswith("the unit is unsure: inch is taken, but cm could be meant")
+    assert Size(28.0, 220.0).hint("mm") == ""
+    assert "mm would fit" in Size(28.0, 220.0).hint("cm")
+
+
+def test_an_import_that_takes_too_long_is_refused(surface: Surface, tmp_path: Path):
+    path = tmp_path / "slow.ply"
+    trimesh.Trimesh(*surface, process=False).export(path)
+    build = importer._Import(path, "mm", None, COARSE, Budget(seconds=0.0))
+    with pytest.raises(MeshRefusedError, match="has taken the 0 s of processor time it may take, before meas"):
+        build.phantom("slow")
+
+
+def test_too_many_points_are_refused_before_they_are_made():
+    corners = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
+    with pytest.raises(MeshRefusedError, match="the import would take"):
+        sample_surface(corners, 1e-9)
+    with pytest.raises(MeshRefusedError, match="the import would take"):
+        sample_surface(corners, 1e-3, Budget(memory=1e6))
+
+
+def test_rings_that_touch_are_closed_one_by_one():
+    sphere = trimesh.creation.icosphere(3, 10.0)
+    vertices, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces, np.int64)
+    around = (faces == 0).any(axis=1)
+    neighbour = int(next(v for v in faces[around].ravel() if v != 0))
+    far = next(v for v in np.unique(faces[(faces == neighbour).any(axis=1)]) if v not in faces[around])
+    opened = Triangles(vertices, faces[~around & ~(faces == far).any(axis=1)])
+    closed, openings, put_back = close_openings(opened)
+    assert put_back == 0
+    assert len(openings) >= 2
+    assert np.linalg.norm(openings, axis=1).min() > 9.0  # every cone is low: none has its tip inside
+    edges = np.sort(closed.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+
+
+def test_missing_triangles_are_put_back():
+    sphere = trimesh.creation.icosphere(3, 10.0)
+    faces = np.asarray(sphere.faces, np.int64)
+    kept = faces[np.arange(len(faces)) % 97 > 0]
+    closed, openings, put_back = close_openings(Triangles(np.asarray(sphere.vertices), kept))
+    assert put_back == len(faces) - len(kept)
+    assert len(openings) == 0
+    assert np.array_equal(np.unique(np.sort(closed.faces, axis=1), axis=0), np.unique(np.sort(faces, axis=1), axis=0))

@@ -1,0 +1,63 @@
+"""Vessels that end soon after they leave the aorta are kept; lumens that are too narrow are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
+from cathsim.anatomy.lumen_report import check_lumen
+from cathsim.anatomy.vessel_tree import nearest_on_branch
+from tests.cathsim.anatomy.generator.drawn_arch import arch_mesh, arch_tree
+
+REAL = Path(__file__).resolve().parents[5] / "shared" / "real" / "aortas"
+COARSE = 2e-3
+STUB = 0.015  # m: not much longer than the branches are wide
+
+
+def _in_file(phantom: Phantom, points: np.ndarray) -> np.ndarray:
+    """World points in metres of the file's frame."""
+    report = phantom.imported
+    assert report is not None
+    return (points - np.array(report.offset)) @ np.array(report.rotation)
+
+
+def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
+    mesh = arch_mesh(STUB)
+    mesh.apply_scale(1000)
+    mesh.export(tmp_path / "short.stl")
+    found = import_mesh(tmp_path / "short.stl", resolution=COARSE, cache_dir=tmp_path)
+    drawn = arch_tree(STUB)
+    assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa"}
+    assert found.tree.root.length > 0.93 * drawn.root.length
+    for name in ("bca", "lcca", "lsa"):
+        target = found.targets[name].position
+        assert found.grid.sample(target) > 0.5 * drawn[name].radius[0], name
+        _, _, aside = nearest_on_branch(drawn[name], _in_file(found, target))
+        assert aside[0] < 1.5e-3, name
+    assert check_lumen(found).problems == ()
+
+
+def test_a_stenosis_is_refused(tmp_path: Path):
+    mesh = arch_mesh(0.03, narrowed=1.6e-3)
+    mesh.apply_scale(1000)
+    mesh.export(tmp_path / "narrow.stl")
+    with pytest.raises(MeshRefusedError, match=r"narrows to less than 2\.0 mm of width between two parts of it"):
+        import_mesh(tmp_path / "narrow.stl", resolution=COARSE, cache_dir=tmp_path)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="../shared/real/aortas is not there")
+@pytest.mark.parametrize(("name", "unit"), [("patient1", "mm"), ("feelpp_aorta2", "cm")])
+def test_real_arches_with_short_branches(name: str, unit: str, tmp_path: Path):
+    found = import_mesh(REAL / f"{name}.stl", cache_dir=tmp_path)
+    assert found.imported is not None
+    assert found.imported.unit == unit
+    assert found.imported.borders == 5
+    assert found.tree.names == ("aorta", "bca", "lcca", "lsa")
+    assert all(branch.parent == "aorta" for branch in found.tree.branches[1:])
+    arcs = [found.tree[branch].parent_arc for branch in ("bca", "lcca", "lsa")]
+    assert arcs == sorted(arcs, reverse=True)  # from the heart on
+    for target in ("bca", "lcca", "lsa"):
+        assert found.grid.sample(found.targets[target].position) > 1.5e-3, target

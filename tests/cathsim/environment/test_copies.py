@@ -1,0 +1,231 @@
+"""Copies of environments: pickled, copied deeply, saved and restored; each goes on bit for bit like its original."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from cathsim import ACCURACY, ENVIRONMENT, NavigateEnv, NavigationTask, Phantom, Simulation, load_guidewire
+from cathsim.blood.flow import BloodFlow
+from cathsim.contact.hulls import Decomposition, Hull
+from cathsim.fluoroscopy import BiplaneFluoroscope
+from cathsim.many_anatomies import NavigateManyEnv
+from cathsim.observations.observables import OBSERVABLES
+from cathsim.vector import ThreadedVectorEnv
+
+MakeEnv = Callable[..., NavigateEnv]
+
+SMALL: dict[str, Any] = {"image_size": 32, "accuracy": "fast"}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "everything seen": {"observation": OBSERVABLES, "start_rotation": 2.0, "registration_noise": 1e-3},
+    "geodesic": {"observation": ("roadmap", "history"), "reward": "geodesic", "target": "lsa"},
+    "cameras": {"observation": ("image_a", "mask_a", "image_b", "sequential"), "cameras": "guide3d"},
+    "blood": {"observation": "joints", "blood": "pulsatile"},
+    "robot": {"observation": ("feeder", "shape"), "drive": "robot"},
+    "tip motors": {"actions": "tip_motors", "observation": ("internal", "image")},
+    "thesis wire": {"wire": "thesis", "observation": "internal"},
+    "own wire and task": {
+        "wire": load_guidewire("default", friction=0.1).scaled(0.3),
+        "task": NavigationTask(target="lcca", max_steps=60),
+        "contact_info": True,
+    },
+    "fluoroscopy": {"render_mode": "fluoroscopy"},
+}
+WAYS: dict[str, Callable[[Any], Any]] = {
+    "pickle": lambda env: pickle.loads(pickle.dumps(env)),
+    "deepcopy": copy.deepcopy,
+}
+
+
+def actions(env: gymnasium.Env[Any, Any], count: int, seed: int = 0) -> np.ndarray:
+    """Mostly forwards. Shape (count, actions)."""
+    drawn = np.random.default_rng(seed).uniform(-1, 1, (count, *env.action_space.shape))
+    index = -1 if env.action_space.shape[0] > 2 else 0
+    drawn[:, index] = 0.4 + 0.6 * np.abs(drawn[:, index])
+    return drawn.astype(np.float32)
+
+
+def same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(same(a, b) for a, b in zip(one, other, strict=True))
+    return np.asarray(one).dtype == np.asarray(other).dtype and np.array_equal(one, other)
+
+
+def go_on_alike(original: Any, twin: Any, steps: int = 12) -> None:
+    """Both give the same: now, for some steps, and in the next episode."""
+    assert same(original.observe(), twin.observe())
+    assert same(original.render(), twin.render())
+    for action in actions(original, steps, seed=1):
+        one, other = original.step(action), twin.step(action)
+        assert same(one, other)
+        if one[2] or one[3]:
+            break
+    assert same(original.reset(), twin.reset()), "draws of the next episode"
+    assert same(original.step(action), twin.step(action))
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_copies_in_the_middle_of_an_episode_go_on_alike(make_env: MakeEnv, variant: str, way: str) -> None:
+    env = make_env(**{**SMALL, **VARIANTS[variant]})
+    env.reset(seed=3)
+    for action in actions(env, 45):
+        env.step(action)
+    go_on_alike(env, WAYS[way](env))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_copies_are_independent(make_env: MakeEnv, way: str) -> None:
+    env = make_env(observation=("joints", "image", "history"), image_size=32)
+    env.reset(seed=0)
+    twin = WAYS[way](env)
+    state = env.state()
+    for action in actions(env, 20):
+        twin.step(action)
+    assert np.array_equal(env.state()["simulation"], state["simulation"])
+    assert env.history is not None
+    assert twin.history.simulation is twin.simulation is not env.simulation
+    assert env.history.simulation is env.simulation
+
+
+def test_a_deep_copy_shares_the_phantom(make_env: MakeEnv) -> None:
+    env = make_env()
+    assert copy.deepcopy(env).phantom is env.phantom
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_copies_before_the_first_reset(make_env: MakeEnv, way: str) -> None:
+    env = make_env()
+    twin = WAYS[way](env)
+    with pytest.raises(RuntimeError, match="call reset"):
+        twin.step(np.zeros(2))
+    assert same(env.reset(seed=4), twin.reset(seed=4))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_copies_with_hulls(make_env: MakeEnv, bend: Phantom, prisms: list[Hull], way: str) -> None:
+    simulation = Simulation(bend, load_guidewire("default"), ACCURACY["fast"], contact=Decomposition())
+    for _ in range(30):
+        simulation.advance(0.002, 0.1)
+    twin = WAYS[way](simulation)
+    assert np.array_equal(twin.contacts().forces, simulation.contacts().forces)
+    for _ in range(10):
+        for one in (simulation, twin):
+            one.advance(0.002, -0.1)
+        assert np.array_equal(simulation.state(), twin.state())
+        assert np.array_equal(simulation.force(), twin.force())
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_copies_with_cameras_and_blood_of_ones_own(make_env: MakeEnv, type_1: Phantom, way: str) -> None:
+    cameras = BiplaneFluoroscope.of(type_1, "clinical", size=48, surroundings="patient", filling="contrast")
+    env = make_env(
+        phantom=type_1,
+        cameras=cameras,
+        blood=BloodFlow(peak_velocity=0.5, phase=0.2),
+        observation=("image_b", "joints"),
+    )
+    env.reset(seed=0)
+    for action in actions(env, 20):
+        env.step(action)
+    twin = WAYS[way](env)
+    assert np.array_equal(twin.simulation.blood_forces(), env.simulation.blood_forces())
+    go_on_alike(env, twin)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_copies_of_many_anatomies(type_1: Phantom, way: str) -> None:
+    env = NavigateManyEnv(
+        (type_1, "type_2", 0), ("bca", "lcca"), observation=("roadmap",), accuracy="fast", resolution=1.5e-3
+    )
+    env.reset(seed=2)
+    for action in actions(env, 10):
+        env.step(action)
+    twin = WAYS[way](env)
+    go_on_alike(env, twin)
+    for _ in range(3):
+        assert same(env.reset(), twin.reset())
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_copies_of_wrapped_and_of_vector_environments(way: str) -> None:
+    env = gymnasium.make(ENVIRONMENT, accuracy="fast", max_episode_steps=40)
+    env.reset(seed=0)
+    env.step(np.ones(2, np.float32))
+    twin = WAYS[way](env)
+    for _ in range(5):
+        assert same(env.step(np.ones(2, np.float32)), twin.step(np.ones(2, np.float32)))
+    vector = ThreadedVectorEnv(2, threads=2, accuracy="fast", observation="joints")
+    vector.reset(seed=0)
+    vector.step(np.ones((2, 2)))
+    other = WAYS[way](vector)
+    for _ in range(3):
+        assert same(vector.step(np.ones((2, 2))), other.step(np.ones((2, 2))))
+    vector.close()
+    other.close()
+
+
+@pytest.mark.parametrize("variant", ["robot", "everything seen", "cameras"])
+def test_states_move_to_another_environment(make_env: MakeEnv, variant: str) -> None:
+    arguments = {**SMALL, **VARIANTS[variant]}
+    env, other = make_env(**arguments), make_env(**arguments)
+    env.reset(seed=3)
+    for action in actions(env, 35):
+        env.step(action)
+    other.reset(seed=9)
+    other.restore(pickle.loads(pickle.dumps(env.state())))
+    for action in actions(env, 25, seed=2):
+        assert same(env.step(action), other.step(action))
+
+
+def test_the_robot_is_saved_in_every_phase_of_its_cycle(make_env: MakeEnv) -> None:
+    env, other = (make_env(drive="robot", observation="feeder") for _ in range(2))
+    env.reset(seed=0)
+    other.reset(seed=1)
+    phases = set()
+    for _ in range(60):
+        env.step(np.array([1.0, 0.5]))
+        assert env.robot is not None
+        phases.add(env.robot.phase)
+        saved = env.state()
+        other.restore(saved)
+        ahead = [other.step(np.array([1.0, -0.5]))[0] for _ in range(2)]
+        other.restore(saved)
+        assert all(same(other.step(np.array([1.0, -0.5]))[0], one) for one in ahead)
+    assert len(phases) >= 4
+
+
+def test_a_pickle_opens_in_another_process(make_env: MakeEnv, tmp_path: Any, run_python: Callable[[str], str]) -> None:
+    import hashlib
+
+    env = make_env(observation=("internal", "image"), image_size=32)
+    env.reset(seed=1)
+    for action in actions(env, 30):
+        env.step(action)
+    file = tmp_path / "environment"
+    file.write_bytes(pickle.dumps(env))
+    printed = run_python(
+        "import hashlib, pickle, numpy as np\n"
+        f"env = pickle.load(open({str(file)!r}, 'rb'))\n"
+        "seen = hashlib.sha256()\n"
+        "for _ in range(10):\n"
+        "    observation, reward, *_ = env.step(np.array([1.0, -0.3]))\n"
+        "    for part in (observation['internal'], observation['image'], reward): "
+        "seen.update(np.asarray(part).tobytes())\n"
+        "print(seen.hexdigest())"
+    )
+    seen = hashlib.sha256()
+    for _ in range(10):
+        observation, reward, *_ = env.step(np.array([1.0, -0.3]))
+        for part in (observation["internal"], observation["image"], reward):
+            seen.update(np.asarray(part).tobytes())
+    assert printed.strip() == seen.hexdigest()

@@ -1,0 +1,191 @@
+"""Specifications of environments as JSON, and environments made of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+from cathsim import ACCURACY, ENVIRONMENT, NavigateEnv, NavigationTask, Phantom, load_guidewire, load_phantom
+from cathsim.anatomy import ArchParameters
+from cathsim.anatomy.generator.arch_parameters import Aneurysm
+from cathsim.anatomy.library import build_phantom
+from cathsim.blood.flow import BloodFlow
+from cathsim.contact.hulls import Decomposition
+from cathsim.description import describe, described
+from cathsim.fluoroscopy import BiplaneFluoroscope
+from cathsim.fluoroscopy.scene import SCENES
+from cathsim.registration import MANY
+
+COARSE = 2e-3
+
+
+class Penny(NavigationTask):
+    """A reward of its own."""
+
+    def step_reward(self, distance: float, progress: float, *_: float, success: bool) -> float:
+        return 0.01
+
+
+@pytest.fixture(scope="module")
+def own_arch() -> Phantom:
+    measures = ArchParameters(apex_ratio=1.1, aneurysm=Aneurysm("fusiform", distance=0.05, length=0.07, bulge=0.008))
+    return load_phantom("mine", parameters=measures, resolution=COARSE)
+
+
+def made_again(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
+    assert env.spec is not None
+    text = env.spec.to_json()
+    json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    return gymnasium.make(EnvSpec.from_json(text))
+
+
+def play_alike(one: gymnasium.Env[Any, Any], other: gymnasium.Env[Any, Any], steps: int = 8) -> None:
+    def same(a: Any, b: Any) -> bool:
+        if isinstance(a, dict):
+            return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+        return np.array_equal(a, b)
+
+    drawn = np.random.default_rng(0).uniform(-0.2, 1, (steps, *one.action_space.shape)).astype(np.float32)
+    for mine, theirs in zip(one.reset(seed=5), other.reset(seed=5), strict=True):
+        assert same(mine, theirs)
+    for action in drawn:
+        assert all(same(mine, theirs) for mine, theirs in zip(one.step(action), other.step(action), strict=True))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {},
+        {"phantom": "random", "phantom_seed": 1, "target": (0.0, 0.0, 0.0)},
+        {"wire": load_guidewire("default", friction=0.1).scaled(0.31), "accuracy": ACCURACY["fast"]},
+        {
+            "task": NavigationTask(target="lcca", max_steps=60),
+            "reward": "geodesic",
+            "success_radius": np.float64(0.005),
+        },
+        {"task": Penny(max_steps=40)},
+        {"blood": BloodFlow(peak_velocity=0.3, shares={"lcca": 0.1}), "observation": ("joints", "force")},
+        {"drive": "robot", "start_rotation": np.pi, "actions": "feeder"},
+    ],
+    ids=["default", "random arch, point", "own wire", "task", "own task", "blood", "robot"],
+)
+def test_an_environment_is_made_again_from_json(arguments: dict[str, Any]) -> None:
+    arguments = dict(arguments)
+    if "target" in arguments:
+        place = load_phantom("random", seed=1).target("bca").position
+        arguments["target"] = place
+    env = gymnasium.make(ENVIRONMENT, **{"accuracy": "fast", **arguments})
+    again = made_again(env)
+    play_alike(env, again)
+    assert isinstance(again.unwrapped, NavigateEnv)
+    assert isinstance(env.unwrapped, NavigateEnv)
+    assert again.unwrapped.task == env.unwrapped.task
+    assert type(again.unwrapped.task) is type(env.unwrapped.task)
+    assert again.unwrapped.simulation.wire == env.unwrapped.simulation.wire
+
+
+def test_phantoms_are_described(own_arch: Phantom) -> None:
+    named = load_phantom("type_2", resolution=COARSE)
+    drawn = load_phantom("random_wide", seed=4, resolution=COARSE)
+    built = build_phantom("mine", own_arch.parameters or ArchParameters(), resolution=COARSE)
+    for phantom in (named, drawn, own_arch, built):
+        again = described(json.loads(json.dumps(describe(phantom))))
+        assert again.hash == phantom.hash
+        assert again.name == phantom.name
+        assert np.array_equal(again.grid.values, phantom.grid.values)
+    assert set(describe(named)) == {"class", "name", "hash", "resolution"}
+    env = gymnasium.make(ENVIRONMENT, phantom=own_arch, accuracy="fast")
+    play_alike(env, made_again(env))
+
+
+def test_hulls_are_described() -> None:
+    settings = Decomposition(threshold=0.03, search=9)
+    assert described(json.loads(json.dumps(describe(settings)))) == settings
+
+
+def test_cameras_are_described(type_1: Phantom) -> None:
+    for surroundings in ("patient", SCENES["bath"].filled("contrast")):
+        cameras = BiplaneFluoroscope.of(type_1, "clinical", size=40, surroundings=surroundings)
+        env = gymnasium.make(
+            ENVIRONMENT, phantom=type_1, cameras=cameras, observation=("image_a", "mask_b"), accuracy="fast"
+        )
+        play_alike(env, made_again(env), steps=3)
+    own = BiplaneFluoroscope(tuple(cameras.cameras.values()), tuple(cameras._stills.values()))
+    env = gymnasium.make(ENVIRONMENT, phantom=type_1, cameras=own, accuracy="fast")
+    assert env.spec is not None
+    with pytest.raises(ValueError, match=r"make it with BiplaneFluoroscope.of") as caught:
+        env.spec.to_json()
+    assert "\n" not in str(caught.value)
+
+
+def test_many_anatomies_and_vectors_are_described(type_1: Phantom, own_arch: Phantom) -> None:
+    arguments: dict[str, Any] = {
+        "phantoms": (type_1, "type_2", 3, ("random_wide", 1), own_arch),
+        "targets": ("bca", type_1.target("lcca").position),
+        "wires": ("default", load_guidewire("default", friction=0.05)),
+        "resolution": COARSE,
+        "observation": ("roadmap",),
+        "accuracy": "fast",
+    }
+    env = gymnasium.make(MANY, **arguments)
+    again = made_again(env)
+    for case in (0, 3, 4, 8, 16):
+        one, other = env.reset(seed=0, options={"case": case}), again.reset(seed=0, options={"case": case})
+        assert np.array_equal(one[0]["roadmap"], other[0]["roadmap"])
+        assert one[1]["phantom"] == other[1]["phantom"]
+    vector = gymnasium.make_vec(ENVIRONMENT, 2, phantom=own_arch, accuracy="fast")
+    assert vector.spec is not None
+    twin = gymnasium.make_vec(EnvSpec.from_json(vector.spec.to_json()))
+    assert twin.num_envs == 2
+    assert np.array_equal(vector.reset(seed=0)[0], twin.reset(seed=0)[0])
+    vector.close()
+    twin.close()
+
+
+def test_wrappers_stay_in_the_specification(own_arch: Phantom) -> None:
+    env = gymnasium.wrappers.RescaleAction(
+        gymnasium.make(ENVIRONMENT, phantom=own_arch, accuracy="fast"), np.float32(0.0), np.float32(1.0)
+    )
+    again = made_again(env)
+    assert isinstance(again, gymnasium.wrappers.RescaleAction)
+    play_alike(env, again, steps=2)
+
+
+def test_what_cannot_be_described_is_refused(bend: Phantom) -> None:
+    with pytest.raises(ValueError, match="phantom 'bend' was put together by hand"):
+        describe(bend)
+
+    @dataclasses.dataclass(frozen=True)
+    class Local(NavigationTask):
+        pass
+
+    with pytest.raises(ValueError, match="a Local cannot be written as JSON"):
+        describe(Local())
+    for value in ({"class": "os:system"}, {"class": "nowhere:Nothing"}, {"class": "json"}):
+        with pytest.raises(ValueError, match="there is no settings class"):
+            described(value)
+    with pytest.raises(ValueError, match=r"Guidewire has no colour|cannot be made of"):
+        described({"class": "cathsim.guidewire:Guidewire", "colour": "red"})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"wire": 5}, "wire must be a name or a Guidewire, got 5"),
+        ({"phantom": 3}, "phantom must be a name or a Phantom, got 3"),
+        ({"accuracy": None}, "accuracy must be a name or an Accuracy, got None"),
+        ({"blood": 1.0}, "blood must be a name or a BloodFlow"),
+        ({"contact": 1}, "contact must be a name or a Decomposition"),
+        ({"cameras": {"size": 3}}, "cameras must be a name or a BiplaneFluoroscope"),
+        ({"task": "reach"}, "task must be a NavigationTask"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        NavigateEnv(**{"accuracy": "fast", **arguments})

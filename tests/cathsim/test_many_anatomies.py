@@ -1,0 +1,151 @@
+"""Episodes in many anatomies, towards many targets, with many wires."""
+
+from __future__ import annotations
+
+import gc
+import pickle
+import weakref
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+from cathsim.environment import NavigateEnv
+from cathsim.guidewire import load_guidewire
+from cathsim.lifetime_cache import kept_with_owner
+from cathsim.many_anatomies import NavigateManyEnv, PhantomShelf
+from cathsim.registration import MANY
+
+FORWARD = np.array([1.0, 0.3])
+SOFT = replace(load_guidewire("default"), shaft_stiffness_nmm2=200.0)
+
+
+@pytest.fixture
+def environment(type_1) -> NavigateManyEnv:
+    wires = ("default", SOFT)
+    return NavigateManyEnv((type_1,), ("bca", "lcca"), wires, observation=("roadmap",), start_rotation=np.pi)
+
+
+def test_cases_are_numbered(environment: NavigateManyEnv) -> None:
+    assert environment.cases == 4
+    assert [environment.case_of(*environment.describe(case)) for case in range(4)] == [0, 1, 2, 3]
+    assert environment.describe(3) == (0, 1, 1)
+    with pytest.raises(ValueError, match="there is no case 4: they are numbered from 0 to 3"):
+        environment.describe(4)
+
+
+def test_draws_every_case_and_repeats_itself(environment: NavigateManyEnv) -> None:
+    environment.reset(seed=5)
+    drawn = [environment.reset()[1]["case"] for _ in range(24)]
+    environment.reset(seed=5)
+    assert drawn == [environment.reset()[1]["case"] for _ in range(24)]
+    assert set(drawn) == {0, 1, 2, 3}
+
+
+def test_an_episode_is_that_of_the_single_environment(environment: NavigateManyEnv, type_1) -> None:
+    start, info = environment.reset(seed=1, options={"case": 3})
+    assert (info["case"], info["target"], info["phantom"]) == (3, "lcca", "type_1")
+    single = NavigateEnv(type_1, "lcca", wire=SOFT, observation=("roadmap",), start_rotation=np.pi)
+    single.reset(options={"start": environment.start_state()[:-1]})
+    np.testing.assert_array_equal(single.observe()["roadmap"], start["roadmap"])
+    for _ in range(3):
+        one, other = environment.step(FORWARD), single.step(FORWARD)
+        np.testing.assert_array_equal(one[0]["roadmap"], other[0]["roadmap"])
+        assert one[1] == other[1]
+
+
+def test_a_start_brings_its_case(environment: NavigateManyEnv) -> None:
+    environment.reset(seed=1, options={"case": 2})
+    for _ in range(5):
+        environment.step(FORWARD)
+    start, tip = environment.start_state(), environment.simulation.tip
+    environment.reset(seed=2, options={"case": 1})
+    _, info = environment.reset(options={"start": start})
+    assert info["case"] == 2
+    np.testing.assert_allclose(info["tip"], tip, atol=1e-12)
+
+
+def test_goes_on_from_a_pickled_state(environment: NavigateManyEnv, type_1) -> None:
+    environment.reset(seed=1, options={"case": 2})
+    environment.step(FORWARD)
+    state = pickle.loads(pickle.dumps(environment.state()))
+    after = [environment.step(FORWARD)[0]["roadmap"], environment.reset()[0]["roadmap"]]
+    other = NavigateManyEnv(
+        (type_1,), ("bca", "lcca"), ("default", SOFT), observation=("roadmap",), start_rotation=np.pi
+    )
+    other.restore(state)
+    np.testing.assert_array_equal(other.step(FORWARD)[0]["roadmap"], after[0])
+    np.testing.assert_array_equal(other.reset()[0]["roadmap"], after[1])
+
+
+def test_is_registered(type_1) -> None:
+    env = gymnasium.make(f"cathsim:{MANY}", phantoms=(type_1,), observation="roadmap")
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert len(env.step(env.action_space.sample())) == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"phantoms": ()}, "phantoms must list at least one"),
+        ({"targets": "bca"}, "targets must list at least one, got 'bca'"),
+        ({"target": "bca"}, "takes targets, a list, instead of target"),
+    ],
+)
+def test_refuses(arguments: dict, message: str, type_1) -> None:
+    with pytest.raises(ValueError, match=message):
+        NavigateManyEnv(**{"phantoms": (type_1,), "observation": "tip", **arguments})
+
+
+def test_refuses_wires_of_other_observations(type_1) -> None:
+    env = NavigateManyEnv((type_1,), ("bca",), ("default", "thesis"), observation="joints")
+    with pytest.raises(ValueError, match="must give the same observation space"):
+        env.reset(options={"case": 1})
+    with pytest.raises(ValueError, match="reset knows no option cases"):
+        env.reset(options={"cases": 1})
+
+
+def test_shelf_forgets_what_was_unused_for_longest(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[object] = []
+
+    class Made:
+        pass
+
+    def load(name: str, *, seed: int | None = None, resolution: float) -> Made:
+        made.append((name, seed))
+        return Made()
+
+    monkeypatch.setattr("cathsim.many_anatomies.load_phantom", load)
+    shelf = PhantomShelf(capacity=2)
+    first = shelf.take(0, 1e-3)
+    shelf.take("type_2", 1e-3)
+    assert shelf.take(0, 1e-3) is first
+    shelf.take(1, 1e-3)
+    assert shelf.take(0, 1e-3) is first
+    shelf.take("type_2", 1e-3)
+    assert made == [("random", 0), ("type_2", None), ("random", 1), ("type_2", None)]
+
+
+def test_results_live_as_long_as_their_owner() -> None:
+    class Owner:
+        pass
+
+    calls: list[int] = []
+
+    @kept_with_owner
+    def double(owner: Owner, value: int, *, extra: int = 0) -> list[int]:
+        calls.append(value)
+        return [2 * value + extra]
+
+    owner = Owner()
+    result = double(owner, 3)
+    assert double(owner, 3) is result
+    assert double(owner, 3, extra=1) == [7]
+    assert double(Owner(), 3) is not result
+    assert calls == [3, 3, 3]
+    alive = weakref.ref(owner)
+    del owner
+    gc.collect()
+    assert alive() is None

@@ -1,0 +1,115 @@
+"""The 3-D picture for people, and what is said where it cannot be drawn."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from cathsim import NavigateEnv
+from cathsim.viewing.camera_view import RenderingUnavailableError, View, open_context
+
+MakeEnv = Callable[..., NavigateEnv]
+
+
+@pytest.fixture
+def rendering() -> None:
+    """Skips where no OpenGL library is installed."""
+    try:
+        open_context(16, 16).free()
+    except RenderingUnavailableError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.usefixtures("rendering")
+def test_picture_shows_vessel_wire_and_target(make_env: MakeEnv) -> None:
+    env = make_env(render_mode="rgb_array")
+    env.reset(seed=0)
+    pictures = []
+    for _ in range(2):
+        for _ in range(50):
+            env.step(np.array([1.0, 0.3]))
+        pictures.append(env.render())
+    first, second = pictures
+    assert first is not None
+    assert second is not None
+    assert (second.shape, second.dtype) == ((640, 480, 3), np.uint8)
+    red, green, blue = np.moveaxis(second.astype(int), -1, 0)
+    assert ((red > green + 20) & (red > blue + 20)).mean() > 0.05, "the vessel"
+    assert ((green < 90) & (red < 140)).sum() > 300, "the wire is dark, also behind the translucent wall"
+    assert (green > red + 30).sum() > 20, "the target is green"
+    assert (red > 230).mean() > 0.2, "the background is light"
+    assert (first != second).any(axis=-1).sum() > 200, "the wire has moved"
+    assert np.array_equal(env.render(), second)
+
+
+@pytest.mark.usefixtures("rendering")
+def test_view_from_the_side_is_another_picture(make_env: MakeEnv) -> None:
+    env = make_env()
+    env.reset(seed=0)
+    pictures = []
+    for azimuth in (90.0, 180.0):
+        view = View(env.phantom, width=120, height=160, azimuth_deg=azimuth)
+        pictures.append(view.render(env.simulation))
+        view.close()
+    assert pictures[0].shape == (160, 120, 3)
+    assert (pictures[0] != pictures[1]).any(axis=-1).mean() > 0.05
+
+
+@pytest.mark.usefixtures("rendering")
+def test_head_is_up_and_the_patients_left_is_on_the_right(make_env: MakeEnv) -> None:
+    env = make_env()
+    view = View(env.phantom, width=120, height=160)
+    low, high = env.phantom.bounds
+    middle = (low + high) / 2
+    blank = view.render(env.simulation)
+    for direction, axis, sign in ((0, 1, 1), (2, 0, -1)):
+        goal = middle.copy()
+        goal[direction] += 0.4 * (high - low)[direction]
+        changed = np.argwhere((view.render(env.simulation, goal) != blank).any(axis=-1))
+        assert len(changed) > 3
+        assert sign * (changed[:, axis].mean() - blank.shape[axis] / 2) > 10
+    view.close()
+
+
+def test_without_opengl_one_sentence_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    for name in ("egl", "osmesa", "glfw"):
+        monkeypatch.setitem(sys.modules, f"mujoco.{name}", None)
+    with pytest.raises(
+        RenderingUnavailableError, match=r"neither works.*; install one \(Debian: apt install"
+    ) as caught:
+        open_context(16, 16)
+    assert "render_mode='fluoroscopy', which needs neither" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_libraries_are_reported_and_the_episode_goes_on(run_python: Callable[[str], str]) -> None:
+    snippet = """
+import ctypes, ctypes.util, os
+load = ctypes.CDLL.__init__
+def without_opengl(self, name, *args, **kwargs):
+    if name and any(part in str(name) for part in ("EGL", "OSMesa", "libGL", "OpenGL")):
+        raise OSError(f"{name}: cannot open shared object file")
+    load(self, name, *args, **kwargs)
+ctypes.CDLL.__init__ = without_opengl
+find = ctypes.util.find_library
+ctypes.util.find_library = lambda name: None if name in ("EGL", "OSMesa", "GL", "OpenGL") else find(name)
+os.environ.pop("MUJOCO_GL", None)
+import numpy as np
+from cathsim import NavigateEnv
+from cathsim.viewing.camera_view import RenderingUnavailableError
+env = NavigateEnv(accuracy="fast", render_mode="rgb_array")
+env.reset(seed=0)
+try:
+    env.render()
+except RenderingUnavailableError as error:
+    print(error)
+print(env.step(np.ones(2))[1] < 0)
+"""
+    lines = run_python(snippet).strip().splitlines()
+    assert lines[0].startswith("3-D pictures need EGL or OSMesa and neither works")
+    assert lines[-1] == "True"
+    assert len(lines) == 2, "one sentence"

@@ -1,0 +1,60 @@
+"""The network that finds the wire in noisy images: wires that it has not seen, gaps, and what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from enn.imitation.wire_segmentation import WireSegmenter, dice, fit_wire_segmenter
+
+SIZE = 64
+
+
+def wires(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Noisy images of bent lines that come in from below, the same without them, and where they are."""
+    generator = np.random.default_rng(seed)
+    images, plains, masks = [], [], []
+    rows = np.arange(SIZE)[:, None]
+    for column, slope, bend, top in generator.uniform((16, -0.3, -0.004, 8), (48, 0.3, 0.004, 40), (count, 4)):
+        from_below = SIZE - 1 - rows
+        middle = column + slope * from_below + bend * from_below**2
+        mask = (np.abs(np.arange(SIZE) - middle) < 0.8) & (rows > top)
+        grey = 120 + 20 * np.sin(np.arange(SIZE) / 9)[None, :] + np.zeros((SIZE, 1))
+        noise = generator.normal(0.0, 2.0, (2, SIZE, SIZE))
+        plains.append(np.clip(np.rint(grey + noise[0]), 0, 255).astype(np.uint8))
+        images.append(np.clip(np.rint(grey - 14 * mask + noise[1]), 0, 255).astype(np.uint8))
+        masks.append(mask.astype(np.uint8))
+    return np.stack(images), np.stack(plains), np.stack(masks)
+
+
+@pytest.fixture(scope="module")
+def network() -> WireSegmenter:
+    return fit_wire_segmenter(*wires(60, 0), epochs=30)[0]
+
+
+def test_it_finds_wires_it_has_not_seen(network: WireSegmenter) -> None:
+    images, plains, masks = wires(20, 1)
+    assert dice(network, images, plains, masks) > 0.85
+    assert network.mask(plains[0], plains[1]).sum() < 3 * 255  # no wire, no mask
+    assert set(np.unique(network.mask(images[0], plains[0]))) == {0, 255}
+
+
+def test_a_gap_is_closed(network: WireSegmenter) -> None:
+    images, plains, masks = wires(1, 2)
+    row = int(np.flatnonzero(masks[0].any(axis=1)).mean())
+    images[0, row : row + 2] = plains[0, row : row + 2]
+    assert (network.mask(images[0], plains[0])[row : row + 2].max(axis=1) == 255).all()
+
+
+def test_the_same_seed_gives_the_same_network() -> None:
+    twins = [fit_wire_segmenter(*wires(4, 0), epochs=1, seed=5)[0].state_dict() for _ in range(2)]
+    assert all(torch.equal(twins[0][name], twins[1][name]) for name in twins[0])
+
+
+def test_it_says_what_is_wrong(network: WireSegmenter) -> None:
+    images, plains, masks = wires(2, 0)
+    with pytest.raises(ValueError, match="expected two images of one shape"):
+        network.mask(images[0], plains[0, :32])
+    with pytest.raises(ValueError, match="expected images and masks of one shape"):
+        fit_wire_segmenter(images, plains, masks[:1])

@@ -1,0 +1,210 @@
+"""Sampling: threads, action repeat, starts from the bank, exact continuation, what is not finite."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from enn.reinforcement.case_reset_bank import CaseBank
+from enn.reinforcement.reset_bank import ResetBank
+from enn.reinforcement.sampling import RECORD_EVERY, NotFiniteError, SampledEnvs
+
+
+def _play(envs: SampledEnvs, count: int, seed: int = 0) -> list[tuple[Any, ...]]:
+    generator = np.random.default_rng(seed)
+    moments = []
+    for _ in range(count):
+        observations, rewards, dones, infos = envs.step(generator.uniform(-1, 1, (envs.num_envs, 2)))
+        moments.append((observations["place"].copy(), rewards, dones, [info.get("episode") for info in infos]))
+    return moments
+
+
+def _same(first: list[tuple[Any, ...]], second: list[tuple[Any, ...]]) -> None:
+    for one, other in zip(first, second, strict=True):
+        for a, b in zip(one[:3], other[:3], strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert one[3] == other[3]
+
+
+def test_shapes_and_infos(point_env: Any) -> None:
+    envs = SampledEnvs([lambda: point_env(("place", "mask"), max_steps=3)] * 3, seed=0)
+    observations = envs.reset()
+    assert observations["place"].shape == (3, 2)
+    assert observations["mask"].shape == (3, 1, 36, 36)
+    for _ in range(3):
+        observations, rewards, dones, infos = envs.step(np.zeros((3, 2)))
+    assert rewards.shape == (3,)
+    assert dones.all()
+    for info, after in zip(infos, observations["place"], strict=True):
+        assert info["TimeLimit.truncated"]
+        assert not info["episode"]["success"]
+        assert info["episode"]["l"] == 3
+        assert info["episode"]["r"] == pytest.approx(-0.3)
+        # the observation is of the next episode already
+        assert np.abs(info["terminal_observation"]["place"] - after).max() > 1e-3
+
+
+def test_environments_start_differently_and_the_same_seed_alike(point_env: Any) -> None:
+    first = SampledEnvs([point_env] * 4, seed=5).reset()["place"]
+    assert len(np.unique(first[:, 0])) == 4
+    np.testing.assert_array_equal(first, SampledEnvs([point_env] * 4, seed=5).reset()["place"])
+    assert (first != SampledEnvs([point_env] * 4, seed=6).reset()["place"]).all()
+
+
+def test_threads_change_nothing(point_env: Any) -> None:
+    runs = []
+    for threads in (1, 3):
+        envs = SampledEnvs(
+            [lambda: point_env(max_steps=9)] * 5, seed=2, threads=threads, bank=ResetBank(share=0.5, seed=1)
+        )
+        envs.reset()
+        runs.append(_play(envs, 60))
+        envs.close()
+    _same(*runs)
+
+
+def test_action_repeat_adds_rewards_and_stops_at_the_end(point_env: Any) -> None:
+    single, held = (SampledEnvs([lambda: point_env(max_steps=10)], seed=1, action_repeat=n) for n in (1, 4))
+    single.reset()
+    held.reset()
+    action = np.array([[0.3, -0.2]])
+    steps = [single.step(action) for _ in range(4)]
+    observation, reward, _, infos = held.step(action)
+    assert infos[0]["steps"] == 4
+    assert reward[0] == pytest.approx(sum(float(step[1][0]) for step in steps), abs=1e-6)
+    np.testing.assert_array_equal(observation["place"], steps[-1][0]["place"])
+    held.step(action)
+    _, _, dones, infos = held.step(action)
+    assert dones[0]
+    assert infos[0]["steps"] == 2
+    assert infos[0]["episode"]["l"] == 10
+
+
+def test_successes_enter_the_bank_and_episodes_start_there(point_env: Any) -> None:
+    bank = ResetBank(share=1.0, seed=0)
+    envs = SampledEnvs([lambda: point_env(max_steps=100)], seed=4, bank=bank)
+    place = envs.reset()["place"]
+    start, visited, ended = place[0].copy(), [place[0].copy()], False
+    while not ended:
+        place, _, dones, infos = envs.step(-0.3 * np.sign(place["place"] if isinstance(place, dict) else place))
+        ended = bool(dones[0])
+        visited.append(infos[0]["terminal_observation"]["place"] if ended else place["place"][0].copy())
+    assert infos[0]["episode"] | {"r": 0, "l": 0} == {"r": 0, "l": 0, "success": True, "fresh": True}
+    kept = bank.state()["states"]
+    np.testing.assert_allclose(kept[0], start, atol=1e-6)
+    np.testing.assert_allclose(kept, visited[: len(visited) - 1 : RECORD_EVERY], atol=1e-6)
+    assert any(np.allclose(place["place"][0], state) for state in kept)
+    for _ in range(200):
+        _, _, dones, infos = envs.step(np.ones((1, 2)))
+        if dones[0]:
+            break
+    assert infos[0]["episode"]["fresh"] is False
+    assert len(bank) == len(kept)  # a failure leaves nothing
+
+
+def test_episodes_go_where_they_fail(point_env: Any) -> None:
+    asked = []
+
+    class Cases(point_env):  # type: ignore[misc]
+        def reset(
+            self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        ) -> tuple[Any, dict[str, Any]]:
+            self.case = options["case"]  # type: ignore[index]
+            asked.append(self.case)
+            return super().reset(seed=seed)
+
+        def start_state(self) -> np.ndarray:
+            return np.append(self.place, float(self.case))
+
+        def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+            observation, reward, _, truncated, info = super().step(action)
+            won = self.case == 0 and self.steps == 2
+            return observation, reward, won, truncated and not won, info | {"case": self.case, "success": won}
+
+    bank = CaseBank(2, share=0.0, seed=0)
+    envs = SampledEnvs([lambda: Cases(max_steps=4)] * 2, seed=0, bank=bank)
+    envs.reset()
+    _play(envs, 400)
+    assert 0.1 < asked.count(0) / len(asked) < 0.25  # 0.15 of 1.3
+    assert len(bank) > 0  # the successes of case 0 alone
+    assert {float(state[-1]) for state in bank.state()["cases"][0]["states"]} == {0.0}
+
+
+def test_goes_on_exactly_after_a_restore(point_env: Any) -> None:
+    def make() -> SampledEnvs:
+        return SampledEnvs([lambda: point_env(max_steps=12)] * 3, seed=7, bank=ResetBank(seed=2))
+
+    envs, other = make(), make()
+    envs.reset()
+    _play(envs, 40)
+    saved = envs.state()
+    observations = other.restore(saved)
+    np.testing.assert_array_equal(observations["place"], [env.place.astype(np.float32) for env in envs.envs])
+    _same(_play(envs, 60, seed=1), _play(other, 60, seed=1))
+
+
+def test_environments_without_state_start_new_episodes(point_env: Any, caplog: pytest.LogCaptureFixture) -> None:
+    class Forgetful(point_env):  # type: ignore[misc]
+        state = restore = property()
+
+    envs = SampledEnvs([Forgetful] * 2, seed=0)
+    envs.reset()
+    envs.step(np.zeros((2, 2)))
+    observations = envs.restore(envs.state())
+    assert observations["place"].shape == (2, 2)
+    assert "they start new episodes" in caplog.text
+
+
+def test_what_is_not_finite_stops_with_one_sentence(point_env: Any) -> None:
+    envs = SampledEnvs([point_env, lambda: point_env(broken_at=3)], seed=0)
+    envs.reset()
+    with pytest.raises(NotFiniteError, match="observation 'place' of environment 1 is not finite after 6 decisions"):
+        _play(envs, 5)
+
+
+def test_only_the_keys_asked_for(point_env: Any) -> None:
+    envs = SampledEnvs([lambda: point_env(("place", "range", "image"))], seed=0, keys=("range",))
+    assert list(envs.observation_space.spaces) == ["range"]
+    assert list(envs.reset()) == ["range"]
+    with pytest.raises(ValueError, match="no observation joints; the environment gives place, range"):
+        SampledEnvs([lambda: point_env(("place", "range"))], seed=0, keys=("joints",))
+
+
+def test_a_single_box_is_sampled_too(point_env: Any) -> None:
+    envs = SampledEnvs([lambda: gymnasium.wrappers.FlattenObservation(point_env())] * 2, seed=0)
+    assert envs.reset().shape == (2, 2)
+    assert envs.step(np.zeros((2, 2)))[0].shape == (2, 2)
+
+
+def test_observation_wrappers_are_kept_in_a_restore(point_env: Any) -> None:
+    def make() -> SampledEnvs:
+        return SampledEnvs([lambda: gymnasium.wrappers.FlattenObservation(point_env(("place", "range")))] * 2, seed=3)
+
+    envs, other = make(), make()
+    envs.reset()
+    expected = envs.step(np.full((2, 2), 0.5))[0]
+    np.testing.assert_array_equal(other.restore(envs.state()), expected)
+    for one, two in zip(envs.step(np.ones((2, 2)))[:3], other.step(np.ones((2, 2)))[:3], strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_refusals_say_why(point_env: Any) -> None:
+    with pytest.raises(ValueError, match="at least one environment factory"):
+        SampledEnvs([], seed=0)
+    with pytest.raises(ValueError, match="action_repeat must be at least 1, got 0"):
+        SampledEnvs([point_env], seed=0, action_repeat=0)
+    with pytest.raises(ValueError, match="same observation and action spaces"):
+        SampledEnvs([point_env, lambda: point_env(("range",))], seed=0)
+
+    class Rootless(point_env):  # type: ignore[misc]
+        start_state = property()
+
+    with pytest.raises(ValueError, match=r"cannot start from a bank.*bank_share=0"):
+        SampledEnvs([Rootless], seed=0, bank=ResetBank())
+    envs = SampledEnvs([point_env], seed=0)
+    envs.reset()
+    with pytest.raises(ValueError, match="has 1 environments, this one 2"):
+        SampledEnvs([point_env] * 2, seed=0).restore(envs.state())

@@ -1,0 +1,157 @@
+"""From a folder of images to cameras: a drawn one, damaged ones, and the real one."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from guide3d.calibration.cube_calibration import calibrate_folder
+from guide3d.calibration.cube_files import read_beads, read_references
+from guide3d.calibration.report import figures, main
+from guide3d.geometry.camera import read_camera, read_opencv_yaml
+from guide3d.geometry.distortion import Distortion
+from tests.guide3d.calibration.drawn_cube import CAMERAS, DETECTORS, POINTS_MM, write_folder
+
+REAL = Path(__file__).parents[4] / "shared" / "real" / "xray_calibration"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return write_folder(tmp_path_factory.mktemp("drawn"))
+
+
+@pytest.fixture(scope="module")
+def report(folder, tmp_path_factory) -> Path:
+    output = tmp_path_factory.mktemp("report")
+    assert main([str(folder), "--output", str(output)]) == 0
+    return output
+
+
+def test_the_written_cameras_see_what_the_true_ones_see(report):
+    for detector, truth in CAMERAS.items():
+        camera = read_camera(report / f"camera_{detector}.txt")
+        distortion = Distortion.load(report / f"distortion_{detector}.npz")
+        assert np.linalg.norm(camera.centre_mm - truth.centre_mm) < 12.0
+        raw = DETECTORS[detector].distort(truth.project(POINTS_MM))
+        measured = truth.contains(raw, -20.0) & distortion.covers(raw)
+        points, raw = POINTS_MM[measured], raw[measured]
+        assert len(points) > 30
+        assert np.abs(distortion.distort_points(camera.project(points)) - raw).max() < 0.5
+        again = read_opencv_yaml(report / "opencv" / f"camera_{detector}.yaml")
+        assert np.allclose(again.P, camera.P)
+        assert again.covariance is not None
+        assert np.linalg.eigvalsh(again.covariance / np.outer(*2 * [np.sqrt(np.diag(again.covariance))])).min() > 0
+
+
+def test_the_report_shows_every_picture(report):
+    page = (report / "index.html").read_text()
+    pictures = sorted(path.name for path in report.glob("*.png"))
+    assert pictures == sorted(
+        f"{kind}_{d}.png" for kind in ("holes", "displacement", "beads_pose1") for d in ("A", "B")
+    )
+    for name in pictures:
+        assert f'src="{name}"' in page
+        with Image.open(report / name) as picture:
+            assert picture.size == (1024, 1024)
+            assert len(np.unique(np.asarray(picture).reshape(-1, 3)[::17], axis=0)) > 20
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        ("no beads", "expected a bead file, framespec_cm.csv"),
+        ("no sheet", "expected a sheet image undistort_B.png beside it"),
+        ("no cube", "expected images of the bead cube"),
+        ("other size", "pose1_A.png: expected an image of 512 x 512 px, as the sheet's, found 300 x 200"),
+        ("corrupted", "pose1_A.png: expected a readable image, found a damaged or foreign file"),
+        ("text", "undistort_A.png: expected a readable image"),
+        ("flat", "undistort_A.png: expected a grey X-ray image, found one value everywhere"),
+        ("photograph", "undistort_A.png: expected an X-ray of a perforated sheet"),
+        ("no cube in it", r"pose1_A.png: expected (12 beads of the cube|a lattice that explains 12)"),
+        ("few beads", r"pose1_A.png: expected 12 beads of the cube or more in the image, found \d\b"),
+        ("bead row", "framespec_cm.csv, line 3: expected three numbers x,y,z, found '6.5,zero,0'"),
+        ("missing folder", "is missing: expected one with sheet and cube images"),
+    ],
+)
+def test_bad_input_gives_one_clear_sentence(folder, tmp_path, capsys, spoil, message):
+    bad, cube, sheet = tmp_path / "bad", tmp_path / "bad" / "pose1_A.png", tmp_path / "bad" / "undistort_A.png"
+    if spoil != "missing folder":
+        shutil.copytree(folder, bad)
+    rng = np.random.default_rng(0)
+    if spoil == "no beads":
+        (bad / "framespec_cm.csv").unlink()
+    elif spoil == "no sheet":
+        (bad / "undistort_B.png").unlink()
+    elif spoil == "no cube":
+        cube.unlink()
+        (bad / "pose1_B.png").unlink()
+    elif spoil == "other size":
+        Image.open(cube).resize((300, 200)).save(cube)
+    elif spoil == "corrupted":
+        cube.write_bytes(cube.read_bytes()[:20_000])
+    elif spoil == "text":
+        sheet.write_text("not a picture")
+    elif spoil == "flat":
+        Image.new("L", (512, 512), 90).save(sheet)
+    elif spoil == "photograph":
+        Image.fromarray(rng.integers(0, 255, size=(64, 64), dtype=np.uint8)).resize((512, 512)).save(sheet)
+    elif spoil == "no cube in it":
+        Image.fromarray((120 + 3 * rng.normal(size=(512, 512))).astype(np.uint8)).save(cube)
+    elif spoil == "few beads":
+        image = np.asarray(Image.open(cube)).copy()
+        image[:, 90:] = np.median(image)
+        Image.fromarray(image).save(cube)
+    elif spoil == "bead row":
+        text = (bad / "framespec_cm.csv").read_text()
+        (bad / "framespec_cm.csv").write_text(text.replace("6.5,0,0", "6.5,zero,0", 1))
+    assert main([str(bad), "--output", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        raise ValueError(said.err)
+    assert not (tmp_path / "out").exists()
+
+
+def test_bead_and_reference_files(tmp_path):
+    (tmp_path / "framespec_mm.csv").write_text("x,y,z\n" + "\n".join(f"{k},0,1.5" for k in range(9)) + "\n")
+    assert np.allclose(read_beads(tmp_path / "framespec_mm.csv")[2], [2.0, 0.0, 1.5])
+    (tmp_path / "framespec_inch.csv").write_text("")
+    with pytest.raises(ValueError, match="expected a name that ends in its unit"):
+        read_beads(tmp_path / "framespec_inch.csv")
+    (tmp_path / "marks.ref").write_text("22 circle\r\n1 single\r\n")
+    assert read_references(tmp_path / "marks.ref", 64) == {"circle": 21, "single": 0}
+    (tmp_path / "marks.ref").write_text("65 circle\n")
+    with pytest.raises(ValueError, match="line 1: expected a bead from 1 to 64 and its mark, found '65 circle'"):
+        read_references(tmp_path / "marks.ref", 64)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real X-ray images are not beside the project")
+def test_the_real_images():
+    calibration = calibrate_folder(REAL)
+    numbers = figures(calibration)
+    assert calibration.warnings == []
+    for detector, holes, beads in (("16709", 4945, 29), ("16710", 4700, 39)):
+        own = numbers[detector]
+        assert own["holes"] >= holes
+        assert own["leave_out_px"] < 0.15
+        assert own["images"]["calibration1"]["beads"] == beads
+        assert own["images"]["calibration1"]["mean_px"] < 0.45
+    # the detectors stand to each other as the group calibrated them in January, to what one pose of the cube can tell
+    a, b = (calibration.rig.cameras[detector] for detector in ("16710", "16709"))
+    A, B = (read_camera(REAL / f"projection_2024-01-18_{detector}.txt") for detector in ("16710", "16709"))
+    turn = (b.R @ a.R.T) @ (B.R @ A.R.T).T
+    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 8.0
+    assert np.linalg.norm(a.centre_mm - b.centre_mm) == pytest.approx(
+        np.linalg.norm(A.centre_mm - B.centre_mm), rel=0.05
+    )
+    # the wire marks lie beside the beads that bear them
+    marks = {mark.kind: mark for mark in calibration.views["calibration1", "16710"].marks}
+    for kind, bead in (("circle", 21), ("double", 25), ("single", 38)):
+        place = calibration.distortions["16710"].distort_points(a.project(calibration.points_mm[bead]))
+        assert np.linalg.norm(marks[kind].pixels - place, axis=1).min() < 40

@@ -1,0 +1,216 @@
+"""The data set on disk: what is read back, what is damaged, what is missing."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from guide3d.dataset.dataset import Dataset, split
+from guide3d.dataset.frame import ImageError
+from guide3d.dataset.true_curves import TrueCurve, write_truth
+from guide3d.geometry.polyline import arc_length
+from tests.guide3d.dataset.drawn_dataset import SIZE, annotation, cameras, wire, write_dataset
+
+REAL = Path(__file__).resolve().parents[4] / "shared" / "real"
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data") / "set"
+    write_dataset(root)
+    return root
+
+
+@pytest.fixture
+def root(kept: Path, tmp_path: Path) -> Path:
+    """A copy to damage."""
+    return Path(shutil.copytree(kept, tmp_path / "set"))
+
+
+def change(path: Path, edit) -> None:
+    content = json.loads(path.read_text())
+    edit(content)
+    path.write_text(json.dumps(content))
+
+
+def test_what_was_written_is_read(kept: Path) -> None:
+    data = Dataset.open(kept)
+    assert list(data.acquisitions) == ["0-bca-angle-2", "0-bca-straight-4", "1-bca-angle-1", "1-bca-straight-3"]
+    assert [data.frames[i].number for i in data.acquisitions["1-bca-angle-1"]] == [0, 1, 2]
+    assert data.undistorted is True
+    assert data.skipped == ()
+    frame = data.frames[data.acquisitions["1-bca-straight-3"][1]]
+    assert (frame.fluid, frame.wire, frame.label) == (True, "straight", "1-bca-straight-3/001")
+    expected = annotation("1-bca-straight-3", 1, wire(0.4 * 2 + 0.05))
+    assert np.abs(frame.polyline("a") - expected.points_a).max() <= 0.0051
+    assert frame.image("b").shape == (SIZE, SIZE)
+    assert data.camera_a is not None
+    assert np.allclose(data.camera_a.P, cameras()["a"].P)
+    assert np.allclose(np.diff(arc_length(frame.curve_mm))[:-1], 0.5, atol=0.002)
+    seen, drawn = data.camera_a.project(frame.curve_mm), cameras()["a"].project(wire(0.85))
+    assert np.linalg.norm(seen[:, None] - drawn[None], axis=2).min(axis=1).max() < 0.3
+    assert np.abs(seen[[0, -1]] - drawn[[0, -1]]).max() < 0.01
+    assert np.abs(frame.spline("a").sample(50)[[0, -1]] - frame.polyline("a")[[0, -1]]).max() < 0.05
+    assert np.abs(frame.reconstruction_mm[0] - wire(0.85)[0]).max() < 0.01
+    assert np.allclose(np.diff(arc_length(frame.reconstruction_mm)), 1.0, atol=0.01)
+
+
+def test_a_mask_covers_the_wire_of_the_image(kept: Path) -> None:
+    frame = Dataset.open(kept).frames[0]
+    image, mask = frame.image("a"), frame.mask("a", 3.0)
+    assert set(np.unique(mask)) == {0, 255}
+    assert (image[mask > 0] < 100).all()
+    assert (image[mask == 0] > 100).all()
+
+
+def test_truth_ends_where_the_wire_leaves_an_image(tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    write_dataset(root, acquisitions=1, frames=1, images=False)
+    write_truth(root / "truth.json", {("1-bca-angle-1", 0): TrueCurve(wire(0.0), (30.0, 20.0))})
+    frame = Dataset.open(root).frames[0]
+    assert arc_length(frame.curve_mm)[-1] == pytest.approx(20.0, abs=3e-3)
+    assert arc_length(frame.visible_curve_mm("a"))[-1] == pytest.approx(30.0, abs=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (lambda frame: frame.pop("camera2"), 'expected "camera2" or "cameraB"'),
+        (lambda frame: frame["camera1"].update(points=[[3, 4]]), "at least 2 different points, got 1"),
+        (lambda frame: frame["camera1"].update(points=[[1, 2], [3, None]]), "annotation of camera A|float"),
+        (lambda frame: frame["camera1"]["points"].append([300, 20]), "outside the image of 128 x 128 px"),
+        (lambda frame: frame["camera2"].update(image=frame["camera1"]["image"]), "both images are of camera A"),
+        (lambda frame: frame["camera2"].update(image="0-bca-angle-9-1/000.png"), "two acquisitions"),
+    ],
+)
+def test_a_damaged_entry_is_left_out_by_name(root: Path, edit, said: str) -> None:
+    change(root / "raw.json", lambda videos: edit(videos[0]["frames"][1]))
+    data = Dataset.open(root)
+    assert len(data) == 11
+    assert len(data.skipped) == 1
+    with pytest.raises(ValueError, match=said):
+        Dataset.open(root, strict=True)
+
+
+def test_cameras_are_told_by_the_folder_not_by_the_key(root: Path) -> None:
+    def swap(videos: list) -> None:
+        for frame in videos[0]["frames"]:
+            frame["cameraA"], frame["cameraB"] = frame.pop("camera2"), frame.pop("camera1")
+
+    plain = Dataset.open(root)
+    change(root / "raw.json", swap)
+    swapped = Dataset.open(root)
+    for before, after in zip(plain.frames, swapped.frames, strict=True):
+        assert np.array_equal(before.polyline("a"), after.polyline("a"))
+
+
+def test_missing_camera_file_and_missing_root(root: Path, tmp_path: Path) -> None:
+    (root / "calibration" / "projection_16709.txt").unlink()
+    with pytest.raises(FileNotFoundError, match=r"camera B, \*16709\*.txt or .yaml, is missing"):
+        Dataset.open(root)
+    shutil.rmtree(root / "calibration")
+    assert Dataset.open(root).camera_b is None
+    with pytest.raises(FileNotFoundError, match="expected the folder of a Guide3D data set"):
+        Dataset.open(tmp_path / "nothing")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileNotFoundError, match="no annotation"):
+        Dataset.open(tmp_path / "empty")
+
+
+def test_images_that_cannot_be_used_say_so(root: Path) -> None:
+    data = Dataset.open(root)
+    frame = data.frames[0]
+    path = frame.image_path("a")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ImageError, match=r"0-bca-angle-2-2/000\.png cannot be read"):
+        frame.image("a")
+    Image.new("L", (64, 64)).save(path)
+    with pytest.raises(ImageError, match="expected 128 x 128 px, got 64 x 64"):
+        frame.image("a")
+    path.unlink()
+    with pytest.raises(ImageError, match="is missing"):
+        frame.image("a")
+
+
+def test_annotations_without_images(root: Path) -> None:
+    shutil.rmtree(root / "images")
+    frame = Dataset.open(root).frames[0]
+    assert frame.mask("a").any()
+    with pytest.raises(ImageError, match="annotations only"):
+        frame.image("a")
+
+
+def test_small_pictures_are_area_averages_kept_on_disk(root: Path, tmp_path: Path, caplog) -> None:
+    data = Dataset.open(root)
+    data.frames[5].image_path("a").write_bytes(b"no picture")
+    small = data.pictures("a", 32, tmp_path / "cache")
+    assert small.shape == (12, 32, 32)
+    block = data.frames[3].image("a")[8:12, 40:44].mean()
+    assert abs(float(small[3, 2, 10]) - block) <= 1.0
+    assert not small[5].any()
+    assert [record for record in caplog.messages if "cannot be read" in record]
+    caplog.clear()
+    stamp = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "cache").glob("*.npy")}
+    again = data.pictures("a", 32, tmp_path / "cache")
+    assert np.array_equal(small, again)
+    assert not caplog.messages
+    assert stamp == {path.name: path.stat().st_mtime_ns for path in (tmp_path / "cache").glob("*.npy")}
+
+
+def test_an_interrupted_cache_goes_on(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = Dataset.open(root)
+    whole = np.array(data.pictures("a", 32, tmp_path / "whole"))
+    read: list[str] = []
+    original = type(data.frames[0]).image
+
+    def image(frame, camera):
+        read.append(frame.label)
+        if len(read) == 5:
+            raise KeyboardInterrupt
+        return original(frame, camera)
+
+    monkeypatch.setattr(type(data.frames[0]), "image", image)
+    with pytest.raises(KeyboardInterrupt):
+        data.pictures("a", 32, tmp_path / "cut")
+    assert np.array_equal(data.pictures("a", 32, tmp_path / "cut"), whole)
+    assert len(read) == 5 + 12 - 4  # the four that were done are not read again
+
+
+def test_properties_say_whether_annotations_are_undistorted(root: Path) -> None:
+    (root / "dataset.json").unlink()
+    assert Dataset.open(root).undistorted is None
+    assert Dataset.open(root, undistorted=False).undistorted is False
+    (root / "dataset.json").write_text('{"undistorted": "yes"}')
+    with pytest.raises(ValueError, match="true or false"):
+        Dataset.open(root)
+    (root / "dataset.json").write_text("{")
+    with pytest.raises(ValueError, match="expected JSON"):
+        Dataset.open(root)
+
+
+def test_a_data_set_splits_by_acquisition(kept: Path) -> None:
+    data = Dataset.open(kept)
+    parts = split(data, seed=3)
+    assert parts == split(data, seed=3)
+    names = [*parts.train, *parts.validation, *parts.test]
+    assert sorted(names) == sorted(data.acquisitions)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real data are not there (../shared/real)")
+def test_the_public_sample_opens_without_images() -> None:
+    data = Dataset.open(REAL / "guide3d_raw_sample.json")
+    assert {name: len(frames) for name, frames in data.acquisitions.items()} == {"1-bca-angle-5": 3}
+    frame = data.frames[0]
+    assert (frame.fluid, frame.wire, data.undistorted, data.skipped) == (True, "angled", None, ())
+    assert frame.annotation.image_a.endswith("-2/000.png")
+    assert np.array_equal(frame.polyline("a")[0], [578, 305])
+    assert np.array_equal(frame.polyline("b")[0], [514, 298])
+    assert frame.curve_mm is None
+    with pytest.raises(ValueError, match="several files of detector 16710"):
+        Dataset.open(REAL / "guide3d_raw_sample.json", calibration=REAL / "xray_calibration")

@@ -1,0 +1,147 @@
+"""The sheet's holes and the distortion map, against a drawn image intensifier."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from guide3d.calibration.hexagonal_lattice import lattice_points
+from guide3d.calibration.perforated_sheet import SheetHoles, find_holes
+from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
+from guide3d.geometry.distortion import METHODS, Distortion, ideal_lattice, leave_out_errors, swirl_pattern
+from tests.guide3d.calibration.drawn_cube import DETECTORS, drawn_sheet
+
+
+@pytest.fixture(scope="module")
+def sheet() -> tuple[np.ndarray, np.ndarray, SheetHoles]:
+    image, true = drawn_sheet("A")
+    return image, true, find_holes(image)
+
+
+def test_every_hole_is_found_where_it_is(sheet):
+    _, true, holes = sheet
+    distance, nearest = cKDTree(holes.centres_px).query(true)
+    assert len(true) > 1000
+    assert distance.max() < 1.0
+    assert len(np.unique(nearest)) == len(true)
+    whole = ~holes.partial[nearest]
+    assert np.sqrt((distance[whole] ** 2).mean()) < 0.08
+    # what was found beyond the true ones are holes cut by the border or the rim, never clutter
+    assert len(holes) < 1.08 * len(true)
+
+
+def test_indices_are_those_of_the_lattice(sheet):
+    _, _, holes = sheet
+    ideal = DETECTORS["A"].undistort(holes.centres_px[~holes.partial])
+    places = lattice_points(holes.indices[~holes.partial])
+    A = np.column_stack([places, np.ones(len(places))])
+    fit, *_ = np.linalg.lstsq(A, ideal, rcond=None)
+    assert np.abs(A @ fit - ideal).max() < 1.0  # one wrong index would be off by a whole pitch
+    assert np.linalg.det(fit[:2]) > 0  # not mirrored
+    assert holes.pitch_px == pytest.approx(13.0, rel=0.08)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_map_undoes_the_distortion(sheet, method):
+    _, _, holes = sheet
+    distortion = Distortion.from_holes(holes, method, spans=12)
+    raw = np.random.default_rng(3).uniform(30, 481, size=(400, 2))
+    raw = raw[distortion.covers(raw)]
+    ours, truth = distortion.undistort_points(raw), DETECTORS["A"].undistort(raw)
+    # the frames may differ by a similarity, which any camera takes up
+    a, b = ((p - p.mean(axis=0)) @ [1, 1j] for p in (ours, truth))
+    assert np.abs(a * (np.vdot(a, b) / np.vdot(a, a)) - b).max() < 0.4
+    assert np.abs(distortion.distort_points(ours) - raw).max() < 1e-5
+    assert np.abs(ours - raw).max() > 4  # there was something to undo
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_leave_out_error_tells_noise_from_distortion(sheet, method):
+    _, _, holes = sheet
+    clean = leave_out_errors(holes, method, spans=12)
+    assert clean.shape == (len(holes),)
+    assert clean.mean() < 0.1
+    noise = np.random.default_rng(0).normal(size=holes.centres_px.shape)
+    shaken = SheetHoles(holes.centres_px + noise, holes.indices, holes.partial, holes.pitch_px, 512, 512)
+    assert leave_out_errors(shaken, method, spans=12).mean() > 1.0
+
+
+def test_the_ideal_frame_does_not_hang_on_border_holes(sheet):
+    _, _, holes = sheet
+    inner = (np.abs(holes.centres_px - 255.5) < 240).all(axis=1)
+    fewer = SheetHoles(holes.centres_px[inner], holes.indices[inner], holes.partial[inner], holes.pitch_px, 512, 512)
+    middle = np.linalg.norm(fewer.centres_px - 255.5, axis=1) < 100
+
+    def change(frame: str) -> float:
+        return float(np.ptp((ideal_lattice(holes, frame)[inner] - ideal_lattice(fewer, frame))[middle], axis=0).max())
+
+    assert change("least squares") < 0.75 * change("bounding box")
+    box = ideal_lattice(holes, "bounding box")
+    assert np.allclose(box.min(axis=0), holes.centres_px.min(axis=0))
+    assert np.allclose(box.max(axis=0), holes.centres_px.max(axis=0))
+    with pytest.raises(ValueError, match="expected a frame among least squares, bounding box"):
+        ideal_lattice(holes, "frame")
+
+
+def test_an_undistorted_sheet_is_regular(sheet):
+    image, _, holes = sheet
+    straight = Distortion.from_holes(holes).undistort_image(image)
+    assert straight.shape == image.shape
+    assert straight.dtype == np.uint8
+    again = find_holes(straight)
+    ideal = ideal_lattice(again)
+    assert np.linalg.norm(ideal - again.centres_px, axis=1).mean() < 0.3
+    assert np.linalg.norm(ideal_lattice(holes) - holes.centres_px, axis=1).mean() > 1.5
+
+
+def test_saved_maps_and_swirls(sheet, tmp_path):
+    distortion = Distortion.from_holes(sheet[2], "spline", spans=10)
+    distortion.save(tmp_path / "map.npz")
+    points = np.array([[100.0, 200.0], [400.0, 50.0]])
+    assert np.array_equal(
+        Distortion.load(tmp_path / "map.npz").undistort_points(points), distortion.undistort_points(points)
+    )
+    moved = distortion.swirled(2.0).undistort_points(points) - distortion.undistort_points(points)
+    assert np.abs(moved - 2.0 * swirl_pattern(distortion.undistort_points(points), 512, 512)).max() < 0.02
+    assert np.allclose(swirl_pattern(np.array([511.5, 255.5]), 512, 512), [0.0, 1.0])
+    (tmp_path / "bad.npz").write_bytes(b"PK nonsense")
+    with pytest.raises(ValueError, match=r"bad\.npz: expected a map as Distortion\.save writes it"):
+        Distortion.load(tmp_path / "bad.npz")
+    with pytest.raises(FileNotFoundError, match="is missing"):
+        Distortion.load(tmp_path / "none.npz")
+
+
+def test_fields_reproduce_quadratics_and_lines():
+    rng = np.random.default_rng(0)
+    sources, points = rng.uniform(0, 100, size=(300, 2)), rng.uniform(10, 90, size=(50, 2))
+
+    def bent(p: np.ndarray) -> np.ndarray:
+        return p + np.column_stack([1e-3 * p[:, 0] ** 2 - 2, 5e-4 * p[:, 0] * p[:, 1]])
+
+    assert np.abs(LocalWeightedMean(sources, bent(sources), 12)(points) - bent(points)).max() < 1e-6
+    assert np.abs(SplineField(sources, bent(sources), (100, 100), 6)(points) - bent(points)).max() < 1e-2
+    with pytest.raises(ValueError, match="expected at least 6 neighbours and no fewer control points, found 25 of 10"):
+        LocalWeightedMean(sources[:10], sources[:10])
+
+
+@pytest.mark.parametrize("kind", ["noise", "smooth", "stripes", "tiny", "colour"])
+def test_what_is_no_sheet_is_refused(kind):
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:256, :256]
+    images = {
+        "noise": rng.integers(0, 255, size=(256, 256)),
+        "smooth": x + y,
+        "stripes": 100 + 50 * np.sin(x / 2),
+        "tiny": np.zeros((10, 10)),
+        "colour": np.zeros((256, 256, 3)),
+    }
+    with pytest.raises(ValueError, match=r"expected (an X-ray of a perforated sheet|a grey image)"):
+        find_holes(images[kind].astype(np.uint8))
+
+
+def test_an_image_of_another_size_is_refused(sheet):
+    with pytest.raises(ValueError, match=r"expected an image of 512 x 512 px, as the sheet's, found 300 x 200"):
+        Distortion.from_holes(sheet[2]).undistort_image(np.zeros((200, 300)))
+    with pytest.raises(ValueError, match=r"expected pixels of shape \(\.\.\., 2\)"):
+        Distortion.from_holes(sheet[2]).undistort_points(np.zeros((4, 3)))

@@ -1,0 +1,96 @@
+"""Polylines and B-splines: arc length, resampling, fits, the public layout, and what they refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from guide3d.geometry.bspline import BSplineCurve, fit_bspline
+from guide3d.geometry.polyline import arc_length, at_length, checked, resample, thinned
+
+SQUARE = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]])
+
+
+def circle(radius: float, count: int = 60) -> np.ndarray:
+    angle = np.linspace(0.0, 1.5 * np.pi, count)
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def test_arc_length_and_points_at_it() -> None:
+    assert arc_length(SQUARE).tolist() == [0.0, 3.0, 7.0]
+    assert at_length(SQUARE, [1.5, 5.0, 99.0]).tolist() == [[1.5, 0.0], [3.0, 2.0], [3.0, 4.0]]
+
+
+def test_resampling_is_even_and_starts_at_the_tip() -> None:
+    by_spacing, by_count = resample(SQUARE, spacing=1.0), resample(SQUARE, count=8)
+    assert np.allclose(by_spacing, by_count)
+    assert np.array_equal(by_spacing[0], SQUARE[0])
+    assert len(resample(SQUARE, spacing=2.0)) == 4  # the end, 1 further, is left out
+    with pytest.raises(ValueError, match="either spacing or count"):
+        resample(SQUARE)
+    with pytest.raises(ValueError, match="spacing above 0"):
+        resample(SQUARE, spacing=0.0)
+
+
+def test_thinning_keeps_both_ends() -> None:
+    points = np.array([[0.0, 0], [1.0, 0], [5.0, 0], [9.0, 0], [9.5, 0]])
+    assert thinned(points, 2.0)[:, 0].tolist() == [0.0, 5.0, 9.5]
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([[1.0, 2.0]], "camera A: expected at least 2 different points, got 1"),
+        ([[1.0, 2.0], [1.0, 2.0]], "at least 2 different points, got 1"),
+        ([1.0, 2.0], r"expected points of shape \(n, 2\), got \(2,\)"),
+        ([[0.0, 0.0], [np.nan, 1.0]], "point 1 is not finite"),
+        (np.zeros((0, 2)), "at least 2 different points, got 0"),
+    ],
+)
+def test_what_is_no_polyline_is_refused(points: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        checked(points, 2, "annotation of camera A")  # type: ignore[arg-type]
+
+
+def test_spline_goes_through_its_points_by_chord_length() -> None:
+    points = circle(100.0)
+    curve = fit_bspline(points)
+    assert np.allclose(curve.at(arc_length(points)), points, atol=1e-9)
+    assert curve.domain == pytest.approx((0.0, arc_length(points)[-1]))
+    between = np.linalg.norm(curve.sample(2000), axis=1)
+    assert np.abs(between - 100.0).max() < 1e-3
+    speed = np.linalg.norm(curve.derivative(np.linspace(*curve.domain, 50)), axis=1)
+    assert np.abs(speed - 1.0).max() < 2e-3  # chord length is nearly arc length
+
+
+def test_smoothing_takes_noise_out() -> None:
+    exact = circle(100.0, 200)
+    noisy = exact + np.random.default_rng(0).normal(0.0, 1.0, exact.shape)
+    smooth = fit_bspline(noisy, smoothing=1.0 * len(noisy))
+    assert np.sqrt(np.mean((np.linalg.norm(smooth.sample(500), axis=1) - 100.0) ** 2)) < 0.5  # of the noise of 1
+    with pytest.raises(ValueError, match="smoothing: expected 0 or more"):
+        fit_bspline(noisy, smoothing=-1.0)
+
+
+def test_points_closer_than_two_px_count_once_and_few_points_lower_the_degree() -> None:
+    twice = np.array([[0.0, 0.0], [0.5, 0.3], [10.0, 0.0], [20.0, 5.0], [30.0, 0.0]])
+    assert np.linalg.norm(fit_bspline(twice).at(0.5) - [0.5, 0.3]) > 0.1
+    assert fit_bspline(SQUARE * 10).degree == 2
+    assert fit_bspline(SQUARE[:2] * 10).degree == 1
+
+
+def test_the_public_layout_round_trips() -> None:
+    curve = fit_bspline(circle(80.0))
+    entry = curve.to_tck(u=[0.0, 1.0])
+    assert set(entry) == {"tck", "u"}
+    assert len(entry["tck"]["c"]) == 2
+    assert entry["u"] == [0.0, 1.0]
+    back = BSplineCurve.from_tck(entry)
+    u = np.linspace(*curve.domain, 30)
+    assert np.array_equal(back.at(u), curve.at(u))
+    padded = {"t": entry["tck"]["t"], "c": [[*row, 0, 0, 0, 0] for row in entry["tck"]["c"]], "k": 3}
+    assert np.array_equal(BSplineCurve.from_tck(padded).at(u), curve.at(u))
+    with pytest.raises(ValueError, match=r"\['k'\] missing"):
+        BSplineCurve.from_tck({"tck": {"t": [], "c": []}})
+    with pytest.raises(ValueError, match=r"expected \(n, d\) coefficients and n"):
+        BSplineCurve(np.arange(5.0), np.zeros((3, 2)))

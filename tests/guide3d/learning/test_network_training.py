@@ -1,0 +1,213 @@
+"""Networks trained on a drawn data set: predictors in mm and masks, what is kept, damaged images, two processes."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from guide3d.dataset.dataset import Dataset, split
+from guide3d.learning.network_training import train_fgrn, train_segmenter, train_shape
+from guide3d.learning.picture_store import PictureStore
+from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor
+from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
+from guide3d.learning.segmentation_metrics import dice
+from guide3d.learning.shape_samples import ShapeAugmentation, ShapeObjective, clips_of, curve_of, sideways, walks_of
+from guide3d.train import main
+from tests.guide3d.learning.drawn_data import draw
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return draw(tmp_path_factory.mktemp("drawn"))
+
+
+def with_epochs(recipe, epochs: int, **changed):
+    return dataclasses.replace(recipe, fit=dataclasses.replace(recipe.fit, epochs=epochs, **changed))
+
+
+QUICKLY = {"batch_size": 2, "schedule": "constant", "learning_rate": 3e-3}
+
+
+@pytest.mark.parametrize("form", ["spherical", "cartesian"])
+def test_shape_network_learns_and_is_kept(data: Dataset, tmp_path: Path, form: str) -> None:
+    recipe = with_epochs(shape_recipe("smoke"), 15, **QUICKLY)
+    predictor, report = train_shape(data, split(data), recipe, form, folder=tmp_path / "fit")
+    assert report.rows[-1]["loss"] < 0.7 * report.rows[0]["loss"]
+    frame = data.frames[2]
+    images = [data.frames[index].image("a") for index in range(3)]
+    curve = predictor.predict(images)
+    assert curve.shape[1] == 3
+    assert np.linalg.norm(curve[0] - curve_of(frame)[0]) < 40  # mm: in the drawn scene, not in pixels
+    if form == "spherical":
+        # led to the tip, every step is one of 1.7 mm and the same share of the gap
+        network, pictures = predictor.network, np.stack([predictor.preprocessing(image) for image in images])
+        with torch.no_grad():
+            told = network(torch.from_numpy(pictures[None].astype(np.float32))).offsets
+        own = network.form.steps(told)[0, : len(curve) - 1].flip(0).numpy()
+        assert np.linalg.norm(own, axis=1) == pytest.approx(1.7, abs=1e-3)
+        shares = np.diff(curve, axis=0) - own
+        assert shares == pytest.approx(np.broadcast_to(shares.mean(axis=0), shares.shape), abs=1e-3)
+    predictor.save(tmp_path / "shape.pt")
+    again = ShapePredictor.load(tmp_path / "shape.pt")
+    assert again.preprocessing == predictor.preprocessing
+    assert again.preprocessing.source_px == 128
+    assert np.array_equal(again.predict(images), curve)
+    # one frame is as good as that frame three times
+    assert np.array_equal(again.predict(images[:1]), again.predict([images[0]] * 3))
+    with pytest.raises(ValueError, match="expected an image of 128 x 128 px, uint8, got"):
+        again.predict([np.zeros((64, 64), np.uint8)])
+    with pytest.raises(ValueError, match="expected at least one image"):
+        again.predict([])
+    with pytest.raises(ValueError, match="a network of kind shape, expected fgrn"):
+        FGRNPredictor.load(tmp_path / "shape.pt")
+
+
+def test_fgrn_learns_and_is_kept(data: Dataset, tmp_path: Path) -> None:
+    recipe = with_epochs(fgrn_recipe("smoke"), 15, **QUICKLY)
+    predictor, report = train_fgrn(data, split(data), recipe, folder=tmp_path / "fit")
+    assert report.rows[-1]["loss"] < 0.8 * report.rows[0]["loss"]
+    predictor.save(tmp_path / "fgrn.pt")
+    image = data.frames[0].image("a")
+    points = FGRNPredictor.load(tmp_path / "fgrn.pt").predict(image)
+    assert points.shape == (predictor.network.points, 3)
+    assert np.array_equal(points, predictor.predict(image))
+
+
+def test_a_segmenter_learns_and_is_kept(data: Dataset, tmp_path: Path) -> None:
+    recipe = dataclasses.replace(with_epochs(segmentation_recipe("unet", "smoke"), 8, **QUICKLY), images=0, mask_px=2.0)
+    predictor, _ = train_segmenter(data, split(data), recipe, folder=tmp_path / "fit")
+    frame = data.frames[-1]
+    mask = predictor.predict(frame.image("b"))
+    assert mask.shape == (128, 128)
+    assert set(np.unique(mask)) <= {0, 255}
+    assert dice(mask, frame.mask("b", 2.0)) > 0.6
+    predictor.save(tmp_path / "unet.pt")
+    again = SegmentationPredictor.load(tmp_path / "unet.pt")
+    assert np.array_equal(again.predict(frame.image("b")), mask)
+    (tmp_path / "unet.pt").write_bytes(b"torn")
+    with pytest.raises(ValueError, match="is damaged or no network"):
+        SegmentationPredictor.load(tmp_path / "unet.pt")
+    with pytest.raises(FileNotFoundError, match="there is no network"):
+        SegmentationPredictor.load(tmp_path / "none.pt")
+
+
+@pytest.mark.parametrize("name", ["transunet", "swinunet"])
+def test_the_others_train_too(data: Dataset, tmp_path: Path, name: str) -> None:
+    predictor, report = train_segmenter(data, split(data), segmentation_recipe(name, "smoke"), folder=tmp_path)
+    assert len(report.rows) == 1
+    assert predictor.predict(data.frames[0].image("a")).shape == (128, 128)
+
+
+def test_a_damaged_image_is_skipped_once_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    data = draw(tmp_path / "drawn")
+    parts = split(data)
+    broken = data.frames[data.acquisitions[parts.train[0]][1]]
+    for camera in "ab":
+        file = broken.image_path(camera)
+        file.write_bytes(file.read_bytes()[:200])
+    with caplog.at_level(logging.WARNING):
+        _, report = train_shape(
+            data, parts, with_epochs(shape_recipe("smoke"), 3), "spherical", folder=tmp_path / "shape"
+        )
+        assert len(report.rows) == 3
+        told = [record.getMessage() for record in caplog.records if "is skipped" in record.getMessage()]
+        assert len(told) == 1
+        assert broken.label in told[0]
+        caplog.clear()
+        recipe = dataclasses.replace(with_epochs(segmentation_recipe("unet", "smoke"), 3), images=0)
+        train_segmenter(data, parts, recipe, folder=tmp_path / "segmenter")
+        told = [record.getMessage() for record in caplog.records if "is skipped" in record.getMessage()]
+        assert len(told) == 2  # both cameras, once each
+    for frame in data.frames:
+        frame.image_path("a").write_bytes(b"")
+    with pytest.raises(ValueError, match="images cannot be read, the first of frame"):
+        train_shape(data, parts, shape_recipe("smoke"), "spherical", folder=tmp_path / "none")
+
+
+def test_prepared_pictures_are_shared_and_a_mended_image_is_read_again(data: Dataset, tmp_path: Path) -> None:
+    told = Preprocessing(32, 128, line_px=7)
+    first = PictureStore(data.frames, "a", told, tmp_path)
+    some = np.array([[0, 3], [5, 0]])
+    pictures = first.pictures(some)
+    assert pictures.shape == (2, 2, 32, 32)
+    assert np.array_equal(pictures[0, 1], told(data.frames[3].image("a")))
+    second = PictureStore(data.frames, "a", told, tmp_path)
+    assert np.array_equal(second._pictures[3], pictures[0, 1])  # not read again
+    second._state[7] = 2
+    assert PictureStore(data.frames, "a", told, tmp_path).healthy(np.array([7])).all()
+    other = PictureStore(data.frames, "a", Preprocessing(32, 128), tmp_path)
+    assert not np.array_equal(other.pictures(np.array([3]))[0], pictures[0, 1])
+
+
+def test_clips_hold_windows_in_time_order(data: Dataset) -> None:
+    walks = walks_of(data, 2.0)
+    name = next(iter(data.acquisitions))
+    order = data.acquisitions[name]
+    single = clips_of(data, [name], walks, 3, 1)
+    assert single.frames.tolist() == [
+        [order[0]] * 3, [order[0], order[0], order[1]], order[:3], order[1:4],
+    ]  # fmt: skip
+    assert single.targets[:, 0].tolist() == order
+    pairs = clips_of(data, [name], walks, 3, 3)
+    assert pairs.frames.tolist() == [[order[0], order[0], *order[:3]], [order[1], order[2], *order[3:4] * 3]]
+    del walks[order[1]]  # a frame without a curve is seen, not told
+    holes = clips_of(data, [name], walks, 3, 2)
+    assert order[1] not in holes.targets
+    assert order[1] in holes.frames
+
+
+def test_a_shifted_picture_moves_the_curve_with_it(data: Dataset) -> None:
+    camera = data.camera_a
+    curve = curve_of(data.frames[0])
+    moved = curve + sideways(camera, curve[0], (4.0, -3.0))
+    assert (camera.project(moved) - camera.project(curve))[0] == pytest.approx([4.0, -3.0], abs=1e-6)
+    store = PictureStore(data.frames, "a", Preprocessing(64, 128))
+    walks = walks_of(data, 2.0)
+    clips = clips_of(data, list(data.acquisitions), walks, 3, 1)
+    still = ShapeObjective(store, clips, 4, walks, 60)
+    items, drawn = np.arange(4), np.random.default_rng(1)
+    shifting = ShapeObjective(
+        store, clips, 4, walks, 60, camera=camera, augmentation=ShapeAugmentation(0.0, 0.0, shift_px=3)
+    )
+    before, after = still.batch(items, drawn), shifting.batch(items, np.random.default_rng(1))
+    shifts = np.random.default_rng(1).integers(-3, 4, (4, 2))
+    for k, (dx, dy) in enumerate(shifts):
+        tips = [camera.project(batch["points"][k, 0].numpy().astype(float)) for batch in (before, after)]
+        assert tips[1] - tips[0] == pytest.approx(2.0 * np.array([dx, dy]), abs=1e-2)
+        inner = before["pictures"][k, :, 10:50, 10:50]
+        assert torch.equal(after["pictures"][k, :, 10 + dy : 50 + dy, 10 + dx : 50 + dx], inner)
+
+
+def test_without_curves_in_space_it_says_so(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("guide3d.learning.shape_samples.curve_of", lambda frame: None)
+    with pytest.raises(ValueError, match="holds no curve in space: run the stage guide3d"):
+        walks_of(data, 1.7)
+
+
+def test_command_line_refuses_in_a_sentence(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert main([str(tmp_path / "none"), "--network", "unet", "--output", str(tmp_path)]) == 2
+    assert "is missing" in caplog.records[-1].getMessage()
+
+
+@pytest.mark.slow
+def test_two_processes_train_together(data: Dataset, tmp_path: Path) -> None:
+    words = [str(data.root), "--network", "spherical", "--size", "smoke", "--epochs", "2", "--device", "cpu"]
+    done = subprocess.run(
+        [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "guide3d.train",
+         *words, "--output", str(tmp_path)],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    told = json.loads((tmp_path / "training.json").read_text())
+    assert (told["processes"], len(told["rows"])) == (2, 2)
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["predictor.pt", "training.json"]
+    ShapePredictor.load(tmp_path / "predictor.pt")

@@ -1,0 +1,159 @@
+"""Training: it learns, stops and resumes exactly, also after kill -9, and refuses checkpoints of something else."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from guide3d.learning.model_file import read_content
+from guide3d.learning.training import BEST, LAST, FitProgress, FitSettings, TrainingError, finished, fit
+
+SETTINGS = FitSettings(epochs=6, batch_size=8, learning_rate=0.05, schedule="constant", patience=0)
+
+
+class Line:
+    """y = 3 x with noise drawn anew each time."""
+
+    def __init__(self, count: int = 32) -> None:
+        self.training_items, self.validation_items = np.arange(count), np.arange(count, count + 8)
+        self.x = torch.linspace(-1, 1, count + 8)
+
+    def batch(self, items, generator):
+        x = self.x[torch.from_numpy(items)]
+        noise = 0.0 if generator is None else torch.from_numpy(generator.normal(0, 0.1, len(items))).float()
+        return {"x": x[:, None], "y": (3 * x + noise)[:, None]}
+
+    def loss(self, module, batch):
+        return (module(batch["x"]) - batch["y"]).square().mean()
+
+
+def network() -> torch.nn.Module:
+    torch.manual_seed(0)
+    return torch.nn.Sequential(torch.nn.Linear(1, 8), torch.nn.Dropout(0.2), torch.nn.Linear(8, 1))
+
+
+@pytest.mark.parametrize("optimiser", ["nadam", "adamw", "sgd"])
+@pytest.mark.parametrize("schedule", ["plateau", "one_cycle", "polynomial", "constant"])
+def test_it_learns(tmp_path: Path, optimiser: str, schedule: str) -> None:
+    settings = dataclasses.replace(SETTINGS, epochs=20, optimiser=optimiser, schedule=schedule)
+    report = fit(network(), Line(), settings, folder=tmp_path)
+    assert report.rows[report.best_epoch - 1]["validation"] < 0.3 * report.rows[0]["validation"] + 0.05
+    assert report.rows[report.best_epoch - 1]["validation"] == min(row["validation"] for row in report.rows)
+
+
+def test_the_best_epoch_is_kept_and_patience_ends_it(tmp_path: Path) -> None:
+    class Worsens(Line):
+        calls = 0
+
+        def loss(self, module, batch):
+            if module.training:
+                return super().loss(module, batch)
+            self.calls += 1
+            return super().loss(module, batch) * 0 + abs(self.calls - 3)
+
+    module = network()
+    report = fit(module, Worsens(), dataclasses.replace(SETTINGS, epochs=50, patience=4), folder=tmp_path)
+    assert (report.best_epoch, len(report.rows)) == (3, 7)
+    best = read_content(tmp_path / BEST)
+    assert all(torch.equal(value, best[name]) for name, value in module.state_dict().items())
+
+
+def test_plateau_lowers_the_rate_as_in_the_thesis(tmp_path: Path) -> None:
+    class Stuck(Line):
+        def loss(self, module, batch):
+            value = super().loss(module, batch)
+            return value if module.training else value * 0 + 1
+
+    settings = FitSettings(epochs=25, batch_size=32, patience=0)
+    rates = [row["learning_rate"] for row in fit(network(), Stuck(), settings, folder=tmp_path).rows]
+    assert rates[10] == pytest.approx(1e-4)
+    assert rates[11] == pytest.approx(1e-5)  # after more than ten epochs without a better one
+    assert rates[-1] == pytest.approx(1e-6)
+
+
+def test_an_interrupted_training_ends_where_the_whole_one_does(tmp_path: Path) -> None:
+    whole, parts = network(), network()
+    expected = fit(whole, Line(), SETTINGS, folder=tmp_path / "whole", seed=3)
+
+    def stop(now: FitProgress) -> None:
+        if now.epoch == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(parts, Line(), SETTINGS, folder=tmp_path / "parts", seed=3, progress=stop)
+    again = network()
+    report = fit(again, Line(), SETTINGS, folder=tmp_path / "parts", seed=3)
+    assert [row["loss"] for row in report.rows] == [row["loss"] for row in expected.rows]
+    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), again.parameters(), strict=True))
+    finished(tmp_path / "parts")
+    assert not (tmp_path / "parts").exists()
+
+
+def test_a_killed_training_loses_an_epoch_at_most(tmp_path: Path) -> None:
+    script = (
+        "import time, torch\nfrom pathlib import Path\nfrom tests.guide3d.learning.test_training import *\n"
+        "def slow(now):\n    Path(r'{}').write_text(str(now.epoch))\n    time.sleep(0.3)\n"
+        "fit(network(), Line(), SETTINGS, folder=r'{}', seed=3, progress=slow)\n"
+    ).format(tmp_path / "epoch", tmp_path / "fit")
+    process = subprocess.Popen([sys.executable, "-c", script], cwd=Path(__file__).parents[3])
+    told = tmp_path / "epoch"
+    until = time.monotonic() + 60
+    while not (told.is_file() and told.read_text() >= "2"):
+        assert time.monotonic() < until
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    reached = int(told.read_text())
+    kept = read_content(tmp_path / "fit" / LAST)["report"]["rows"]
+    assert len(kept) >= reached
+    expected = fit(network(), Line(), SETTINGS, folder=tmp_path / "whole", seed=3)
+    report = fit(network(), Line(), SETTINGS, folder=tmp_path / "fit", seed=3)
+    assert [row["loss"] for row in report.rows] == [row["loss"] for row in expected.rows]
+
+
+def test_checkpoints_of_something_else_are_refused(tmp_path: Path) -> None:
+    fit(network(), Line(), SETTINGS, folder=tmp_path)
+    with pytest.raises(TrainingError, match="of a training with other settings"):
+        fit(network(), Line(), dataclasses.replace(SETTINGS, batch_size=4), folder=tmp_path)
+    with pytest.raises(TrainingError, match="of a training with other items"):
+        fit(network(), Line(16), SETTINGS, folder=tmp_path)
+    with pytest.raises(TrainingError, match="of another architecture"):
+        fit(torch.nn.Linear(1, 1), Line(), SETTINGS, folder=tmp_path)
+    (tmp_path / LAST).write_bytes(b"torn")
+    with pytest.raises(TrainingError, match=r"last\.pt is damaged or no checkpoint"):
+        fit(network(), Line(), SETTINGS, folder=tmp_path)
+
+
+def test_a_loss_that_is_no_number_ends_it(tmp_path: Path) -> None:
+    class Broken(Line):
+        def loss(self, module, batch):
+            return super().loss(module, batch) * float("nan")
+
+    with pytest.raises(TrainingError, match="the loss became nan in epoch 1"):
+        fit(network(), Broken(), SETTINGS, folder=tmp_path)
+    assert not (tmp_path / LAST).exists()
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"epochs": 0}, "epochs must be greater than or equal to 1, got 0"),
+        ({"learning_rate": 0}, "learning_rate must be greater than 0, got 0"),
+        ({"optimiser": "lion"}, "unknown optimiser 'lion'; there are nadam, adamw, sgd"),
+        ({"schedule": "steps"}, "unknown schedule 'steps'"),
+        ({"factor": 1.0}, "factor must be less than 1, got 1"),
+    ],
+)
+def test_settings_are_checked(changed: dict, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        FitSettings(**changed)

@@ -1,0 +1,157 @@
+"""Networks: as many parameters as the papers' architectures have, shapes, sizes, and what they refuse."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+
+from guide3d.learning.build import (
+    FGRN_SIZES,
+    SEGMENTER_SIZES,
+    SEGMENTERS,
+    SHAPE_SIZES,
+    SIZES,
+    build_fgrn,
+    build_segmenter,
+    build_shape_network,
+    described,
+    rebuilt,
+)
+from guide3d.modeling.shape_network import closed, expected_position
+from guide3d.modeling.spherical import SphericalForm
+from guide3d.modeling.swin_transformer import SwinBlock, SwinTransformer
+from guide3d.modeling.swinunet import SwinUnet
+from guide3d.modeling.transunet import TransUnet
+from guide3d.modeling.unet import UNet
+from guide3d.modeling.vision_transformer import VisionTransformer
+
+FORM = SphericalForm(1.7, ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)), 0.0, 1.5708)
+# What `thesis` builds, but for channels and classes, has as many parameters as the published networks:
+PUBLISHED = {
+    "ViT-B/16 without its head": (
+        lambda: VisionTransformer(image_px=224, patch_px=16, channels=3, width=768, depth=12, heads=12, hidden=3072),
+        85_798_656,
+    ),
+    "Swin-T without its head": (lambda: SwinTransformer(image_px=224, channels=3), 27_519_354),
+    "UNet": (lambda: UNet(channels=1, classes=2), 31_030_658),
+    "R50-ViT-B/16 TransUNet": (lambda: TransUnet(image_px=224, channels=3, classes=9), 105.28e6),
+    "Swin-Unet": (lambda: SwinUnet(image_px=224, channels=3, classes=9), 27.17e6),
+}
+
+
+def count(network: torch.nn.Module) -> int:
+    return sum(weight.numel() for weight in network.parameters())
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_parameters_are_those_of_the_paper(name: str) -> None:
+    build, published = PUBLISHED[name]
+    with torch.device("meta"):  # counted, not filled
+        found = count(build())
+    assert found == published if isinstance(published, int) else abs(found - published) < 5e3
+
+
+def test_thesis_sizes_are_the_published_ones() -> None:
+    with torch.device("meta"):
+        assert count(build_segmenter("unet", 512, **SEGMENTER_SIZES["unet"]["thesis"])) == 31_030_593
+        transunet = build_segmenter("transunet", 224, **SEGMENTER_SIZES["transunet"]["thesis"])
+        swinunet = build_segmenter("swinunet", 224, **SEGMENTER_SIZES["swinunet"]["thesis"])
+        shape = build_shape_network(SHAPE_SIZES["thesis"], FORM, 150)
+        fgrn = build_fgrn(100, **FGRN_SIZES["thesis"])
+    # one channel in, one logit out
+    assert count(transunet) == 105_277_081 - 2 * 64 * 49 - 8 * (16 * 9 + 1)
+    assert count(swinunet) == 27_168_900 - 2 * 96 * 16 - 8 * 96
+    transformer = shape.features.transformer
+    assert count(transformer) == 85_798_656 - 2 * 768 * 256
+    projection = 768 * 512 + 512 + 512 * 512 + 512
+    recurrent = 3 * (512 * 512 * 2 + 2 * 512)
+    heads = sum(512 * 256 + 256 + 257 * outputs for outputs in (3, 2 * 149, 150))
+    assert count(shape) == count(transformer) + projection + recurrent + heads
+    convolutions = 320 + 32 * 64 * 9 + 64 + 64 * 128 * 9 + 128
+    assert count(fgrn) == convolutions + 128 * 100 * 256 + 256 + 256 * 128 + 128 + 129 * 300
+
+
+@pytest.mark.parametrize("size", ["desk", "smoke"])
+@pytest.mark.parametrize("name", SEGMENTERS)
+def test_a_segmenter_gives_a_logit_a_pixel(name: str, size: str) -> None:
+    side = 128 if size == "desk" else 64
+    network = build_segmenter(name, side, **SEGMENTER_SIZES[name][size])
+    logits = network(torch.rand(2, 1, side, side))
+    assert logits.shape == (2, 1, side, side)
+    logits.sum().backward()
+    assert all(weight.grad is not None for weight in network.parameters())
+
+
+@pytest.mark.parametrize("anchor", ["tip", "entry"])
+@pytest.mark.parametrize("form", [FORM, None])
+def test_shape_network_tells_a_curve_a_window(form: SphericalForm | None, anchor: str) -> None:
+    network = build_shape_network(dataclasses.replace(SHAPE_SIZES["smoke"], anchor=anchor), form, 20).eval()
+    clips = 255 * torch.rand(2, 6, 64, 64)
+    shapes = network(clips)
+    assert shapes.points_mm.shape == (8, 20, 3)
+    assert shapes.stop_logits.shape == (8, 20)
+    if anchor == "tip":
+        assert torch.equal(shapes.points_mm[:, 0], shapes.tip_mm)
+    # a window of a clip is seen as if it were alone
+    alone = network(clips[1:, 2:5])
+    assert torch.allclose(alone.points_mm[0], shapes.points_mm[6], atol=1e-4)
+    ends = network.ends(shapes.stop_logits)
+    curves = network.curves(clips[:, :3])
+    assert [len(curve) for curve in curves] == (ends[[0, 4]] + 1).tolist()
+    if form is not None and anchor == "tip":
+        steps = shapes.points_mm.diff(dim=1).norm(dim=-1)
+        assert torch.allclose(steps, torch.full_like(steps, 1.7), atol=1e-4)
+    elif form is not None:  # led to the tip, wherever the curve is known to end
+        known = torch.full((8,), 12)
+        assert torch.allclose(network(clips, known).points_mm[:, 12], shapes.tip_mm, atol=1e-3)
+        assert torch.allclose(curves[0][0], shapes.tip_mm[0], atol=1e-3)
+    with pytest.raises(ValueError, match="at least 3 frames, got 2"):
+        network(clips[:, :2])
+
+
+def test_a_curve_is_led_to_its_tip_by_shares_of_its_length() -> None:
+    line = torch.zeros(2, 5, 3)
+    line[..., 0] = torch.arange(5.0)
+    tips = torch.tensor([[4.0, 2.0, 0.0], [3.0, 0.0, 0.0]])
+    led = closed(line, tips, torch.tensor([4, 3]))
+    assert led[0, :, 1].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+    assert torch.equal(led[1], line[1])
+    assert expected_position(torch.log(torch.tensor([[0.25, 0.25, 0.5]]))).item() == pytest.approx(1.25)
+
+
+def test_a_network_is_rebuilt_from_what_is_kept_of_it() -> None:
+    for form in (FORM, None):
+        network = build_shape_network(SHAPE_SIZES["smoke"], form, 12)
+        again = rebuilt(described(SHAPE_SIZES["smoke"], form, 12))
+        again.load_state_dict(network.state_dict())
+        assert again.form == form
+
+
+def test_shifted_windows_keep_distant_tokens_apart() -> None:
+    torch.manual_seed(0)
+    block = SwinBlock(8, 2, window=4, grid=8, shifted=True)
+    x = torch.randn(1, 8, 8, 8)
+    changed = x.clone()
+    changed[0, 0, 0, 0] += 3.0  # the corner shares its rolled window with the other corners
+    moved = (block(changed) - block(x)).abs().sum(-1)[0] > 1e-6
+    assert moved[:2, :2].all()
+    assert not moved[2:].any()
+    assert not moved[:, 2:].any()
+
+
+def test_sizes_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="does not divide into patches of 16 px"):
+        VisionTransformer(image_px=100, patch_px=16, channels=1, width=8, depth=1, heads=1, hidden=8)
+    with pytest.raises(ValueError, match="unknown segmentation network 'vnet'; there are unet, transunet, swinunet"):
+        build_segmenter("vnet", 64)
+    with pytest.raises(ValueError, match="unknown pooling 'mean'"):
+        build_shape_network(dataclasses.replace(SHAPE_SIZES["smoke"], pooling="mean"), FORM, 5)
+    with pytest.raises(ValueError, match="unknown anchor 'middle'; there are tip, entry"):
+        build_shape_network(dataclasses.replace(SHAPE_SIZES["smoke"], anchor="middle"), FORM, 5)
+    with pytest.raises(ValueError, match="offsets from step to step begin at the tip"):
+        build_shape_network(SHAPE_SIZES["smoke"], dataclasses.replace(FORM, cumulative=True), 5)
+    with pytest.raises(ValueError, match="expected images of 64 x 64 px"):
+        build_segmenter("swinunet", 64, **SEGMENTER_SIZES["swinunet"]["smoke"])(torch.zeros(1, 1, 32, 32))
+    assert set(SHAPE_SIZES) == set(FGRN_SIZES) == set(SIZES)

@@ -1,0 +1,125 @@
+"""Swapped cameras and raw annotations, told by epipolar residuals on synthetic scenes and on real pairs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from guide3d.reconstruction.synthetic_scene import rig, scenes, wire
+from guide3d.reconstruction.view_checks import epipolar_residuals, swapped_cameras, undistorted_or_raw
+
+ROOT = Path(__file__).resolve().parents[3]
+REAL = ROOT.parent / "shared" / "real"
+BENCHMARK = ROOT / "benchmarks" / "reconstruction.py"
+
+
+def barrel(points: np.ndarray) -> np.ndarray:
+    off = points - 511.5
+    return 511.5 + off * (1.0 - 6e-8 * (off**2).sum(1, keepdims=True)) @ np.array([[1.0, 0.02], [-0.02, 1.0]])
+
+
+def unbarrel(points: np.ndarray) -> np.ndarray:
+    guess = points.copy()
+    for _ in range(20):
+        guess += points - barrel(guess)
+    return guess
+
+
+def common_rig() -> tuple[tuple, list[tuple[np.ndarray, np.ndarray]]]:
+    cameras, rng = rig(np.random.default_rng(2)), np.random.default_rng(3)
+    pairs = []
+    while len(pairs) < 8:
+        curve = wire("arch", rng) + np.array([25.0, 0.0, 0.0])
+        images = [camera.project(curve[:480]) for camera in cameras]
+        if all(camera.contains(image).all() for camera, image in zip(cameras, images, strict=True)):
+            pairs.append((images[0], images[1]))
+    return cameras, pairs
+
+
+def test_swapped_cameras_are_told_over_a_set() -> None:
+    cameras, pairs = common_rig()
+    right, wrong = swapped_cameras(*cameras, pairs), swapped_cameras(*cameras[::-1], pairs)
+    assert (right.answer, right.sure) == ("as given", True)
+    assert (wrong.answer, wrong.sure) == ("swapped", True)
+    assert "the cameras are swapped: epipolar residual" in wrong.sentence
+    with pytest.raises(ValueError, match="at least one pair"):
+        swapped_cameras(*cameras, [])
+
+
+def test_raw_annotations_are_told_from_undistorted_ones() -> None:
+    cameras, pairs = common_rig()
+    raw = [(barrel(a), unbarrel(b)) for a, b in pairs]  # both views distorted, differently
+    told = undistorted_or_raw(*cameras, raw, unbarrel, barrel)
+    assert told.answer == "raw"
+    assert told.residual_px < 0.4 < 0.6 < told.other_px
+    assert undistorted_or_raw(*cameras, pairs, unbarrel, barrel).answer == "undistorted"
+
+
+def test_exact_scenes_have_no_residual() -> None:
+    for scene in scenes(4, seed=8):
+        assert epipolar_residuals(*scene.cameras, [scene.points])[0] < 0.5  # samples are 2 px apart
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, str(BENCHMARK), *arguments], capture_output=True, text=True, check=False)
+
+
+def write_rig(folder: Path, count: int = 2) -> Path:
+    from guide3d.geometry.camera import write_camera
+
+    cameras, pairs = common_rig()
+    for camera, detector in list(zip(cameras, ("16710", "16709"), strict=True))[:count]:
+        write_camera(camera, folder / f"projection_{detector}.txt")
+    listed = [{"pair": k, "camera_a": a.tolist(), "camera_b": b.tolist()} for k, (a, b) in enumerate(pairs[:3])]
+    path = folder / "pairs.json"
+    path.write_text(json.dumps({"units": "px", "pairs": listed}))
+    return path
+
+
+def test_the_benchmark_reports_a_file_of_pairs(tmp_path: Path) -> None:
+    done = run(str(write_rig(tmp_path)), "--cameras", str(tmp_path), "--pictures", str(tmp_path / "pictures"))
+    report = json.loads(done.stdout.splitlines()[-1])
+    assert report["mean_px_a"] < 0.1
+    assert report["mean_px_b"] < 0.1
+    assert report["coverage"] > 0.97
+    assert [line["pair"] for line in report["per_pair"]] == [0, 1, 2]
+    assert report["pairs_per_s"] > 5
+    assert "the cameras are as given" in done.stdout
+    assert len(list((tmp_path / "pictures").glob("*.png"))) == 3
+
+
+def test_the_benchmark_says_what_is_missing(tmp_path: Path) -> None:
+    pairs = write_rig(tmp_path, count=1)
+    done = run(str(pairs), "--cameras", str(tmp_path))
+    assert done.returncode == 1
+    assert "the other camera's file, *16709*.txt, is missing" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+real = pytest.mark.skipif(not (REAL / "stereo_pairs.json").is_file(), reason="the real stereo pairs are not there")
+
+
+@real
+def test_real_pairs_reconstruct_within_their_pixels_as_they_are_given() -> None:
+    done = run(str(REAL / "stereo_pairs.json"), "--cameras", str(REAL / "xray_calibration"), "--as-given")
+    report = json.loads(done.stdout.splitlines()[-1])
+    assert report["annotations"] == report["cameras"] == "as given"
+    assert max(report["mean_px_a"], report["mean_px_b"]) < 0.8
+    assert report["coverage"] > 0.97
+    assert "tips miss each other's epilines" in done.stdout  # for they are raw
+
+
+@real
+@pytest.mark.slow
+def test_real_pairs_are_raw_and_reconstruct_within_their_pixels() -> None:
+    done = run(str(REAL / "stereo_pairs.json"), "--cameras", str(REAL / "xray_calibration"))
+    report = json.loads(done.stdout.splitlines()[-1])
+    assert report["annotations"] == "raw"
+    assert report["cameras"] == "as given"
+    assert max(report["mean_px_a"], report["mean_px_b"]) < 0.5
+    assert report["coverage"] > 0.97

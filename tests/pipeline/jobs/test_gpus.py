@@ -1,0 +1,212 @@
+"""GPUs are shared out among jobs by their memory; none is needed to test that."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.config import STAGE_SETTINGS
+from pipeline.jobs.gpu_memory import CONTEXT_GB, network_gb, policy_gb
+from pipeline.jobs.gpus import Gpu, GpuShare, check_device, find_gpus, gpus_of
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.worker import Message, Report
+from pipeline.settings.checks import settings_that_matter
+from pipeline.stages.learning.settings import BaselinesSettings
+from pipeline.store.errors import ConfigurationError, StageError
+from pipeline.store.run_folder import Identity, RunFolder
+
+GB = 1_000_000_000
+
+
+def gpu(visible: str, free_gb: float) -> Gpu:
+    return Gpu(visible, "drawn", int(free_gb * GB), 24 * GB)
+
+
+def where(given: Any, report: Report) -> Any:
+    """Where a job finds itself, and from when to when."""
+    began = time.monotonic()
+    time.sleep(0.3)
+    return {"visible": os.environ["CUDA_VISIBLE_DEVICES"], "device": report.device, "time": [began, time.monotonic()]}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder(tmp_path / "stage", Identity("c", {}, "s"))
+
+
+def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    return bool(one["time"][0] < other["time"][1] and other["time"][0] < one["time"][1])
+
+
+def test_jobs_share_gpus_by_their_memory(folder: RunFolder) -> None:
+    jobs = [Job(f"job{k}", where, k, gpu_gb=6.0) for k in range(4)] + [Job("vectors", where)]
+    with folder.locked():
+        folder.prepare()
+        told = run_jobs(folder, jobs, workers=5, device="cuda", find=lambda: [gpu("0", 13), gpu("GPU-7f", 7)])
+    assert told["vectors"]["device"] == "cpu"
+    assert told["vectors"]["visible"] == ""  # it cannot take memory of a GPU by mistake
+    rest = [told[f"job{k}"] for k in range(4)]
+    assert {one["device"] for one in rest} == {"cuda"}
+    assert {one["visible"] for one in rest} == {"0", "GPU-7f"}
+    for visible, most in (("0", 2), ("GPU-7f", 1)):
+        there = [one for one in rest if one["visible"] == visible]
+        assert max(sum(overlap(one, other) for other in there) for one in there) <= most
+
+
+def test_without_a_gpu_jobs_run_on_the_processor(folder: RunFolder) -> None:
+    with folder.locked():
+        folder.prepare()
+        told = run_jobs(folder, [Job("a", where, gpu_gb=6.0)], workers=1, device="auto", find=list)
+    assert (told["a"]["device"], told["a"]["visible"]) == ("cpu", "")
+
+
+def test_the_processor_is_not_asked_for_gpus(folder: RunFolder) -> None:
+    def never() -> list[Gpu]:
+        raise AssertionError("nobody was to look for GPUs")
+
+    with folder.locked():
+        folder.prepare()
+        told = run_jobs(folder, [Job("a", where, gpu_gb=6.0)], workers=1, find=never)
+    assert told["a"]["device"] == "cpu"
+
+
+def test_a_job_that_fits_nowhere_is_named_before_anything_runs(folder: RunFolder) -> None:
+    jobs = [Job("small", where, gpu_gb=1.0), Job("large", where, gpu_gb=9.5)]
+    with folder.locked():
+        folder.prepare()
+        with pytest.raises(StageError, match=r"large needs 1 GPU with about 9\.5 GB free, of 1 0 have so much, 8\.0"):
+            run_jobs(folder, jobs, workers=1, device="cuda", find=lambda: [gpu("0", 8)])
+        assert folder.result_of("small") is None
+    with pytest.raises(StageError, match="both needs 2 GPUs"):
+        GpuShare([gpu("0", 8)]).require_room("both", 1.0, 2)
+
+
+def test_a_training_of_two_processes_has_two_gpus() -> None:
+    share = GpuShare([gpu("a", 8), gpu("b", 10), gpu("c", 9)])
+    taken = share.take("pair", 7.0, 2)
+    assert taken is not None
+    assert [one.visible for one in taken] == ["b", "c"]
+    assert share.take("pair2", 7.0, 2) is None
+    share.give_back("pair")
+    assert share.take("pair2", 7.0, 2) is not None
+
+
+def test_what_a_job_really_uses_counts_where_it_is_more() -> None:
+    share = GpuShare([gpu("0", 10)])
+    assert share.take("first", 2.0) is not None
+    share.measured("first", 1 * GB)
+    assert share.room(0) == 8 * GB
+    share.measured("first", 7 * GB)
+    assert share.take("second", 4.0) is None
+    assert share.take("third", 3.0) is not None
+    share.give_back("first")
+    share.give_back("first")
+    assert share.room(0) == 7 * GB
+
+
+def test_reports_tell_no_memory_without_a_gpu() -> None:
+    told: list[Message] = []
+    Report(told.append)(0.5)
+    assert told[0].gpu_bytes == 0
+
+
+def test_one_gpu_of_several() -> None:
+    found = [gpu("4", 8), gpu("5", 9)]
+    assert gpus_of("cpu", found) == []
+    assert gpus_of("auto", found) == gpus_of("cuda", found) == found
+    assert gpus_of("cuda:1", found) == found[1:]
+
+
+@pytest.mark.parametrize(
+    ("count", "device", "message"),
+    [
+        (0, "cuda", r"stage\.device=cuda, but torch finds no GPU: install a CUDA build of torch"),
+        (0, "cuda:0", r"stage\.device=cuda:0, but torch finds no GPU"),
+        (2, "cuda:2", r"stage\.device=cuda:2, but torch finds 2 GPUs: the last is cuda:1"),
+    ],
+)
+def test_a_gpu_that_there_is_not_is_refused(
+    count: int, device: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: count > 0)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: count)
+    with pytest.raises(ConfigurationError, match=message):
+        check_device(device)
+    for fine in ("cpu", "auto", *(f"cuda:{k}" for k in range(count))):
+        check_device(fine)
+
+
+@pytest.mark.parametrize("device", ["tpu", "cuda:", "cuda:-1", "cuda:x", "CUDA", ""])
+def test_other_words_are_refused(device: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"stage\.device has no .*: choose from auto, cpu, cuda, or one GPU"):
+        BaselinesSettings(phantoms=["type_1"], targets=["bca"], device=device)
+
+
+def test_every_stage_with_networks_has_a_device_that_changes_no_results() -> None:
+    wanted = {
+        "baselines", "enn", "imitation", "force", "unseen", "shape", "segmentation", "splineformer", "navigation",
+    }  # fmt: skip
+    there = {
+        name for name, kind in STAGE_SETTINGS.items() if "device" in {field.name for field in dataclasses.fields(kind)}
+    }
+    assert there == wanted
+    for name in wanted:
+        fields = {field.name: field for field in dataclasses.fields(STAGE_SETTINGS[name])}
+        assert fields["device"].metadata == {"affects_results": False}
+        text = (Path(__file__).resolve().parents[3] / "conf" / "stage" / f"{name}.yaml").read_text(encoding="utf-8")
+        assert "\ndevice: " in text
+    made = BaselinesSettings(phantoms=["type_1"], targets=["bca"], device="cuda:3")
+    assert "device" not in settings_that_matter(made)
+
+
+def test_looking_for_gpus_finds_what_torch_sees() -> None:
+    import torch
+
+    assert len(find_gpus()) == (torch.cuda.device_count() if torch.cuda.is_available() else 0)
+
+
+def test_estimates_grow_with_images_and_batches() -> None:
+    assert CONTEXT_GB < policy_gb(80, 0) < policy_gb(80, 1) < policy_gb(80, 1, 256) < policy_gb(128, 3, 256)
+    assert policy_gb(80, 0) < 1.5
+    assert network_gb("unet", "smoke") < network_gb("unet", "desk") < network_gb("unet", "thesis")
+    assert 10 < network_gb("transunet", "thesis") < 24
+    assert network_gb("published", "smoke") < network_gb("ordered", "desk") < network_gb("shape", "thesis")
+
+
+def test_jobs_wait_for_the_processors_memory(folder: RunFolder) -> None:
+    jobs = [Job(f"job{k}", where, k, memory_gb=6.0) for k in range(3)] + [Job("small", where)]
+    with folder.locked():
+        folder.prepare()
+        told = run_jobs(folder, jobs, workers=4, available=lambda: 13 * GB)
+        large = [told[f"job{k}"] for k in range(3)]
+        assert max(sum(overlap(one, other) for other in large) for one in large) <= 2
+        with pytest.raises(StageError, match=r"huge needs about 14\.0 GB of memory, 13\.0 GB are available"):
+            run_jobs(folder, [Job("huge", where, memory_gb=14.0)], available=lambda: 13 * GB)
+
+
+def test_every_training_of_the_thesis_fits_16_gb() -> None:
+    from enn.networks.features import modality_keys
+    from enn.reinforcement.training import THESIS_PPO, THESIS_SAC
+    from pipeline.jobs.training_memory import PROCESS_GB, training_gb
+    from pipeline.stages.learning.task import LearningTask
+    from pipeline.task import Task
+
+    baselines = LearningTask("type_1", "bca", Task(wire="thesis", actions="tip_motors", image_size_px=128))
+    enn = LearningTask("type_1", "bca", Task(wire="thesis"))
+    cells = [
+        (baselines, (name,), preset)
+        for name in ("internal", "image", "sequential")
+        for preset in (THESIS_SAC, THESIS_PPO)
+    ]
+    cells += [(enn, modality_keys(name), THESIS_SAC) for name in ("I", "V", "V+M", "I+V", "I+V+M")]
+    told = [training_gb(task, keys, preset, encoded=False) for task, keys, preset in cells]
+    assert 9 < max(told) < 12, "the joints' state, 2,352 numbers, is the largest"
+    assert training_gb(baselines, ("sequential",), THESIS_SAC, encoded=False) < PROCESS_GB + 3, "49 GB uncompressed"
+    assert training_gb(enn, ("image",), THESIS_SAC, encoded=True) == 1.0

@@ -1,0 +1,117 @@
+"""Logs whose content is wrong behind right checksums, as the stages read them: refused or left out, in words."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cathsim import NavigateEnv
+from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeReader, EpisodeReadError, EpisodeWriter
+from pipeline.episodes.annotate import annotate
+from pipeline.recording.record import record_episode
+from pipeline.recording.replay import ReplayError, replay
+from pipeline.report.force_statistics import read_forces
+from pipeline.report.learning.reading import read_logs
+from pipeline.settings.stage_settings import UserStudySettings
+from pipeline.stages.user_study import gather
+from pipeline.store.errors import PipelineError
+
+WRONG_CONFIGURATION: dict[str, dict[str, Any]] = {
+    "no wire": {"wire": None},
+    "wire a number": {"wire": 5},
+    "wire of other fields": {"wire": {"colour": "red"}},
+    "wire of other values": {"wire": {"length": "long"}},
+    "time stepping a number": {"numerics": 5},
+    "time stepping of other fields": {"numerics": {"speed": 3}},
+    "steps a text": {"max_steps": "many"},
+    "steps none": {"max_steps": None},
+    "radius a list": {"success_radius": [1]},
+    "radius negative": {"success_radius": -1.0},
+    "jitter a text": {"start_jitter": "wide"},
+    "expert a number": {"expert": 5},
+    "expert's force a text": {"expert": {"free_force": "strong"}},
+    "test set a list": {"test_set": [1]},
+    "policy a list": {"policy": [1], "row": {"a": 1}, "mode": 5, "stage": None},
+}
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("true") / "0.mcap"
+    environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=3)
+    steps = iter(np.full((4, 2), 0.5, np.float32))
+    record_episode(environment, lambda seen, info: next(steps), path, seed=5, operator="human", pictures=False)
+    return path
+
+
+def rewritten(log: Path, path: Path, *, outcome: dict[str, Any] | None = None, action: Any = None, **info: Any) -> Path:
+    """The log again, with other things in it."""
+    with EpisodeReader(log) as reader:
+        changed: EpisodeInfo = dataclasses.replace(reader.info, **info)
+        ended: EpisodeOutcome = dataclasses.replace(reader.outcome, **(outcome or {}))
+        with EpisodeWriter(path, changed, phantom_mesh=reader.phantom_mesh()) as writer:
+            for record in reader:
+                writer.step(record if action is None else dataclasses.replace(record, action=action))
+            writer.finish(ended)
+    return path
+
+
+def with_configuration(log: Path, path: Path, changed: dict[str, Any]) -> Path:
+    with EpisodeReader(log) as reader:
+        configuration = {**reader.info.configuration, **changed}
+    return rewritten(log, path, configuration=configuration)
+
+
+@pytest.mark.parametrize("name", list(WRONG_CONFIGURATION))
+def test_a_configuration_that_cannot_be_used_is_one_sentence(name: str, log: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run" / "enn" / "type_1" / "bca" / "I" / "0" / "evaluation"
+    folder.mkdir(parents=True)
+    forged = with_configuration(log, folder / "0.mcap", WRONG_CONFIGURATION[name])
+    uses = (
+        lambda: replay(forged),
+        lambda: read_logs([tmp_path / "run" / "enn"], processes=1),
+        lambda: read_forces(tmp_path / "run"),
+        lambda: gather([forged], UserStudySettings()),
+    )
+    for use in uses:
+        said = ""
+        try:
+            use()
+        except PipelineError as error:
+            said = str(error)
+        assert "\n" not in said
+        assert len(said) < 600
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"phantom": "../../etc"}, "says a phantom, entry or camera that cannot be used"),
+        ({"phantom": "type_9"}, "says a phantom, entry or camera that cannot be used"),
+        ({"entry": "nowhere"}, "says a phantom, entry or camera that cannot be used"),
+        ({"action": np.full(2, np.nan)}, "takes finite ones"),
+        ({"action": np.zeros(5)}, "the environment takes finite ones"),
+    ],
+)
+def test_what_no_simulator_repeats_is_refused(changed: dict[str, Any], words: str, log: Path, tmp_path: Path) -> None:
+    with pytest.raises((EpisodeReadError, ReplayError), match=words):
+        replay(rewritten(log, tmp_path / "forged.mcap", **changed))
+
+
+@pytest.mark.parametrize(
+    "metrics", [{"steps": "many"}, {"unknown": 1}, {"target": "bca"}, {"force_mean": [1], "steps": None}]
+)
+def test_a_user_study_leaves_out_what_it_cannot_use(metrics: dict[str, Any], log: Path, tmp_path: Path) -> None:
+    with EpisodeReader(log) as reader:
+        kept = dict(reader.outcome.metrics)
+    good = rewritten(log, tmp_path / "good.mcap")
+    annotate(good, "questionnaire", {"ease": "very"})
+    forged = {**kept, **metrics} if "steps" in metrics else metrics
+    bad = rewritten(log, tmp_path / "bad.mcap", outcome={"metrics": forged})
+    study = gather([log, good, bad], UserStudySettings(max_steps=3))
+    assert study.unreadable == 2
+    assert sum(map(len, study.counted.values())) == 1

@@ -1,0 +1,177 @@
+"""A human's logs: as whole as any other's, marked, with the questionnaire inside and beside."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cathsim import NavigateEnv
+from cathsim.console.procedure import Procedure
+from cathsim.console.questionnaire import CRITERIA
+from pipeline.episodes import EpisodeReader, EpisodeReadError, check
+from pipeline.episodes.annotate import annotate, read_annotation
+from pipeline.recording.human import McapRecorder
+from pipeline.report.results import read_figures, read_results
+from pipeline.settings.stage_settings import UserStudySettings
+from pipeline.stages.user_study import gather, logs_of, tables, user_study_table
+
+ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P1"}
+
+
+@pytest.fixture(scope="module")
+def own_cache(anatomy_cache: Path) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+        yield
+
+
+@pytest.fixture(scope="module")
+def environment(own_cache: None) -> Iterator[NavigateEnv]:
+    environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=12)
+    yield environment
+    environment.close()
+
+
+def play(environment: NavigateEnv, folder: Path, *, steps: int = 12, seed: int = 0) -> Procedure:
+    """A procedure of straight insertion."""
+    procedure = Procedure(environment, McapRecorder(folder), seed=seed)
+    for _ in range(steps):
+        procedure.step(1.0, 0.5)
+    if steps < 12:
+        procedure.break_off()
+    assert not procedure.trouble
+    return procedure
+
+
+@pytest.fixture
+def procedure(environment: NavigateEnv, tmp_path: Path) -> Procedure:
+    return play(environment, tmp_path / "human")
+
+
+def test_log_is_sound_and_says_that_a_human_steered(procedure: Procedure, tmp_path: Path) -> None:
+    path = tmp_path / "human" / "type_1" / "bca" / "000.mcap"
+    assert procedure.path == path
+    assert check(path).problems == []
+    with EpisodeReader(path) as log:
+        assert (log.info.operator, log.info.phantom, log.info.target, log.info.seed) == ("human", "type_1", "bca", 0)
+        assert (log.outcome.status, log.outcome.success, log.outcome.steps) == ("finished", False, 12)
+        assert log.outcome.metrics["steps"] == 12
+        arrays = log.load_arrays()
+    np.testing.assert_array_equal(arrays["tip"], [sample.points[0] for sample in procedure.samples])
+    np.testing.assert_array_equal(arrays["action"], [[0, 0], *[[1, 0.5]] * 12])
+    assert arrays["truncated"].tolist() == [False] * 12 + [True]
+    assert (arrays["image/frontal"][0] != arrays["image/frontal"][-1]).any()
+    assert arrays["mask/frontal"][-1].sum() > arrays["mask/frontal"][0].sum()
+
+
+def test_a_broken_off_episode_is_kept_as_such_and_an_untouched_one_is_not(
+    environment: NavigateEnv, tmp_path: Path
+) -> None:
+    play(environment, tmp_path, steps=3)
+    play(environment, tmp_path, steps=0)
+    (path,) = (entry for entry in tmp_path.rglob("*") if entry.is_file())
+    with EpisodeReader(path) as log:
+        assert (log.outcome.status, log.outcome.success, log.outcome.steps) == ("interrupted", None, 3)
+
+
+def test_a_questionnaire_is_in_the_log_and_beside_it(procedure: Procedure) -> None:
+    path = procedure.path
+    assert path is not None
+    before = EpisodeReader(path).load_arrays()
+    beside = procedure.answer(ANSWERS)
+    assert beside == path.with_name("000.questionnaire.json")
+    assert json.loads(beside.read_text())["answers"] == ANSWERS
+    assert read_annotation(path, "questionnaire") == ANSWERS
+    assert check(path).problems == []
+    after = EpisodeReader(path).load_arrays()
+    assert before.keys() == after.keys()
+    for name, values in before.items():
+        np.testing.assert_array_equal(values, after[name])
+    annotate(path, "questionnaire", {**ANSWERS, "motion_accuracy": 1})
+    assert (read_annotation(path, "questionnaire") or {})["motion_accuracy"] == 1
+    assert read_annotation(path, "remarks") is None
+    assert [entry.name for entry in sorted(path.parent.iterdir())] == ["000.mcap", "000.questionnaire.json"]
+
+
+def test_annotations_have_names_of_their_own_and_need_a_sound_log(procedure: Procedure, tmp_path: Path) -> None:
+    path = procedure.path
+    assert path is not None
+    for key in ("outcome", "episode", "", "two words"):
+        with pytest.raises(ValueError, match="an annotation's key must be a word"):
+            annotate(path, key, {})
+    with pytest.raises(EpisodeReadError, match="cannot open"):
+        annotate(tmp_path / "none.mcap", "questionnaire", {})
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(EpisodeReadError, match="has no index"):
+        annotate(path, "questionnaire", {})
+    assert path.read_bytes() == content[: len(content) // 2]
+
+
+def test_the_study_counts_finished_procedures_under_its_own_settings(environment: NavigateEnv, tmp_path: Path) -> None:
+    folder = tmp_path / "human"
+    for seed in range(2):
+        play(environment, folder, seed=seed)
+    play(environment, folder, steps=2)
+    (folder / "damaged.mcap").write_bytes(b"no log")
+    logs = logs_of(tmp_path)
+    assert len(logs) == 4
+    study = gather(logs, UserStudySettings(max_steps=12))
+    measured = tables(study)
+    assert measured["ablation"].keys() == {"bca/H"}
+    assert measured["ablation"]["bca/H"]["n"] == 2
+    assert measured["ablation"]["bca/H"]["episode_length_steps"] == [12.0, 0.0]
+    assert measured["ablation"]["bca/H"]["success_pct"] == [0.0, 0.0]
+    assert measured["human_left_out"] == {
+        "broken_off": {"episodes": 1},
+        "other_settings": {"episodes": 0},
+        "unreadable": {"episodes": 1},
+    }
+    other = tables(gather(logs, UserStudySettings()))
+    assert "ablation" not in other, "procedures of 12 steps say nothing about ones of 300"
+    assert other["human_left_out"]["other_settings"] == {"episodes": 2}
+
+
+def test_scores_are_means_over_participants_and_nothing_without_answers() -> None:
+    low = {criterion.key: 2 for criterion in CRITERIA}
+    answers = [{**low, "participant": "P1"}, ANSWERS, {**low, "participant": ""}, {**low, "participant": ""}]
+    table = user_study_table(answers)
+    assert len(table) == 7
+    assert table["motion_accuracy"]["n"] == 3, "P1 counts once, with the last answers"
+    assert table["motion_accuracy"]["score"] == pytest.approx([8 / 3, np.std([4, 2, 2])])
+    assert user_study_table([]) == {}
+
+
+def test_stage_fills_the_reports_tables_and_leaves_the_recordings_alone(
+    environment: NavigateEnv, tmp_path: Path
+) -> None:
+    from pipeline.config import RunConfig
+    from pipeline.execution import Outcome, execute
+
+    config = RunConfig(stage=UserStudySettings(max_steps=12), name="tried", runs_dir=str(tmp_path))
+    assert execute(config) is Outcome.DONE
+    stage = tmp_path / "tried" / "user_study"
+    assert read_results(stage) == {}
+    assert read_figures(stage) == []
+    play(environment, tmp_path / "tried" / "human").answer(ANSWERS)
+    assert execute(config) is Outcome.DONE, "a new recording puts the stage out of date"
+    assert execute(config) is Outcome.UP_TO_DATE
+    results = read_results(stage)
+    assert set(results) == {"ablation", "human", "user_study"}
+    assert results["user_study"]["anatomical_accuracy"] == {"score": [4.0, 0.0], "n": 1}
+    assert [figure.file for figure in read_figures(stage)] == ["type_1/bca.png"]
+    assert len(logs_of(tmp_path / "tried")) == 1
+
+
+def test_rows_are_those_of_the_thesis() -> None:
+    import yaml
+
+    from pipeline.store.provenance import PROJECT_ROOT
+
+    thesis = yaml.safe_load((PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml").read_text())["tables"]
+    assert list(thesis["user_study"]["rows"]) == [criterion.key for criterion in CRITERIA]
+    assert {"bca/H", "lcca/H"} <= set(thesis["ablation"]["rows"])

@@ -1,0 +1,90 @@
+"""Replay: a log gives back the episode's states and observations, bit for bit, or says why it cannot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cathsim import NavigateEnv
+from pipeline.episodes import EpisodeReader
+from pipeline.recording.record import record_episode
+from pipeline.recording.replay import ReplayError, replay, replay_environment
+
+ACTIONS = np.random.default_rng(3).uniform(-0.2, 1.0, (40, 2)).astype(np.float32)
+
+
+def record(path: Path, *, pictures: bool, seed: int = 5, **arguments) -> Path:
+    environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=25, start_rotation=3.0, **arguments)
+    steps = iter(ACTIONS)
+    record_episode(
+        environment, lambda observation, info: next(steps), path, seed=seed, operator="test", pictures=pictures
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("replay") / "0.mcap", pictures=True, image_size=40)
+
+
+def test_replay_gives_back_the_episode_with_other_observations(log: Path) -> None:
+    trajectory = replay(log, ("joints", "image", "mask"))
+    with EpisodeReader(log) as reader:
+        arrays = reader.load_arrays()
+    assert trajectory.observations["image"].shape == (26, 1, 40, 40)
+    np.testing.assert_array_equal(trajectory.observations["image"][:, 0], arrays["image/frontal"])
+    np.testing.assert_array_equal(trajectory.observations["mask"][:, 0] > 0, arrays["mask/frontal"])
+    np.testing.assert_array_equal(trajectory.tips, arrays["tip"])
+    np.testing.assert_array_equal(trajectory.actions, arrays["action"][1:])
+    np.testing.assert_array_equal(trajectory.rewards, arrays["reward"][1:])
+    np.testing.assert_array_equal(trajectory.forces, arrays["resultant_force_norm"][1:])
+    joints = np.concatenate((arrays["joint_positions"], arrays["joint_velocities"]), axis=1)
+    np.testing.assert_array_equal(trajectory.observations["joints"], joints.astype(np.float32))
+    assert trajectory.metadata["target"] == "bca"
+
+
+def test_an_episode_goes_on_from_a_replayed_state(log: Path) -> None:
+    trajectory = replay(log)
+    assert trajectory.simulation_states is not None
+    environment = replay_environment(log)
+    environment.reset(seed=0, options={"start": trajectory.simulation_states[10]})
+    np.testing.assert_array_equal(environment.simulation.tip, trajectory.tips[10])
+    _, _, _, _, info = environment.step(ACTIONS[10])
+    np.testing.assert_array_equal(info["tip"], trajectory.tips[11])
+
+
+def test_the_reward_can_be_another(log: Path) -> None:
+    geodesic = replay(log, reward="geodesic")
+    penalised = replay(log, reward="geodesic", force_penalty=2.0)
+    assert (geodesic.rewards != replay(log).rewards).all()
+    np.testing.assert_allclose(penalised.rewards, geodesic.rewards - 2.0 * geodesic.forces, atol=1e-12)
+
+
+def test_a_log_without_pictures_replays_too_and_shares_an_environment(tmp_path: Path) -> None:
+    first, second = (record(tmp_path / f"{seed}.mcap", pictures=False, seed=seed) for seed in (1, 2))
+    with EpisodeReader(first) as reader:
+        assert reader.cameras == ()
+    environment = replay_environment(first, ("image",), image_size=30)
+    for log in (first, second):
+        assert replay(log, ("image",), environment=environment).observations["image"].shape == (26, 1, 30, 30)
+
+
+def test_a_coarser_physics_is_replayed_as_it_was(tmp_path: Path) -> None:
+    assert len(replay(record(tmp_path / "fast.mcap", pictures=False, accuracy="fast"))) == 25
+
+
+def test_what_does_not_repeat_is_refused(log: Path, tmp_path: Path) -> None:
+    other = record(tmp_path / "robot.mcap", pictures=False, drive="robot")
+    with pytest.raises(
+        ReplayError, match=r"robot.mcap does not repeat: at step \d+ the tip is .* mm from where it was"
+    ):
+        replay(other)
+    thesis = record(tmp_path / "thesis.mcap", pictures=False, wire="thesis")
+    with pytest.raises(ReplayError, match="another wire"):
+        replay(thesis, environment=replay_environment(log))
+    with pytest.raises(ReplayError, match=r"recorded with start_rotation=3\.0, the environment has 0\.0"):
+        replay(log, environment=NavigateEnv("type_1", "bca", observation=("tip",), max_steps=25))
+    with pytest.raises(ReplayError, match=r"recorded in type_1 .* the simulator has type_2"):
+        replay(log, environment=NavigateEnv("type_2", "bca", observation=("tip",), max_steps=25))

@@ -1,0 +1,90 @@
+"""Notes of how the measured rows were made: worded from what the jobs really have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from enn.reinforcement.training import DESK_SAC, THESIS_SAC
+from pipeline.recording.trials import Origin
+from pipeline.report.aids import imitation_note, note_of, training_note
+from pipeline.report.results import write_notes
+from pipeline.stages.learning.imitation import ImitationJob
+from pipeline.stages.learning.task import LearningTask
+from pipeline.stages.learning.training import TrainingJob
+from pipeline.stages.report import notes_of
+from pipeline.task import Task
+
+DESK = TrainingJob(
+    folder=Path("desk"),
+    task=LearningTask("type_1", "bca", path_penalty=40.0),
+    settings=replace(DESK_SAC, demonstrations_in_replay=0.25),
+    observation=("image", "mask", "joints"),
+    seed=0,
+    origin=Origin("enn", "I+V+M", 0, "desk"),
+    encoder=Path("encoder.pt"),
+    demonstrations=(Path("000.mcap"), Path("001.mcap"), Path("002.mcap")),
+)
+THESIS = replace(
+    DESK,
+    task=LearningTask("type_1", "bca", Task(wire="thesis", start_rotation_deg=0.0), reward="distance"),
+    settings=THESIS_SAC,
+    encoder=None,
+    demonstrations=(),
+)
+
+
+def test_a_desk_training_names_every_aid() -> None:
+    told = training_note([DESK])
+    for aid in (
+        "shaped reward of training (geodesic, less 40 a metre of the tip's way)",
+        f"{100 * DESK_SAC.bank_share:.0f} % of the resets along the way, to states of demonstrations and own successes",
+        "25 % of each batch are steps of the planner's demonstrations (3)",
+        "an encoder fitted beforehand and frozen",
+        f"actions held for {DESK_SAC.action_repeat} steps",
+        "2 actions",
+        "images of 80 px",
+        "starts turned by up to 180 degrees either way",
+        f"{DESK_SAC.decisions:,} decisions",
+    ):
+        assert aid in told, aid
+
+
+def test_what_a_training_does_not_have_is_not_named() -> None:
+    told = training_note([THESIS])
+    assert told == f"How the measured rows were made: 2 actions; images of 80 px; {THESIS_SAC.decisions:,} decisions."
+    alone = training_note([replace(DESK, demonstrations=(), observation=("joints",))])
+    assert "planner" not in alone
+    assert "demonstrations" not in alone
+    assert "px" not in alone
+
+
+def test_rows_that_were_made_alike_are_named_together() -> None:
+    other = replace(DESK, origin=Origin("enn", "V", 0, "desk"))
+    odd = replace(DESK, origin=Origin("enn", "I", 0, "desk"), observation=("joints",))
+    told = training_note([DESK, other, odd])
+    assert told.count("shaped reward") == 1
+    assert told.endswith("I+V+M, V: images of 80 px.")
+    assert (
+        note_of({"a": ["one"], "b": ["two"]})
+        == "How the measured rows were made: with nothing in common. a: one. b: two."
+    )
+
+
+def test_imitation_says_whose_weight_matches_features() -> None:
+    job = ImitationJob(Path("s"), LearningTask("type_1", "bca"), Path("e"), 0, Origin("imitation", "dagger", 0, "desk"),
+                       ("image",), 10, "thesis", 0.1, dagger_rounds=3)  # fmt: skip
+    told = imitation_note([job])
+    assert "thesis network, from 10 episodes" in told
+    assert "features matched with weight 0.1, which is ours" in told
+    assert "3 rounds of 10 own episodes" in told
+    assert "features" not in imitation_note([replace(job, feature_matching=0.0)])
+
+
+def test_the_report_gathers_notes_of_a_sweep_once(tmp_path: Path) -> None:
+    for name, text in (("enn", "one"), ("enn@seed=1", "one"), ("enn@stage.decisions=9", "two")):
+        (tmp_path / name).mkdir()
+        write_notes(tmp_path / name, {"ablation": text})
+    (tmp_path / "phantoms").mkdir()
+    found = notes_of(tmp_path, ["enn", "enn@seed=1", "enn@stage.decisions=9", "phantoms"])
+    assert found == {"ablation": ["one", "two"]}

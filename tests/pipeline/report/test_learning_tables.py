@@ -1,0 +1,342 @@
+"""Learning tables from logs: the figures by hand, what counts and what does not, differences, the cache, the page."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pipeline.report.learning.reading as reading_module
+from pipeline.report.learning.differences import differences, remarks, same, with_logs
+from pipeline.report.learning.logs import UnusableLogError, changed_settings, evaluation_folders, read_evaluation
+from pipeline.report.learning.reading import CACHE, read_logs
+from pipeline.report.learning.section import learning_section
+from pipeline.report.learning.statistics import shortest_ways, wilson_interval
+from pipeline.report.learning.tables import learning_tables, tables_from_logs
+from pipeline.report.results import check_cell, write_results
+from pipeline.store.errors import StageError
+from pipeline.store.run_folder import Identity, RunFolder
+from tests.pipeline.report.evaluation_logs import write_evaluation, write_row
+
+
+def read(run: Path, **arguments: object) -> reading_module.Reading:
+    return read_logs(evaluation_folders(run), **arguments)  # type: ignore[arg-type]
+
+
+def test_metrics_come_from_the_arrays_with_the_thesis_reward(tmp_path: Path) -> None:
+    (path,) = write_row(tmp_path, "enn", "V", successes=(True,), steps=4, force=0.3, way=0.2, contacts=3)
+    one = read_evaluation(path, tmp_path)
+    assert (one.stage, one.row, one.variant, one.mode, one.training_seed) == ("enn", "V", "desk", "deterministic", 0)
+    assert (one.phantom, one.target, one.folder, one.success_radius) == ("type_1", "bca", "enn", 0.008)
+    # distances 0.1, 0.076, 0.052, 0.028, 0.004 m: three steps pay for theirs, the last one earns 10
+    assert one.metrics.reward == pytest.approx(10 - 0.076 - 0.052 - 0.028)
+    assert one.metrics.path_length == pytest.approx(0.2)
+    assert one.metrics.force_mean == one.metrics.force_max == pytest.approx(0.3)  # the state after reset is no step
+    assert one.contact_force == pytest.approx(0.1)
+    assert (one.metrics.steps, one.metrics.success) == (4, True)
+
+
+def test_a_failed_episode_pays_for_every_step_and_has_no_contact_force_without_contacts(tmp_path: Path) -> None:
+    (path,) = write_row(tmp_path, "enn", "V", successes=(False,), steps=2, contacts=0)
+    one = read_evaluation(path, tmp_path)
+    assert one.metrics.reward == pytest.approx(-0.065 - 0.03)
+    assert one.contact_force is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ({"status": "interrupted"}, "its episode was broken off"),
+        ({"end_distance": 0.02}, "claims success 20.0 mm from the target, the radius is 8 mm"),
+        ({"outcome_success": False}, "its outcome says success=False, its last step True"),
+        ({"mode": "greedy"}, "its mode is 'greedy', expected deterministic or stochastic"),
+        ({"force": math.nan}, "force magnitudes must be finite"),
+    ],
+)
+def test_logs_that_do_not_count_say_why(tmp_path: Path, arguments: dict, reason: str) -> None:
+    metadata = {"row": "V", "mode": "deterministic", "training_seed": 0, **arguments}
+    path = write_evaluation(tmp_path / "enn" / "000.mcap", **metadata)
+    with pytest.raises(UnusableLogError, match=reason):
+        read_evaluation(path, tmp_path)
+
+
+def test_a_log_without_the_metadata_of_an_evaluation_is_none(tmp_path: Path) -> None:
+    path = write_evaluation(tmp_path / "enn" / "000.mcap", row="V")
+    with pytest.raises(UnusableLogError, match="its metadata lacks mode, training_seed"):
+        read_evaluation(path, tmp_path)
+
+
+def test_one_damaged_log_among_a_hundred_is_left_out_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    paths = write_row(tmp_path, "enn", "V", successes=(True,) * 100)
+    content = bytearray(paths[57].read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    paths[57].write_bytes(content)
+    reading = read(tmp_path)
+    assert len(reading.evaluations) == 99
+    assert list(reading.left_out) == [paths[57].relative_to(tmp_path).as_posix()]
+    (warning,) = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert str(paths[57]) in warning
+    assert "damaged" in warning
+    assert tables_from_logs(reading.evaluations)["ablation"]["bca/V"]["n"] == 99
+
+
+def test_a_folder_without_evaluations_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "enn").mkdir()
+    with pytest.raises(
+        StageError, match="enn holds no evaluation to make a table of: run stage enn again with force=true"
+    ):
+        tables_from_logs(tmp_path / "enn")
+    write_evaluation(tmp_path / "enn" / "a.mcap")
+    with pytest.raises(StageError, match=r"1 logs cannot be used, the first is enn/a\.mcap \(its metadata lacks row"):
+        tables_from_logs(tmp_path / "enn")
+    assert tables_from_logs(tmp_path) == {}
+
+
+def test_shortest_way_is_that_of_the_whole_run_and_of_the_same_start_and_end(tmp_path: Path) -> None:
+    write_row(tmp_path, "enn", "V", successes=(True, False), way=0.3)
+    write_row(tmp_path, "baselines", "sac_image", successes=(True,), way=0.24)
+    write_row(tmp_path, "baselines", "ppo_image", successes=(False,), way=0.1)  # failed
+    write_row(tmp_path, "baselines", "ppo_image", successes=(True,), way=0.05, target="lcca")  # another target
+    write_row(tmp_path, "baselines", "sac_internal", successes=(True,), way=0.1, task={"success_radius": 0.1})
+    demonstration = {"stage": "enn", "row": "V", "mode": "deterministic", "training_seed": 0}
+    write_evaluation(tmp_path / "enn/type_1/bca/V/seed0/expert/000.mcap", way=0.15, **demonstration)
+    tables = tables_from_logs(tmp_path / "enn")
+    assert set(tables) == {"ablation", "enn"}
+    row = tables["ablation"]["bca/V"]
+    assert row["spl_pct"] == pytest.approx(100 * (0.15 / 0.3 + 0) / 2)
+    assert row["n"] == 2  # the demonstration belongs to no row, but its way counts
+    assert tables_from_logs(tmp_path)["enn"]["type_1/bca/V"]["spl_pct"] == pytest.approx(25)
+
+
+def test_thesis_tables_take_pairs_over_deterministic_episodes_of_all_seeds(tmp_path: Path) -> None:
+    write_row(tmp_path, "enn", "I+V+M", successes=(True, True), force=0.1)
+    write_row(tmp_path, "enn", "I+V+M", successes=(True, False), force=0.3, seed=1)
+    write_row(tmp_path, "enn", "I+V+M", successes=(False, False), mode="stochastic")
+    write_row(tmp_path, "enn", "I+V+M", phantom="type_2", target="lcca")
+    write_row(tmp_path, "baselines", "ppo_internal", steps=2, force=0.2)
+    write_row(tmp_path, "baselines", "ppo_internal", successes=(False,), target="lcca", steps=2)
+    tables = tables_from_logs(tmp_path)
+    assert list(tables["ablation"]) == ["bca/I+V+M"]
+    row = tables["ablation"]["bca/I+V+M"]
+    assert row["success_pct"] == pytest.approx([75, 100 * math.sqrt(0.75 * 0.25)])
+    assert row["force_n"] == pytest.approx([0.2, 0.1])
+    assert row["n"] == 4
+    cells = tables["cathsim_results"]["type_1/ppo_internal"]
+    assert cells["reward_bca"] == pytest.approx([10 - 0.052, 0])
+    assert cells["reward_lcca"] == pytest.approx([-0.065 - 0.03, 0])
+    assert (cells["success_bca_pct"], cells["success_lcca_pct"], cells["n"]) == (100, 0, 1)
+    assert cells["max_force_bca_n"] == pytest.approx([0.2, 0])
+    for name, rows in tables.items():
+        for key, columns in rows.items():
+            for column, cell in columns.items():
+                check_cell(cell, f"{name} / {key} / {column}")
+
+
+def test_own_table_has_wilson_interval_and_spread_over_seeds(tmp_path: Path) -> None:
+    write_row(tmp_path, "enn", "I", successes=(True, True), force=0.1)
+    write_row(tmp_path, "enn", "I", successes=(True, False), force=0.3, seed=1)
+    write_row(tmp_path, "enn", "I", successes=(False, True, False), mode="stochastic", seed=1)
+    row = tables_from_logs(tmp_path)["enn"]["type_1/bca/I"]
+    assert row["success_pct"] == pytest.approx([75, np.std([100, 50], ddof=1)])
+    assert row["force_n"] == pytest.approx([0.2, np.std([0.1, 0.3], ddof=1)])
+    low, high = wilson_interval(3, 4)
+    assert (row["success_low_pct"], row["success_high_pct"]) == pytest.approx((100 * low, 100 * high))
+    assert row["stochastic_success_pct"] == pytest.approx(100 / 3)  # one seed has no spread
+    assert (row["seeds"], row["n"], row["force_largest_n"]) == (2, 4, pytest.approx(0.3))
+
+
+def test_wilson_interval_is_the_textbook_one() -> None:
+    assert wilson_interval(30, 30) == (pytest.approx(0.8865, abs=1e-4), 1.0)
+    assert wilson_interval(0, 30) == (0.0, pytest.approx(0.1135, abs=1e-4))
+    assert wilson_interval(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)  # Newcombe 1998, table I
+    with pytest.raises(ValueError, match="got 3 of 2"):
+        wilson_interval(3, 2)
+
+
+def test_people_and_the_planner_stand_beside_the_policies(tmp_path: Path) -> None:
+    write_row(tmp_path, "enn", "V", successes=(True,), way=0.2)
+    write_evaluation(tmp_path / "expert/type_1/bca/evaluation/000.mcap", operator="sampling_expert", way=0.1)
+    write_evaluation(tmp_path / "expert/type_1/bca/000.mcap", operator="sampling_expert", success=False)
+    write_evaluation(tmp_path / "human/type_1/bca/000.mcap", operator="human", way=0.4)
+    write_evaluation(tmp_path / "human/type_1/bca/001.mcap", operator="human", task={"max_steps": 900}, way=0.01)
+    write_evaluation(tmp_path / "human/type_1/bca/002.mcap", operator="sampling_expert")
+    reading = read(tmp_path)
+    assert "expected 'human'" in reading.left_out["human/type_1/bca/002.mcap"]
+    tables = learning_tables(reading.evaluations, shortest_ways([o for o in reading.evaluations if o.max_steps == 300]))
+    assert list(tables["ablation"]) == ["bca/V", "bca/sampling_expert", "bca/H"]
+    assert tables["ablation"]["bca/H"]["spl_pct"] == pytest.approx(25)
+    assert tables["ablation"]["bca/H"]["n"] == 1  # the other one had another limit
+    assert tables["expert"] == {"type_1/bca": {"spl_pct": pytest.approx(100)}}
+    assert tables["ablation"]["bca/sampling_expert"]["n"] == 1  # its demonstrations belong to no row
+
+
+@pytest.mark.parametrize("other", [{"wire": {"length": 0.3}}, {"start_rotation": 3.14}, {"start_jitter": 0.0}])
+def test_spl_is_measured_against_episodes_of_the_same_wire_and_start(tmp_path: Path, other: dict) -> None:
+    write_row(tmp_path, "enn", "V", successes=(True,), way=0.2)
+    write_row(tmp_path, "enn", "I", successes=(True,), way=0.1, task=other)
+    write_evaluation(tmp_path / "expert/type_1/bca/000.mcap", operator="sampling_expert", way=0.05, task=other)
+    tables = tables_from_logs(tmp_path)
+    assert tables["enn"]["type_1/bca/V"]["spl_pct"] == pytest.approx(100)
+    assert tables["enn"]["type_1/bca/I"]["spl_pct"] == pytest.approx(50)
+
+
+def test_imitation_repeats_the_rows_of_the_ablation(tmp_path: Path) -> None:
+    for stage, row in (
+        ("enn", "I+V+M"),
+        ("enn", "V"),
+        ("enn", "I"),
+        ("imitation", "image_w_enn"),
+        ("imitation", "dagger"),
+    ):
+        write_row(tmp_path, stage, row, successes=(row != "V",))
+    expected = {"bca/enn", "bca/image_wo_enn", "bca/image_w_enn", "bca/dagger"}
+    own = tables_from_logs(tmp_path / "imitation")
+    assert set(own["imitation"]) == expected
+    assert set(own) == {"imitation", "behaviour_cloning"}
+    assert own["imitation"]["bca/image_wo_enn"]["success_pct"] == [0, 0]
+    assert set(tables_from_logs(tmp_path)["imitation"]) == expected
+
+
+def test_unseen_anatomies_are_rows_by_test_set(tmp_path: Path) -> None:
+    for seed in (7, 8):
+        write_row(tmp_path, "unseen", "roadmap", phantom=f"random_{seed}", test_set="unseen", seed=0)
+    write_row(tmp_path, "unseen", "roadmap", phantom="bovine")
+    table = tables_from_logs(tmp_path)["generalisation"]
+    assert {row: cells["n"] for row, cells in table.items()} == {"roadmap/bca/bovine": 2, "roadmap/bca/unseen": 4}
+
+
+def test_sweep_folders_join_by_seed_but_never_across_other_settings(tmp_path: Path) -> None:
+    write_row(tmp_path, "enn", "I", folder="enn@seed=0,target=bca", seed=0)
+    write_row(tmp_path, "enn", "I", folder="enn@modality=I,seed=1", seed=1)
+    write_row(tmp_path, "enn", "I", folder="enn@stage.decisions=500", successes=(False,))
+    write_row(tmp_path, "enn", "I", folder="enn@seed=2", successes=(False,), variant="thesis", seed=2)
+    table = tables_from_logs(tmp_path)["enn"]
+    counts = {row: (cells["n"], cells["seeds"]) for row, cells in table.items()}
+    assert counts == {
+        "type_1/bca/I": (1, 1),  # the thesis's variant takes the plain name
+        "type_1/bca/I (desk)": (4, 2),
+        "type_1/bca/I (desk, stage.decisions=500)": (1, 1),
+    }
+    assert changed_settings("enn") == changed_settings("enn@seed=1,phantom.mesh=a.stl") == ""
+
+
+def test_an_episode_recorded_twice_counts_once_the_latest(tmp_path: Path) -> None:
+    write_row(tmp_path, "enn", "I", force=0.1, started_ns=2_000)
+    write_row(tmp_path, "enn", "I", folder="enn@seed=0", force=0.2, started_ns=1_000)
+    reading = read(tmp_path)
+    assert [one.folder for one in reading.evaluations] == ["enn", "enn"]
+    assert len(reading.left_out) == 2
+    assert all("recorded again in enn/type_1" in reason for reason in reading.left_out.values())
+
+
+def test_weights_of_the_force_are_rows_of_their_own(tmp_path: Path) -> None:
+    for seed, weight in enumerate((0.5, 2.0)):
+        write_row(tmp_path, "enn", "I+V+M safe", force_weight=weight, seed=seed)
+    assert list(tables_from_logs(tmp_path)["ablation"]) == ["bca/I+V+M safe 0.5", "bca/I+V+M safe 2"]
+
+
+def test_known_logs_are_not_read_again_until_they_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = write_row(tmp_path, "enn", "I", successes=(True, True, False))
+    cache = tmp_path / CACHE
+    first = read(tmp_path, cache=cache)
+    asked: list[Path] = []
+
+    def watched(path: Path, run_path: Path) -> object:
+        asked.append(path)
+        return read_evaluation(path, run_path)
+
+    monkeypatch.setattr(reading_module, "read_evaluation", watched)
+    assert read(tmp_path, cache=cache) == first
+    assert asked == []
+    write_row(tmp_path, "enn", "I", successes=(True,), force=0.7)
+    os.utime(paths[0], ns=(1, 1))
+    assert read(tmp_path, cache=cache).evaluations[0].metrics.force_max == pytest.approx(0.7)
+    assert asked == [paths[0]]
+    content = json.loads(cache.read_text())
+    cache.write_text(json.dumps({**content, "code": "older"}))
+    read(tmp_path, cache=cache)
+    assert len(asked) == 4, "other code computes them anew"
+    cache.write_text("{")
+    assert len(read(tmp_path, cache=cache).evaluations) == 3
+
+
+def test_processes_give_the_same_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (path, *_) = write_row(tmp_path, "enn", "I", successes=(True, False, True))
+    path.write_bytes(b"no log")
+    alone = read(tmp_path)
+    monkeypatch.setattr(reading_module, "PARALLEL_FROM", 1)
+    assert read(tmp_path, processes=2) == alone
+    assert len(alone.left_out) == 1
+
+
+def test_differences_are_found_worded_and_the_logs_win(tmp_path: Path) -> None:
+    own = {"ablation": {"bca/V": {"force_n": [0.1, 0.2], "success_pct": [50.0, 50.0], "spl_pct": 40.0, "n": 4}}}
+    written = {
+        "ablation": {
+            "bca/V": {"force_n": [0.1 + 1e-9, 0.2], "success_pct": [100.0, 0.0], "spl_pct": 45.0, "n": 4, "extra": 1},
+            "bca/I": {"success_pct": [99.0, 0.0], "n": 3},
+        },
+        "training_time_h": {"image": {"bca": 1.0}},
+    }
+    found = differences("enn", written, own, own)
+    assert [(one.row, one.column) for one in found] == [("bca/V", "success_pct"), ("bca/V", "spl_pct"), ("bca/I", "")]
+    said = remarks(found)["ablation"]
+    assert "results.json of enn differs from its logs in 1 cell" in said
+    assert "bca/V, success_pct: 100 ± 0 there, 50.0 ± 50.0 from the logs" in said
+    assert "1 row without a log to compute it from, shown as the stage wrote it: bca/I of enn" in said
+    assert "SPL differs from the stage's own in 1 row" in said
+    logs, rest = with_logs([written], own)
+    assert logs["ablation"]["bca/V"]["success_pct"] == [50.0, 50.0]
+    assert rest["ablation"] == {"bca/V": {"extra": 1}, "bca/I": {"success_pct": [99.0, 0.0], "n": 3}}
+    assert rest["training_time_h"] == written["training_time_h"]
+    assert differences("enn", own, own, own) == []
+    assert not same([1.0, 2.0], 1.0)
+
+
+def finish(run: Path, stage: str) -> None:
+    """Makes a stage's folder a finished one."""
+    folder = RunFolder(run / stage, Identity("c", {}, "s"))
+    folder.finish(stage=stage, run=run.name, budget="smoke", seed=0, config={}, started=0.0)
+
+
+def test_report_shows_the_logs_and_says_what_differs(tmp_path: Path, run_python: Callable[[str], str]) -> None:
+    run = tmp_path / "tried"
+    write_row(run, "enn", "V", phantom="mine")
+    tables = tables_from_logs(run / "enn")
+    bad = write_row(run, "enn", "V", successes=(True,) * 3, phantom="mine")[2]
+    bad.write_bytes(b"")
+    tables["enn"]["mine/bca/V"]["success_pct"] = 12.0
+    write_results(run / "enn", {**tables, "own_table": {"a": {"b": 1.0}}})
+    finish(run, "enn")
+    printed = run_python(
+        "import sys\n"
+        "from pipeline.config import RunConfig\n"
+        "from pipeline.settings.stage_settings import ReportSettings\n"
+        "from pipeline.execution import execute\n"
+        "config = RunConfig(stage=ReportSettings(), budget={'name': 'desk'}, name='tried', runs_dir="
+        + repr(str(tmp_path))
+        + ")\n"
+        "execute(config)\n"
+        "print('torch' in sys.modules)"
+    )
+    assert printed.strip().endswith("False"), "the report must not import torch"
+    page = (run / "report" / "index.html").read_text()
+    assert "success_pct: 12 there, 100 from the logs" in page
+    assert "1 log was left out: enn/type_1" not in page
+    assert "1 log was left out: enn/mine/bca/V/seed0/evaluation/deterministic/002.mcap" in page
+    measured = json.loads((run / "report" / "metrics.json").read_text())
+    assert measured["enn"]["mine/bca/V"]["success_pct"] == 100.0
+    assert measured["own_table"]["a"]["b"] == 1.0
+
+
+def test_a_stage_that_has_not_finished_does_not_count(tmp_path: Path) -> None:
+    write_row(tmp_path, "enn", "V")
+    section = learning_section(tmp_path, [], tmp_path / "figures")
+    assert section.results == []
+    assert section.folder is None

@@ -1,0 +1,254 @@
+"""The report: complete against the thesis, honest about what has not run, readable by people and programs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+import time
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pipeline.report.results import Figure, check_cell, pool, read_figures, write_figures, write_results
+from pipeline.report.tables import as_csv, as_latex, format_cell, join_sweep, metrics, report_tables
+from pipeline.store.provenance import PROJECT_ROOT
+from pipeline.store.run_folder import Identity, RunFolder
+
+THESIS = yaml.safe_load((PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml").read_text())["tables"]
+PNG = bytes.fromhex("89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c4890000000d49444154789c6360606060"
+                    "00000005000157a5c4a40000000049454e44ae426082")  # fmt: skip
+EXPERT = {
+    "force_n": [0.12, 0.04], "path_length_cm": [16.2, 0.8], "episode_length_steps": [92.3, 12.1],
+    "safety_pct": [88, 3], "success_pct": [100, 0], "spl_pct": 93.1, "n": 20,
+}  # fmt: skip
+
+
+class Page(HTMLParser):
+    """Collects what the tests ask about a page: ids, cells of each table section, addresses it would load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.sections: dict[str, list[str]] = {}
+        self.addresses: list[str] = []
+        self._section, self._in_cell = "", False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        named = dict(attrs)
+        if tag == "section":
+            self._section = named.get("id") or ""
+            self.sections[self._section] = []
+        if tag in ("td", "th") and self._section:
+            self.sections[self._section].append("")
+            self._in_cell = True
+        self.addresses += [v for k, v in attrs if k in ("src", "href") and v]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._in_cell = self._in_cell and tag not in ("td", "th")
+        if tag == "section":
+            self._section = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._in_cell:
+            self.sections[self._section][-1] += data.strip()
+
+
+def add_expert(run: Path, *, figure_bytes: bytes = PNG) -> None:
+    """Leaves in a run what a finished expert stage leaves."""
+    folder = RunFolder(run / "expert", Identity("c", {}, "s"))
+    with folder.locked():
+        folder.prepare()
+        (folder.path / "force.png").write_bytes(figure_bytes)
+        write_results(
+            folder.path, {"ablation": {"bca/sampling_expert": EXPERT}, "own_table": {"row": {"value_mm": 1.5}}}
+        )
+        write_figures(folder.path, [Figure("Contact force", "Over one episode.", "force.png")])
+        folder.finish(stage="expert", run=run.name, budget="smoke", seed=7, config={}, started=time.monotonic() - 63)
+
+
+@pytest.fixture(scope="module")
+def empty_report(tmp_path_factory):
+    return run_report(tmp_path_factory.mktemp("runs"), "empty")
+
+
+@pytest.fixture(scope="module")
+def expert_report(tmp_path_factory):
+    runs = tmp_path_factory.mktemp("runs")
+    add_expert(runs / "tried")
+    return run_report(runs, "tried", budget="smoke")
+
+
+def run_report(runs: Path, name: str, budget: str = "desk", **settings: float) -> Path:
+    """Runs the report stage in this process.
+
+    Returns:
+        The report's folder.
+    """
+    from pipeline.config import RunConfig
+    from pipeline.execution import execute
+    from pipeline.settings.stage_settings import ReportSettings
+
+    stage = ReportSettings(**settings)
+    execute(RunConfig(stage=stage, budget={"name": budget}, name=name, runs_dir=str(runs)))
+    return runs / name / "report"
+
+
+def test_every_thesis_table_and_row_is_on_the_page(empty_report: Path) -> None:
+    page = Page((empty_report / "index.html").read_text())
+    expected = {key for key, table in THESIS.items() if table.get("kind") != "own"}
+    assert expected <= set(page.sections)
+    for key in expected:
+        numbers = [cell for cells in THESIS[key]["rows"].values() for cell in cells if isinstance(cell, list)]
+        for mean, _ in numbers:
+            assert any(re.match(rf"-?{abs(mean):g}", cell) for cell in page.sections[key]), (key, mean)
+        assert len(page.sections[key]) >= len(THESIS[key]["rows"]) * 2 * len(THESIS[key]["columns"])
+
+
+def test_thesis_values_are_printed_as_the_thesis_prints_them(empty_report: Path) -> None:
+    page = Page((empty_report / "index.html").read_text())
+    assert "0.011 ± 0.021" in page.sections["cathsim_results"]
+    assert "162.55 ± 106.85" in page.sections["ablation"]
+    assert "6.88 ± 5.23" in page.sections["shape_prediction_mm"]
+    assert "0.5047" in page.sections["force_prediction_mse"]
+    assert "8746" in page.sections["guide3d_composition"]
+
+
+def test_tables_match_the_transcribed_figures() -> None:
+    """Spot checks against the thesis's own tables, a cell or two a table."""
+    rows = {key: table["rows"] for key, table in THESIS.items()}
+    assert rows["ablation"]["lcca/I+V+M"] == [[2.26, 0.33], [14.85, 0.79], [33.77, 5.33], [45, 5], [100, 0], 100]
+    assert rows["cathsim_results"]["type_2/sac_sequential"][-2:] == [3, 0]
+    assert rows["imitation"]["bca/image_w_enn"][2] == [43.40, 1.50]
+    assert rows["training_time_h"]["enn"] == [[4.61, 0.22], [4.83, 0.41]]
+    assert rows["segmentation"]["transunet"] == [95.06, 41.20, 91.10]
+    assert rows["navigation"]["splineformer"][2:4] == [50.0, 150.0]
+    composition = rows["guide3d_composition"]
+    for column in range(3):
+        assert (
+            composition["radifocus_angled"][column] + composition["nitrex_straight"][column]
+            == composition["total"][column]
+        )
+
+
+def test_what_has_not_run_is_shown_so(empty_report: Path) -> None:
+    page = Page((empty_report / "index.html").read_text())
+    assert page.sections["ablation"].count("not run") == 12 * 6
+    assert page.sections["user_study"].count("not run") == 7
+    text = (empty_report / "index.html").read_text()
+    for stage in ("phantoms", "expert", "baselines", "navigation"):
+        assert re.search(rf'class="blank"><th scope="row">{stage}</th><td colspan="7">not run', text)
+    measured = json.loads((empty_report / "metrics.json").read_text())
+    assert measured["ablation"]["bca/I+V+M"] == dict.fromkeys(THESIS["ablation"]["columns"])
+
+
+def test_measured_values_stand_beside_the_thesis(expert_report: Path) -> None:
+    page = Page((expert_report / "index.html").read_text())
+    cells = page.sections["ablation"]
+    row = cells[cells.index("Sampling expert") :][: 1 + 12 + 1]
+    assert row == ["Sampling expert", "–", "0.12 ± 0.04", "–", "16.20 ± 0.80", "–", "92.30 ± 12.10", "–", "88 ± 3", "–",
+                   "100 ± 0", "–", "93", "20"]  # fmt: skip
+    assert cells.index("Sampling expert") < cells.index("LCCA")  # within its group
+    assert "own_table" in page.sections
+    measured = json.loads((expert_report / "metrics.json").read_text())
+    assert measured["ablation"]["bca/sampling_expert"] == EXPERT
+    assert measured["own_table"]["row"] == {"value_mm": 1.5}
+    assert measured["environment"]["python"]["value"]
+
+
+def test_smoke_runs_carry_a_warning_and_others_do_not(expert_report: Path, empty_report: Path) -> None:
+    assert "Its numbers mean nothing" in (expert_report / "index.html").read_text()
+    assert "Its numbers mean nothing" not in (empty_report / "index.html").read_text()
+
+
+def test_page_needs_no_network_and_its_links_exist(expert_report: Path) -> None:
+    page = Page((expert_report / "index.html").read_text())
+    assert any(address.startswith("data:image/png;base64,") for address in page.addresses)
+    for address in page.addresses:
+        assert not re.match(r"(https?:)?//", address)
+        if not address.startswith(("data:", "#")):
+            assert (expert_report / address).is_file(), address
+    assert "@import" not in (expert_report / "index.html").read_text()
+
+
+def test_large_figures_lie_beside_the_page(tmp_path: Path) -> None:
+    add_expert(tmp_path / "tried", figure_bytes=PNG + bytes(3000))
+    report = run_report(tmp_path, "tried", embed_limit_mb=0.001)
+    assert (report / "figures" / "expert" / "force.png").read_bytes() == PNG + bytes(3000)
+    assert "figures/expert/force.png" in Page((report / "index.html").read_text()).addresses
+
+
+def test_provenance_names_budget_seed_and_wall_time(expert_report: Path) -> None:
+    text = (expert_report / "index.html").read_text()
+    assert re.search(r'<th scope="row">expert</th><td>smoke</td><td>7</td><td>1 min 3 s</td>', text)
+    assert "hydra-core" in text
+
+
+def test_tables_are_written_as_csv_and_latex(expert_report: Path) -> None:
+    for key in json.loads((expert_report / "metrics.json").read_text()):
+        rows = list(csv.reader(io.StringIO((expert_report / "tables" / f"{key}.csv").read_text())))
+        assert len({len(row) for row in rows}) == 1
+        latex = (expert_report / "tables" / f"{key}.tex").read_text()
+        assert latex.count(r"\begin{") == latex.count(r"\end{") == 2
+        assert not re.search(r"(?<!\\)[%#_]", re.sub(r"\\label\{[^}]*\}", "", latex))
+
+
+def test_report_is_up_to_date_until_a_stage_changes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    run_report(tmp_path, "tried")
+    run_report(tmp_path, "tried")
+    assert caplog.text.count("report: up to date") == 1
+    add_expert(tmp_path / "tried")
+    report = run_report(tmp_path, "tried")
+    assert "sampling_expert" in (report / "metrics.json").read_text()
+
+
+def test_a_cell_that_is_none_is_refused_where_it_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"ablation / bca/H / force_n: expected a finite number"):
+        write_results(tmp_path, {"ablation": {"bca/H": {"force_n": float("nan")}}})
+    with pytest.raises(ValueError, match="a pair"):
+        check_cell([1.0, 2.0, 3.0], "t / r / c")
+    with pytest.raises(FileNotFoundError, match=r"figure 'a' names b\.png"):
+        write_figures(tmp_path, [Figure("a", "", "b.png")])
+    assert read_figures(tmp_path) == []
+
+
+def test_pooling_equals_statistics_over_all_samples() -> None:
+    values = [[1.0, 2.0, 6.0], [4.0, 4.0]]
+    both = [x for part in values for x in part]
+
+    def pair(samples: list[float]) -> list[float]:
+        mean = sum(samples) / len(samples)
+        return [mean, math.sqrt(sum((x - mean) ** 2 for x in samples) / len(samples))]
+
+    cell, count = pool([(pair(part), len(part)) for part in values])
+    assert cell == pytest.approx(pair(both))
+    assert count == 5
+    assert pool([(90.0, None), (100.0, None)]) == ([95.0, 5.0], 2)
+    assert pool([(None, None), (3, 4)]) == (3, 4)
+    assert pool([("a", None), ("a", None)]) == ("a", None)
+
+
+def test_sweep_jobs_are_joined_cell_by_cell() -> None:
+    joined = join_sweep([{"t": {"r": {"x": 1.0}}}, {"t": {"r": {"y": 2.0}, "s": {"x": 3.0}}}])
+    assert joined == {"t": {"r": {"x": 1.0, "y": 2.0}, "s": {"x": 3.0}}}
+
+
+@pytest.mark.parametrize(
+    ("cell", "decimals", "expected"),
+    [(None, None, ""), ("text", 2, "text"), ([0.1234, 0.05], None, "0.123 ± 0.050"), ([-70, 28], 0, "-70 ± 28"),
+     (590080, None, "590,080"), (0.0003, None, "0.0003"), (93.14, 0, "93"), (7.0, None, "7")],
+)  # fmt: skip
+def test_cells_are_worded(cell: object, decimals: int | None, expected: str) -> None:
+    assert format_cell(cell, decimals) == expected  # type: ignore[arg-type]
+
+
+def test_csv_and_latex_hold_both_sides() -> None:
+    table = next(t for t in report_tables({"ablation": {"bca/H": {"force_n": [0.5, 0.1]}}}) if t.key == "ablation")
+    assert as_csv(table).splitlines()[1].startswith("bca/H,1.02 ± 0.22,0.50 ± 0.10,28.82 ± 11.80,,")
+    assert r"H & 1.02 $\pm$ 0.22 & 0.50 $\pm$ 0.10 & 28.82 $\pm$ 11.80 & --" in as_latex(table)
+    assert metrics([table])["ablation"]["bca/H"]["force_n"] == [0.5, 0.1]

@@ -1,0 +1,176 @@
+"""Every setting of every stage, given what cannot be meant, is refused with one sentence before any work is done."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from pipeline.config import CONFIG_DIRECTORY, STAGE_SETTINGS, RunConfig, register_schemas, run_config
+from pipeline.explain import one_line
+from pipeline.settings.checks import sentence
+from pipeline.settings.stage_settings import ExpertSettings
+from pipeline.store.errors import ConfigurationError
+
+NONSENSE = ("nan", "inf", "-inf", "-1", "1e300", "99999999999999999999999", "text", "true")
+# Settings in which 0 means something: none of them, a number that the recipe chooses, one process a core, no noise.
+ZERO_IS_LEGAL = {
+    "annotation_noise_px", "arches", "dagger_rounds", "demonstrations", "disturbed_episodes", "disturbed_images",
+    "embed_limit_mb", "encoder_epochs", "epochs", "expert_episodes", "feature_matching", "film_episodes", "noise",
+    "path_penalty", "random_seeds", "reader_arches", "reader_epochs", "registration_noise_mm", "spell_chance",
+    "split_seed", "start_jitter_mm",
+    "start_rotation_deg", "test_arches", "test_images", "threads", "updates", "validation_noise_px", "wire_length_mm",
+    "workers",
+}  # fmt: skip
+ZERO_IS_REFUSED_THERE = {("unseen", "epochs"), ("navigation", "epochs")}
+# Texts that are no names: paths, which may lie anywhere, and what is filled in.
+NOT_NAMES = {"mesh", "unit", "root", "image_root", "calibration", "pretrained", "mesh_sha256", "root_sha256"}
+BAD_NAMES = ("../elsewhere", "/etc", "a/b", "..", "a b", "", "a" * 300, "a\\b")
+
+
+@pytest.fixture(scope="module")
+def composed() -> dict[str, DictConfig]:
+    """Each stage's configuration as the command line composes it."""
+    register_schemas()
+    with initialize_config_dir(str(CONFIG_DIRECTORY), version_base="1.3"):
+        return {name: compose("config", overrides=[f"stage={name}"]) for name in STAGE_SETTINGS}
+
+
+def given(config: DictConfig, override: str) -> RunConfig:
+    """What a command line with one more override gives."""
+    parsed = OverridesParser.create().parse_override(override)
+    changed = config.copy()
+    OmegaConf.update(changed, parsed.key_or_group, parsed.value(), merge=False)
+    return run_config(changed)
+
+
+def fields_of(owner: type, *kinds: Any) -> Iterator[tuple[str, bool]]:
+    """Names of fields whose values are of one of the kinds, and whether they are lists."""
+    hints = typing.get_type_hints(owner)
+    for item in dataclasses.fields(owner):
+        kind = hints[item.name]
+        if dataclasses.is_dataclass(kind):
+            yield from ((f"{item.name}.{name}", several) for name, several in fields_of(kind, *kinds))
+        if kind in kinds or any(kind == (wanted | None) for wanted in kinds):
+            yield item.name, False
+        elif typing.get_origin(kind) is list and typing.get_args(kind)[0] in kinds:
+            yield item.name, True
+
+
+def key_of(name: str) -> str:
+    """A setting as an error names it: a task is the run's, or a stage's own."""
+    return f"task.{name.partition('.')[2]}" if "." in name else f"stage.{name}"
+
+
+@pytest.mark.parametrize("stage", list(STAGE_SETTINGS))
+def test_every_number_that_cannot_be_meant_is_refused_with_one_sentence(
+    stage: str, composed: dict[str, DictConfig]
+) -> None:
+    config = composed[stage]
+    assert run_config(config).stage.name == stage
+    for name, several in fields_of(STAGE_SETTINGS[stage], int, float):
+        for value in (*NONSENSE, "0"):
+            override = f"stage.{name}={f'[{value}]' if several else value}"
+            if value == "0" and name.rpartition(".")[2] in ZERO_IS_LEGAL and (stage, name) not in ZERO_IS_REFUSED_THERE:
+                given(config, override)
+                continue
+            if value == "true" and name in {n for n, _ in fields_of(STAGE_SETTINGS[stage], float)}:
+                continue  # OmegaConf makes a float of it
+            with pytest.raises((ConfigurationError, OmegaConfBaseException)) as refused:
+                given(config, override)
+            words = one_line(refused.value, [f"stage={stage}", override])
+            assert "\n" not in words, words
+            assert key_of(name) in words, words
+            assert len(words) < 300, words
+
+
+@pytest.mark.parametrize("value", [*NONSENSE])
+def test_a_seed_that_cannot_be_meant_is_refused(value: str, composed: dict[str, DictConfig]) -> None:
+    with pytest.raises((ConfigurationError, OmegaConfBaseException)) as refused:
+        given(composed["report"], f"seed={value}")
+    assert one_line(refused.value, []).startswith("seed")
+
+
+@pytest.mark.parametrize("stage", list(STAGE_SETTINGS))
+def test_no_name_leads_out_of_the_run_folder(stage: str, composed: dict[str, DictConfig]) -> None:
+    for name, several in fields_of(STAGE_SETTINGS[stage], str):
+        if name in NOT_NAMES:
+            continue
+        for value in BAD_NAMES:
+            override = f"stage.{name}={[value] if several else repr(value)}"
+            with pytest.raises(ConfigurationError, match=f"^{re.escape(key_of(name))}") as refused:
+                given(composed[stage], override)
+            assert len(str(refused.value)) < 500
+
+
+@pytest.mark.parametrize("key", ["name", "target", "modality", "phantom.name"])
+@pytest.mark.parametrize("value", BAD_NAMES)
+def test_no_name_of_the_run_leads_out_of_its_folder(key: str, value: str, composed: dict[str, DictConfig]) -> None:
+    with pytest.raises((ConfigurationError, OmegaConfBaseException), match=rf"^{key}|^stage\.{key}"):
+        given(composed["enn"], f"{key}={value!r}")
+
+
+@pytest.mark.parametrize("names", ["5", "text", "[]", "[../x]", "{lcca: 5}", "{lcca: a/b}", "[[a]]", "nan"])
+def test_branch_names_are_a_mapping_or_a_list(names: str, composed: dict[str, DictConfig], tmp_path: Path) -> None:
+    (tmp_path / "own.stl").write_bytes(b"solid")
+    config = composed["phantoms"].copy()
+    OmegaConf.update(config, "phantom.mesh", str(tmp_path / "own.stl"))
+    with pytest.raises(ConfigurationError, match=r"^phantom\.names (must be a mapping|cannot be)"):
+        given(config, f"phantom.names={names}")
+    assert given(config, "phantom.names={lcca: lsa}").stage.names == {"lcca": "lsa"}
+
+
+@pytest.mark.parametrize("override", ["name=../../evil", "stage.name=../../evil", f"name={'a' * 300}"])
+def test_a_name_that_cannot_be_a_folder_makes_none(override: str, pipeline_process) -> None:
+    done = pipeline_process.run("stage=report", override)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert not list(pipeline_process.folder.iterdir())
+
+
+def test_a_stage_is_not_renamed(composed: dict[str, DictConfig]) -> None:
+    with pytest.raises(ConfigurationError, match=r"stage\.name cannot be 'expert': choose a stage by stage=NAME"):
+        given(composed["report"], "stage.name=expert")
+
+
+@pytest.mark.parametrize("key", ["phantom.nmae", "guide3d.rot", "stage.episode"])
+def test_misspelt_added_keys_are_refused(key: str, composed: dict[str, DictConfig]) -> None:
+    config = composed["expert"].copy()
+    OmegaConf.update(config, key, 3, force_add=True)
+    with pytest.raises(ConfigurationError, match=f"unknown setting '{key}'"):
+        run_config(config)
+
+
+def test_unknown_keywords_are_refused_in_python_too() -> None:
+    with pytest.raises(ConfigurationError, match=r"unknown setting 'stage\.episode'"):
+        ExpertSettings(phantoms=["type_1"], targets=["bca"], episode=2)  # type: ignore[call-arg]
+
+
+def test_a_package_s_settings_are_refused_with_their_class_s_name() -> None:
+    from typing import Annotated
+
+    from annotated_types import Gt
+    from pydantic import ValidationError
+    from pydantic.dataclasses import dataclass
+
+    @dataclass
+    class Fit:
+        epochs: Annotated[int, Gt(0)] = 1
+
+        def __post_init__(self) -> None:
+            if self.epochs == 7:
+                raise ValueError("epochs must not be 7")
+
+    for epochs, expected in ((-1, "Fit.epochs must be greater than 0, got -1"), (7, "epochs must not be 7")):
+        with pytest.raises(ValidationError) as refused:
+            Fit(epochs=epochs)
+        assert sentence(refused.value) == expected

@@ -1,0 +1,119 @@
+"""The baselines stage: the cells of the thesis's table, the path follower, and one tiny run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from pipeline.jobs.worker import Report
+from pipeline.recording.trials import Origin
+from pipeline.stages.baselines import plan, training_settings
+from pipeline.stages.learning.path_following import PathJob, demonstrated, follow
+from pipeline.stages.learning.settings import BaselinesSettings
+from pipeline.stages.learning.task import LearningTask
+from pipeline.store.errors import ConfigurationError, StageError
+from pipeline.task import Task
+from tests.pipeline.stages.test_enn_stage import expert_run  # noqa: F401 - a fixture
+
+
+def settings(**changed) -> BaselinesSettings:
+    return BaselinesSettings(**{"phantoms": ["type_1", "type_2"], "targets": ["bca", "lcca"], **changed})
+
+
+def test_plan_is_the_table_of_the_thesis() -> None:
+    cells = plan(settings(), run_seed=0)
+    assert len({cell.name for cell in cells}) == 24
+    assert {cell.row for cell in cells} == {
+        f"{a}_{o}" for a in ("ppo", "sac") for o in ("internal", "image", "sequential")
+    }
+    budgets = {(cell.settings.algorithm, cell.settings.decisions) for cell in cells}
+    assert budgets == {("ppo", 60_000), ("sac", 6_000)}
+    assert all(cell.encoded for cell in cells)
+
+
+def test_thesis_has_its_own_networks_and_actions() -> None:
+    thesis = settings(variant="thesis", task=Task(actions="tip_motors"), decisions=600_000, ppo_decisions=600_000)
+    cells = {cell.row: cell for cell in plan(thesis, run_seed=0)}
+    internal, image = cells["sac_internal"].settings, cells["ppo_sequential"].settings
+    assert (internal.variant, internal.hidden, internal.activation) == ("baselines", (64, 64), "tanh")
+    assert (image.variant, image.hidden, image.keys) == ("baselines", (), ("sequential",))
+    assert image.learning_rate == internal.learning_rate == 3e-4
+    assert internal.target_entropy is None
+    assert cells["sac_internal"].task.environment("internal").action_space.shape == (21,)
+    assert not cells["sac_internal"].encoded
+
+
+@pytest.mark.parametrize("observation", ["internal", "image", "sequential"])
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_thesis_networks_are_those_of_the_chapter(algorithm: str, observation: str) -> None:
+    from enn.networks.network import build_network
+
+    thesis = settings(variant="thesis", decisions=600_000, ppo_decisions=600_000)
+    box = gymnasium.spaces.Box
+    spaces = {
+        "internal": box(-np.inf, np.inf, (30,), np.float32),
+        "image": box(0, 255, (1, 64, 64), np.uint8),
+        "sequential": box(0, 255, (3, 64, 64), np.uint8),
+    }
+    space = gymnasium.spaces.Dict({observation: spaces[observation]})
+    network = build_network(
+        training_settings(thesis, algorithm, observation).network, space, box(-1, 1, (21,), np.float32)
+    )
+    actor = network.actor if algorithm == "sac" else network
+    head = actor.mu if algorithm == "sac" else actor.action_net
+    assert (head.in_features, head.out_features) == (64 if observation == "internal" else 512, 21)
+    hidden = actor.latent_pi if algorithm == "sac" else actor.mlp_extractor.policy_net
+    sizes = [layer.out_features for layer in hidden if isinstance(layer, torch.nn.Linear)]
+    assert sizes == ([64, 64] if observation == "internal" else [])
+    assert any(isinstance(layer, torch.nn.Tanh) for layer in hidden) == (observation == "internal")
+    convolutions = [layer for layer in actor.modules() if isinstance(layer, torch.nn.Conv2d)]
+    assert bool(convolutions) == (observation != "internal")
+
+
+def test_unknown_observations_are_one_sentence() -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"stage\.observations has no 'sound': choose from internal, image, seq"
+    ):
+        settings(observations=["sound"])
+    with pytest.raises(ConfigurationError, match=r"stage\.algorithms has no 'dqn': choose from ppo, sac"):
+        settings(algorithms=["dqn"])
+
+
+def path_job(folder: Path, logs: tuple[Path, ...]) -> PathJob:
+    return PathJob(folder, LearningTask("type_1", "bca"), 0, Origin("baselines", "path_follower", 0, "desk"), logs, 1)
+
+
+def test_a_path_follower_without_episodes_says_what_to_do(tmp_path) -> None:
+    with pytest.raises(StageError, match="the path follower of type_1/bca has no expert episodes: run stage expert"):
+        follow(path_job(tmp_path, ()), Report())
+
+
+def test_a_path_follower_leaves_damaged_logs_out_by_name(expert_run, tmp_path, caplog) -> None:  # noqa: F811
+    intact = min((expert_run / "expert/type_1/bca").glob("*.mcap"))
+    broken = tmp_path / "001.mcap"
+    broken.write_bytes(intact.read_bytes()[:2000])
+    assert [episode.label for episode in demonstrated([broken, intact])] == [str(intact)]
+    assert "001.mcap is left out" in caplog.text
+    with pytest.raises(StageError, match="has no expert episodes: run stage expert"):
+        follow(path_job(tmp_path, (broken,)), Report())
+
+
+def test_a_tiny_run_fills_the_table(pipeline_process, expert_run) -> None:  # noqa: F811
+    done = pipeline_process.run(
+        "stage=baselines", "budget=smoke", "name=run", "stage.observations=[image]", "stage.decisions=48",
+        "stage.ppo_decisions=256", "stage.encoder_samples=150", "stage.task.max_steps=30",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr + done.stdout
+    folder = expert_run / "baselines"
+    results = json.loads((folder / "results.json").read_text())
+    assert set(results["cathsim_results"]) == {"type_1/ppo_image", "type_1/sac_image", "type_1/path_follower"}
+    for row in results["cathsim_results"].values():
+        assert row["reward_bca"][0] < 0  # the thesis's reward, not the training's
+        assert row["success_bca_pct"] in (0, 100)
+    assert (folder / "type_1/bca/path_follower/seed0/follower.pt").is_file()
+    assert not list(folder.rglob("tensorboard"))

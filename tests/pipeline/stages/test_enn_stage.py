@@ -1,0 +1,152 @@
+"""The enn stage: its plan, its sweep keys, and one tiny run with everything it leaves behind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pipeline.stages.enn import architecture, check_enn, plan
+from pipeline.stages.learning.plan import training_seeds
+from pipeline.stages.learning.settings import EnnSettings
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import Task
+
+
+def settings(**changed) -> EnnSettings:
+    values = {
+        "phantoms": ["type_1", "type_2"],
+        "targets": ["bca", "lcca"],
+        "modalities": ["I", "V"],
+        "ablation_phantoms": ["type_1"],
+        "safe_weights": [0.5],
+        "seeds": 3,
+        "ablation_seeds": 2,
+    }
+    return EnnSettings(**{**values, **changed})
+
+
+def test_plan_has_the_expert_everywhere_and_the_ablation_where_asked() -> None:
+    cells = plan(settings(), run_seed=0)
+    names = [cell.name for cell in cells]
+    assert len(set(names)) == len(names) == 2 * 2 * 3 + 3 * 2 * 2
+    assert names[0] == "type_1/bca/I+V+M/seed0"
+    assert not [name for name in names if name.startswith("type_2") and "I+V+M/" not in name]
+    safe = [cell for cell in cells if cell.row == "I+V+M safe 0.5"]
+    assert {cell.task.force_penalty for cell in safe} == {0.5}
+    assert {cell.task.force_penalty for cell in cells if cell not in safe} == {0.0}
+    recorded = [cell.name for cell in cells if cell.expert_episodes]
+    assert recorded == [f"{p}/{t}/I+V+M/seed0" for p in ("type_1", "type_2") for t in ("bca", "lcca")]
+
+
+def test_desk_sees_through_an_encoder_and_the_thesis_does_not() -> None:
+    desk, thesis = (plan(settings(variant=variant), run_seed=0)[0] for variant in ("desk", "thesis"))
+    assert desk.encoded
+    assert desk.settings.keys == ()
+    assert not thesis.encoded
+    assert thesis.settings.keys == desk.keys == ("joints", "image", "mask")
+    assert thesis.settings.batch_size == 256
+
+
+def test_run_seeds_share_no_training() -> None:
+    seeds = [seed for run in range(4) for seed in training_seeds(run, 2, 3)]
+    assert len(set(seeds)) == len(seeds)
+    assert plan(settings(seeds=1, ablation_seeds=1), run_seed=7)[0].seed == 7
+
+
+def test_keys_of_a_sweep_leave_one_of_each() -> None:
+    chosen = settings(target="lcca", modality="V", phantom="type_2")
+    assert [cell.name for cell in plan(chosen, run_seed=0)] == [f"type_2/lcca/V/seed{k}" for k in range(3)]
+    expert = settings(target="lcca", modality="I+V+M")
+    assert {cell.row for cell in plan(expert, run_seed=0)} == {"I+V+M"}
+    assert len(plan(expert, run_seed=0)) == 2 * 3
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"modality": "Q"}, "unknown modality set 'Q'; there are I, V, M"),
+        ({"target": "aorta"}, "unknown target 'aorta': choose from bca, lcca, lsa"),
+        ({"phantom": "type_9"}, "unknown phantom 'type_9': choose from type_1"),
+        ({"task": Task(wire="rope")}, "unknown wire 'rope': choose from default"),
+    ],
+)
+def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
+    with pytest.raises(ConfigurationError, match=sentence):
+        check_enn(settings(**changed))
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"variant": "fast"}, "stage.variant has no 'fast': choose from desk, thesis"),
+        ({"seeds": 0}, "stage.seeds must be 1 or more, got 0"),
+        ({"safe_weights": [-1.0]}, "stage.safe_weights must be greater than 0"),
+        ({"ablation_phantoms": []}, "stage.ablation_phantoms is empty"),
+    ],
+)
+def test_wrong_values_are_one_sentence(changed: dict, sentence: str) -> None:
+    with pytest.raises(ConfigurationError, match=sentence):
+        settings(**changed)
+
+
+def test_architecture_is_that_of_the_thesis() -> None:
+    table = architecture()
+    assert [table[f"cnn/{name}"]["parameters"] for name in ("conv_1", "conv_2", "conv_3", "linear_1", "linear_2")] == [
+        2080, 32832, 36928, 590080, 32896,
+    ]  # fmt: skip
+    assert [table[f"mlp/{name}"]["parameters"] for name in ("linear_1", "linear_2")] == [86272, 32896]
+
+
+TINY = ("stage=enn", "budget=smoke", "name=run", "modality=I+V+M", "stage.decisions=48", "stage.encoder_samples=150",
+        "stage.task.max_steps=30", "stage.expert_episodes=1", "stage.tensorboard=true")  # fmt: skip
+
+
+@pytest.fixture
+def expert_run(pipeline_process) -> Path:
+    """A run whose stages before enn have finished; the expert's one log is a short scripted episode."""
+    done = pipeline_process.run("stage=phantoms", "budget=smoke", "name=run", "stage.picture=false",
+                                "stage.resolution_mm=2.5")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    run = pipeline_process.runs / "run"
+    finish_expert(run)
+    return run
+
+
+def finish_expert(run: Path) -> None:
+    import numpy as np
+
+    from cathsim import NavigateEnv
+    from pipeline.recording.record import record_episode
+    from pipeline.store.run_folder import Identity, RunFolder
+
+    folder = RunFolder(run / "expert", Identity("c", {}, "s"))
+    with folder.locked():
+        folder.prepare()
+        environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=12)
+        record_episode(
+            environment, lambda observation, info: np.array([1.0, 0.1], np.float32),
+            folder.path / "type_1/bca/000.mcap", seed=0, operator="sampling_expert", pictures=False,
+        )  # fmt: skip
+        folder.finish(stage="expert", run="run", budget="smoke", seed=0, config={}, started=0.0)
+
+
+def test_a_tiny_run_leaves_policy_curve_logs_and_tables(pipeline_process, expert_run: Path) -> None:
+    done = pipeline_process.run(*TINY)
+    assert done.returncode == 0, done.stderr + done.stdout
+    assert "enn trainings 2/2" in done.stdout
+    folder = expert_run / "enn"
+    training = folder / "type_1/bca/I+V+M/seed0"
+    assert (folder / "encoders/type_1/joints+image+mask.pt").is_file()
+    for name in ("policy.pt", "training.csv", "training.json", "evaluation/deterministic/000.mcap",
+                 "evaluation/stochastic/000.mcap", "expert/000.mcap"):  # fmt: skip
+        assert (training / name).is_file(), name
+    assert list((training / "tensorboard").glob("events.out.tfevents.*"))
+    assert not (training / "checkpoint").exists()
+    results = json.loads((folder / "results.json").read_text())
+    assert results["ablation"]["bca/I+V+M"]["n"] == 1
+    assert results["enn"]["type_1/bca/I+V+M"]["stochastic_success_pct"] is not None
+    assert results["training_time_h"]["enn"]["bca"][0] > 0
+    assert results["sac_hyperparameters"]["gamma"] == {"value": 0.99}
+    assert "up to date" in pipeline_process.run(*TINY).stdout

@@ -1,0 +1,155 @@
+"""The guide3d stage: a tiny generated data set with all it leaves, one's own data set, and bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from guide3d.dataset.dataset import Dataset
+from pipeline.stages.guide3d import stage as guide3d
+from pipeline.stages.guide3d.folder import open_dataset, reconstructed_curves
+from pipeline.stages.guide3d.settings import Guide3dSettings
+from pipeline.stages.guide3d.tables import reconstruction_tables
+from pipeline.store.errors import ConfigurationError, StageError
+from tests.guide3d.dataset.drawn_dataset import write_dataset
+from tests.pipeline.stages.small_expert import context, in_this_process
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guide3d, "run_jobs", in_this_process)
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a stage that generated four pairs, distorted."""
+    run = tmp_path_factory.mktemp("run")
+    settings = Guide3dSettings(images=8, pairs=1, targets=["bca"], image_size_px=256, distorted=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(guide3d, "run_jobs", in_this_process)
+        guide3d.check_guide3d(settings)
+        guide3d.run_guide3d(settings, context(run, "guide3d", ()))
+    return run / "guide3d"
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    root = tmp_path / "own"
+    write_dataset(root, acquisitions=4, frames=2)
+    return root
+
+
+def run_own(root: Path, tmp_path: Path, **changed) -> Path:
+    stage = context(tmp_path / "run", "guide3d", ())
+    guide3d.run_guide3d(Guide3dSettings(root=str(root), **changed), stage)
+    return stage.path
+
+
+def test_a_generated_run_leaves_data_curves_tables_and_figures(generated: Path) -> None:
+    results = json.loads((generated / "results.json").read_text())
+    assert results["guide3d_composition"]["total"] == {"with_fluid": 4, "without_fluid": 4, "total": 8}
+    row = results["datasets"]["both/guide3d"]
+    assert (row["frames"], row["source"]) == (8, "simulated phantom")
+    assert set(results["guide3d_reprojection_px"]) == {"camera_a", "camera_b"}
+    assert set(results["guide3d_simulated_validation_mm"]) == {"max_ed", "mete", "mers"}
+    assert set(results["guide3d_simulated_ways_mm"]) == {"global", "greedy", "global, clicks", "greedy, clicks"}
+    assert results["guide3d_reconstruction"]["global"]["n"] == 4
+    data = open_dataset(generated)
+    assert len(data) == 4
+    assert data.undistorted is False
+    curves = reconstructed_curves(generated, data)
+    errors = [np.linalg.norm(curves[i][0] - data.frames[i].curve_mm[0]) for i in curves]
+    assert len(errors) == 4
+    assert max(errors) < 1.0
+    shown = {entry["file"] for entry in json.loads((generated / "figures.json").read_text())}
+    assert shown == {"samples.png", "reprojection.png", "segments.png", "overlays.png", "space.png"}
+
+
+def test_ones_own_data_set_is_read_where_it_lies(own: Path, tmp_path: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in own.rglob("*")}
+    folder = run_own(own, tmp_path, compared=3)
+    assert before == {path: path.stat().st_mtime_ns for path in own.rglob("*")}
+    results = json.loads((folder / "results.json").read_text())
+    assert results["guide3d_composition"]["total"]["total"] == 16
+    assert results["guide3d_reconstruction"]["global"]["n"] == 8
+    assert results["guide3d_reconstruction"]["greedy"]["n"] == 3
+    assert results["guide3d_reconstruction"]["global"]["accepted_pct"] == 100.0
+    assert len(reconstructed_curves(folder, open_dataset(folder))) == 8
+    assert not (folder / "dataset").exists()
+
+
+def test_annotations_alone_will_do(own: Path, tmp_path: Path) -> None:
+    shutil.rmtree(own / "images")
+    shutil.rmtree(own / "calibration")
+    (own / "truth.json").unlink()
+    (own / "sphere.json").unlink()
+    folder = run_own(own / "raw.json", tmp_path)
+    results = json.loads((folder / "results.json").read_text())
+    assert set(results) == {"guide3d_composition", "datasets"}
+    # where one's own images come from is not known here
+    assert set(results["datasets"]["both/guide3d"]) == {"collection", "type", "frames"}
+    assert json.loads((folder / "figures.json").read_text()) == []
+    assert reconstructed_curves(folder, open_dataset(folder)) == {}
+
+
+def test_residuals_tell_that_annotations_are_raw(generated: Path, tmp_path: Path, caplog) -> None:
+    root = tmp_path / "own"
+    shutil.copytree(generated / "dataset", root)
+    (root / "dataset.json").unlink()
+    caplog.set_level("INFO")
+    folder = run_own(root, tmp_path)
+    assert Dataset.open(root).undistorted is None
+    assert open_dataset(folder).undistorted is False
+    assert [line for line in caplog.messages if "the annotations are raw" in line]
+
+
+def test_swapped_and_missing_cameras_are_said(own: Path, tmp_path: Path) -> None:
+    files = [own / "calibration" / f"projection_{name}.txt" for name in ("16709", "16710")]
+    first, second = (file.read_bytes() for file in files)
+    files[0].write_bytes(second)
+    files[1].write_bytes(first)
+    with pytest.raises(StageError, match="the cameras are swapped"):
+        run_own(own, tmp_path)
+    files[0].unlink()
+    with pytest.raises(StageError, match="the file of camera B"):
+        run_own(own, tmp_path)
+
+
+def test_settings_say_what_is_wrong(own: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"guide3d\.root=.*nowhere is missing"):
+        Guide3dSettings(root=str(tmp_path / "nowhere"))
+    with pytest.raises(ConfigurationError, match=r"give guide3d\.root=PATH too"):
+        Guide3dSettings(calibration=str(own))
+    with pytest.raises(ConfigurationError, match=r"stage\.images must be even"):
+        Guide3dSettings(images=9)
+    with pytest.raises(ConfigurationError, match=r"stage\.filling has no 'milk'"):
+        Guide3dSettings(filling="milk")
+    with pytest.raises(ConfigurationError, match="phantom type_1 has no branch 'aorta'"):
+        guide3d.check_guide3d(Guide3dSettings(targets=["aorta"]))
+    with pytest.raises(StageError, match="run stage=guide3d again"):
+        open_dataset(tmp_path)
+
+
+def test_an_edited_data_set_is_another_one(own: Path) -> None:
+    before = Guide3dSettings(root=str(own)).root_sha256
+    assert before == Guide3dSettings(root=str(own)).root_sha256
+    (own / "raw.json").write_text((own / "raw.json").read_text().replace("[", "[ ", 1))
+    assert before != Guide3dSettings(root=str(own)).root_sha256
+
+
+def test_failed_pairs_count_as_not_accepted() -> None:
+    good = {
+        "index": 0, "way": "global", "accepted": True, "cpu_s": 0.5, "mean_a_px": 1.0, "mean_b_px": 3.0,
+        "coverage": 0.9, "tangent_share": 0.2, "along_a_px": [1.0] * 30, "along_b_px": [0.0] * 29 + [6.0],
+    }  # fmt: skip
+    bad = {"index": 1, "way": "global", "accepted": False, "reason": "nothing in common"}
+    tables = reconstruction_tables([good, bad])
+    assert tables["guide3d_reconstruction"]["global"]["accepted_pct"] == 50.0
+    assert tables["guide3d_reconstruction"]["global"]["pairs_per_s"] == 2.0
+    assert tables["guide3d_reprojection_px"]["camera_b"]["peak_mean"] == 6.0
+    assert tables["guide3d_reprojection_px"]["camera_b"]["distal_mean"] == 0.0
+    assert "guide3d_simulated_validation_mm" not in tables

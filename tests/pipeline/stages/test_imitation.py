@@ -1,0 +1,156 @@
+"""The imitation stage: reading the expert's logs, one tiny run with everything it leaves, and bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.episodes import EpisodeReader
+from pipeline.jobs.worker import Report
+from pipeline.seeds import held_out_seeds
+from pipeline.stages import imitation
+from pipeline.stages.learning.expert_episodes import (
+    expert_folder,
+    expert_logs,
+    load_expert,
+    read_episode,
+    read_episodes,
+    task_of_log,
+    task_of_logs,
+)
+from pipeline.stages.learning.imitation import imitate
+from pipeline.stages.learning.settings import ImitationSettings
+from pipeline.store.errors import ConfigurationError, StageError
+from tests.pipeline.stages.small_expert import TASK, context, in_this_process, write_expert
+
+
+@pytest.fixture(scope="module")
+def enn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "enn"
+    write_expert(folder)
+    return folder
+
+
+def settings(**changed) -> ImitationSettings:
+    values = {
+        "phantoms": ["type_1"],
+        "targets": ["bca"],
+        "episodes": [2, 4],
+        "epochs": 1,
+        "evaluation_episodes": 1,
+        "dagger_rounds": 1,
+        "dagger_episodes": 1,
+        "disturbed_episodes": 1,
+        "task": TASK.task,
+    }
+    return ImitationSettings(**{**values, **changed})
+
+
+def test_an_episode_reads_as_the_environment_showed_it(enn: Path) -> None:
+    log = expert_logs(expert_folder(enn, "type_1/bca", "I+V+M"))[1]
+    episode = read_episode(log)
+    environment = TASK.environment(("image", "mask", "joints", "feeder", "shape"))
+    assert task_of_log(log) == TASK
+    with EpisodeReader(log) as reader:
+        seen, _ = environment.reset(seed=reader.info.seed)
+    for step in range(len(episode) + 1):
+        for name, value in seen.items():
+            np.testing.assert_array_equal(episode.observations[name][step], value, err_msg=f"{name}, step {step}")
+        if step < len(episode):
+            seen, _, _, _, info = environment.step(episode.actions[step])
+            assert episode.forces[step] == pytest.approx(info["force"], abs=1e-12)
+
+
+def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(imitation, "run_jobs", in_this_process)
+    place = context(enn.parent, "imitation")
+    imitation.run_imitation(settings(), place)
+    results = json.loads((place.path / "results.json").read_text())
+    rows = {"image_w_enn_2", "image_w_enn", "image_w_enn_disturbed", "dagger"}
+    assert {row.removeprefix("bca/") for row in results["imitation"]} == rows
+    assert set(results["imitation_episodes"]) == {"type_1/bca/2 episodes", "type_1/bca/4 episodes"}
+    assert results["bc_architecture"]["linear_3"]["parameters"] == 258
+    assert results["bc_architecture"]["conv_1"] | {} == {
+        "output_shape": "32 × 19 × 19", "parameters": 2080, "nonlinearity": "ReLU", "kernel": 8, "stride": 4,
+        "padding": 0,
+    }  # fmt: skip
+    assert results["bc_hyperparameters"]["epochs"]["value"] == 1
+    assert results["dagger_rounds"]["type_1/bca/round 1"]["episodes"] == 3
+    assert (place.path / "success.png").stat().st_size > 5000
+    for row in rows:
+        student = place.path / "type_1/bca" / row / "seed0"
+        assert {"policy.pt", "training.csv", "training.json"} <= {path.name for path in student.iterdir()}
+        with EpisodeReader(student / "evaluation/deterministic/000.mcap") as log:
+            assert (log.info.seed, log.info.configuration["row"]) == (held_out_seeds(0, 1)[0], row)
+            assert log.info.configuration["stage"] == "imitation"
+
+
+def test_a_finished_student_is_not_fitted_again(enn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = imitation.plan(settings(dagger_rounds=0, disturbed_episodes=0), context(enn.parent, "again"))[0].given
+    job = replace(job, folder=tmp_path / "student")
+    first = imitate(job, Report())
+    monkeypatch.setattr("enn.imitation.behaviour_cloning.clone", None)
+    assert imitate(job, Report())["deterministic"] == first["deterministic"]
+
+
+def test_a_damaged_log_is_left_out_by_name(enn: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    shutil.copytree(enn, tmp_path / "enn")
+    logs = expert_logs(expert_folder(tmp_path / "enn", "type_1/bca", "I+V+M"))
+    data = logs[1].read_bytes()
+    logs[1].write_bytes(data[: len(data) // 2])
+    episodes = read_episodes(logs)
+    assert [Path(episode.label).name for episode in episodes] == ["000.mcap", "002.mcap", "003.mcap"]
+    assert len(caplog.messages) == 1
+    assert "001.mcap is left out" in caplog.messages[0]
+    assert task_of_logs(logs[1:]) == TASK
+    with pytest.raises(StageError, match=r"no episode that can be read of 1 in .*: run stage=enn again"):
+        task_of_logs(logs[1:2])
+
+
+def test_no_episodes_is_one_sentence(enn: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "enn"
+    shutil.copytree(enn, empty)
+    shutil.rmtree(empty / "type_1/bca/I+V+M/seed0/expert")
+    (tmp_path / "enn/type_1/bca/I+V+M/seed0/expert").mkdir()
+    with pytest.raises(StageError, match="no expert episode to learn from: run stage=enn"):
+        imitation.plan(settings(), context(tmp_path, "imitation"))
+    with pytest.raises(StageError, match=r"has trained no I\+V\+M for type_2/bca: run stage=enn"):
+        imitation.plan(settings(phantoms=["type_2"]), context(tmp_path, "imitation"))
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [({"image_size_px": 48}, "another image size: its 'image' has shape"), ({"wire": "thesis"}, "another wire than")],
+)
+def test_episodes_of_another_kind_are_one_sentence(enn: Path, tmp_path: Path, changed: dict, sentence: str) -> None:
+    other = write_expert(
+        tmp_path / "other", episodes=1, task=replace(TASK, task=replace(TASK.task, max_steps=1, **changed))
+    )
+    logs = [*expert_logs(expert_folder(enn, "type_1/bca", "I+V+M"))[:1], *expert_logs(other)]
+    with pytest.raises(StageError, match=sentence):
+        read_episodes(logs)
+
+
+def test_a_damaged_expert_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "policy.pt").write_bytes(b"no policy")
+    with pytest.raises(StageError, match="damaged or no policy"):
+        load_expert(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"episodes": [30, 10]}, "stage.episodes must rise"),
+        ({"observations": ["joints"]}, "stage.observations has no 'joints': choose from image, mask"),
+        ({"variant": "large"}, "stage.variant has no 'large'"),
+        ({"epochs": -1}, "stage.epochs must be 0 or more"),
+    ],
+)
+def test_settings_are_checked(changed: dict, sentence: str) -> None:
+    with pytest.raises(ConfigurationError, match=sentence):
+        settings(**changed)

@@ -1,0 +1,123 @@
+"""The stages shape and segmentation: tiny runs with everything they leave, what is kept, and bad settings."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from pipeline.jobs.worker import Report
+from pipeline.stages import segmentation, shape
+from pipeline.stages.guide3d.folder import Source
+from pipeline.stages.networks import stage as network_stage
+from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings
+from pipeline.stages.networks.shape import learn_shape
+from pipeline.stages.networks.training import train_network
+from pipeline.store.errors import ConfigurationError, StageError
+from tests.guide3d.learning.drawn_data import draw
+from tests.pipeline.stages.small_expert import context, in_this_process
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    draw(folder / "guide3d" / "dataset")
+    Source("dataset").write(folder / "guide3d")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def shapes(run: Path) -> dict:
+    settings = ShapeSettings(rows=["spherical", "cartesian", "fgrn"], size="smoke", device="cpu")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(network_stage, "run_jobs", in_this_process)
+        shape.run_shape(settings, context(run, "shape", reads=("guide3d",)))
+    return json.loads((run / "shape" / "results.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def masks(run: Path) -> dict:
+    settings = SegmentationSettings(rows=["unet", "swinunet"], size="smoke", device="cpu", test_images=4)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(network_stage, "run_jobs", in_this_process)
+        segmentation.run_segmentation(settings, context(run, "segmentation", reads=("guide3d",)))
+    return json.loads((run / "segmentation" / "results.json").read_text())
+
+
+def test_shape_leaves_networks_tables_and_figures(run: Path, shapes: dict) -> None:
+    assert set(shapes["shape_prediction_mm"]) == {"spherical", "cartesian"}
+    assert set(shapes["shape_networks"]) == {"spherical", "cartesian", "fgrn"}
+    for cells in shapes["shape_networks"].values():
+        assert cells["n"] == 4  # one acquisition of six
+        assert cells["max_ed"][0] >= cells["mers"][0] > 0
+        assert cells["frechet"][0] >= cells["chamfer"][0] > 0
+    figures = json.loads((run / "shape" / "figures.json").read_text())
+    assert len(figures) == 6
+    assert sorted(p.name for p in (run / "shape" / "fgrn").iterdir()) == [
+        "examples.npz", "predictor.pt", "shape.json", "training.json",
+    ]  # fmt: skip
+
+
+def test_segmentation_leaves_networks_tables_and_figures(run: Path, masks: dict) -> None:
+    assert set(masks["segmentation"]) == {"unet", "swinunet"}
+    for row, cells in masks["segmentation_networks"].items():
+        assert cells["n"] == 4
+        assert cells["miou"][0] >= cells["iou_foreground"][0]
+        assert masks["segmentation"][row]["jaccard"] == cells["iou_foreground"]
+    assert len(json.loads((run / "segmentation" / "figures.json").read_text())) == 3
+
+
+def test_a_finished_network_is_kept(run: Path, shapes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = ShapeSettings(rows=["fgrn"], size="smoke", device="cpu")
+    job = shape.plan(settings, context(run, "shape", reads=("guide3d",)))[0].given
+    monkeypatch.setattr("guide3d.train.train", None)
+    assert learn_shape(job, Report())["max_ed"] == shapes["shape_networks"]["fgrn"]["max_ed"]
+
+
+def test_a_training_without_its_data_set_says_so(run: Path, tmp_path: Path) -> None:
+    job = shape.plan(
+        ShapeSettings(rows=["spherical"], size="smoke"), context(tmp_path, "shape", reads=("guide3d",))
+    )[0].given  # fmt: skip
+    with pytest.raises(StageError, match="holds no data set: run stage=guide3d again"):
+        train_network(job, Report())
+    shutil.copytree(run / "guide3d", tmp_path / "guide3d")
+    shutil.rmtree(tmp_path / "guide3d" / "dataset")
+    with pytest.raises((StageError, FileNotFoundError), match="is missing"):
+        train_network(job, Report())
+
+
+def test_weights_that_are_not_there_are_named(run: Path, tmp_path: Path) -> None:
+    settings = ShapeSettings(rows=["spherical"], size="smoke", device="cpu", pretrained=str(tmp_path / "vit.pt"))
+    job = shape.plan(settings, context(run, "elsewhere", reads=("guide3d",)))[0].given
+    with pytest.raises(FileNotFoundError, match="there are no pretrained weights"):
+        train_network(job, Report())
+
+
+@pytest.mark.parametrize(
+    ("made", "sentence"),
+    [
+        (lambda: ShapeSettings(rows=["unet"]), "stage.rows has no 'unet': choose from spherical, cartesian"),
+        (lambda: ShapeSettings(rows=[]), "stage.rows is empty"),
+        (
+            lambda: ShapeSettings(rows=["fgrn"], size="huge"),
+            "stage.size has no 'huge': choose from thesis, desk, smoke",
+        ),
+        (lambda: SegmentationSettings(rows=["vnet"]), "stage.rows has no 'vnet'"),
+        (lambda: SegmentationSettings(rows=["unet"], processes=0), "stage.processes must be 1 or more"),
+        (lambda: SegmentationSettings(rows=["unet"], test_images=-1), "stage.test_images must be 0 or more"),
+    ],
+)
+def test_settings_are_checked(made, sentence: str) -> None:
+    with pytest.raises(ConfigurationError, match=sentence):
+        made()
+
+
+def test_settings_know_what_the_package_trains() -> None:
+    from guide3d.learning.build import SIZES
+    from guide3d.train import NETWORKS
+    from pipeline.stages.networks.settings import NETWORK_SIZES, SEGMENTATION_ROWS, SHAPE_ROWS
+
+    assert set(SHAPE_ROWS) | set(SEGMENTATION_ROWS) == set(NETWORKS)
+    assert NETWORK_SIZES == SIZES

@@ -1,0 +1,67 @@
+"""The phantoms stage on a mesh: built, up to date until the file changes, refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from cathsim.anatomy import load_phantom
+from pipeline.launch import main
+from pipeline.settings.stage_settings import PhantomsSettings
+from pipeline.store.errors import ConfigurationError
+
+
+@pytest.fixture
+def arch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    mesh = load_phantom("type_1", resolution=2e-3).lumen_mesh.copy()
+    mesh.apply_scale(1e3)
+    mesh.export(tmp_path / "my arch.stl")
+    monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "my arch.stl"
+
+
+def test_a_mesh_is_built_once(arch: Path, tmp_path: Path):
+    arguments = [
+        "stage=phantoms",
+        f"phantom.mesh='{arch}'",
+        "phantom.names={rsa: right_arm}",
+        "stage.resolution_mm=2.0",
+        f"runs_dir={tmp_path / 'runs'}",
+    ]
+    assert main(arguments) == 0
+    folder = tmp_path / "runs" / "desk" / "phantoms" / "my_arch"
+    account = json.loads((folder / "import.json").read_text())
+    assert account["unit"] == "mm"
+    assert "right_arm" in json.loads((folder / "targets.json").read_text())["targets"]
+    assert trimesh.load(folder / "lumen.stl").is_watertight
+    manifest = folder.parent / "manifest.json"
+    written = manifest.stat().st_mtime_ns
+    assert main(arguments) == 0
+    assert manifest.stat().st_mtime_ns == written
+
+
+def test_the_files_content_counts(tmp_path: Path):
+    first, second = tmp_path / "a.stl", tmp_path / "b.stl"
+    first.write_bytes(b"one")
+    second.write_bytes(b"two")
+    digest = PhantomsSettings(mesh=str(first)).mesh_sha256
+    assert digest is not None
+    assert digest != PhantomsSettings(mesh=str(second)).mesh_sha256
+    second.write_bytes(b"one")
+    assert digest == PhantomsSettings(mesh=str(second)).mesh_sha256
+
+
+def test_wrong_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(ConfigurationError, match=r"phantom.mesh=none.stl is no file"):
+        PhantomsSettings(mesh="none.stl")
+    with pytest.raises(ConfigurationError, match=r"phantom.unit and phantom.names belong to a mesh"):
+        PhantomsSettings(phantoms=["type_1"], unit="mm")
+    text = tmp_path / "text.stl"
+    text.write_text("no mesh at all\n" * 20)
+    assert main(["stage=phantoms", f"phantom.mesh={text}", f"runs_dir={tmp_path / 'runs'}"]) == 2
+    assert "text.stl holds no surface" in capsys.readouterr().err
+    assert main(["stage=phantoms", f"phantom.mesh={text}", "phantom.unit=foot", f"runs_dir={tmp_path / 'runs'}"]) == 2
+    assert "unknown unit 'foot'; choose from m, cm, mm, inch" in capsys.readouterr().err

@@ -1,0 +1,290 @@
+"""The unseen stage: its plan, and its jobs at the smallest size, also after an interruption."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.jobs.worker import Report
+from pipeline.recording.trials import Origin
+from pipeline.report.learning.tables import tables_from_logs
+from pipeline.seeds import unseen_arches, validation_arches
+from pipeline.stages.learning.settings import UnseenSettings
+from pipeline.stages.unseen.image_policy import StudentJob, train_student
+from pipeline.stages.unseen.jobs import (
+    AnatomiesJob,
+    RoadmapJob,
+    build_anatomies,
+    train_roadmap,
+)
+from pipeline.stages.unseen.stage import (
+    check_unseen,
+    plan,
+    training_settings,
+)
+from pipeline.stages.unseen.starts import StartsJob, lay_starts, read_starts
+from pipeline.stages.unseen.tables import curve, registration
+from pipeline.stages.unseen.task import UnseenTask, training_arch
+from pipeline.stages.unseen.trials import HeldOutSet
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import Task
+
+TASK = UnseenTask(("lcca",), Task(wire_length_mm=312.0, image_size_px=96, max_steps=16))
+TESTS = (HeldOutSet("unseen", (1,)),)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+
+
+def settings(**changed) -> UnseenSettings:
+    values = {"curve": [1, 4], "anatomies": 8, "image_anatomies": 20, "phantoms": ["type_1"], "wires": ["softer"]}
+    return UnseenSettings(**{**values, **changed})
+
+
+def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(settings(), tmp_path, 3, "smoke")}
+    policies = ["roadmap", "xray", "image_true_mask", "roadmap 1", "roadmap 4", "roadmap 8"]
+    assert [key for key in jobs if "/" not in key] == [*policies[:3], "roadmap tests", *policies[3:]]
+    assert jobs["roadmap tests"].given == replace(jobs["roadmap"].given, tests=jobs["roadmap tests"].given.tests)
+    for key in (*policies, "roadmap tests"):
+        given = jobs[key].given
+        assert given.anatomies == tuple(range(3000, 3000 + len(given.anatomies)))
+        tested = {phantom for test in given.tests for phantom in test.phantoms}
+        assert not tested & set(given.anatomies)
+        assert given.origin.variant == "smoke"
+    assert [len(jobs[key].given.anatomies) for key in policies] == [8, 20, 20, 1, 4, 8]
+    students = [jobs["image_true_mask"], jobs["xray"]]
+    assert [test.name for test in students[0].given.tests] == ["unseen", "type_1", "unseen softer"]
+    assert students[0].given.tests == students[1].given.tests
+    assert [job.given.xray for job in students] == [False, True]
+    assert [test.name for test in jobs["roadmap 4"].given.tests] == ["unseen"]
+    assert students[0].after == students[1].after == ("roadmap",)
+    built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
+    tested = [("random", seed) for seed in unseen_arches(50)]
+    validated = [("random", seed) for seed in validation_arches(16)]
+    trained = [(("random", "random_wide")[seed % 2], seed) for seed in range(3000, 3020)]
+    assert built == [*trained, *validated, *tested]
+    assert jobs["roadmap"].given.validated == tuple(seed for _, seed in validated)
+    without = {job.key for job in plan(settings(image=False, xray=False), tmp_path, 3, "smoke")}
+    assert not without & {"image_true_mask", "xray"}
+
+
+def test_an_x_ray_student_is_told_nothing_of_the_wire(tmp_path: Path) -> None:
+    jobs = {job.key: job.given for job in plan(settings(), tmp_path, 0, "desk")}
+    assert jobs["image_true_mask"].observations() == ("image", "mask", "goal_image")
+    assert jobs["xray"].observations() == ("goal_image",)
+    seen = jobs["xray"].seen(TASK.test_environment("type_1", "lcca", "default", jobs["xray"].observations()))
+    assert set(seen.reset(seed=0)[0]) == {"goal_image", "image", "plain", "contrast"}
+
+
+def test_points_of_the_curve_have_equally_many_decisions(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(settings(), tmp_path, 0, "desk")}
+    sizes = {key: job.given.settings.decisions for key, job in jobs.items() if isinstance(job.given, RoadmapJob)}
+    assert sizes == {"roadmap": 16_000, "roadmap tests": 16_000, **{f"roadmap {k}": 8_000 for k in (1, 4, 8)}}
+    assert {"roadmap", "xray", "image_true_mask"} <= set(
+        jobs["roadmap 8"].after
+    )  # two of them with as many arches would not fit the memory
+    assert not [key for key in (job.key for job in plan(settings(curve=[]), tmp_path, 0, "desk")) if "roadmap " in key
+                and key != "roadmap tests"]  # fmt: skip
+
+
+def test_registrations_are_tried_on_the_same_arches_and_starts(tmp_path: Path) -> None:
+    wanted = settings(registration_noise_mm=[0.0, 1.5, 4.0], test_anatomies=3)
+    tests = {test.name: test for test in next(job for job in plan(wanted, tmp_path, 0, "desk")
+                                              if job.key == "roadmap tests").given.tests}  # fmt: skip
+    noisy = [tests["misregistered 1.5 mm"], tests["misregistered 4 mm"]]
+    assert [test.registration_noise for test in noisy] == [1.5e-3, 4e-3]
+    assert {test.phantoms for test in noisy} == {tests["unseen"].phantoms}
+    told = [
+        {"test_set": name, "mode": mode, "target": target, "success_pct": success, "n": 3}
+        for name, success in (("unseen", 100.0), ("misregistered 1.5 mm", 50.0), ("misregistered 4 mm", 0.0))
+        for mode, target in (("deterministic", "bca"), ("deterministic", "lcca"), ("stochastic", "bca"))
+    ]
+    table = registration(wanted, told)
+    assert {row: cells["success_pct"] for row, cells in table.items()} == {"0 mm": 100, "1.5 mm": 50, "4 mm": 0}
+    assert table["4 mm"]["n"] == 6
+    # the noise moves the roadmap and leaves the start as it is
+    starts = []
+    for noise in (0.0, 4e-3):
+        env = TASK.test_environment("type_1", "lcca", "default", ("roadmap", "history", "tip"), noise)
+        starts.append(env.reset(seed=5)[0])
+    np.testing.assert_array_equal(starts[0]["tip"], starts[1]["tip"])
+    assert np.abs(starts[0]["roadmap"] - starts[1]["roadmap"]).max() > 0.01
+
+
+def test_plan_demonstrates_in_training_anatomies(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(settings(demonstrations=5), tmp_path, 1, "desk")}
+    shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
+    assert sorted(seed for given in shown for seed in given.shown) == list(range(1000, 1005))
+    assert {"demonstrations/0", "demonstrations/1"} <= set(jobs["roadmap 4"].after)
+    assert jobs["roadmap 4"].given.settings.bank_cases == 8
+    none = plan(settings(demonstrations=0), tmp_path, 1, "desk")
+    assert not [job.key for job in none if job.key.startswith("demonstrations")]
+    assert jobs["roadmap"].given.demonstrations == tmp_path / "demonstrations"
+
+
+def test_plan_lays_starts_in_every_training_anatomy(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(settings(anatomies=20), tmp_path, 1, "desk")}
+    laid = [job for job in jobs.values() if isinstance(job.given, StartsJob)]
+    assert [seed for job in laid for seed in job.given.anatomies] == list(range(1000, 1020))
+    assert {job.key for job in laid} <= set(jobs["roadmap 1"].after)
+    assert [job.after for job in laid] == [("training/1000",), ("training/1016",)]
+    assert jobs["roadmap"].given.starts == tmp_path / "starts"
+
+
+def test_laid_starts_lie_before_the_target_and_are_laid_once(tmp_path: Path) -> None:
+    job = StartsJob(tmp_path / "starts", TASK, (4,), seed=0)
+    told = lay_starts(job, Report())
+    assert told["anatomies"] == 1
+    assert told["states"] >= 8
+    written = (job.folder / "4.npz").stat().st_mtime_ns
+    assert lay_starts(job, Report()) == told
+    assert (job.folder / "4.npz").stat().st_mtime_ns == written
+
+    (starts,) = read_starts(job.folder, (4,), TASK.targets)
+    assert len(starts) == told["states"]
+    assert (starts[:, -1] == 0).all()
+    environment = TASK.training_environment((4,), ("tip",))
+    begun = environment.start_state()
+    remaining = []
+    for start in starts:
+        environment.reset(options={"start": start})
+        remaining.append(environment.task.remaining(environment.phantom, environment.simulation.tip))
+    environment.reset(seed=0)
+    whole = environment.task.remaining(environment.phantom, environment.simulation.tip)
+    assert starts.shape[1] == len(begun)
+    assert TASK.task.success_radius < min(remaining) < 0.03
+    assert max(remaining) < 0.7 * whole
+
+
+def test_wires_of_the_tests() -> None:
+    task = UnseenTask(("bca",), Task(wire_length_mm=312.0))
+    default, softer, stiffer, thesis = (task.wire(kind) for kind in ("default", "softer", "stiffer", "thesis"))
+    assert default.links == softer.links
+    assert stiffer.tip_stiffness_nmm2 == pytest.approx(4 * softer.tip_stiffness_nmm2)
+    assert stiffer.shaft_stiffness_nmm2 == pytest.approx(2 * default.shaft_stiffness_nmm2)
+    assert {round(1e3 * wire.length) for wire in (default, softer, stiffer, thesis)} == {312}
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"targets": ["aorta"]}, "unknown target 'aorta': choose from bca, lcca, lsa"),
+        ({"phantoms": ["type_9"]}, "unknown phantom 'type_9': choose from type_1"),
+        ({"wires": ["rope"]}, "unknown wire 'rope': choose from default"),
+    ],
+)
+def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
+    with pytest.raises(ConfigurationError, match=sentence):
+        check_unseen(settings(**changed))
+
+
+def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"stage\.lessons must be 1 or more, got 0"):
+        settings(lessons=0)
+    with pytest.raises(ConfigurationError, match="seed 20 has no training arches of its own, only seeds 0 to 19"):
+        plan(settings(), tmp_path, 20, "desk")
+    with pytest.raises(ConfigurationError, match="a seed has 1000 training arches of its own, got 1001: choose fewer"):
+        plan(settings(anatomies=1001), tmp_path, 0, "desk")
+
+
+def test_a_missing_mesh_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    jobs = plan(settings(curve=[], mesh=str(tmp_path / "aorta.stl")), tmp_path, 0, "desk")
+    assert "the test on a scanned anatomy is left out" in caplog.text
+    assert "real_mesh" not in [test.name for test in jobs[-1].given.tests]
+    (tmp_path / "aorta.stl").touch()
+    jobs = plan(settings(curve=[], mesh=str(tmp_path / "aorta.stl")), tmp_path, 0, "desk")
+    assert "real_mesh" in [test.name for test in jobs[-1].given.tests]
+
+
+def student_job(folder: Path, rounds: int, row: str = "image_true_mask") -> StudentJob:
+    return StudentJob(
+        folder=folder / "unseen" / row / "seed0",
+        expert=folder / "unseen" / "roadmap" / "seed0" / "policy.pt",
+        task=TASK,
+        anatomies=(0,),
+        segmenter_epochs=1,
+        rounds=rounds,
+        lessons=2,
+        epochs=1,
+        seed=0,
+        origin=Origin("unseen", row, 0, "desk"),
+        tests=TESTS,
+        xray=row == "xray",
+        wire_epochs=1,
+    )
+
+
+def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
+    assert build_anatomies(AnatomiesJob((training_arch(0),), ("lcca",)), Report()) == {"anatomies": 1}
+    assert lay_starts(StartsJob(tmp_path / "starts", TASK, (0,), seed=0), Report())["states"] > 0
+    tiny = replace(
+        training_settings(settings(targets=["lcca"], anatomies=1, validation_episodes=1, hidden=16), 1, 160),
+        learning_starts=32,
+        n_envs=4,
+    )
+    teacher = RoadmapJob(
+        folder=tmp_path / "unseen" / "roadmap" / "seed0",
+        task=TASK,
+        anatomies=(0,),
+        settings=replace(tiny, evaluate_every=160),
+        seed=0,
+        origin=Origin("unseen", "roadmap", 0, "desk"),
+        tests=TESTS,
+        starts=tmp_path / "starts",
+        validated=(2,),
+    )
+    told = train_roadmap(teacher, Report())
+    assert told["tests"][0]["n"] == 1
+    log = teacher.folder / "evaluation" / "unseen" / "lcca" / "deterministic" / "random_1" / "000.mcap"
+    written = log.stat().st_mtime_ns
+    again = train_roadmap(teacher, Report())
+    assert again["tests"] == told["tests"]
+    assert log.stat().st_mtime_ns == written
+
+    # stopped after its first round, then gone on with: the same student as without the stop
+    messages = iter(range(10**6))
+
+    class Stopped(Report):
+        def __call__(self, fraction: float, text: str = "") -> None:
+            next(messages)
+            if (student.folder / "training.csv").is_file() and text.startswith("lessons round 2"):
+                raise KeyboardInterrupt
+
+    student = student_job(tmp_path, rounds=2)
+    with pytest.raises(KeyboardInterrupt):
+        train_student(student, Stopped())
+    assert (student.folder / "lessons" / "round0.npz").is_file()
+    outcome = train_student(student, Report())
+    whole = replace(student, folder=tmp_path / "other", tests=())
+    train_student(whole, Report())
+    weights = [np.frombuffer(_weights(folder), np.uint8) for folder in (student.folder, whole.folder)]
+    np.testing.assert_array_equal(*weights)
+    record = json.loads((student.folder / "training.json").read_text())
+    assert [row["round"] for row in record["rounds"]] == [0, 1]
+    assert not (student.folder / "lessons").exists()
+
+    told_xray = train_student(student_job(tmp_path, 1, "xray"), Report())
+
+    tables = tables_from_logs(tmp_path / "unseen")
+    names = ("roadmap", "image_true_mask", "xray")
+    assert set(tables["generalisation"]) == {f"{name}/lcca/unseen" for name in names}
+    wanted = ("roadmap tests", *names[1:])
+    jobs = [job for job in plan(settings(targets=["lcca"], curve=[]), tmp_path, 0, "desk") if job.key in wanted]
+    rows = curve(jobs, dict(zip(wanted, (told, outcome, told_xray), strict=True)))
+    assert rows["roadmap/8"]["success_lcca_pct"] == told["tests"][0]["success_pct"]
+    assert rows["roadmap/8"]["decisions"] == 16_000
+    assert list(rows) == ["roadmap/8", "image_true_mask/20", "xray/20"]
+
+
+def _weights(folder: Path) -> bytes:
+    from enn.imitation.recurrent_policy import ImageStudent
+
+    state = ImageStudent.load(folder / "student.pt").network.state_dict()
+    return b"".join(value.numpy().tobytes() for value in state.values())

@@ -1,0 +1,73 @@
+"""A toy training for the tests of jobs: it counts, writes a checkpoint, and goes on from it."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.worker import Report
+from pipeline.store.errors import StageError
+from pipeline.store.run_folder import Identity, RunFolder
+
+
+@dataclass(frozen=True)
+class Toy:
+    """What a toy training is given."""
+
+    folder: Path
+    steps: int = 3
+    seconds_a_step: float = 0.0
+    checkpoint_every: int = 1
+    fails: str = ""  # "error", "sentence" or "kill"
+
+
+def train(toy: Toy, report: Report) -> dict[str, Any]:
+    """Counts to `steps`; `began` tells at which count this process took it up."""
+    toy.folder.mkdir(parents=True, exist_ok=True)
+    checkpoint = toy.folder / "checkpoint.json"
+    begun = count = json.loads(checkpoint.read_text()) if checkpoint.exists() else 0
+    (toy.folder / "started").touch()
+    if toy.fails == "error":
+        raise ZeroDivisionError("a toy's trouble")
+    if toy.fails == "sentence":
+        raise StageError("the toy is broken: mend it")
+    if toy.fails == "kill":
+        os.kill(os.getpid(), 9)
+    try:
+        while count < toy.steps:
+            time.sleep(toy.seconds_a_step)
+            count += 1
+            if count % toy.checkpoint_every == 0:
+                checkpoint.write_text(json.dumps(count))
+            report(count / toy.steps, f"count {count}")
+    except KeyboardInterrupt:
+        checkpoint.write_text(json.dumps(count))
+        raise
+    return {"began": begun, "count": count, "process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
+
+
+def square(value: int, report: Report) -> int:
+    """A job without files."""
+    report(0.5)
+    return value * value
+
+
+def run_toys(root: Path, names: list[str], steps: int, seconds_a_step: float, checkpoint_every: int) -> None:
+    """A stage of toys, for processes that tests start and stop."""
+    folder = RunFolder(root, Identity("c", {}, "s"))
+    with folder.locked():
+        folder.prepare()
+        run_jobs(
+            folder,
+            [
+                Job(name, train, Toy(root / name, steps, seconds_a_step, checkpoint_every=checkpoint_every))
+                for name in names
+            ],
+            workers=2,
+            label="toys",
+        )

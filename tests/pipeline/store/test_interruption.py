@@ -1,0 +1,149 @@
+"""Interruption: Ctrl-C, SIGTERM, SIGKILL and a full disk leave nothing half-written, and the next run goes on."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.store.manifest import read_manifest
+
+PHANTOMS = ("type_1", "type_2", "low_tortuosity", "bovine")
+STAGE = ("stage=phantoms", f"stage.phantoms=[{','.join(PHANTOMS)}]", "stage.resolution_mm=2.5", "stage.picture=false",
+         "name=run")  # fmt: skip
+
+
+def wait_for_items(folder: Path, count: int, process: subprocess.Popen[str], timeout_s: float = 60) -> None:
+    """Waits until that many items are done, so that the signal comes in the middle of the work."""
+    deadline = time.monotonic() + timeout_s
+    while len(list(folder.glob(".progress/item-*.json"))) < count:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, "the stage did not get that far"
+        time.sleep(0.005)
+
+
+def assert_every_file_is_whole(folder: Path) -> None:
+    for path in folder.rglob("*.json"):
+        if not path.name.startswith(".writing-"):
+            json.loads(path.read_text())
+    for path in folder.rglob("grid.npz"):
+        with np.load(path) as grid:
+            assert np.isfinite(grid["values"]).all()
+
+
+def contents(folder: Path) -> dict[str, str]:
+    manifest = read_manifest(folder)
+    assert manifest is not None
+    return {name: entry["sha256"] for name, entry in manifest.outputs.items()}
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_stage_says_so_and_goes_on(number: signal.Signals, code: int, pipeline_process) -> None:
+    folder = pipeline_process.runs / "run" / "phantoms"
+    process = pipeline_process.start(*STAGE)
+    wait_for_items(folder, 1, process)
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert "Traceback" not in stderr
+    if number == signal.SIGINT:
+        assert stderr.strip().splitlines()[-1].startswith("interrupted: finished items are kept")
+    assert not (folder / "manifest.json").exists()
+    assert not list(folder.rglob(".writing-*"))
+    assert_every_file_is_whole(folder)
+
+    done = pipeline_process.run(*STAGE)
+    assert done.returncode == 0, done.stderr
+    assert "finished items kept" in done.stdout
+    resumed = contents(folder)
+    whole = pipeline_process.run(*STAGE, "name=whole")
+    assert whole.returncode == 0, whole.stderr
+    assert resumed == contents(pipeline_process.runs / "whole" / "phantoms")
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.03, 0.11])
+def test_a_killed_stage_leaves_whole_files_and_goes_on(delay_s: float, pipeline_process) -> None:
+    folder = pipeline_process.runs / "run" / "phantoms"
+    process = pipeline_process.start(*STAGE)
+    wait_for_items(folder, 1, process)
+    time.sleep(delay_s)
+    process.kill()
+    process.communicate(timeout=60)
+    assert process.returncode == -signal.SIGKILL
+    assert_every_file_is_whole(folder)
+
+    done = pipeline_process.run(*STAGE)
+    assert done.returncode == 0, done.stderr
+    assert "finished items kept" in done.stdout
+    assert not list(folder.rglob(".writing-*"))
+    assert {name.split("/")[0] for name in contents(folder) if "/" in name} == set(PHANTOMS)
+
+
+def test_ctrl_c_while_the_program_starts_is_one_sentence(pipeline_process) -> None:
+    process = pipeline_process.start(*STAGE, interpreter_options=("-X", "importtime"))
+    assert process.stderr is not None
+    while "omegaconf" not in process.stderr.readline():  # the program's own imports are under way
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    said = [line for line in stderr.splitlines() if not line.startswith("import time:")]
+    assert process.returncode == 130
+    assert said == ["interrupted before the work began"]
+    assert not list(pipeline_process.runs.rglob("manifest.json"))
+
+
+def test_a_second_run_of_the_same_folder_is_turned_away(pipeline_process) -> None:
+    folder = pipeline_process.runs / "run" / "phantoms"
+    process = pipeline_process.start(*STAGE)
+    wait_for_items(folder, 1, process)
+    second = pipeline_process.run(*STAGE)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 0, stderr
+    if "up to date" not in second.stdout:  # unless the first was done by then
+        assert second.returncode == 2
+        assert "is in use by process" in second.stderr
+        assert len(second.stderr.strip().splitlines()) == 1
+
+
+def test_a_full_disk_is_one_sentence_and_nothing_is_lost(pipeline_process) -> None:
+    folder = pipeline_process.runs / "run" / "phantoms"
+    # No file above 40 kB: the first mesh does not fit, as on a disk with that much left.
+    process = pipeline_process.start(*STAGE, largest_file=40_000)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1
+    lines = [line for line in stderr.strip().splitlines() if line]
+    assert len(lines) == 1, stderr
+    assert lines[0].startswith("no room left")
+    assert not (folder / "manifest.json").exists()
+    assert not list(folder.rglob(".writing-*"))
+    done = pipeline_process.run(*STAGE)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_swallowed_ctrl_c_stops_the_work_after_the_item(tmp_path: Path, run_python) -> None:
+    said = run_python(f"""
+import os, signal
+from pathlib import Path
+from pipeline.store.run_folder import Identity, RunFolder
+from pipeline.store.interruption import let_ctrl_c_interrupt
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job comes without it
+let_ctrl_c_interrupt()
+folder = RunFolder(Path({str(tmp_path / "stage")!r}), Identity("c", {{}}, "s"))
+with folder.locked():
+    folder.prepare()
+    try:
+        for item in folder.resumable(["a", "b", "c"]):
+            try:
+                if item == "b":
+                    os.kill(os.getpid(), signal.SIGINT)
+            except KeyboardInterrupt:
+                pass  # as a library might
+    except KeyboardInterrupt:
+        print([item for item in "abc" if folder.result_of(item) is not None])
+""")
+    assert said.strip() == "['a', 'b']"

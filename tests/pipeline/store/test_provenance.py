@@ -1,0 +1,40 @@
+"""Provenance: hashes follow content, versions and commit are recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.settings.checks import settings_that_matter
+from pipeline.settings.stage_settings import ExpertSettings
+from pipeline.store.progress import progress, progress_line
+from pipeline.store.provenance import git_state, hash_file, hash_value, machine, software_versions
+
+
+def test_hash_of_a_value_ignores_the_order_of_keys() -> None:
+    assert hash_value({"a": 1, "b": [2]}) == hash_value({"b": [2], "a": 1})
+    assert hash_value({"a": 1}) != hash_value({"a": 2})
+
+
+def test_hash_of_a_file_is_sha256(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    assert hash_file(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_versions_commit_and_machine_are_recorded() -> None:
+    assert {"python", "numpy", "hydra-core"} <= set(software_versions())
+    assert set(git_state()) == {"commit", "dirty"}
+    assert set(machine()) == {"operating_system", "processor", "cores", "memory_gb", "gpu"}
+    assert int(machine()["cores"]) >= 1
+
+
+def test_settings_that_cannot_change_results_stay_out_of_the_hash() -> None:
+    settings = ExpertSettings(phantoms=["type_1"], targets=["bca"], threads=2)
+    assert "threads" not in settings_that_matter(settings)
+    assert settings_that_matter(settings)["targets"] == ["bca"]
+
+
+def test_progress_passes_everything_on_and_estimates_the_rest() -> None:
+    assert list(progress([3, 1, 2], "numbers")) == [3, 1, 2]
+    assert progress_line("phantoms", 2, 6, 8.0, 2) == "phantoms 2/6, 8 s, about 16 s left"
+    assert progress_line("phantoms", 4, 6, 4.0, 1) == "phantoms 4/6, 4 s, about 8 s left"  # three were done before
+    assert progress_line("phantoms", 6, 6, 9.0, 3) == "phantoms 6/6, 9 s"

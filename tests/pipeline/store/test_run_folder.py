@@ -1,0 +1,351 @@
+"""Run folders: up-to-date check, resuming, locking and what is removed when things change."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.store import file_memory
+from pipeline.store.atomic_files import write_json, write_text
+from pipeline.store.errors import FolderBusyError, StageError
+from pipeline.store.file_memory import FileMemory
+from pipeline.store.manifest import Identity, Manifest, files_below, read_manifest
+from pipeline.store.provenance import hash_file
+from pipeline.store.run_folder import RunFolder
+from pipeline.store.written_files import note
+
+IDENTITY = Identity("config", {"phantoms": "inputs"}, "code")
+
+
+def finish(folder: RunFolder) -> Manifest:
+    return folder.finish(
+        stage="phantoms", run="r", budget="smoke", seed=0, config={"a": 1}, started=time.monotonic() - 2.0
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder(tmp_path / "phantoms", IDENTITY)
+
+
+def build(folder: RunFolder, names: str = "abc") -> list[str]:
+    built = []
+    with folder.locked():
+        folder.prepare()
+        for name in folder.resumable(list(names)):
+            (folder.path / f"{name}.txt").write_text(name)
+            built.append(name)
+    return built
+
+
+def test_finished_folder_is_up_to_date_and_its_manifest_round_trips(folder: RunFolder) -> None:
+    build(folder)
+    assert not folder.is_up_to_date()
+    written = finish(folder)
+    assert folder.is_up_to_date()
+    assert read_manifest(folder.path) == written
+    assert set(written.outputs) == {"a.txt", "b.txt", "c.txt"}
+    assert written.outputs["a.txt"]["bytes"] == 1
+    assert 2.0 <= written.wall_time_s < 10
+    assert not (folder.path / ".progress").exists()
+
+
+@pytest.mark.parametrize("changed", [
+    Identity("other", {"phantoms": "inputs"}, "code"),
+    Identity("config", {"phantoms": "other"}, "code"),
+    Identity("config", {"phantoms": "inputs"}, "other"),
+], ids=["config", "inputs", "code"])  # fmt: skip
+def test_a_change_puts_the_folder_out_of_date_and_clears_it(folder: RunFolder, changed: Identity) -> None:
+    build(folder)
+    finish(folder)
+    later = RunFolder(folder.path, changed)
+    assert not later.is_up_to_date()
+    assert build(later, "x") == ["x"]
+    assert set(finish(later).outputs) == {"x.txt"}
+
+
+def test_a_missing_cut_or_changed_output_puts_the_folder_out_of_date(folder: RunFolder, caplog) -> None:
+    build(folder)
+    finish(folder)
+    for content in ("", "B", None):  # "b" was written: the second has its size
+        if content is None:
+            (folder.path / "b.txt").unlink()
+        else:
+            (folder.path / "b.txt").write_text(content)
+        caplog.clear()
+        assert not RunFolder(folder.path, IDENTITY).is_up_to_date()
+        wrong = "is missing" if content is None else "was changed"
+        assert f"{folder.path / 'b.txt'} {wrong}, so the stage runs again" in caplog.text
+
+
+def test_a_changed_output_is_made_again_and_a_foreign_file_is_named(folder: RunFolder, caplog) -> None:
+    build(folder)
+    first = finish(folder)
+    (folder.path / "notes.md").write_text("nobody reads files with this ending")
+    assert folder.is_up_to_date()
+    assert not caplog.text
+    (folder.path / "d.txt").write_text("a reader would take it for an output")
+    assert folder.is_up_to_date()
+    assert "d.txt was not written by this stage: move it away" in caplog.text
+    (folder.path / "d.txt").unlink()
+    (folder.path / "a.txt").write_text("A")
+    assert build(folder) == ["a", "b", "c"]
+    assert finish(folder).outputs_hash == first.outputs_hash
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"version": 99}', '{"version": 1, "stage": "x"}'])
+def test_an_unreadable_manifest_counts_as_not_run(folder: RunFolder, content: str) -> None:
+    build(folder)
+    finish(folder)
+    (folder.path / "manifest.json").write_text(content)
+    assert read_manifest(folder.path) is None
+    assert not folder.is_up_to_date()
+
+
+def build_until_interrupted(folder: RunFolder, at: str) -> None:
+    folder.prepare()
+    for name in folder.resumable(list("abc")):
+        if name == at:
+            raise KeyboardInterrupt
+        (folder.path / f"{name}.txt").write_text(name)
+        folder.mark_done(name, {"length": 1})
+
+
+def test_work_goes_on_after_an_interruption(folder: RunFolder) -> None:
+    with folder.locked(), pytest.raises(KeyboardInterrupt):
+        build_until_interrupted(folder, at="b")
+    again = RunFolder(folder.path, IDENTITY)
+    assert build(again) == ["b", "c"]
+    assert again.result_of("a") == {"length": 1}
+    assert again.result_of("b") == {}
+
+
+def test_kept_items_are_dropped_when_the_configuration_changes_or_force_is_given(folder: RunFolder) -> None:
+    build(folder)
+    with folder.locked():
+        assert RunFolder(folder.path, IDENTITY).prepare() == 3
+        assert RunFolder(folder.path, IDENTITY).prepare(force=True) == 0
+    build(folder)
+    changed = RunFolder(folder.path, Identity("other", {}, "code"))
+    assert build(changed) == ["a", "b", "c"]
+
+
+def test_items_need_different_keys(folder: RunFolder) -> None:
+    with folder.locked(), pytest.raises(ValueError, match="different keys"):
+        folder.pending(["a", "a"])
+
+
+def test_similar_keys_do_not_share_a_marker(folder: RunFolder) -> None:
+    with folder.locked():
+        folder.prepare()
+        folder.mark_done("type_1/bca", {"n": 1})
+        assert RunFolder(folder.path, IDENTITY).result_of("type_1_bca") is None
+        assert RunFolder(folder.path, IDENTITY).result_of("type_1/bca") == {"n": 1}
+
+
+def test_two_processes_do_not_share_a_folder(folder: RunFolder) -> None:
+    second = RunFolder(folder.path, IDENTITY)
+    busy = pytest.raises(FolderBusyError, match=r"in use by process \d+ on .*: wait for it")
+    with folder.locked(), busy, second.locked():
+        pass
+    with second.locked():
+        assert not second.is_up_to_date()
+
+
+def test_a_folder_with_somebodys_files_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(StageError, match="files that no stage wrote"), RunFolder(tmp_path, IDENTITY).locked():
+        pass
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_manifest_is_plain_json(folder: RunFolder) -> None:
+    build(folder)
+    finish(folder)
+    content = json.loads((folder.path / "manifest.json").read_text())
+    assert content["identity"]["input_hashes"] == {"phantoms": "inputs"}
+    assert {"git", "versions", "wall_time_s", "seed", "budget", "finished"} <= set(content)
+
+
+# ---- marks and kills
+
+
+def work(path: Path, identity: Identity, names: str) -> RunFolder:
+    """A stage: three items of a file each, one of them in a folder, another two by renaming; then a file of all."""
+    folder = RunFolder(path, identity)
+    with folder.locked():
+        folder.prepare()
+        for name in folder.resumable(list(names), key=lambda name: f"item {name}"):
+            write_text(path / name / "log.txt", identity.config_hash + name)
+            (path / name / "direct.txt").write_text(name)
+        parts = [(path / name / "log.txt").read_text() for name in names]
+        write_json(path / "results.json", parts)
+        write_json(path / ".parts" / "a.json", "handed on within the stage")
+        finish(folder)
+    return folder
+
+
+def outputs(path: Path) -> dict[str, bytes]:
+    return {n: (path / n).read_bytes() for n in files_below(path) if n != "manifest.json"}
+
+
+WRITES = {"open", "os.remove", "os.rmdir", "os.rename", "os.mkdir", "shutil.rmtree"}
+
+
+def run_killed(path: Path, identity: Identity, names: str, at: int) -> bool:
+    """Runs the stage in a forked process that is killed before its ``at``-th change of the file system.
+
+    Returns:
+        Whether it was killed, and not done before.
+    """
+    child = os.fork()
+    if child == 0:
+        count = 0
+
+        def hear(event: str, arguments: tuple[object, ...]) -> None:
+            nonlocal count
+            if event in WRITES and not (event == "open" and not int(str(arguments[2])) & (os.O_WRONLY | os.O_RDWR)):
+                count += 1
+                if count == at:
+                    os._exit(9)
+
+        sys.addaudithook(hear)
+        code = 1
+        try:
+            work(path, identity, names)
+            code = 0
+        finally:
+            os._exit(code)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, 9)
+    return code == 9
+
+
+@pytest.fixture
+def no_flushing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A killed process loses nothing that it has handed to the kernel; waiting for the disk takes a minute."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+@pytest.mark.usefixtures("no_flushing")
+def test_whatever_is_killed_wherever_the_next_run_ends_as_a_clean_one(tmp_path: Path) -> None:
+    clean = outputs(work(tmp_path / "clean", IDENTITY, "abc").path)
+    other = Identity("other", {}, "code")
+    kills = 0
+    for half_done in (25, 10_000):  # run A: killed at its beginning, in the middle, or done
+        at, killed = 1, True
+        while killed:
+            path = tmp_path / f"{half_done}-{at}"
+            run_killed(path, IDENTITY, "abc", half_done)
+            killed = run_killed(path, other, "xyza", at)  # run B with other settings, at every step
+            work(path, IDENTITY, "abc")  # run A again
+            assert outputs(path) == clean
+            assert {entry.name for entry in path.iterdir()} == {*"abc", "results.json", "manifest.json", ".lock"}
+            assert RunFolder(path, IDENTITY).is_up_to_date()
+            shutil.rmtree(path)
+            kills += killed
+            at += 1
+    assert kills > 100
+
+
+@pytest.mark.usefixtures("no_flushing")
+@pytest.mark.parametrize("damage", ["file gone", "file changed", "mark cut", "folder gone", "a file in its place"])
+def test_an_item_whose_files_are_not_as_it_left_them_is_done_again(damage: str, tmp_path: Path, caplog) -> None:
+    path = tmp_path / "stage"
+    clean = outputs(work(tmp_path / "clean", IDENTITY, "abc").path)
+    steps = 1
+    while run_killed(path, IDENTITY, "abc", steps) and len(list(path.glob(".progress/item-*.json"))) < 2:
+        shutil.rmtree(path, ignore_errors=True)
+        steps += 1
+    write_json(path / "results.json", "of an earlier attempt")
+    if damage == "file gone":
+        (path / "a" / "direct.txt").unlink()
+    elif damage == "file changed":
+        (path / "a" / "direct.txt").write_text("A")
+    elif damage == "mark cut":
+        (mark,) = path.glob(".progress/item-item_a-*.json")
+        mark.write_bytes(mark.read_bytes()[:-20])
+    else:
+        shutil.rmtree(path / "a")
+        if damage == "a file in its place":
+            (path / "a").write_text("")
+    folder = RunFolder(path, IDENTITY)
+    with folder.locked():
+        assert folder.prepare() == 1
+    assert "so it is done again" in caplog.text
+    assert not (path / "a").exists()
+    assert not (path / "results.json").exists()  # it was made from the item
+    assert (path / "b" / "log.txt").exists()
+    work(path, IDENTITY, "abc")
+    assert outputs(path) == clean
+
+
+def test_a_mark_knows_what_every_attempt_wrote_however_it_was_written(folder: RunFolder) -> None:
+    path = folder.path
+    with folder.locked():
+        folder.prepare()
+        with folder.noted("k"):
+            write_text(path / "first.txt", "an attempt that was stopped")
+        with folder.noted("k"):
+            np.savez(path / "arrays.npz", a=np.zeros(3))
+            write_json(path / "sub" / "b.json", 1)
+            with open(os.open(path / "low.bin", os.O_WRONLY | os.O_CREAT), "wb") as stream:
+                stream.write(b"x")
+            shutil.copyfile(path / "low.bin", path / "copy.bin")
+            os.rename(path / "copy.bin", path / "moved.bin")
+            (path / ".cache").mkdir()
+            (path / ".cache" / "pictures.npy").write_bytes(b"may go at any time")
+            subprocess.run([sys.executable, "-c", f"open({str(path / 'other.txt')!r}, 'w').write('x')"], check=True)
+            note(path / "other.txt")
+            (path / "first.txt").read_text()
+        folder.mark_done("k", {"n": 1})
+        (mark,) = path.glob(".progress/item-*.json")
+        noted = set(json.loads(mark.read_text())["files"])
+    assert noted == {"first.txt", "arrays.npz", "sub/b.json", "low.bin", "moved.bin", "other.txt"}
+
+
+# ---- digests
+
+
+def test_an_unchanged_file_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
+    monkeypatch.setattr(file_memory, "hash_file", lambda file: read.append(file.name) or hash_file(file))
+    for name in "abc":
+        (tmp_path / name).write_text(name)
+    time.sleep(0.12)  # younger files might change within a tick of the clock, so they are read again
+    store = tmp_path / "store.json"
+    memory = FileMemory(store, tmp_path)
+    digests = {name: memory.digest(tmp_path / name) for name in "abc"}
+    memory.save()
+    again = FileMemory(store, tmp_path)
+    assert {name: again.digest(tmp_path / name) for name in "abc"} == digests
+    assert read == ["a", "b", "c"]
+    before = (tmp_path / "b").stat()
+    (tmp_path / "b").write_text("B")  # same size
+    os.utime(tmp_path / "b", ns=(before.st_atime_ns, before.st_mtime_ns))  # and time
+    assert again.digest(tmp_path / "b") == hash_file(tmp_path / "b")
+    assert read == ["a", "b", "c", "b"]
+    assert not again.holds(tmp_path / "b", digests["b"], 1)
+
+
+@pytest.mark.parametrize("damage", [lambda t: t[:40], lambda t: t.replace("a", "b"), lambda t: "[]", lambda t: "\n"])
+def test_a_damaged_memory_condemns_no_good_file_and_passes_no_bad_one(tmp_path: Path, damage) -> None:
+    (tmp_path / "a").write_text("a")
+    time.sleep(0.12)
+    store = tmp_path / "store.json"
+    memory = FileMemory(store, tmp_path)
+    digest = memory.digest(tmp_path / "a")
+    memory.save()
+    store.write_text(damage(store.read_text()))
+    assert FileMemory(store, tmp_path).holds(tmp_path / "a", digest, 1)
+    assert FileMemory(store, tmp_path).digest(tmp_path / "a") == digest
+    (tmp_path / "a").write_text("c")
+    assert not FileMemory(store, tmp_path).holds(tmp_path / "a", digest, 1)
