@@ -1,6 +1,6 @@
 """Benchmark of learning from expert episodes: cost of behaviour cloning and of force prediction, and what they reach.
 
-    python benchmarks/enn/imitation.py [--quick] [--expert policy.pt] [--phantom type_1] [--target lcca] [--episodes 100]
+  python benchmarks/enn/imitation.py [--quick] [--expert policy.pt] [--phantom type_1] [--target lcca] [--episodes 100]
 
 Without an expert only costs are measured, on episodes of a script. Prints a table and, as its last line, one JSON
 object; times are CPU seconds of one thread:

@@ -1,7 +1,8 @@
 """The registry of stages: what each reads, writes and depends on, found by name and imported only when it runs.
 
 A stage is one module of this package with a ``STAGE``, or the module ``stage`` of a folder. Its name appears in
-``STAGE_NAMES``, in the order in which the stages depend on each other; a name whose module is not there yet is simply not offered.
+``STAGE_NAMES``, in the order in which the stages depend on each other; a name whose module is not there yet
+is not offered.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 In it:
 
 - ``manifest.json``, written last: a folder without it is unfinished, whatever else lies there.
-- ``.progress/``: marks of finished items, so that an interrupted stage goes on where it stopped; see `pipeline.store.item_marks`.
+- ``.progress/``: marks of finished items, so that an interrupted stage goes on where it stopped; see `item_marks`.
 - ``.lock``: held while a process works here. The kernel frees it when the process dies, so it never goes stale.
 - other names that begin with a dot: what the stage's parts hand to each other. All of it is gone at the end.
 

@@ -65,7 +65,7 @@ class Guide3dSettings:
             self.root_sha256 = _content(Path(self.root), self.calibration)
         elif self.image_root is not None or self.calibration is not None or self.undistorted is not None:
             raise ConfigurationError(
-                "guide3d.images, guide3d.calibration.rig and guide3d.undistorted belong to a data set of your own: give "
+                "guide3d.images, guide3d.calibration and guide3d.undistorted belong to a data set of your own: give "
                 "guide3d.root=PATH too"
             )
         if self.images % 2:

@@ -175,7 +175,7 @@ print(json.dumps([n for n in sorted(sys.modules) if n.split(".")[0] in
     assert stage_module(stage) in loaded
     # by pipeline.config, of every stage
     gathered = {settings.__module__ for settings in STAGE_SETTINGS.values()}
-    gathered |= {name.rpartition(".")[0] for name in gathered}
+    gathered |= {name.rpartition(".")[0] for name in (*gathered, *map(stage_module, STAGE_NAMES))}
     known = SourceClosure().modules(stage_module(stage))
     assert sorted(name for name in loaded - known - gathered if not is_without_effect(name)) == []
     assert STAGE_SETTINGS[stage].__module__ in known

@@ -1,4 +1,4 @@
-"""Training run: the loop of decisions, updates, evaluations and checkpoints behind `enn.reinforcement.training.Training`."""
+"""Training run: the loop of decisions, updates, evaluations and checkpoints."""
 
 from __future__ import annotations
 
