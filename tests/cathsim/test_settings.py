@@ -26,15 +26,20 @@ from cathsim.presets import ACCURACY, Accuracy
 EXTRAS = {"cathsim.composer", "cathsim.console", "cathsim._native"}
 # Dataclasses that hold results or are put together by the code itself, whose numbers no user chooses.
 RECORDS = {
-    *("anatomy.aorta:Aorta", "anatomy.arch_type:ArchMeasures", "anatomy.centreline:LumenPaths"),
+    *("anatomy.generator.aorta:Aorta", "anatomy.generator.arch_type:ArchMeasures", "anatomy.centreline:LumenPaths"),
     *("anatomy.distance_grid:SignedDistanceGrid", "anatomy.lumen_report:LumenReport"),
     *("anatomy.phantom:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
     *("anatomy.vessel_tree:Branch", "anatomy.vessel_tree:VesselTree"),
     *("contact.hull_vessel:HullVessel", "contact.hulls:Hull", "contact.intrusion:WallFit", "contact.sdf:Vessel"),
-    *("description:Specification", "feed:Ladder", "planning.path:LumenPath", "validation:Unit"),
-    *("fluoroscopy.c_arms:XRayCamera", "fluoroscopy.calibration_file:Projection", "fluoroscopy.ink:Shadow"),
-    *("fluoroscopy.radiograph:Radiograph", "observables:Observable", "robot_cycle:Measured", "simulation:Contacts"),
+    *("description:Specification", "link_ladder:Ladder", "planning.path:LumenPath", "validation:Unit"),
+    *("fluoroscopy.c_arms:XRayCamera", "fluoroscopy.calibration_file:Projection", "fluoroscopy.wire_shadow:Shadow"),
+    *(
+        "fluoroscopy.radiograph:Radiograph",
+        "observations.observables:Observable",
+        "robot.cycle:Measured",
+        "simulation:Contacts",
+    ),
     *("metrics:EpisodeMetrics", "metrics:Statistic", "metrics:Summary"),
 }
 # What has no defaults.
@@ -90,7 +95,7 @@ def dataclasses_of_the_package() -> dict[str, type[Any]]:
     found = {}
     for module in pkgutil.walk_packages(cathsim.__path__, "cathsim."):
         name = module.name
-        if any(name == extra or name.startswith(f"{extra}.") for extra in EXTRAS) or "mesh_" in name:
+        if any(name == extra or name.startswith(f"{extra}.") for extra in EXTRAS) or ".mesh." in name:
             continue
         for kind in vars(importlib.import_module(name)).values():
             if inspect.isclass(kind) and dataclasses.is_dataclass(kind) and kind.__module__ == name:

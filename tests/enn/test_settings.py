@@ -48,7 +48,7 @@ def test_numbers_that_cannot_be_meant_are_refused_by_name(settings: Any, legal: 
 
 
 def test_no_settings_are_left_out() -> None:
-    names = [module.name for module in pkgutil.iter_modules(enn.__path__, "enn.")]
+    names = [module.name for module in pkgutil.walk_packages(enn.__path__, "enn.")]
     found = {
         value
         for name in names

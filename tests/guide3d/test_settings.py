@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import guide3d
-import guide3d.modeling
 from guide3d.calibration.pinhole_fit import IntrinsicPrior
 from guide3d.calibration.synthetic_xray import SyntheticDetector
 from guide3d.geometry.camera import Camera
@@ -24,8 +23,9 @@ from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_rec
 from guide3d.learning.segmentation_samples import SegmentationAugmentation
 from guide3d.learning.shape_samples import ShapeAugmentation
 from guide3d.modeling.spherical import SphericalForm
+from guide3d.reconstruction import curve_fitting
 from guide3d.reconstruction.matching import MatchingSettings
-from guide3d.reconstruction.reconstruction import ReconstructionSettings, curve_fitting
+from guide3d.reconstruction.reconstruction import ReconstructionSettings
 from guide3d.reconstruction.synthetic_scene import rig
 from tests.number_fields import accepted, parametrised
 
@@ -65,8 +65,7 @@ def test_numbers_of_recipes_that_cannot_be_meant_are_refused_by_name() -> None:
 def test_no_settings_are_left_out() -> None:
     names = [
         module.name
-        for package in (guide3d, guide3d.modeling)
-        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+        for module in pkgutil.walk_packages(guide3d.__path__, "guide3d.")
         if not module.name.endswith("_native")  # a library in C, which cannot be imported
     ]
     found = {

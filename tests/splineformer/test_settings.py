@@ -8,7 +8,6 @@ import pkgutil
 from typing import Any
 
 import splineformer
-import splineformer.modeling
 from splineformer.comparison.skeleton import SkeletonSettings
 from splineformer.learning.augmentation import Augmentation
 from splineformer.learning.losses import OrderedWeights, PublishedWeights
@@ -45,11 +44,7 @@ def test_numbers_that_cannot_be_meant_are_refused_by_name(settings: Any, legal: 
 
 
 def test_no_settings_are_left_out() -> None:
-    names = [
-        module.name
-        for package in (splineformer, splineformer.modeling)
-        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
-    ]
+    names = [module.name for module in pkgutil.walk_packages(splineformer.__path__, "splineformer.")]
     found = {
         value
         for name in names

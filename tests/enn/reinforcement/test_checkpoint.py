@@ -19,6 +19,7 @@ import pytest
 import torch
 
 from enn.model_file import encoded
+from enn.reinforcement import checkpoint
 from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder
 from enn.reinforcement.training import (
     DESK_PPO,
@@ -27,7 +28,6 @@ from enn.reinforcement.training import (
     Training,
     TrainingResult,
     TrainingSettings,
-    checkpoint,
 )
 
 SAC = dataclasses.replace(

@@ -15,7 +15,7 @@ from guide3d.reconstruction.view_checks import epipolar_residuals, swapped_camer
 
 ROOT = Path(__file__).resolve().parents[3]
 REAL = ROOT.parent / "shared" / "real"
-BENCHMARK = ROOT / "benchmarks" / "reconstruction.py"
+BENCHMARK = ROOT / "benchmarks" / "guide3d" / "reconstruction.py"
 
 
 def barrel(points: np.ndarray) -> np.ndarray:

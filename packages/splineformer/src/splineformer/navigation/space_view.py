@@ -1,8 +1,8 @@
 """View in space: what two cameras of known geometry show together, measured from the wire's tip.
 
-Places of both curves that belong together are found along the epilines (`guide3d.reconstruction.matching`) and triangulated.
-The frame is the wire's own: z out of the tip, y to the side towards which the tip is bent against the shaft behind it. So what
-lies ahead is told as a turn of the wire would meet it.
+Places of both curves that belong together are found along the epilines (`guide3d.reconstruction.matching`) and
+triangulated. The frame is the wire's own: z out of the tip, y to the side towards which the tip is bent against the
+shaft behind it. So what lies ahead is given as a turn of the wire would meet it.
 """
 
 from __future__ import annotations
