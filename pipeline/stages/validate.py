@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.report.force_statistics import EpisodeForces, compare, pooled, read_forces, table_rows, verdict
+from pipeline.report.force_logs import EpisodeForces, pooled, read_forces, table_rows
 from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.stage_settings import ValidateSettings
@@ -88,12 +88,14 @@ def validate_forces(
     Raises:
         StageError: there are too few steps to compare.
     """
+    from cathsim.metrics.forces import compare_forces, verdict
+
     inside = [episode for episode in episodes if episode.phantom == settings.phantom]
     if not inside and episodes:
         _LOGGER.warning("validate: no episodes in %s, comparing those of all phantoms", settings.phantom)
     chosen = inside or episodes
     try:
-        comparison = compare(
+        comparison = compare_forces(
             pooled(chosen),
             real_mean_n=settings.real_mean_n,
             real_sd_n=settings.real_sd_n,
@@ -104,7 +106,12 @@ def validate_forces(
             f"the expert stage's episodes cannot be compared with real forces ({error}): record more of them"
         ) from error
     pushed = pushed_forces(settings.phantom, settings.speed_steps, seed=seed)
-    agrees, differs = verdict(comparison, chosen, pushed)
+    agrees, differs = verdict(
+        comparison,
+        pushed,
+        operators={episode.operator for episode in chosen},
+        free_force_n=min((e.free_force_n for e in chosen if e.free_force_n is not None), default=None),
+    )
     write_text(folder / VERDICT, f"Agrees: {agrees}\n\nDiffers: {differs}\n")
     return {"force_validation": table_rows(comparison, pushed, agrees, differs)}
 

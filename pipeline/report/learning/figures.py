@@ -149,7 +149,7 @@ def _largest_forces(material: Material, folder: Path) -> list[Figure]:
 
 
 def _heat(material: Material, folder: Path) -> list[Figure]:
-    from pipeline.report.force_statistics import episode_forces
+    from pipeline.report.force_logs import episode_forces
     from pipeline.report.plots.forces import draw_heat
 
     shown = []

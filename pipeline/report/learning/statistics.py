@@ -1,4 +1,4 @@
-"""Statistics over evaluations: shortest ways for SPL, Wilson's interval, means and spread over training seeds."""
+"""Statistics over evaluations: shortest ways for SPL, means and spread over training seeds."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from pipeline.report.results import Cell
 
 if TYPE_CHECKING:
     from cathsim.metrics import Summary
-
-Z_95 = 1.959964  # two-sided 95 % of the normal distribution
 
 
 def shortest_ways(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
@@ -33,30 +31,6 @@ def shortest_ways(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
         if one.metrics.success:
             shortest[one.task] = min(one.metrics.path_length, shortest.get(one.task, math.inf))
     return shortest
-
-
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share.
-
-    Args:
-        successes: how many.
-        trials: of how many, at least one; taken as independent.
-
-    Returns:
-        Lower and upper bound, 0 to 1.
-
-    Raises:
-        ValueError: for no trials, or more successes than trials.
-
-    Source: Wilson 1927, "Probable inference, the law of succession, and statistical inference".
-    """
-    if not 0 <= successes <= trials or trials < 1:
-        raise ValueError(f"expected 0 to n successes of n >= 1 trials, got {successes} of {trials}")
-    share, square = successes / trials, Z_95**2
-    centre = (share + square / (2 * trials)) / (1 + square / trials)
-    half = Z_95 / (1 + square / trials) * math.sqrt(share * (1 - share) / trials + square / (4 * trials**2))
-    # at the ends one bound is the share itself, which rounding may miss
-    return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
 
 
 def summary(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> Summary:

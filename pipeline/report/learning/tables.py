@@ -37,7 +37,6 @@ from pipeline.report.learning.statistics import (
     over_seeds,
     shortest_ways,
     summary,
-    wilson_interval,
 )
 from pipeline.report.results import SAMPLES, Table
 from pipeline.store.errors import StageError
@@ -233,6 +232,8 @@ def _own(rows: Rows, stage: str, shortest: Mapping[Task, float]) -> Table:
 
 
 def _own_row(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> dict[str, Any]:
+    from cathsim.metrics.intervals import wilson_interval
+
     fixed, drawn = of_mode(evaluations, DETERMINISTIC), of_mode(evaluations, STOCHASTIC)
     row: dict[str, Any] = {}
     if fixed:

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.report.force_statistics import EpisodeForces, pooled
+from pipeline.report.force_logs import EpisodeForces, pooled
 from pipeline.report.plots.canvas import new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-KERNEL = 2.0e-3  # m: a contact's heat falls off as a Gaussian of this width on the wall
 PIXEL = 1.0e-3  # m
 _MM = 1e3
 _REAL = "tab:orange"
@@ -85,32 +84,6 @@ def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n:
     save_figure(figure, file)
 
 
-def wall_heat(vertices: Array, points: Array, forces: Array) -> tuple[Array, Array]:
-    """Spreads contact forces over the vessel wall.
-
-    Args:
-        vertices: (v, 3) m, of the wall.
-        points: (k, 3) m, contacts.
-        forces: (k,) N, their magnitudes.
-
-    Returns:
-        Each vertex's largest and summed force, (v,) N each; a contact counts fully where it lies and as a Gaussian of
-        its distance around.
-    """
-    from scipy.spatial import cKDTree
-
-    largest, total = np.zeros(len(vertices)), np.zeros(len(vertices))
-    if len(points):
-        for near, point, force in zip(
-            cKDTree(vertices).query_ball_point(points, 3 * KERNEL), points, forces, strict=True
-        ):
-            square = ((vertices[near] - point) ** 2).sum(axis=1)
-            heat = force * np.exp(-square / (2 * KERNEL**2))
-            largest[near] = np.maximum(largest[near], heat)
-            total[near] += heat
-    return largest, total
-
-
 def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *, title: str) -> None:
     """Draws where the wire pressed on the wall, seen from the front; along a line of sight the hottest wall counts.
 
@@ -120,6 +93,8 @@ def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *,
         file: the PNG.
         title: of the figure.
     """
+    from cathsim.metrics.forces import wall_heat
+
     points = np.concatenate([episode.points for episode in episodes])
     forces = np.concatenate([episode.forces for episode in episodes])
     steps = max(sum(len(episode.magnitudes) for episode in episodes), 1)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.report.learning.statistics import wilson_interval
 from pipeline.report.plots.canvas import new_figure, save_figure
 
 _SIZE = (6.4, 4.2)  # inches
@@ -26,6 +25,8 @@ def draw_success(
         beside: task to (row, success in %) of other ways to imitate.
         file: of the picture.
     """
+    from cathsim.metrics.intervals import wilson_interval
+
     figure = new_figure(*_SIZE)
     axes = figure.subplots()
     for index, (task, points) in enumerate(curves.items()):

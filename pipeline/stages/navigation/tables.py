@@ -11,7 +11,6 @@ from pipeline.episodes.errors import EpisodeReadError
 from pipeline.recording.human import FOLDER as HUMAN
 from pipeline.recording.human import SUFFIX
 from pipeline.recording.trials import MODES
-from pipeline.report.learning.statistics import wilson_interval
 from pipeline.report.plots.imitation import draw_success
 from pipeline.report.plots.navigation import draw_failures
 from pipeline.report.results import Figure
@@ -45,6 +44,8 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
     Returns:
         Table to row to column to cell.
     """
+    from cathsim.metrics.intervals import wilson_interval
+
     rows = navigator_rows(outcomes)
     main: dict[str, dict[str, Any]] = {}
     for operator, row, logs in (

@@ -14,7 +14,7 @@ from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeReader, Episod
 from pipeline.episodes.annotate import annotate
 from pipeline.recording.record import record_episode
 from pipeline.recording.replay import ReplayError, replay
-from pipeline.report.force_statistics import read_forces
+from pipeline.report.force_logs import read_forces
 from pipeline.report.learning.reading import read_logs
 from pipeline.settings.stage_settings import UserStudySettings
 from pipeline.stages.user_study import gather

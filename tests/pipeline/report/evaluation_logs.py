@@ -133,3 +133,34 @@ def write_curve(folder: Path, *, end: int = 1000, success: float = 1.0, evaluate
             at = round(end * share)
             table.writerow([at, 4 * at, at / 50, at / 100, -0.1 + 0.05 * share, 300 - 100 * share, share, *checked])
     return path
+
+
+def write_force_log(path: Path, forces: np.ndarray, *, phantom: str = "type_1", target: str = "bca") -> None:
+    """A log whose step i > 0 has two contacts that share the force forces[i - 1], and none where that is zero."""
+    info = EpisodeInfo(
+        phantom=phantom, phantom_hash="5f" * 32, target=target, entry="descending", seed=0, operator="sampling_expert",
+        control_dt=0.1, configuration={"expert": {"free_force": 0.15}}, versions={},
+    )  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with EpisodeWriter(path, info) as log:
+        for step, force in enumerate([7.0, *forces]):  # what lies in the state after reset does not count
+            count = 2 if force > 0 else 0
+            log.step(
+                StepRecord(
+                    step=step,
+                    action=np.zeros(2),
+                    reward=0.0,
+                    terminated=False,
+                    truncated=False,
+                    joint_positions=np.zeros(4),
+                    joint_velocities=np.zeros(4),
+                    wire_points=np.zeros((3, 3)),
+                    tip=np.zeros(3),
+                    contact_positions=np.tile([0.0, 0.01, 0.001 * step], (count, 1)),
+                    contact_forces=np.tile([0.5 * force, 0.0, 0.0], (count, 1)),
+                    resultant_force=np.array([0.0, force, 0.0]),
+                    insertion=0.0,
+                    rotation=0.0,
+                )
+            )
+        log.finish(EpisodeOutcome(success=True, steps=len(forces), metrics={}))

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 import pipeline.report.learning.reading as reading_module
+from cathsim.metrics.intervals import wilson_interval
 from pipeline.report.learning.differences import differences, remarks, same, with_logs
 from pipeline.report.learning.logs import UnusableLogError, changed_settings, evaluation_folders, read_evaluation
 from pipeline.report.learning.reading import CACHE, read_logs
 from pipeline.report.learning.section import learning_section
-from pipeline.report.learning.statistics import shortest_ways, wilson_interval
+from pipeline.report.learning.statistics import shortest_ways
 from pipeline.report.learning.tables import learning_tables, tables_from_logs
 from pipeline.report.results import check_cell, write_results
 from pipeline.store.errors import StageError
@@ -149,14 +150,6 @@ def test_own_table_has_wilson_interval_and_spread_over_seeds(tmp_path: Path) -> 
     assert (row["success_low_pct"], row["success_high_pct"]) == pytest.approx((100 * low, 100 * high))
     assert row["stochastic_success_pct"] == pytest.approx(100 / 3)  # one seed has no spread
     assert (row["seeds"], row["n"], row["force_largest_n"]) == (2, 4, pytest.approx(0.3))
-
-
-def test_wilson_interval_is_the_textbook_one() -> None:
-    assert wilson_interval(30, 30) == (pytest.approx(0.8865, abs=1e-4), 1.0)
-    assert wilson_interval(0, 30) == (0.0, pytest.approx(0.1135, abs=1e-4))
-    assert wilson_interval(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)  # Newcombe 1998, table I
-    with pytest.raises(ValueError, match="got 3 of 2"):
-        wilson_interval(3, 2)
 
 
 def test_people_and_the_planner_stand_beside_the_policies(tmp_path: Path) -> None:
