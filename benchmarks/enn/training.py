@@ -123,7 +123,7 @@ def simulation(quick: bool) -> dict[str, float]:
     """A step of the simulator inside the sampler, random actions, with the cost of recording for the bank."""
     result = {}
     for name, bank in (("step_ms", None), ("step_with_bank_ms", ResetBank(0.5))):
-        envs = SampledEnvs([navigate] * 4, seed=0, bank=bank)
+        envs = SampledEnvs([navigate] * 4, seed=0, reset_bank=bank)
         envs.reset()
         generator = np.random.default_rng(0)
         forwards = np.array([0.7, 0.0])

@@ -50,9 +50,9 @@ def of_training(job: TrainingJob) -> list[str]:
         told.append(f"shaped reward of training ({task.reward}{price})")
     if task.force_penalty:
         told.append(f"a newton costs {task.force_penalty:g} in the reward")
-    if settings.bank_share:
+    if settings.reset_bank_share:
         states = "demonstrations and own successes" if job.demonstrations else "own successes"
-        told.append(f"{100 * settings.bank_share:.0f} % of the resets along the way, to states of {states}")
+        told.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the way, to states of {states}")
     if settings.demonstrations_in_replay and job.demonstrations:
         share, count = 100 * settings.demonstrations_in_replay, len(job.demonstrations)
         told.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")

@@ -117,10 +117,10 @@ def architecture(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
     Args:
         settings: of the stage.
     """
-    from enn.imitation.cloned_policy import CloningNetwork, CloningSettings
+    from enn.imitation.cloned_policy import CloningNetwork, CloningNetworkSettings
     from enn.networks.features import LAYER_COLUMNS, layer_table
 
-    layers = CloningNetwork(CloningSettings(variant="thesis")).layers()
+    layers = CloningNetwork(CloningNetworkSettings(variant="thesis")).layers()
     return {
         row: dict(zip(LAYER_COLUMNS, cells, strict=True)) for row, cells in layer_table(layers, (1, 80, 80)).items()
     }

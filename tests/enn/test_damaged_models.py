@@ -14,7 +14,7 @@ import torch
 from enn.encoder import Encoder, EncoderSettings
 from enn.fitting import FitError, FitProgress, FitSettings, fit
 from enn.force.prediction import ForceNetwork, ForceNetworkSettings, ForcePredictor
-from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
+from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.imitation.lumen_segmentation import LumenSegmenter
 from enn.imitation.path_following import PathFollower, PathFollowerSettings, build
 from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
@@ -42,7 +42,7 @@ def force_predictor() -> ForcePredictor:
 
 
 def cloned_policy() -> ClonedPolicy:
-    return ClonedPolicy(CloningNetwork(CloningSettings(shape=(1, 40, 40), features=8)))
+    return ClonedPolicy(CloningNetwork(CloningNetworkSettings(shape=(1, 40, 40), features=8)))
 
 
 def path_follower() -> PathFollower:

@@ -10,9 +10,9 @@ from typing import Any
 
 import enn
 from enn.fitting import FitSettings
-from enn.force.prediction import ForceNetworkSettings, ForceSettings
+from enn.force.prediction import ForceNetworkSettings, ForcePredictionSettings
 from enn.imitation.behaviour_cloning import BehaviourCloningSettings
-from enn.imitation.cloned_policy import CloningSettings
+from enn.imitation.cloned_policy import CloningNetworkSettings
 from enn.imitation.dagger import DaggerSettings
 from enn.imitation.path_following import PathFollowerSettings
 from enn.imitation.recurrent_policy import StudentSettings
@@ -24,20 +24,20 @@ from tests.number_fields import accepted, parametrised
 
 # settings to the bad numbers that are good ones there
 EVERYTHING: dict[Any, str] = {
-    TrainingSettings(): "bank_cases=0 bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 ent_coef=0 "
-    "evaluate_every=0 gradient_steps=0 learning_starts=0 stop_after=0 target_entropy=-1 target_entropy=0",
-    DESK_PPO: "bank_cases=0 bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 ent_coef=0 evaluate_every=0 "
-    "gae_lambda=0 learning_starts=0 stop_after=0",
+    TrainingSettings(): "reset_bank_cases=0 reset_bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 "
+    "ent_coef=0 evaluate_every=0 gradient_steps=0 learning_starts=0 stop_after=0 target_entropy=-1 target_entropy=0",
+    DESK_PPO: "reset_bank_cases=0 reset_bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 ent_coef=0 "
+    "evaluate_every=0 gae_lambda=0 learning_starts=0 stop_after=0",
     NetworkSettings(): "",
     EncoderSettings(keys=("joints",), shapes=((4,),), channels=(4,)): "epochs=0 seed=0 weight_decay=0",
     FitSettings(): "checkpoint_seconds=0 patience=0 validation_share=0 weight_decay=0",
     PathFollowerSettings(): "",
     DaggerSettings(): "expert_share=0",
-    CloningSettings(): "expert_features=0",
+    CloningNetworkSettings(): "expert_features=0",
     BehaviourCloningSettings(): "entropy=0 feature_matching=0 l2=0 noise=0 shift_px=0",
     ImageSettings(): "",
     ForceNetworkSettings(vector=3): "image_shape=0 matched=0 vector=0",
-    ForceSettings(): "feature_weight=0",
+    ForcePredictionSettings(): "feature_weight=0",
     StudentSettings(): "hint_weight=0 hints=0",
 }
 

@@ -62,11 +62,11 @@ def test_what_functions_give_lies_in_their_range() -> None:
 
 
 def test_evaluations_while_training_are_those_of_enn() -> None:
-    from enn.reinforcement.best_policy import Judge
+    from enn.reinforcement.best_policy import BestPolicy
 
     known = seeds.EPISODES["evaluation while training"]
     for seed in (0, 3, 499):
-        assert Judge(1_000, seed).seeds == known.part(seed, 1_000)
+        assert BestPolicy(1_000, seed).seeds == known.part(seed, 1_000)
 
 
 def test_starts_of_the_tests_are_none_that_a_generator_draws() -> None:

@@ -204,7 +204,7 @@ def run_cells(
 
 def _check_demonstrations(stage: str, cells: Sequence[Cell], settings: LearningSettings, context: StageContext) -> None:
     """Warns of tasks without demonstrations, and refuses those of another wire; tip motors have none."""
-    tasks = {cell.task.name: cell.task for cell in cells if cell.settings.bank_share > 0}
+    tasks = {cell.task.name: cell.task for cell in cells if cell.settings.reset_bank_share > 0}
     for name, task in tasks.items():
         if not settings.demonstrations or task.task.actions != FEEDER:
             continue

@@ -227,7 +227,7 @@ def _words(progress: Progress) -> str:
 
 def _demonstrations(job: TrainingJob) -> list[Trajectory]:
     """The expert's episodes, as far as the training uses them."""
-    if not (job.settings.bank_share or job.settings.demonstrations_in_replay):
+    if not (job.settings.reset_bank_share or job.settings.demonstrations_in_replay):
         return []
     return repeat(job.demonstrations, job.task, job.observation if job.settings.demonstrations_in_replay else ())
 

@@ -62,7 +62,7 @@ class RoadmapJob:
         origin: kept in the logs.
         tests: that it is put to.
         demonstrations: folder of demonstrations; those in its anatomies are learnt from.
-        starts: folder of laid starts; those in its anatomies go into the bank.
+        starts: folder of laid starts; those in its anatomies go into the reset bank.
         validated: seeds of random arches that the best policy is chosen by; none: those trained on.
     """
 

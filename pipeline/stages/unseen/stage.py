@@ -238,7 +238,7 @@ def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
 
 
 def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) -> TrainingSettings:
-    """Those of the roadmap policies: a wider network than for one anatomy, and a bank that knows of its cases.
+    """Those of the roadmap policies: a wider network than for one anatomy, and a reset bank with its cases.
 
     Args:
         settings: of the stage.
@@ -258,9 +258,9 @@ def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) 
         buffer_size=max(decisions, 1000),
         learning_starts=min(DESK_SAC.learning_starts, decisions // 4),
         action_repeat=ACTION_REPEAT,
-        bank_share=BANK_SHARE,
-        bank_capacity=BANK_CAPACITY,
-        bank_cases=anatomies * len(settings.targets),
+        reset_bank_share=BANK_SHARE,
+        reset_bank_capacity=BANK_CAPACITY,
+        reset_bank_cases=anatomies * len(settings.targets),
         evaluate_every=max(decisions // 5, 1),
         evaluation_episodes=settings.validation_episodes,
         stop_after=STOP_AFTER,

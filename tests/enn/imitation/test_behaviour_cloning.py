@@ -18,7 +18,7 @@ from enn.imitation.behaviour_cloning import (
     entropy,
     negative_log_likelihood,
 )
-from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
+from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.imitation.dagger import record
 from enn.model_file import decoded, write_model
 from enn.networks.image_network import shifted
@@ -40,7 +40,7 @@ def student(episodes: list[Trajectory]) -> ClonedPolicy:
 
 
 def test_thesis_network_has_the_parameters_of_its_table() -> None:
-    layers = CloningNetwork(CloningSettings(variant="thesis")).layers()
+    layers = CloningNetwork(CloningNetworkSettings(variant="thesis")).layers()
     counts = [sum(weights.numel() for weights in layer.parameters()) for layer in layers]
     assert [count for count in counts if count] == [2080, 32832, 36928, 590080, 32896, 258]
 
@@ -107,7 +107,7 @@ def test_checkpoint_of_another_architecture_is_refused(episodes: list[Trajectory
 
     with pytest.raises(KeyboardInterrupt):
         clone(episodes[:5], settings, folder=tmp_path, progress=stop)
-    other = replace(settings, network=CloningSettings(features=64))
+    other = replace(settings, network=CloningNetworkSettings(features=64))
     with pytest.raises(FitError, match="is of another architecture: remove it to start anew"):
         clone(episodes[:5], other, folder=tmp_path)
     (tmp_path / "fit.pt").write_bytes(b"nothing")
@@ -161,4 +161,4 @@ def test_settings_refuse_negative_weights() -> None:
     with pytest.raises(ValueError, match="l2 must be greater than or equal to 0, got -1"):
         BehaviourCloningSettings(l2=-1.0)
     with pytest.raises(ValueError, match="a cloned policy sees some of image"):
-        CloningSettings(keys=("joints",))
+        CloningNetworkSettings(keys=("joints",))

@@ -10,7 +10,7 @@ import pytest
 import torch
 import yaml
 
-from enn.imitation.cloned_policy import CloningNetwork, CloningSettings
+from enn.imitation.cloned_policy import CloningNetwork, CloningNetworkSettings
 from enn.networks.features import (
     MultimodalExtractor,
     desk_cnn,
@@ -52,7 +52,7 @@ def test_the_enn_networks_reproduce_the_thesis_table() -> None:
 
 
 def test_the_cloning_network_reproduces_the_thesis_table() -> None:
-    rows = layer_table(CloningNetwork(CloningSettings(variant="thesis")).layers(), (1, 80, 80))
+    rows = layer_table(CloningNetwork(CloningNetworkSettings(variant="thesis")).layers(), (1, 80, 80))
     assert rows == thesis_rows("bc_architecture")
     assert rows["linear_3"] == ["2", 258, "none", None, None, None]
 

@@ -305,7 +305,7 @@ def test_a_state_of_another_version_is_one_clear_sentence(point_env: Any, tmp_pa
     folder = tmp_path / "checkpoint"
     architecture = json.loads((folder / "index.json").read_text())["index"]["architecture"]
     state, _ = CheckpointFolder(folder, architecture).read()
-    for change in ({"learner": {}}, {"counters": (1, 2)}, {"envs": None}, {"random": {}}, {"judge": 3}):
+    for change in ({"learner": {}}, {"counters": (1, 2)}, {"envs": None}, {"random": {}}, {"best_policy": 3}):
         CheckpointFolder(folder, architecture).write(state | change)
         with pytest.raises(CheckpointError, match=r"its state cannot be taken up: .*: remove it to train from the"):
             Training(SAC, point_env, tmp_path, seed=0).run()

@@ -1,4 +1,4 @@
-"""Sampling: threads, action repeat, starts from the bank, exact continuation, what is not finite."""
+"""Sampling: threads, action repeat, starts from the reset bank, exact continuation, what is not finite."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from enn.reinforcement.case_reset_bank import CaseBank
-from enn.reinforcement.reset_bank import ResetBank
+from enn.reinforcement.reset_bank import CaseResetBank, ResetBank
 from enn.reinforcement.sampling import RECORD_EVERY, NotFiniteError, SampledEnvs
 
 
@@ -58,7 +57,7 @@ def test_threads_change_nothing(point_env: Any) -> None:
     runs = []
     for threads in (1, 3):
         envs = SampledEnvs(
-            [lambda: point_env(max_steps=9)] * 5, seed=2, threads=threads, bank=ResetBank(share=0.5, seed=1)
+            [lambda: point_env(max_steps=9)] * 5, seed=2, threads=threads, reset_bank=ResetBank(share=0.5, seed=1)
         )
         envs.reset()
         runs.append(_play(envs, 60))
@@ -85,7 +84,7 @@ def test_action_repeat_adds_rewards_and_stops_at_the_end(point_env: Any) -> None
 
 def test_successes_enter_the_bank_and_episodes_start_there(point_env: Any) -> None:
     bank = ResetBank(share=1.0, seed=0)
-    envs = SampledEnvs([lambda: point_env(max_steps=100)], seed=4, bank=bank)
+    envs = SampledEnvs([lambda: point_env(max_steps=100)], seed=4, reset_bank=bank)
     place = envs.reset()["place"]
     start, visited, ended = place[0].copy(), [place[0].copy()], False
     while not ended:
@@ -124,8 +123,8 @@ def test_episodes_go_where_they_fail(point_env: Any) -> None:
             won = self.case == 0 and self.steps == 2
             return observation, reward, won, truncated and not won, info | {"case": self.case, "success": won}
 
-    bank = CaseBank(2, share=0.0, seed=0)
-    envs = SampledEnvs([lambda: Cases(max_steps=4)] * 2, seed=0, bank=bank)
+    bank = CaseResetBank(2, share=0.0, seed=0)
+    envs = SampledEnvs([lambda: Cases(max_steps=4)] * 2, seed=0, reset_bank=bank)
     envs.reset()
     _play(envs, 400)
     assert 0.1 < asked.count(0) / len(asked) < 0.25  # 0.15 of 1.3
@@ -135,7 +134,7 @@ def test_episodes_go_where_they_fail(point_env: Any) -> None:
 
 def test_goes_on_exactly_after_a_restore(point_env: Any) -> None:
     def make() -> SampledEnvs:
-        return SampledEnvs([lambda: point_env(max_steps=12)] * 3, seed=7, bank=ResetBank(seed=2))
+        return SampledEnvs([lambda: point_env(max_steps=12)] * 3, seed=7, reset_bank=ResetBank(seed=2))
 
     envs, other = make(), make()
     envs.reset()
@@ -202,8 +201,8 @@ def test_refusals_say_why(point_env: Any) -> None:
     class Rootless(point_env):  # type: ignore[misc]
         start_state = property()
 
-    with pytest.raises(ValueError, match=r"cannot start from a bank.*bank_share=0"):
-        SampledEnvs([Rootless], seed=0, bank=ResetBank())
+    with pytest.raises(ValueError, match=r"cannot start from a reset bank.*reset_bank_share=0"):
+        SampledEnvs([Rootless], seed=0, reset_bank=ResetBank())
     envs = SampledEnvs([point_env], seed=0)
     envs.reset()
     with pytest.raises(ValueError, match="has 1 environments, this one 2"):

@@ -15,7 +15,7 @@ from stable_baselines3 import SAC
 
 from enn.networks.network import action_distribution
 from enn.policy import Policy
-from enn.reinforcement.evaluation import Evaluation, Outcome, evaluate
+from enn.reinforcement.evaluation import EpisodeOutcome, Evaluation, run_episodes
 from enn.reinforcement.sampling import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
@@ -27,7 +27,7 @@ from enn.reinforcement.training import (
     Training,
     TrainingSettings,
 )
-from enn.reinforcement.training_curve import COLUMNS
+from enn.reinforcement.training_result import COLUMNS
 from enn.reinforcement.training_run import TrainingRun
 from tests.enn.reinforcement.small_training import SMALL
 
@@ -54,7 +54,7 @@ def test_sac_learns_and_its_curve_and_files_say_so(point_env: Any, tmp_path: Pat
     assert result.timings["updates"] == pytest.approx(704, abs=8)
     assert not (tmp_path / "tensorboard").exists()
     loaded = Policy.load(tmp_path / "policy.pt")
-    played = evaluate(loaded, [point_env()], [7, 8, 9], deterministic=True)
+    played = run_episodes(loaded, [point_env()], [7, 8, 9], deterministic=True)
     assert played.success == 1.0
 
 
@@ -151,14 +151,14 @@ def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytes
 
     def judged(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> Evaluation:
         if not deterministic:
-            return Evaluation((Outcome(True, 10, 0.0, 0.0, 0.0, 0.0),))
+            return Evaluation((EpisodeOutcome(True, 10, 0.0, 0.0, 0.0, 0.0),))
         assert len(seeds) == 3
         weights.append(torch.cat([value.flatten().clone() for value in policy.module.actor.parameters()]))
         success = next(successes)
         path_mm = 30.0 if len(weights) == 2 else 25.0
-        return Evaluation(tuple(Outcome(number < success, 20, 0.0, path_mm, 0.0, 0.0) for number in range(3)))
+        return Evaluation(tuple(EpisodeOutcome(number < success, 20, 0.0, path_mm, 0.0, 0.0) for number in range(3)))
 
-    monkeypatch.setattr("enn.reinforcement.best_policy.evaluate", judged)
+    monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", judged)
     settings = dataclasses.replace(SMALL, decisions=800, evaluate_every=200, evaluation_episodes=3)
     result = Training(settings, point_env, None, seed=1).run()
     kept = torch.cat([value.flatten() for value in result.policy.module.actor.parameters()])
@@ -173,14 +173,14 @@ def test_evaluation_is_the_same_for_the_same_seeds(point_env: Any) -> None:
     result = Training(dataclasses.replace(SMALL, decisions=800, evaluate_every=800), point_env, None, seed=1).run()
     assert result.evaluation is not None
     for count in (1, 3):  # environments side by side
-        again = evaluate(
+        again = run_episodes(
             result.policy, [point_env() for _ in range(count)], range(501_000, 501_005), deterministic=True
         )
         assert (again.success, again.steps) == (result.evaluation["success"], result.evaluation["steps"])
         assert again.path_mm == pytest.approx(result.evaluation["path_mm"])
-    drawn = evaluate(result.policy, [point_env()], range(9), deterministic=False)
-    assert drawn == evaluate(result.policy, [point_env()], range(9), deterministic=False)
-    assert drawn != evaluate(result.policy, [point_env()], range(9), deterministic=True)
+    drawn = run_episodes(result.policy, [point_env()], range(9), deterministic=False)
+    assert drawn == run_episodes(result.policy, [point_env()], range(9), deterministic=False)
+    assert drawn != run_episodes(result.policy, [point_env()], range(9), deterministic=True)
 
 
 def test_stops_early_once_perfect_and_no_shorter(point_env: Any) -> None:
@@ -262,7 +262,7 @@ def test_entropy_of_each_number_of_actions(preset: TrainingSettings, point_env: 
     class Motors(point_env):  # type: ignore[misc]
         action_space = gymnasium.spaces.Box(-1, 1, (21,), np.float32)
 
-    small = {"extractor": "vectors", "variant": "desk", "hidden": (8,), "buffer_size": 64, "bank_share": 0.0}
+    small = {"extractor": "vectors", "variant": "desk", "hidden": (8,), "buffer_size": 64, "reset_bank_share": 0.0}
     run = TrainingRun(Training(dataclasses.replace(preset, **small), Motors, seed=0), None)
     assert run.learner.model.target_entropy == -21.0
     assert run.learner.model.ent_coef_optimizer is not None
@@ -330,11 +330,11 @@ def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env
         return make
 
     starts = [np.full((4, 2), 0.5), np.full((2, 2), -0.5)]
-    settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, n_envs=2, bank_share=0.5)
+    settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, n_envs=2, reset_bank_share=0.5)
     training = Training(settings, named("training"), seed=0, starts=starts, make_validation_env=named("validation"))
     run = TrainingRun(training, None)
-    assert run.sampled.bank is not None
-    assert len(run.sampled.bank) == 6
+    assert run.sampled.reset_bank is not None
+    assert len(run.sampled.reset_bank) == 6
     run.close()
     made.clear()
     training.run()
@@ -346,9 +346,9 @@ def test_a_few_hard_episodes_do_not_end_an_evaluation(point_env: Any, monkeypatc
 
     def hard_first(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> Evaluation:
         played.append(len(seeds))
-        return Evaluation(tuple(Outcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
+        return Evaluation(tuple(EpisodeOutcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
 
-    monkeypatch.setattr("enn.reinforcement.best_policy.evaluate", hard_first)
+    monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", hard_first)
     settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, evaluation_episodes=24)
     result = Training(settings, point_env, seed=0).run()
     assert played == [6, 18, 24]

@@ -51,15 +51,15 @@ def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
             )
         )
     settings = dataclasses.replace(
-        SMALL, decisions=240, demonstrations_in_replay=0.25, evaluate_every=0, bank_share=1.0
+        SMALL, decisions=240, demonstrations_in_replay=0.25, evaluate_every=0, reset_bank_share=1.0
     )
 
     run = TrainingRun(Training(settings, point_env, None, 0, trajectories), None)
     assert isinstance(run.learner, SacLearner)
     assert run.learner.replay.demonstrations is not None
     assert run.learner.replay.demonstrations.added == sum(map(len, trajectories))
-    assert run.sampled.bank is not None
-    assert len(run.sampled.bank) >= 3
+    assert run.sampled.reset_bank is not None
+    assert len(run.sampled.reset_bank) >= 3
     drawn = run.learner.replay.demonstrations.gather(
         np.arange(len(trajectories[0])), np.zeros(len(trajectories[0]), int)
     )

@@ -38,7 +38,8 @@ def test_a_desk_training_names_every_aid() -> None:
     told = training_note([DESK])
     for aid in (
         "shaped reward of training (geodesic, less 40 a metre of the tip's way)",
-        f"{100 * DESK_SAC.bank_share:.0f} % of the resets along the way, to states of demonstrations and own successes",
+        f"{100 * DESK_SAC.reset_bank_share:.0f} % of the resets along the way, to states of demonstrations and own "
+        "successes",
         "25 % of each batch are steps of the planner's demonstrations (3)",
         "an encoder fitted beforehand and frozen",
         f"actions held for {DESK_SAC.action_repeat} steps",

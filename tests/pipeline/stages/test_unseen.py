@@ -123,7 +123,7 @@ def test_plan_demonstrates_in_training_anatomies(tmp_path: Path) -> None:
     shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
     assert sorted(seed for given in shown for seed in given.shown) == list(range(1000, 1005))
     assert {"demonstrations/0", "demonstrations/1"} <= set(jobs["roadmap 4"].after)
-    assert jobs["roadmap 4"].given.settings.bank_cases == 8
+    assert jobs["roadmap 4"].given.settings.reset_bank_cases == 8
     none = plan(settings(demonstrations=0), tmp_path, 1, "desk")
     assert not [job.key for job in none if job.key.startswith("demonstrations")]
     assert jobs["roadmap"].given.demonstrations == tmp_path / "demonstrations"

@@ -1,1 +1,62 @@
-"""Prediction of contact forces from what is observed."""
+"""Prediction of contact forces from what is observed; the names below are imported at first use."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from enn.force.prediction import (
+        DESK_FORCE,
+        THESIS_FORCE,
+        ForceNetwork,
+        ForceNetworkSettings,
+        ForcePredictionSettings,
+        ForcePredictor,
+        ForceScore,
+        calibration,
+        fit_force,
+        force_preset,
+        score,
+    )
+    from enn.force.samples import ForceSamples, force_samples, principal_components
+
+_HOME = {
+    "DESK_FORCE": "prediction",
+    "THESIS_FORCE": "prediction",
+    "ForceNetwork": "prediction",
+    "ForceNetworkSettings": "prediction",
+    "ForcePredictionSettings": "prediction",
+    "ForcePredictor": "prediction",
+    "ForceSamples": "samples",
+    "ForceScore": "prediction",
+    "calibration": "prediction",
+    "fit_force": "prediction",
+    "force_preset": "prediction",
+    "force_samples": "samples",
+    "principal_components": "samples",
+    "score": "prediction",
+}
+
+__all__ = [
+    "DESK_FORCE",
+    "THESIS_FORCE",
+    "ForceNetwork",
+    "ForceNetworkSettings",
+    "ForcePredictionSettings",
+    "ForcePredictor",
+    "ForceSamples",
+    "ForceScore",
+    "calibration",
+    "fit_force",
+    "force_preset",
+    "force_samples",
+    "principal_components",
+    "score",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

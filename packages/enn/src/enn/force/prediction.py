@@ -53,7 +53,7 @@ class ForceNetworkSettings:
 
 
 @settings
-class ForceSettings:
+class ForcePredictionSettings:
     """How the force is learnt.
 
     Attributes:
@@ -70,18 +70,18 @@ class ForceSettings:
     feature_weight: Weight = 1.0
 
 
-DESK_FORCE = ForceSettings(
+DESK_FORCE = ForcePredictionSettings(
     fit=FitSettings(
         epochs=15, batch_size=128, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle", validation_share=0.0
     )
 )
-THESIS_FORCE = ForceSettings(
+THESIS_FORCE = ForcePredictionSettings(
     network=ForceNetworkSettings(variant="thesis", image_features=128, hidden=(128,)),
     fit=FitSettings(epochs=100, batch_size=32, learning_rate=1e-3, schedule="one_cycle", validation_share=0.0),
 )
 
 
-def force_preset(variant: str) -> ForceSettings:
+def force_preset(variant: str) -> ForcePredictionSettings:
     """The settings of a variant, "thesis" or "desk"."""
     presets = {"thesis": THESIS_FORCE, "desk": DESK_FORCE}
     if variant not in presets:
@@ -144,7 +144,7 @@ class ForceNetwork(nn.Module):
 
 def fit_force(
     samples: ForceSamples,
-    settings: ForceSettings = DESK_FORCE,
+    settings: ForcePredictionSettings = DESK_FORCE,
     *,
     seed: int = 0,
     folder: Path | str | None = None,

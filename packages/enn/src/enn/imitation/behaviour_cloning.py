@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from enn.devices import seeded
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
-from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningSettings
+from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.networks.image_network import shifted
 from enn.networks.normalisation import standardised
 from enn.setting_kinds import PixelsOrNone, Weight, settings
@@ -39,7 +39,7 @@ class BehaviourCloningSettings:
     Source: thesis, section Downstream Tasks, Imitation Learning.
     """
 
-    network: CloningSettings = field(default_factory=CloningSettings)
+    network: CloningNetworkSettings = field(default_factory=CloningNetworkSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     entropy: Weight = 1e-3
     l2: Weight = 0.0
@@ -50,7 +50,7 @@ class BehaviourCloningSettings:
 
 # Thesis, table of behaviour cloning's hyper-parameters.
 THESIS_CLONING = BehaviourCloningSettings(
-    network=CloningSettings(variant="thesis"),
+    network=CloningNetworkSettings(variant="thesis"),
     fit=FitSettings(
         epochs=800,
         batch_size=32,
@@ -62,7 +62,7 @@ THESIS_CLONING = BehaviourCloningSettings(
     l2=1e-5,
 )
 DESK_CLONING = BehaviourCloningSettings(
-    network=CloningSettings(variant="desk"),
+    network=CloningNetworkSettings(variant="desk"),
     fit=FitSettings(epochs=20, batch_size=64, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle"),
     shift_px=1,
 )

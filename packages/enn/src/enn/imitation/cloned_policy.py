@@ -22,7 +22,7 @@ _LOG_STD_RANGE = (-4.0, 1.0)  # a deterministic expert would drive the likelihoo
 
 
 @settings
-class CloningSettings:
+class CloningNetworkSettings:
     """What shapes of weights depend on.
 
     Attributes:
@@ -54,7 +54,7 @@ class CloningNetwork(nn.Module):
         settings: of the network.
     """
 
-    def __init__(self, settings: CloningSettings) -> None:
+    def __init__(self, settings: CloningNetworkSettings) -> None:
         super().__init__()
         self.settings = settings
         channels, height, width = settings.shape
@@ -196,7 +196,7 @@ class ClonedPolicy:
             *read_network(
                 path,
                 FORMAT,
-                lambda settings: CloningNetwork(CloningSettings(**settings)),
+                lambda settings: CloningNetwork(CloningNetworkSettings(**settings)),
                 kind="cloned policy",
                 verb="clone",
                 device=device,

@@ -1,4 +1,4 @@
-"""Judgement: which policy of a training is the best, and when no better one is to be expected."""
+"""Best-policy selection: which policy of a training is the best, and when no better one is to be expected."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import gymnasium
 from torch import nn
 
 from enn.policy import Policy
-from enn.reinforcement.evaluation import Evaluation, evaluate
+from enn.reinforcement.evaluation import Evaluation, run_episodes
 
 EVALUATION_SEEDS, SEEDS_A_TRAINING = 500_000, 1_000  # of evaluations while training: tables need other ones
 SCOUTS, SCOUT_SHARE = 3, 0.25  # evaluation episodes, at least so many, of which one has to succeed for the others
@@ -17,8 +17,8 @@ SHORTER = 0.98  # an evaluation is shorter than the best when its length is belo
 PERFECT, NEARLY = 0.999, 0.95
 
 
-class Judge:
-    """Evaluates a policy now and then and keeps the best weights.
+class BestPolicy:
+    """Evaluates a policy and keeps the best weights.
 
     The best has the highest deterministic success, then the highest stochastic success, then the shortest way of
     the tip; among those that never arrive, it has the highest reward.
@@ -33,40 +33,40 @@ class Judge:
         self.seeds = range(first, first + episodes)
         self.best: dict[str, Any] | None = None
         self.perfect = 0  # evaluations in a row that were perfect and no shorter than the best
-        self.judged = -1  # decisions at the last evaluation
+        self.evaluated_at = -1  # decisions at the last evaluation
 
     @property
     def success(self) -> float | None:
         """Deterministic success of the best policy; None before the first evaluation."""
         return None if self.best is None else float(self.best["evaluation"]["success"])
 
-    def judge(
+    def evaluate(
         self,
         policy: Policy,
         envs: Sequence[gymnasium.Env[Any, Any]],
         decisions: int,
         tick: Callable[[], None] | None = None,
     ) -> dict[str, Any]:
-        """Evaluates a policy, and keeps its weights if it is the best so far.
+        """Evaluates a policy and keeps its weights if it is the best so far.
 
         Args:
-            policy: that acts.
-            envs: to play in.
+            policy: to evaluate.
+            envs: to play in; they are reset.
             decisions: that it was trained with.
             tick: called after every decision.
 
         Returns:
-            What the training's curve says about it.
+            Columns of the training's curve.
         """
         # failures last longest: a policy that fails a few times in a row is not worth the rest
         scouts = max(SCOUTS, round(SCOUT_SHARE * len(self.seeds)))  # over many anatomies three can be hard ones
-        mean = evaluate(policy, envs, self.seeds[:scouts], deterministic=True, tick=tick)
+        mean = run_episodes(policy, envs, self.seeds[:scouts], deterministic=True, tick=tick)
         if mean.success > 0 and len(self.seeds) > scouts:
-            rest = evaluate(policy, envs, self.seeds[scouts:], deterministic=True, tick=tick)
+            rest = run_episodes(policy, envs, self.seeds[scouts:], deterministic=True, tick=tick)
             mean = Evaluation((*mean.outcomes, *rest.outcomes))
         drawn: Evaluation | None = None
         if mean.success > 0 and mean.success >= (self.success or 0.0):
-            drawn = evaluate(policy, envs, self.seeds, deterministic=False, tick=tick)
+            drawn = run_episodes(policy, envs, self.seeds, deterministic=False, tick=tick)
         stochastic = 0.0 if drawn is None else drawn.success
         shorter = self.best is None or mean.steps < SHORTER * self.best["evaluation"]["steps"]
         perfect = mean.success >= PERFECT and stochastic >= NEARLY
@@ -86,7 +86,7 @@ class Judge:
                     "decisions": float(decisions),
                 },
             }
-        self.judged = decisions
+        self.evaluated_at = decisions
         return {
             "evaluation_success": mean.success,
             "evaluation_stochastic_success": None if drawn is None else stochastic,
@@ -95,8 +95,8 @@ class Judge:
             "evaluation_force": mean.force_mean,
         }
 
-    def give_best(self, module: nn.Module) -> dict[str, float] | None:
-        """Puts the best weights into a network, if there are any; returns how they did."""
+    def load_best_into(self, module: nn.Module) -> dict[str, float] | None:
+        """Loads the best weights into a network, if there are any; returns their evaluation."""
         if self.best is None:
             return None
         module.load_state_dict(self.best["weights"])
@@ -104,8 +104,8 @@ class Judge:
 
     def state(self) -> dict[str, Any]:
         """Best weights and counts, as plain data; for `restore`."""
-        return {"best": self.best, "perfect": self.perfect, "judged": self.judged}
+        return {"best": self.best, "perfect": self.perfect, "evaluated_at": self.evaluated_at}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Returns to a saved state."""
-        self.best, self.perfect, self.judged = state["best"], state["perfect"], state["judged"]
+        self.best, self.perfect, self.evaluated_at = state["best"], state["perfect"], state["evaluated_at"]

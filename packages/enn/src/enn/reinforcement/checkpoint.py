@@ -6,12 +6,14 @@ import hashlib
 import io
 import json
 import os
+import random
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -176,6 +178,25 @@ class CheckpointFolder:
                 f"the checkpoint in {self.folder} is of an older format, {form}: remove it to train from the start"
             )
         raise self.unusable(f"{INDEX}: its digest does not match")
+
+
+def random_states() -> dict[str, Any]:
+    """The global generators' states: training draws from generators of its own, but libraries may use these."""
+    return {
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002
+        "torch": torch.get_rng_state(),
+        "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else [],
+    }
+
+
+def restore_random_states(states: dict[str, Any]) -> None:
+    """Returns the global generators to saved states."""
+    random.setstate(states["python"])
+    np.random.set_state(states["numpy"])  # noqa: NPY002
+    torch.set_rng_state(states["torch"])
+    if states["cuda"] and torch.cuda.is_available() and len(states["cuda"]) == torch.cuda.device_count():
+        torch.cuda.set_rng_state_all(states["cuda"])
 
 
 def _digest(index: Any) -> str:

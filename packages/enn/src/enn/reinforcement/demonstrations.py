@@ -1,4 +1,4 @@
-"""Demonstrations: how episodes of an expert enter the replay buffer and the reset bank."""
+"""Demonstrations: how episodes of an expert enter the replay buffer."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import gymnasium
 import numpy as np
 
 from enn.reinforcement.replay import ReplayBuffer
-from enn.reinforcement.reset_bank import ResetBank
-from enn.reinforcement.sampling import RECORD_EVERY
 from enn.trajectory import Trajectory
 
 
@@ -64,13 +62,3 @@ def demonstration_replay(
             reward = trajectory.rewards[start:end].sum()
             buffer.add(before, after, action[None], np.array([reward]), np.array([last]), cut)
     return buffer
-
-
-def fill_bank(bank: ResetBank, trajectories: Sequence[Trajectory]) -> int:
-    """Puts states of the demonstrations that reached the target into a bank; returns how many episodes had them."""
-    used = 0
-    for trajectory in trajectories:
-        if trajectory.terminated and trajectory.simulation_states is not None:
-            bank.add_episode(trajectory.simulation_states[:-1:RECORD_EVERY])
-            used += 1
-    return used

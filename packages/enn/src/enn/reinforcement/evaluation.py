@@ -13,14 +13,14 @@ from enn.policy import Policy
 
 
 @dataclass(frozen=True)
-class Outcome:
+class EpisodeOutcome:
     """How one episode went.
 
     Attributes:
         success: whether the target was reached.
         steps: environment steps.
         reward: their sum.
-        path_mm: length of the tip's way; 0 where the environment does not tell the tip.
+        path_mm: path length of the tip; 0 where the environment's info has no `tip`.
         force_mean: mean contact force, N.
         force_max: largest contact force, N.
     """
@@ -37,40 +37,43 @@ class Outcome:
 class Evaluation:
     """What a policy reached over episodes."""
 
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[EpisodeOutcome, ...]
 
     @property
     def success(self) -> float:
         """Share of the episodes that reached the target."""
-        return float(np.mean([outcome.success for outcome in self.outcomes]))
+        return self._mean("success")
 
     @property
     def steps(self) -> float:
         """Mean length of an episode, in environment steps."""
-        return float(np.mean([outcome.steps for outcome in self.outcomes]))
+        return self._mean("steps")
 
     @property
     def reward(self) -> float:
         """Mean sum of an episode's rewards."""
-        return float(np.mean([outcome.reward for outcome in self.outcomes]))
+        return self._mean("reward")
 
     @property
     def path_mm(self) -> float:
-        """Mean length of the tip's way, mm."""
-        return float(np.mean([outcome.path_mm for outcome in self.outcomes]))
+        """Mean path length of the tip, mm."""
+        return self._mean("path_mm")
 
     @property
     def force_mean(self) -> float:
         """Mean contact force over the episodes, N."""
-        return float(np.mean([outcome.force_mean for outcome in self.outcomes]))
+        return self._mean("force_mean")
 
     @property
     def force_max(self) -> float:
         """Largest contact force of any episode, N."""
-        return float(np.max([outcome.force_max for outcome in self.outcomes]))
+        return max(outcome.force_max for outcome in self.outcomes)
+
+    def _mean(self, name: str) -> float:
+        return float(np.mean([getattr(outcome, name) for outcome in self.outcomes]))
 
 
-def evaluate(
+def run_episodes(
     policy: Policy,
     envs: Sequence[gymnasium.Env[Any, Any]],
     seeds: Sequence[int],
@@ -88,12 +91,12 @@ def evaluate(
         tick: called after every decision.
     """
     generator = np.random.default_rng(list(seeds))
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[int, EpisodeOutcome] = {}
     waiting = list(enumerate(seeds))
-    running: list[_Running] = []
+    running: list[_RunningEpisode] = []
     for env in envs:
         if waiting:
-            running.append(_Running(env, *waiting.pop(0)))
+            running.append(_RunningEpisode(env, *waiting.pop(0)))
     while running:
         first = running[0].observation
         if isinstance(first, dict):
@@ -109,14 +112,14 @@ def evaluate(
             else:
                 outcomes[one.number] = outcome
                 if waiting:
-                    still.append(_Running(one.env, *waiting.pop(0)))
+                    still.append(_RunningEpisode(one.env, *waiting.pop(0)))
         running = still
         if tick is not None:
             tick()
     return Evaluation(tuple(outcomes[number] for number in range(len(seeds))))
 
 
-class _Running:
+class _RunningEpisode:
     def __init__(self, env: gymnasium.Env[Any, Any], number: int, seed: int) -> None:
         self.env, self.number = env, number
         self.observation, info = env.reset(seed=seed)
@@ -125,7 +128,7 @@ class _Running:
         self._steps, self._reward, self._path = 0, 0.0, 0.0
         self._forces: list[float] = []
 
-    def hold(self, action: np.ndarray, repeat: int) -> Outcome | None:
+    def hold(self, action: np.ndarray, repeat: int) -> EpisodeOutcome | None:
         """Plays an action for some steps; the outcome once the episode has ended."""
         for _ in range(repeat):
             self.observation, reward, terminated, truncated, info = self.env.step(action)
@@ -139,7 +142,7 @@ class _Running:
             if terminated or truncated:
                 success = bool(info.get("success", terminated))
                 forces = np.array(self._forces)
-                return Outcome(
+                return EpisodeOutcome(
                     success, self._steps, self._reward, 1000 * self._path, float(forces.mean()), float(forces.max())
                 )
         return None

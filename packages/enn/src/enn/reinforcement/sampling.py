@@ -1,4 +1,4 @@
-"""Sampling: environments of one process stepped together in threads, with action repeat and starts from a bank."""
+"""Sampling: environments stepped together in threads, with action repeat and starts from a reset bank."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from enn.networks.normalisation import select_keys
-from enn.reinforcement.reset_bank import ResetBank
+from enn.reinforcement.reset_bank import RECORD_EVERY, ResetBank
 
 logger = logging.getLogger(__name__)
 
-RECORD_EVERY = 3  # steps between the states that a success leaves in the bank
 Observations = dict[str, NDArray[Any]] | NDArray[Any]
 
 
@@ -31,15 +30,15 @@ class SampledEnvs(VecEnv):
 
     Results do not depend on the number of threads. An environment that has ended is reset in the same step; its info
     then holds `terminal_observation`, `TimeLimit.truncated` and `episode`: `r` sum of rewards, `l` length in steps,
-    `success`, and `fresh`, whether it started as the task says and not from the bank. Every info holds `steps`, the
-    number of environment steps that the decision took.
+    `success`, and `fresh`, whether it started as the task says and not from the reset bank. Every info holds `steps`,
+    the number of environment steps that the decision took.
 
     Args:
         factories: each makes one environment; all with the same spaces.
         seed: of the environments' starts.
         threads: number of threads that step them.
         action_repeat: environment steps a decision, each with the same action; rewards are added up.
-        bank: states to start from; own successes from the usual start are added to it. Needs
+        reset_bank: states to start from; own successes from the usual start are added to it. Needs
             `env.unwrapped.start_state()` or `env.unwrapped.simulation.state()`, and `reset(options={"start": state})`.
         keys: observations of a `Dict` to keep; none: all.
 
@@ -54,7 +53,7 @@ class SampledEnvs(VecEnv):
         seed: int,
         threads: int = 1,
         action_repeat: int = 1,
-        bank: ResetBank | None = None,
+        reset_bank: ResetBank | None = None,
         keys: Sequence[str] = (),
     ) -> None:
         if not factories:
@@ -70,8 +69,8 @@ class SampledEnvs(VecEnv):
         if keys and isinstance(space, gymnasium.spaces.Dict):
             space = gymnasium.spaces.Dict([(key, space[key]) for key in select_keys(space, keys)])
         super().__init__(len(self.envs), space, first.action_space)
-        self.action_repeat, self.bank = action_repeat, bank
-        self._start_states = [start_state_of(env) for env in self.envs] if bank is not None else []
+        self.action_repeat, self.reset_bank = action_repeat, reset_bank
+        self._start_states = [start_state_of(env) for env in self.envs] if reset_bank is not None else []
         spaces: dict[str, Any] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {"": space}
         self._names = [name for name in spaces if name]
         self._checked = [name for name, space in spaces.items() if np.issubdtype(space.dtype, np.floating)]
@@ -132,7 +131,11 @@ class SampledEnvs(VecEnv):
             observation, reward, terminated, truncated, info = env.step(action)
             taken, total = taken + 1, total + float(reward)
             self._lengths[index] += 1
-            if self.bank is not None and self._lengths[index] % RECORD_EVERY == 0 and not (terminated or truncated):
+            if (
+                self.reset_bank is not None
+                and self._lengths[index] % RECORD_EVERY == 0
+                and not (terminated or truncated)
+            ):
                 self._paths[index].append(self._start_states[index]())
         self._returns[index] += total
         info["steps"] = taken
@@ -140,17 +143,17 @@ class SampledEnvs(VecEnv):
 
     def _draw(self, index: int) -> dict[str, Any] | None:
         """Options of the next episode's reset."""
-        start = None if self.bank is None else self.bank.draw()
+        start = None if self.reset_bank is None else self.reset_bank.draw()
         self._fresh[index] = start is None
         if start is not None:
             return {"start": start}
-        case = None if self.bank is None else self.bank.choose()
+        case = None if self.reset_bank is None else self.reset_bank.choose_case()
         return None if case is None else {"case": case}
 
     def _begin(self, index: int, options: dict[str, Any] | None, seed: int | None) -> Any:
         self._returns[index], self._lengths[index] = 0.0, 0
         observation, _ = self.envs[index].reset(seed=seed, options=options)
-        self._paths[index] = [] if self.bank is None else [self._start_states[index]()]
+        self._paths[index] = [] if self.reset_bank is None else [self._start_states[index]()]
         return observation
 
     def _finish(self, index: int, observation: Any, terminated: bool, info: dict[str, Any]) -> None:
@@ -163,11 +166,11 @@ class SampledEnvs(VecEnv):
             "success": success,
             "fresh": bool(self._fresh[index]),
         }
-        if self.bank is not None and self._fresh[index] and "case" in info:
-            self.bank.judge(info["case"], success=success)
-        # episodes from the bank would only crowd it with the end of the way
-        if success and self.bank is not None and self._fresh[index]:
-            self.bank.add_episode(np.stack(self._paths[index]))
+        if self.reset_bank is not None and self._fresh[index] and "case" in info:
+            self.reset_bank.record_outcome(info["case"], success=success)
+        # episodes from the reset bank would fill it with states near the target alone
+        if success and self.reset_bank is not None and self._fresh[index]:
+            self.reset_bank.add_episode(np.stack(self._paths[index]))
 
     def _each(self, work: Callable[[int], Any], indices: Sequence[int] | None = None) -> list[Any]:
         indices = range(self.num_envs) if indices is None else indices
@@ -222,7 +225,7 @@ class SampledEnvs(VecEnv):
             "fresh": self._fresh.copy(),
             "paths": [np.stack(path) if path else None for path in self._paths],
             "decisions": self.decisions,
-            "bank": None if self.bank is None else self.bank.state(),
+            "reset_bank": None if self.reset_bank is None else self.reset_bank.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> Observations:
@@ -237,8 +240,8 @@ class SampledEnvs(VecEnv):
         if len(state["envs"]) != self.num_envs:
             raise ValueError(f"the saved sampling has {len(state['envs'])} environments, this one {self.num_envs}")
         self._env_seeds, self.decisions = list(state["seeds"]), state["decisions"]
-        if self.bank is not None and state["bank"] is not None:
-            self.bank.restore(state["bank"])
+        if self.reset_bank is not None and state["reset_bank"] is not None:
+            self.reset_bank.restore(state["reset_bank"])
         if any(saved is None for saved in state["envs"]):
             logger.warning("environments without state() cannot go on exactly: they start new episodes")
             return self.reset()
@@ -308,6 +311,6 @@ def start_state_of(env: gymnasium.Env[Any, Any]) -> Callable[[], NDArray[Any]]:
     if hasattr(inner, "simulation"):
         return inner.simulation.state
     raise ValueError(
-        f"{type(inner).__name__} cannot start from a bank: it needs start_state() or a simulation with state(); "
-        "train with bank_share=0"
+        f"{type(inner).__name__} cannot start from a reset bank: it needs start_state() or a simulation with state(); "
+        "train with reset_bank_share=0"
     )

@@ -7,37 +7,36 @@ import logging
 import time
 import zlib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.utils import get_device
 
 from enn.model_file import UNFIT
 from enn.policy import Policy
-from enn.reinforcement.best_policy import Judge
-from enn.reinforcement.case_reset_bank import CaseBank
-from enn.reinforcement.checkpoint import CheckpointFolder
-from enn.reinforcement.demonstrations import demonstration_replay, fill_bank
+from enn.reinforcement.best_policy import BestPolicy
+from enn.reinforcement.checkpoint import CheckpointFolder, random_states, restore_random_states
+from enn.reinforcement.demonstrations import demonstration_replay
 from enn.reinforcement.proximal_policy import PpoLearner
-from enn.reinforcement.random_states import random_states, restore_random_states
-from enn.reinforcement.reset_bank import ResetBank
+from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
 from enn.reinforcement.sampling import SampledEnvs, without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
-from enn.reinforcement.training_curve import COLUMNS, replace_text, write_curve
-
-if TYPE_CHECKING:
-    from enn.reinforcement.training import Training
+from enn.reinforcement.training_result import COLUMNS, Progress, TrainingResult, replace_text, write_curve
+from enn.reinforcement.training_settings import TrainingSettings
+from enn.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
 
 REWARD_WINDOW, EPISODE_WINDOW = 100, 50
 TICK = 0.25  # s between calls of the progress callback
-# settings that may change between the runs of one training
-FREE = {
+# settings that may change when a training is resumed
+CHANGEABLE = {
     "decisions",
     "threads",
     "evaluate_every",
@@ -50,107 +49,98 @@ FREE = {
 }
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Where a training stands.
+@dataclass
+class TrainingInputs:
+    """What a training starts from.
 
     Attributes:
-        decisions: taken so far.
-        total: the budget.
-        success: share of the latest training episodes from the usual start that succeeded; None before the first.
-        best_success: deterministic success of the best policy so far; None before the first evaluation.
-        wall_s: since the training began, all its runs together.
-        remaining_s: estimate to the end of the budget.
+        settings: of the training.
+        make_env: makes one environment; called for each of those sampled, and for evaluation.
+        folder: where it is kept; None: only in memory.
+        seed: of everything.
+        demonstrations: their states enter the reset bank; their steps the replay buffer, if the settings say so.
+        encoder: frozen, turns observations into features.
+        metadata: kept in the policy's file, with the seed.
+        starts: further states of the reset bank, an array for each case or way. Shapes (k, n).
+        make_validation_env: makes the environments of the evaluations that choose the best policy; None: `make_env`.
     """
 
-    decisions: int
-    total: int
-    success: float | None
-    best_success: float | None
-    wall_s: float
-    remaining_s: float
-
-
-@dataclass(frozen=True)
-class TrainingResult:
-    """What a training gives.
-
-    Attributes:
-        policy: the best by evaluation (or the last, when there were none).
-        curve: rows of training.csv.
-        timings: seconds in all and in parts, and what was done in them.
-        evaluation: of the best policy: success, stochastic_success, steps, path_mm, force_mean, force_max, decisions.
-    """
-
-    policy: Policy
-    curve: list[dict[str, Any]]
-    timings: dict[str, float]
-    evaluation: dict[str, float] | None
+    settings: TrainingSettings
+    make_env: Callable[[], gymnasium.Env[Any, Any]]
+    folder: Path | str | None = None
+    seed: int = 0
+    demonstrations: Sequence[Trajectory] = ()
+    encoder: Any = None
+    metadata: dict[str, Any] | None = None
+    starts: Sequence[NDArray[Any]] = ()
+    make_validation_env: Callable[[], gymnasium.Env[Any, Any]] | None = None
 
 
 class TrainingRun:
     """A training while it runs: its environments, learner, counters and clocks.
 
     Args:
-        training: what is to be trained.
+        inputs: what it starts from.
         progress: called a few times a second between decisions.
     """
 
-    def __init__(self, training: Training, progress: Callable[[Progress], None] | None) -> None:
-        settings = training.settings
-        if training.encoder is not None:
+    def __init__(self, inputs: TrainingInputs, progress: Callable[[Progress], None] | None) -> None:
+        settings = inputs.settings
+        if inputs.encoder is not None:
             settings = replace(settings, normalise=False)  # the encoder's features are normalised already
-        self.training, self.settings, self.progress = training, settings, progress
+        self.inputs, self.settings, self.progress = inputs, settings, progress
+        self.folder = None if inputs.folder is None else Path(inputs.folder)
         torch.set_num_threads(1)
-        bank: ResetBank | None = None
-        if settings.bank_cases:
-            bank = CaseBank(settings.bank_cases, settings.bank_share, settings.bank_capacity, training.seed)
-        elif settings.bank_share > 0:
-            bank = ResetBank(settings.bank_share, settings.bank_capacity, training.seed)
+        reset_bank: ResetBank | None = None
+        kept = settings.reset_bank_share, settings.reset_bank_capacity, inputs.seed
+        if settings.reset_bank_cases:
+            reset_bank = CaseResetBank(settings.reset_bank_cases, *kept)
+        elif settings.reset_bank_share > 0:
+            reset_bank = ResetBank(*kept)
         keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
         self.sampled = SampledEnvs(
-            [training.make_env] * settings.n_envs,
-            seed=training.seed,
+            [inputs.make_env] * settings.n_envs,
+            seed=inputs.seed,
             threads=settings.threads,
             action_repeat=settings.action_repeat,
-            bank=bank,
-            keys=keys if training.encoder is None else (),
+            reset_bank=reset_bank,
+            keys=keys if inputs.encoder is None else (),
         )
         self.envs: Any = self.sampled
-        if training.encoder is not None:
+        if inputs.encoder is not None:
             from enn.reinforcement.encoded import EncodedEnvs
 
-            training.encoder.to(get_device(settings.device))
-            self.envs = EncodedEnvs(self.sampled, training.encoder, settings.passthrough)
+            inputs.encoder.to(get_device(settings.device))
+            self.envs = EncodedEnvs(self.sampled, inputs.encoder, settings.passthrough)
         demonstrations = None
-        if settings.demonstrations_in_replay > 0 and training.demonstrations:
+        if settings.demonstrations_in_replay > 0 and inputs.demonstrations:
             demonstrations = demonstration_replay(
-                training.demonstrations,
+                inputs.demonstrations,
                 self.envs.observation_space,
                 self.envs.action_space,
                 action_repeat=settings.action_repeat,
-                encode=None if training.encoder is None else self._encode,
-                seed=training.seed,
+                encode=None if inputs.encoder is None else self._encode,
+                seed=inputs.seed,
             )
         self.learner: SacLearner | PpoLearner
         if settings.algorithm == "sac":
-            self.learner = SacLearner(settings, self.envs, training.seed, demonstrations)
+            self.learner = SacLearner(settings, self.envs, inputs.seed, demonstrations)
         else:
-            self.learner = PpoLearner(settings, self.envs, training.seed)
+            self.learner = PpoLearner(settings, self.envs, inputs.seed)
         self.policy = Policy(
             settings.network,
             self.learner.policy,
             self.sampled.observation_space,
             self.sampled.action_space,  # type: ignore[arg-type]
-            encoder=training.encoder,
+            encoder=inputs.encoder,
             passthrough=settings.passthrough,
             action_repeat=settings.action_repeat,
-            metadata=training.metadata,
+            metadata={"seed": inputs.seed, **(inputs.metadata or {})},
         )
-        self._arenas: list[gymnasium.Env[Any, Any]] = []
+        self._evaluation_envs: list[gymnasium.Env[Any, Any]] = []
         self.decisions = self.env_steps = 0
         self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
-        self.judge = Judge(settings.evaluation_episodes, training.seed)
+        self.best_policy = BestPolicy(settings.evaluation_episodes, inputs.seed)
         self.curve: list[dict[str, Any]] = []
         self.latest: dict[str, Any] = {}
         self.rewards: deque[float] = deque(maxlen=REWARD_WINDOW)
@@ -162,9 +152,9 @@ class TrainingRun:
         self.consistent = False
         self.writer: Any = None
         self.checkpoint = None
-        if training.folder is not None:
-            training.folder.mkdir(parents=True, exist_ok=True)
-            self.checkpoint = CheckpointFolder(training.folder / "checkpoint", self._architecture())
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self.checkpoint = CheckpointFolder(self.folder / "checkpoint", self._architecture())
         if self.checkpoint is not None and self.checkpoint.exists():
             state, pieces = self.checkpoint.read()
             try:
@@ -173,16 +163,16 @@ class TrainingRun:
                 reason = " ".join(str(error).split())[:200]
                 raise self.checkpoint.unusable(f"its state cannot be taken up: {reason}") from error
         else:
-            if bank is not None:
-                fill_bank(bank, training.demonstrations)
-                for states in training.starts:
-                    bank.add_episode(states)
+            if reset_bank is not None:
+                fill_reset_bank(reset_bank, inputs.demonstrations)
+                for states in inputs.starts:
+                    reset_bank.add_episode(states)
             self.observations = self.envs.reset()
         self.saved = time.perf_counter()
-        if settings.tensorboard and training.folder is not None:
+        if settings.tensorboard and self.folder is not None:
             from torch.utils.tensorboard import SummaryWriter
 
-            self.writer = SummaryWriter(str(training.folder / "tensorboard"), purge_step=self.decisions or None)
+            self.writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self.decisions or None)
 
     def train(self) -> TrainingResult:
         """Trains to the end; whatever stops it between decisions leaves a checkpoint of that moment."""
@@ -228,12 +218,12 @@ class TrainingRun:
     def _pause(self) -> bool:
         """What is due between decisions; whether the training is over."""
         over = self.decisions >= self.settings.decisions
-        last_word = over and self.settings.evaluate_every > 0 and self.judge.judged < self.decisions
-        if self.decisions >= self.next_evaluation or last_word:
+        final_evaluation = over and self.settings.evaluate_every > 0 and self.best_policy.evaluated_at < self.decisions
+        if self.decisions >= self.next_evaluation or final_evaluation:
             self._evaluate()
             while self.next_evaluation <= self.decisions:
                 self.next_evaluation += self.settings.evaluate_every
-        over |= 0 < self.settings.stop_after <= self.judge.perfect
+        over |= 0 < self.settings.stop_after <= self.best_policy.perfect
         last = self.curve[-1]["decisions"] if self.curve else 0
         if self.decisions >= self.next_row or (over and last < self.decisions):
             self._row()
@@ -247,10 +237,10 @@ class TrainingRun:
 
     def _evaluate(self) -> None:
         clock = time.perf_counter()
-        while len(self._arenas) < min(self.settings.evaluation_episodes, self.settings.n_envs):
-            self._arenas.append(without_checks(self.training.make_validation_env()))
+        while len(self._evaluation_envs) < min(self.settings.evaluation_episodes, self.settings.n_envs):
+            self._evaluation_envs.append(without_checks((self.inputs.make_validation_env or self.inputs.make_env)()))
         self.policy.module.set_training_mode(False)
-        self.latest = self.judge.judge(self.policy, self._arenas, self.decisions, self._tick)
+        self.latest = self.best_policy.evaluate(self.policy, self._evaluation_envs, self.decisions, self._tick)
         self.spent["evaluation_s"] += time.perf_counter() - clock
 
     def _row(self) -> None:
@@ -267,8 +257,8 @@ class TrainingRun:
         }
         self.latest = {}
         self.curve.append({name: row.get(name) for name in COLUMNS})
-        if self.training.folder is not None:
-            write_curve(self.training.folder / "training.csv", self.curve)
+        if self.folder is not None:
+            write_curve(self.folder / "training.csv", self.curve)
         if self.writer is not None:
             for name, value in {**{f"curve/{k}": v for k, v in row.items()}, **self.learner.scalars()}.items():
                 if value is not None and name != "curve/decisions":
@@ -293,21 +283,21 @@ class TrainingRun:
                 self.decisions,
                 total,
                 self._success(),
-                self.judge.success,
+                self.best_policy.success,
                 self._clocks()[0],
                 pace * (total - self.decisions),
             )
         )
 
     def _architecture(self) -> dict[str, Any]:
-        settings = {name: value for name, value in asdict(self.settings).items() if name not in FREE}
-        encoder = self.training.encoder
+        settings = {name: value for name, value in asdict(self.settings).items() if name not in CHANGEABLE}
+        encoder = self.inputs.encoder
         weights = b"" if encoder is None else b"".join(v.cpu().numpy().tobytes() for v in encoder.state_dict().values())
         return {
             **settings,
             "observations": str(self.envs.observation_space),
             "actions": str(self.envs.action_space),
-            "seed": self.training.seed,
+            "seed": self.inputs.seed,
             "encoder": zlib.adler32(weights),
         }
 
@@ -319,7 +309,7 @@ class TrainingRun:
             "envs": self.sampled.state(),
             "random": random_states(),
             "counters": (self.decisions, self.env_steps, self.next_row, self.next_evaluation),
-            "judge": self.judge.state(),
+            "best_policy": self.best_policy.state(),
             "curve": self.curve,
             "latest": self.latest,
             "rewards": list(self.rewards),
@@ -332,10 +322,10 @@ class TrainingRun:
     def _restore(self, state: dict[str, Any], pieces: dict[str, Any]) -> None:
         self.learner.restore(state["learner"], pieces)
         observations = self.sampled.restore(state["envs"])
-        self.observations = observations if self.training.encoder is None else self._encode(observations)
+        self.observations = observations if self.inputs.encoder is None else self._encode(observations)
         restore_random_states(state["random"])
         self.decisions, self.env_steps, self.next_row, self.next_evaluation = state["counters"]
-        self.judge.restore(state["judge"])
+        self.best_policy.restore(state["best_policy"])
         # the intervals may have been changed since
         self.next_evaluation = min(self.next_evaluation, self.decisions + (self.settings.evaluate_every or 1 << 62))
         self.next_row = min(self.next_row, self.decisions + self.settings.curve_every)
@@ -358,19 +348,18 @@ class TrainingRun:
             "env_steps": float(self.env_steps),
             "updates": float(self.learner.updates),
         }
-        evaluation = self.judge.give_best(self.policy.module)
+        evaluation = self.best_policy.load_best_into(self.policy.module)
         self.policy.metadata |= {"decisions": self.decisions}
-        folder = self.training.folder
-        if folder is not None:
-            self.policy.save(folder / "policy.pt")
-            write_curve(folder / "training.csv", self.curve)
+        if self.folder is not None:
+            self.policy.save(self.folder / "policy.pt")
+            write_curve(self.folder / "training.csv", self.curve)
             record = {
                 "settings": asdict(self.settings),
                 "metadata": self.policy.metadata,
                 "timings": timings,
                 "evaluation": evaluation,
             }
-            replace_text(folder / "training.json", json.dumps(record, indent=2))
+            replace_text(self.folder / "training.json", json.dumps(record, indent=2))
         if self.checkpoint is not None:
             self.checkpoint.remove()
         return TrainingResult(self.policy, self.curve, timings, evaluation)
@@ -380,5 +369,5 @@ class TrainingRun:
         if self.writer is not None:
             self.writer.close()
         self.sampled.close()
-        for env in self._arenas:
+        for env in self._evaluation_envs:
             env.close()

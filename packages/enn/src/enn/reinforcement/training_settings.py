@@ -67,10 +67,10 @@ class TrainingSettings:
         epochs: of PPO over each roll-out.
         gae_lambda: of PPO.
         clip_range: of PPO.
-        bank_share: share of the resets that start from the bank; 0: there is no bank.
-        bank_capacity: states in the bank; with cases, of each of them.
-        bank_cases: how many cases (an anatomy and a target each, say) the environment chooses from; each then has room
-            of its own in the bank, and episodes take place more often where they fail. 0: nothing is known of cases.
+        reset_bank_share: share of the resets that start from the reset bank; 0: there is none.
+        reset_bank_capacity: states in the reset bank; with cases, of each of them.
+        reset_bank_cases: how many cases (an anatomy and a target each, say) the environment chooses from; each then has
+            room of its own, and episodes take place more often where they fail. 0: the environment has no cases.
         evaluate_every: decisions between evaluations; 0: none, the last policy is kept.
         evaluation_episodes: deterministic episodes, and as many stochastic ones where those were no worse than the best
             so far; when the first three fail, the rest are not played.
@@ -116,9 +116,9 @@ class TrainingSettings:
     epochs: Count = 10
     gae_lambda: Share = 0.95
     clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2
-    bank_share: Share = 0.75
-    bank_capacity: Count = 4096
-    bank_cases: CountOrNone = 0
+    reset_bank_share: Share = 0.75
+    reset_bank_capacity: Count = 4096
+    reset_bank_cases: CountOrNone = 0
     evaluate_every: CountOrNone = 1000
     evaluation_episodes: Count = 10
     stop_after: CountOrNone = 0
@@ -194,7 +194,7 @@ THESIS_SAC = TrainingSettings(
     learning_starts=100,
     ent_coef="auto_1.0",
     buffer_size=1_000_000,
-    bank_share=0.0,
+    reset_bank_share=0.0,
     evaluate_every=10_000,
     curve_every=1000,
 )
@@ -214,11 +214,11 @@ THESIS_PPO = TrainingSettings(
     learning_starts=0,
     ent_coef=0.0,
     n_steps=2048,
-    bank_share=0.0,
+    reset_bank_share=0.0,
     evaluate_every=10_000,
     curve_every=2048,
 )
-# Measured on the simulator: with demonstrations in the bank, holding an action for 0.3 s is what makes LCCA quick.
+# Measured on the simulator: with demonstrations in the reset bank, LCCA is learnt fast only if actions last 0.3 s.
 DESK_SAC = TrainingSettings(
     decisions=4000,
     critic_layer_norm=True,

@@ -1,11 +1,14 @@
-"""Training curve: its columns, and the file that it is kept in."""
+"""What a training reports: its progress, its curve with the file that it is kept in, and its result."""
 
 from __future__ import annotations
 
 import csv
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from enn.policy import Policy
 
 COLUMNS = (
     "decisions",
@@ -22,6 +25,44 @@ COLUMNS = (
     "evaluation_force",
 )
 Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training stands.
+
+    Attributes:
+        decisions: taken so far.
+        total: the budget.
+        success: share of the latest training episodes from the usual start that succeeded; None before the first.
+        best_success: deterministic success of the best policy so far; None before the first evaluation.
+        wall_s: since the training began, all its runs together.
+        remaining_s: estimate to the end of the budget.
+    """
+
+    decisions: int
+    total: int
+    success: float | None
+    best_success: float | None
+    wall_s: float
+    remaining_s: float
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """What a training gives.
+
+    Attributes:
+        policy: the best by evaluation (or the last, when there were none).
+        curve: rows of training.csv.
+        timings: seconds in all and in parts, and what was done in them.
+        evaluation: of the best policy: success, stochastic_success, steps, path_mm, force_mean, force_max, decisions.
+    """
+
+    policy: Policy
+    curve: list[dict[str, Any]]
+    timings: dict[str, float]
+    evaluation: dict[str, float] | None
 
 
 def write_curve(path: Path, curve: list[Row]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from enn.reinforcement.frame_store import FrameStore
+from enn.reinforcement.observation_store import FrameStore
 from enn.reinforcement.replay import ReplayBuffer
 
 SIDE, STACK, ENVS = 48, 3, 2
