@@ -36,14 +36,7 @@ class Anatomy:
 
 
 def check_phantoms(settings: PhantomsSettings) -> None:
-    """Refuses unknown phantoms.
-
-    Args:
-        settings: the stage's settings.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms and units with a `ConfigurationError` that lists the valid ones."""
     if settings.mesh is not None:
         from cathsim.anatomy.mesh.unit import check_unit
 
@@ -56,14 +49,14 @@ def check_phantoms(settings: PhantomsSettings) -> None:
 
 
 def require_known_phantoms(names: list[str], *, hint: str = "") -> None:
-    """Refuses names that are no phantom's.
+    """Refuses unknown names.
 
     Args:
-        names: what the user asked for.
+        names: of phantoms.
         hint: added after the list of valid names.
 
     Raises:
-        ConfigurationError: listing the valid names.
+        ConfigurationError: one is unknown; the message lists the valid names.
     """
     from cathsim.anatomy import PHANTOMS
 
@@ -75,12 +68,7 @@ def require_known_phantoms(names: list[str], *, hint: str = "") -> None:
 
 
 def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
-    """Builds every phantom and writes its files.
-
-    Args:
-        settings: which phantoms, how fine.
-        context: where to write.
-    """
+    """Builds every phantom and writes its files."""
     anatomies = [Anatomy(name) for name in settings.phantoms]
     anatomies += [Anatomy("random", seed) for seed in settings.random_seeds]
     if settings.mesh is not None:
@@ -118,8 +106,8 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
 
     Args:
         phantom: the anatomy.
-        folder: where the files go; made when missing.
-        wall_thickness: thickness of the wall mesh, m.
+        folder: made when missing.
+        wall_thickness: of the wall mesh, m.
         picture: whether to draw the picture.
     """
     with atomic_path(folder / "lumen.stl") as path:
@@ -151,28 +139,17 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
 
 
 def dimensions(phantom: Phantom) -> dict[str, Any]:
-    """Measures a phantom for the report.
-
-    Args:
-        phantom: the anatomy.
-
-    Returns:
-        Lumen volume in mL, centreline lengths in mm and median diameters in mm of the branches the thesis navigates.
-    """
+    """The row of a phantom: lumen volume (mL), length of the aorta (mm), median diameters (mm) of the main branches."""
     branches = {branch.name: branch for branch in phantom.tree.branches}
     row: dict[str, Any] = {
         "lumen_volume_ml": round(float(phantom.lumen_mesh.volume) * 1e6, 1),
-        "aorta_length_mm": round(_length(np.asarray(branches["aorta"].points)) * _MM, 1),
+        "aorta_length_mm": round(branches["aorta"].length * _MM, 1),
         "branches": len(branches),
     }
     for name in ("aorta", "bca", "lcca", "lsa"):
         if name in branches:
             row[f"{name}_diameter_mm"] = round(2 * float(np.median(branches[name].radius)) * _MM, 1)
     return row
-
-
-def _length(points: np.ndarray) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:

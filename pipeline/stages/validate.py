@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import subprocess
-import sys
-import time
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.jobs.pool import Job, Report, run_jobs
 from pipeline.report.force_logs import EpisodeForces, pooled, read_forces, table_rows
 from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat
 from pipeline.report.results import Figure, write_figures, write_results
@@ -21,7 +18,7 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import StageError
-from pipeline.store.provenance import PROJECT_ROOT, hash_file
+from pipeline.store.run_folder import RunFolder
 
 # Observations whose speed is measured: row of the table -> what the environment is asked for.
 SPEED_MODES: dict[str, str | tuple[str, ...]] = {
@@ -31,32 +28,18 @@ SPEED_MODES: dict[str, str | tuple[str, ...]] = {
     "image_mask": ("image", "mask"),
 }
 GROUP = "Force validation"
-VERDICT = "verdict.txt"
-_FORWARD_STEPS = 120  # about the length of a successful episode
-_ROD = "benchmarks.rod.theory"
-_ROD_LIMIT_S = 600.0
+VERDICT, DISTRIBUTION, BOXES = "verdict.txt", "distribution.png", "boxes.png"
 
 _LOGGER = logging.getLogger(__name__)
 
 
 def check_validate(settings: ValidateSettings) -> None:
-    """Refuses an unknown phantom.
-
-    Args:
-        settings: the stage's settings.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses an unknown phantom with a `ConfigurationError` that lists the valid names."""
     require_known_phantoms([settings.phantom])
 
 
 def run_validate(settings: ValidateSettings, context: StageContext) -> None:
-    """Compares, measures and draws.
-
-    Args:
-        settings: the real distribution, how long to measure.
-        context: where the logs lie and where to write.
+    """Compares forces, measures the speed, checks the physics, and draws.
 
     Raises:
         StageError: the expert stage left no episodes long enough to compare.
@@ -66,7 +49,7 @@ def run_validate(settings: ValidateSettings, context: StageContext) -> None:
     tables["simulators"] = simulator_row(settings.phantom)
     tables["training_speed_fps"] = speed_rows(settings, seed=context.seed)
     if settings.physics:
-        tables["wire_physics"] = physics_rows()
+        tables["wire_physics"] = physics_rows(context.folder)
     write_results(context.path, tables)
     write_figures(context.path, figures(episodes, settings, context.inputs["phantoms"], context.path))
 
@@ -74,13 +57,15 @@ def run_validate(settings: ValidateSettings, context: StageContext) -> None:
 def validate_forces(
     episodes: list[EpisodeForces], settings: ValidateSettings, folder: Path, *, seed: int
 ) -> dict[str, Any]:
-    """Tests the forces, in the phantom of the real experiments where there are episodes in it, and writes the verdict.
+    """Tests the expert's forces against the real distribution and writes the verdict.
+
+    Only episodes in the phantom of the real experiments count, unless there are none.
 
     Args:
         episodes: of the expert.
         settings: the real distribution.
-        folder: of the stage.
-        seed: of the draws from the real distribution.
+        folder: where the verdict is written.
+        seed: of the draws from the real distribution, and of the pushed wire.
 
     Returns:
         Table to row to column to cell.
@@ -89,6 +74,7 @@ def validate_forces(
         StageError: there are too few steps to compare.
     """
     from cathsim.metrics.forces import compare_forces, verdict
+    from cathsim.physics_checks.unguided import pushed_forces
 
     inside = [episode for episode in episodes if episode.phantom == settings.phantom]
     if not inside and episodes:
@@ -116,37 +102,8 @@ def validate_forces(
     return {"force_validation": table_rows(comparison, pushed, agrees, differs)}
 
 
-def pushed_forces(phantom: str, steps: int, *, seed: int) -> np.ndarray:
-    """Forces of the wire when it is fed at full speed with random rotation: what the expert's care makes of them.
-
-    Args:
-        phantom: its name.
-        steps: how many.
-        seed: of actions and starts.
-
-    Returns:
-        (steps,) N, largest resultant of each step.
-    """
-    from cathsim import NavigateEnv
-
-    environment = NavigateEnv(phantom, observation="tip")
-    generator = np.random.default_rng(seed)
-    forces = []
-    environment.reset(seed=seed)
-    for step in range(steps):
-        _, _, terminated, truncated, info = environment.step(np.array([1.0, generator.uniform(-1.0, 1.0)]))
-        forces.append(info["force"])
-        if terminated or truncated or (step + 1) % _FORWARD_STEPS == 0:
-            environment.reset()
-    return np.array(forces)
-
-
 def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
-    """The simulator's row of the table that compares it with others', as it runs here.
-
-    Args:
-        phantom: that is simulated.
-    """
+    """The row of this simulator in the table that compares it with others."""
     from cathsim import NavigateEnv
 
     environment = NavigateEnv(phantom, observation="tip")
@@ -166,14 +123,11 @@ def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
 def speed_rows(settings: ValidateSettings, *, seed: int) -> dict[str, dict[str, Any]]:
     """Measures the environment's speed on one core for several observations, in turns.
 
-    Args:
-        settings: how long to measure.
-        seed: of actions and starts.
-
     Returns:
         Rows of the table `training_speed_fps`: each observation's median over the rounds, slowest and fastest.
     """
     from cathsim import NavigateEnv
+    from cathsim.physics_checks.unguided import steps_per_second
 
     environments = {
         name: NavigateEnv(settings.phantom, observation=observation) for name, observation in SPEED_MODES.items()
@@ -187,86 +141,41 @@ def speed_rows(settings: ValidateSettings, *, seed: int) -> dict[str, dict[str, 
     return {name: {"value": round(value, 1)} for name, value in medians.items()}
 
 
-def steps_per_second(environment: Any, steps: int, *, seed: int) -> float:
-    """Speed of an environment: half of the steps with random actions, half forwards with random rotation.
-
-    Args:
-        environment: a navigation environment of two actions.
-        steps: how many.
-        seed: of actions and starts.
-
-    Returns:
-        Steps a second of processor time; resets count.
-    """
-    generator = np.random.default_rng(seed)
-    spent, done = 0.0, 0
-    for forward in (False, True):
-        actions = generator.uniform(-1.0, 1.0, (max(steps // 2, 1), 2))
-        if forward:
-            actions[:, 0] = 1.0
-        environment.reset(seed=seed)
-        start, count = time.process_time(), 0
-        for action in actions:
-            _, _, terminated, truncated, _ = environment.step(action)
-            count += 1
-            if terminated or truncated or (forward and count >= _FORWARD_STEPS):
-                environment.reset()
-                count = 0
-        spent += time.process_time() - start
-        done += len(actions)
-    return done / max(spent, 1e-9)
-
-
-def physics_rows() -> dict[str, dict[str, Any]]:
+def physics_rows(folder: RunFolder, laws: tuple[str, ...] = ()) -> dict[str, dict[str, Any]]:
     """Checks the wire against the theory of rods, in a process of its own.
 
+    Args:
+        folder: of the stage.
+        laws: keys of `cathsim.physics_checks.LAWS`; none: all.
+
     Returns:
-        Rows of the table `wire_physics`: the worst error of each law, percent; none where the benchmark does not lie
-        beside the pipeline.
+        Rows of the table `wire_physics`: the worst error of each law, percent.
 
     Raises:
-        StageError: the benchmark failed.
+        StageError: a check failed.
     """
-    if not (PROJECT_ROOT / "benchmarks" / "rod").is_dir():
-        _LOGGER.warning("validate: benchmarks/rod/theory.py is not here, the wire is not checked against theory")
-        return {}
-    command = [sys.executable, "-m", _ROD, "--quick"]
-    try:
-        done = subprocess.run(
-            command, cwd=PROJECT_ROOT, capture_output=True, text=True, timeout=_ROD_LIMIT_S, check=False
-        )
-    except subprocess.TimeoutExpired as error:
-        raise StageError(f"{_ROD} took more than {_ROD_LIMIT_S:.0f} s: run with stage.physics=false") from error
-    if done.returncode != 0:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise StageError(f"{_ROD} failed ({last}): run `python -m {_ROD} --quick` to see all of it")
-    return physics_from(done.stdout)
+    job = Job("wire_physics", check_laws, laws)
+    rows: dict[str, dict[str, Any]] = run_jobs(folder, [job], label="physics checks")[job.key]
+    return rows
 
 
-def physics_from(output: str) -> dict[str, dict[str, Any]]:
-    """Rows of the table `wire_physics` from the benchmark's output, whose last line is a JSON object.
+def check_laws(laws: tuple[str, ...], report: Report) -> dict[str, dict[str, float]]:
+    """The job of `physics_rows`."""
+    from cathsim.physics_checks import LAWS, worst_error_pct
 
-    Args:
-        output: what it printed.
-
-    Returns:
-        Law to its worst error, percent.
-    """
-    last = json.loads(output.strip().splitlines()[-1])
-    return {
-        name.removesuffix("_pct"): {"worst_error_pct": value} for name, value in last.items() if name.endswith("_pct")
-    }
+    rows = {}
+    for law in laws or LAWS:
+        report(len(rows) / len(LAWS), law)
+        rows[law] = {"worst_error_pct": worst_error_pct(LAWS[law](True))}
+    return rows
 
 
 def wall_vertices(phantoms: Path, name: str) -> np.ndarray:
-    """Vertices of a phantom's lumen surface: of the phantoms stage, or of the library where that has not built it.
+    """Vertices of a phantom's lumen surface, (v, 3) m: from the phantoms stage, or built where it is not there.
 
     Args:
         phantoms: folder of the phantoms stage.
         name: of the phantom.
-
-    Returns:
-        (v, 3) m.
     """
     stored = phantoms / name / "lumen.stl"
     if stored.is_file():
@@ -285,54 +194,33 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
         episodes: of the expert.
         settings: the real distribution.
         phantoms: folder of the phantoms stage.
-        folder: of the stage.
-
-    Returns:
-        What the report shows.
+        folder: where the pictures are written.
     """
     real = settings.real_mean_n, settings.real_sd_n
     in_phantom = [episode for episode in episodes if episode.phantom == settings.phantom]
     chosen = in_phantom or episodes
     place = settings.phantom if in_phantom else "all phantoms"
-    draw_distribution(pooled(chosen), *real, folder / "distribution.png")
-    draw_boxes(episodes, *real, folder / "boxes.png")
+    draw_distribution(pooled(chosen), *real, folder / DISTRIBUTION)
+    draw_boxes(episodes, *real, folder / BOXES)
     words = " ".join((folder / VERDICT).read_text(encoding="utf-8").split())
     shown = [
-        Figure(
-            "Contact forces beside real ones", f"{len(chosen)} episodes in {place}. {words}", "distribution.png", GROUP
-        ),
-        Figure("Contact forces by arch and target", f"{len(episodes)} expert episodes.", "boxes.png", GROUP),
+        Figure("Contact forces beside real ones", f"{len(chosen)} episodes in {place}. {words}", DISTRIBUTION, GROUP),
+        Figure("Contact forces by arch and target", f"{len(episodes)} expert episodes.", BOXES, GROUP),
     ]
     for name in dict.fromkeys(episode.phantom for episode in episodes):
         inside = [episode for episode in episodes if episode.phantom == name]
         file = f"heat/{name}.png"
         draw_heat(wall_vertices(phantoms, name), inside, folder / file, title=f"{name}: contact forces on the wall")
         contacts = sum(len(episode.forces) for episode in inside)
-        shown.append(
-            Figure(
-                f"{name}: contact forces on the vessel wall",
-                f"{contacts} contacts of {len(inside)} episodes, seen from the front.",
-                file,
-                GROUP,
-            )
-        )
+        caption = f"{contacts} contacts of {len(inside)} episodes, seen from the front."
+        shown.append(Figure(f"{name}: contact forces on the vessel wall", caption, file, GROUP))
     return shown
-
-
-def _benchmark(run_path: Path) -> dict[str, str]:
-    return {f"benchmarks/{file.name}": hash_file(file) for file in (PROJECT_ROOT / "benchmarks" / "rod").glob("*.py")}
 
 
 STAGE = Stage(
     name="validate",
     run=run_validate,
     reads=("phantoms", "expert"),
-    writes=(
-        "distribution.png, boxes.png, heat/<phantom>.png",
-        VERDICT,
-        "results.json",
-        "figures.json",
-    ),
+    writes=(f"{DISTRIBUTION}, {BOXES}, heat/<phantom>.png", VERDICT, "results.json", "figures.json"),
     check=check_validate,
-    further_inputs=_benchmark,
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,11 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from cathsim.physics_checks import AIM_PCT
 from pipeline.report.results import read_figures, read_results
 from pipeline.settings.stage_settings import ValidateSettings
-from pipeline.stages import validate
-from pipeline.stages.validate import check_validate, physics_from, run_validate
+from pipeline.stages.validate import check_validate, physics_rows, run_validate
 from pipeline.store.errors import ConfigurationError, StageError
+from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.report.evaluation_logs import write_force_log
 
 STEPS = 40
@@ -31,8 +31,7 @@ def test_stage_writes_tables_and_figures(tmp_path: Path, anatomy_cache: Path, mo
         (phantoms / name).mkdir(parents=True)
         trimesh.creation.icosphere(subdivisions=3, radius=0.03).export(phantoms / name / "lumen.stl")
     folder.mkdir()
-    monkeypatch.setattr(validate, "physics_rows", lambda: {"elastica": {"worst_error_pct": 0.4}})
-    settings = ValidateSettings(speed_steps=8, speed_rounds=1)
+    settings = ValidateSettings(speed_steps=8, speed_rounds=1, physics=False)
     context = SimpleNamespace(path=folder, inputs={"expert": expert, "phantoms": phantoms}, seed=0)
     run_validate(settings, context)  # type: ignore[arg-type]
     tables = read_results(folder)
@@ -43,7 +42,7 @@ def test_stage_writes_tables_and_figures(tmp_path: Path, anatomy_cache: Path, mo
     assert speed["min"] == min(speed.values()) <= speed["internal"] <= speed["max"] == max(speed.values())
     assert speed["min"] > 1
     assert tables["simulators"]["cathsim"]["engine"].startswith("MuJoCo ")
-    assert tables["wire_physics"] == {"elastica": {"worst_error_pct": 0.4}}
+    assert "wire_physics" not in tables
     assert [figure.file for figure in read_figures(folder)] == [
         "distribution.png", "boxes.png", "heat/type_1.png", "heat/type_2.png"
     ]  # fmt: skip
@@ -56,15 +55,14 @@ def test_stage_without_enough_episodes_says_so(tmp_path: Path) -> None:
         run_validate(ValidateSettings(), context)  # type: ignore[arg-type]
 
 
-def test_physics_comes_from_the_last_line() -> None:
-    output = "a table\n" + json.dumps({"elastica_pct": 0.5, "helix_pct": 3.2, "wall_s": 11.0})
-    assert physics_from(output) == {"elastica": {"worst_error_pct": 0.5}, "helix": {"worst_error_pct": 3.2}}
-
-
-def test_a_failing_benchmark_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(validate, "_ROD", "benchmarks.nothing_of_that_name")
-    with pytest.raises(StageError, match=r"failed \(.*nothing_of_that_name.*\): run `python -m"):
-        validate.physics_rows()
+def test_physics_is_checked_in_a_job_whose_failure_is_one_sentence(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "validate", Identity("c", {}, "s"))
+    with folder.locked():
+        folder.prepare()
+        with pytest.raises(StageError, match=r"1 of 1 physics checks failed: wire_physics \(KeyError: 'torsion'\)"):
+            physics_rows(folder, ("torsion",))
+        rows = physics_rows(folder, ("helix",))
+    assert 0.0 < rows["helix"]["worst_error_pct"] < AIM_PCT["helix"]
 
 
 @pytest.mark.parametrize(

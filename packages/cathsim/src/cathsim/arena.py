@@ -11,20 +11,15 @@ from cathsim.presets import Accuracy
 
 FEEDER, ADVANCE, ROTATE = "feeder", "advance", "rotate"
 PROTRUSION = 0.005  # the tip lies this far inside the vessel at zero insertion, m
+FEEDER_STIFFNESS, FEEDER_DAMPING = 2000.0, 40.0  # of the servo that advances, N/m and N s/m
 RESERVE = 0.028  # at least this much simulated wire lies in the sheath, m
 
 
-def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motors: bool = False) -> mujoco.MjSpec:
-    """Describes a wire whose proximal end a feeder advances and rotates along the sheath's axis.
+def empty_spec(numerics: Accuracy) -> mujoco.MjSpec:
+    """A specification without bodies, with the solver's options that every model of a wire has.
 
     Args:
-        vessel: lumen and sheath.
-        wire: its mechanics.
-        numerics: timestep and mass scale.
-        tip_motors: adds a motor to each of the two hinges of the most distal joints.
-
-    Returns:
-        The specification; controls are the feeder's advance (m), its rotation (rad), then motor torques (N m).
+        numerics: gives the timestep.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "cathsim"
@@ -40,6 +35,22 @@ def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motor
     # an invalid state is reported, never silently reset
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)  # one wire is one island
+    return spec
+
+
+def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motors: bool = False) -> mujoco.MjSpec:
+    """Describes a wire whose proximal end a feeder advances and rotates along the sheath's axis.
+
+    Args:
+        vessel: lumen and sheath.
+        wire: its mechanics.
+        numerics: timestep and mass scale.
+        tip_motors: adds a motor to each of the two hinges of the most distal joints.
+
+    Returns:
+        The specification; controls are the feeder's advance (m), its rotation (rad), then motor torques (N m).
+    """
+    spec = empty_spec(numerics)
     vessel.add_to(spec)
 
     quaternion = np.zeros(4)
@@ -51,7 +62,7 @@ def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motor
     feeder.add_joint(name=ROTATE, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, armature=2e-5)
     wire.add_to(feeder, mass_scale=numerics.mass_scale)
 
-    _add_servo(spec, ADVANCE, stiffness=2000.0, damping=40.0, limit=8.0)
+    _add_servo(spec, ADVANCE, stiffness=FEEDER_STIFFNESS, damping=FEEDER_DAMPING, limit=8.0)
     _add_servo(spec, ROTATE, stiffness=0.05, damping=0.002, limit=0.02)
     if tip_motors:
         for joint in spec.joints[-2 * min(wire.motor_joints, wire.joints) :]:

@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from benchmarks.rod.rig import Case, dead_load, new_spec, settle, uniform_wire
 from cathsim.guidewire import LINK_NAME, Guidewire, load_guidewire
+from cathsim.physics_checks.rig import Case, dead_load, new_spec, settle, uniform_wire
 from cathsim.presets import ACCURACY, Accuracy
 
 STIFFNESS_NMM2 = 400.0
@@ -27,9 +27,6 @@ def elastica_deflection(load: float) -> float:
 
     Args:
         load: P L^2 / EI.
-
-    Returns:
-        Deflection over length.
     """
 
     def modulus(tip_angle: float) -> tuple[float, float]:
@@ -51,9 +48,6 @@ def rod_deflection(load: float, length: float, stiffness: Callable[[float], floa
         load: dead load across the unbent axis, N.
         length: m.
         stiffness: EI (N m^2) as a function of the distance from the clamp, m.
-
-    Returns:
-        The deflection, m.
     """
 
     def slope(s: float, y: np.ndarray) -> tuple[float, float, float]:
@@ -70,16 +64,7 @@ def rod_deflection(load: float, length: float, stiffness: Callable[[float], floa
 
 
 def cantilever_deflection(wire: Guidewire, load: float, numerics: Accuracy) -> float:
-    """Tip deflection (m) of a clamped wire at rest under a dead load, simulated.
-
-    Args:
-        wire: the cantilever.
-        load: across its unbent axis, N.
-        numerics: time stepping.
-
-    Returns:
-        The deflection, m.
-    """
+    """Simulated tip deflection (m) of a clamped wire at rest under a dead load (N) across its unbent axis."""
     spec = new_spec(numerics)
     wire.add_to(spec.worldbody.add_body(name="clamp"), mass_scale=numerics.mass_scale, clamped=True)
     dead_load(spec, "load", np.array([0.0, 1.0, 0.0]))
@@ -91,11 +76,7 @@ def cantilever_deflection(wire: Guidewire, load: float, numerics: Accuracy) -> f
 
 
 def elastica_cases() -> list[Case]:
-    """Cantilevers at every preset's timestep, of uniform stiffness and of the default wire's.
-
-    Returns:
-        Deflection over length, simulated and exact.
-    """
+    """Deflection over length of cantilevers at every preset's timestep, of uniform stiffness and of the default's."""
     cases = []
     for preset, numerics in ACCURACY.items():
         for chain, links in CHAINS.items():
@@ -115,12 +96,7 @@ def elastica_cases() -> list[Case]:
 
 @dataclasses.dataclass
 class Column:
-    """A straight wire under a dead axial load (actuator "load") and a force that probes it sideways (actuator "probe").
-
-    Attributes:
-        model: of the wire.
-        data: its state.
-    """
+    """A straight wire under a dead axial load (actuator "load") and a small sideways force (actuator "probe")."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -167,7 +143,7 @@ class Column:
         self.data.actuator("load").ctrl, self.data.actuator("probe").ctrl = load, probe
 
     def stiffness(self, load: float, probe: float) -> float:
-        """Sideways stiffness (N/m) at rest under an axial load (N), from the deflection by a small probe force (N)."""
+        """Sideways stiffness (N/m) at rest under an axial load (N), from the deflection by the probe (N)."""
         self._loaded(load, probe)
         settle(self.model, self.data, speed=1e-7)
         return probe / float(self.data.actuator("probe").length[0])
@@ -214,11 +190,7 @@ class Column:
 
 
 def buckling_cases() -> list[Case]:
-    """Critical loads, found by two independent procedures for two supports.
-
-    Returns:
-        Loads in N.
-    """
+    """Critical loads (N), found by two independent procedures for two supports."""
     cases = []
     numerics = dataclasses.replace(ACCURACY["reference"], timestep=0.002)
     supports = {"clamped-free": (Column.clamped_free, 0.25), "pinned-pinned": (Column.pinned_pinned, 1.0)}

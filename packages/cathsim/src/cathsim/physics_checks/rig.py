@@ -1,4 +1,4 @@
-"""Test rig for wires: models with the simulator's own options, dead loads, a feeder, coming to rest."""
+"""The rig of the physics checks: models with the simulator's options, dead loads, a feeder, stepping until rest."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from cathsim.arena import model_spec
+from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, empty_spec
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import TIP_SITE, Guidewire, load_guidewire
 from cathsim.presets import Accuracy
 
-WORLD_SITE, FEEDER_STIFFNESS, FEEDER_DAMPING = "world", 2000.0, 40.0
+WORLD_SITE = "world"
 
 
 @dataclass(frozen=True)
 class Case:
-    """One figure of the simulator beside theory's.
+    """A measured value beside the value of theory, in the same unit.
 
     Attributes:
-        group: which law.
-        name: its parameters.
+        law: one of `LAWS`.
+        name: parameters of the case.
         measured: by the simulator.
-        theory: exact, in the same unit.
-        remark: what else the table shows.
+        theory: exact.
+        remark: further figures, for a reader.
     """
 
-    group: str
+    law: str
     name: str
     measured: float
     theory: float
@@ -41,21 +41,8 @@ class Case:
 
 
 def new_spec(numerics: Accuracy) -> mujoco.MjSpec:
-    """An empty model with exactly the options that the simulator's own models have.
-
-    Args:
-        numerics: time stepping.
-
-    Returns:
-        A specification with a site at the world's origin, the frame of dead loads.
-    """
-    box = Vessel(np.ones((3, 3, 3), np.float32), np.zeros(3), 1.0, np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    reference = model_spec(box, load_guidewire("default"), numerics).option
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    for name in dir(reference):
-        if not name.startswith("_"):
-            setattr(spec.option, name, getattr(reference, name))
+    """An empty model with the simulator's options and a site at the world's origin, the frame of dead loads."""
+    spec = empty_spec(numerics)
     spec.worldbody.add_site(name=WORLD_SITE)
     return spec
 
@@ -67,47 +54,37 @@ def uniform_wire(links: tuple[float, ...], stiffness_nmm2: float, **changes: obj
         links: lengths from the proximal end, m.
         stiffness_nmm2: bending stiffness EI, N mm^2.
         changes: other fields of `Guidewire`.
-
-    Returns:
-        The wire.
     """
     straight = {"tip_angle": 0.0, "tip_length": 0.0}
     uniform = {"shaft_stiffness_nmm2": stiffness_nmm2, "tip_stiffness_nmm2": stiffness_nmm2}
     return load_guidewire("default", links=links, **straight, **uniform, **changes)
 
 
-def dead_load(spec: mujoco.MjSpec, name: str, direction: np.ndarray, site: str = TIP_SITE) -> mujoco.MjsActuator:
-    """A force that keeps its direction in the world; its control is the force (N), its length the displacement (m).
+def dead_load(spec: mujoco.MjSpec, name: str, direction: np.ndarray, site: str = TIP_SITE) -> None:
+    """Adds a force that keeps its direction in the world.
 
     Args:
         spec: model under construction, from `new_spec`.
-        name: of the actuator.
+        name: of the actuator; its control is the force (N), its length the displacement (m).
         direction: unit vector in the world. Shape (3,).
         site: where it acts.
-
-    Returns:
-        The actuator.
     """
     load = spec.add_actuator(name=name, target=site, refsite=WORLD_SITE, trntype=mujoco.mjtTrn.mjTRN_SITE)
     load.set_to_motor()
     load.gear = [*direction, 0.0, 0.0, 0.0]
-    return load
 
 
 def add_feeder(spec: mujoco.MjSpec, position: np.ndarray) -> mujoco.MjsBody:
-    """A body that slides along the world's z, held by the position servo "feeder" as in the simulator's arena.
+    """Adds a body that slides along the world's z and holds the wire; its servo is the arena's.
 
     Args:
         spec: model under construction.
         position: of the body, m. Shape (3,).
-
-    Returns:
-        The body, to which the wire is added.
     """
-    body = spec.worldbody.add_body(name="feeder", pos=position)
+    body = spec.worldbody.add_body(name=FEEDER, pos=position)
     body.mass, body.inertia, body.explicitinertial = 1e-3, [1e-9] * 3, True
-    body.add_joint(name="feeder", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], armature=0.02)
-    servo = spec.add_actuator(name="feeder", target="feeder", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    body.add_joint(name=FEEDER, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], armature=0.02)
+    servo = spec.add_actuator(name=FEEDER, target=FEEDER, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.set_to_position(kp=FEEDER_STIFFNESS, kv=FEEDER_DAMPING)
     return body
 
@@ -118,12 +95,9 @@ def feeder_force(data: mujoco.MjData) -> float:
     `actuator_force` is of the step's beginning, before the integrator's implicit treatment of the servo: while the
     feeder moves at speed v it is off by (servo stiffness) x v x timestep.
     """
-    target, position, velocity = (
-        data.actuator("feeder").ctrl[0],
-        data.joint("feeder").qpos[0],
-        data.joint("feeder").qvel[0],
-    )
-    return float(FEEDER_STIFFNESS * (target - position) - FEEDER_DAMPING * velocity)
+    joint = data.joint(FEEDER)
+    stretch = data.actuator(FEEDER).ctrl[0] - joint.qpos[0]
+    return float(FEEDER_STIFFNESS * stretch - FEEDER_DAMPING * joint.qvel[0])
 
 
 def settle(model: mujoco.MjModel, data: mujoco.MjData, *, speed: float = 1e-6, limit: float = 120.0) -> float:
@@ -132,11 +106,11 @@ def settle(model: mujoco.MjModel, data: mujoco.MjData, *, speed: float = 1e-6, l
     Args:
         model: of the wire.
         data: its state, advanced.
-        speed: joint speed under which it counts as resting, rad/s.
-        limit: simulated time after which it must, s.
+        speed: the wire rests below this joint speed, rad/s.
+        limit: longest simulated time, s.
 
     Returns:
-        Simulated time that it took, s.
+        Simulated time until rest, s.
 
     Raises:
         RuntimeError: it did not come to rest.
@@ -167,9 +141,6 @@ def sampled_vessel(
         low: a corner of the grid, m.
         high: the opposite corner, m.
         spacing: between nodes, m.
-
-    Returns:
-        The vessel.
     """
     axes = [a + spacing * np.arange(round((b - a) / spacing) + 1) for a, b in zip(low, high, strict=True)]
     values = np.broadcast_to(distance(*np.ix_(*axes)), [len(axis) for axis in axes])

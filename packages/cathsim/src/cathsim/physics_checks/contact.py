@@ -1,4 +1,4 @@
-"""The wire on a wall: pulled round a post (capstan), and buckled into a helix in a straight tube."""
+"""Contact of the wire: drawn round a post (capstan), buckled into a helix in a straight tube."""
 
 from __future__ import annotations
 
@@ -8,14 +8,24 @@ import math
 import mujoco
 import numpy as np
 
-from benchmarks.rod.rig import Case, add_feeder, dead_load, feeder_force, new_spec, sampled_vessel, settle, uniform_wire
+from cathsim.arena import FEEDER
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import LINK_NAME
+from cathsim.physics_checks.rig import (
+    Case,
+    add_feeder,
+    dead_load,
+    feeder_force,
+    new_spec,
+    sampled_vessel,
+    settle,
+    uniform_wire,
+)
 from cathsim.presets import ACCURACY
 
 POST_RADIUS = 0.020
 PULL = 0.1  # tension of the slack side, N
-HELIX_EI = 15.0e-6  # that of the default wire's tip, N m^2
+HELIX_EI = 15.0e-6  # bending stiffness of the default wire's tip, N m^2
 
 
 def post(radius: float, spacing: float = 0.001) -> Vessel:
@@ -33,10 +43,10 @@ def tube(radius: float, length: float, spacing: float) -> Vessel:
 
 
 def tension_ratio(friction: float, angle: float, *, speed: float = 0.005, link: float = 0.0025) -> tuple[float, float]:
-    """Ratio of tensions of a limp wire that is drawn slowly over a post against a dead load.
+    """Measures the ratio of tensions of a limp wire that is drawn slowly over a post against a dead load.
 
-    The `reference` preset's numerics. The drawn side lies along z, the dead load's direction fixes the angle of wrap;
-    the mean is over two links' travel, so that every phase of a link's way over the post counts alike.
+    Uses the `reference` preset. The drawn side lies along z, the direction of the dead load fixes the angle of wrap.
+    The mean is over the travel of two links, so that every phase of a link on the post has the same weight.
 
     Args:
         friction: coefficient.
@@ -69,7 +79,7 @@ def tension_ratio(friction: float, angle: float, *, speed: float = 0.005, link: 
     ease, travel = 0.5, 2 * link
     steps, ratios = round((ease + 0.5 + travel / speed) / numerics.timestep), []
     for i in range(steps):
-        data.actuator("feeder").ctrl = -speed * max(0.0, i * numerics.timestep - ease)
+        data.actuator(FEEDER).ctrl = -speed * max(0.0, i * numerics.timestep - ease)
         mujoco.mj_step(model, data)
         if i * numerics.timestep >= ease + 0.5:
             ratios.append(-feeder_force(data) / PULL)
@@ -79,14 +89,11 @@ def tension_ratio(friction: float, angle: float, *, speed: float = 0.005, link: 
 def capstan_cases(quick: bool) -> list[Case]:
     """Tension ratios against e^(friction x angle).
 
-    Friction acts on the wire's surface and tension along its axis, a radius further from the post's: the exponent of a
-    wire of radius r on a post of radius R is smaller by R / (R + r). The remark gives the error against that.
+    Friction acts on the surface of the wire, tension along its axis: the exponent of a wire of radius r on a post of
+    radius R is smaller by R / (R + r). The remark gives the error against that.
 
     Args:
         quick: half of the eight cases, at one speed.
-
-    Returns:
-        The ratios.
     """
     chosen = [(0.06, 1.0, 5), (0.1, 0.5, 5), (0.2, 1.0, 5), (0.3, 0.5, 5)]
     if not quick:
@@ -108,35 +115,25 @@ def capstan_cases(quick: bool) -> list[Case]:
 
 @dataclasses.dataclass(frozen=True)
 class Helix:
-    """What is measured on a wire that is buckled in a tube.
+    """Measurements of a wire that is buckled in a tube."""
 
-    Attributes:
-        force: axial force at the proximal end, N.
-        pitch: m.
-        line_load: force on the wall per axial length, N/m.
-        rest: simulated time to rest, s.
-    """
-
-    force: float
-    pitch: float
-    line_load: float
-    rest: float
+    force: float  # axial, at the proximal end, N
+    pitch: float  # m
+    line_load: float  # force on the wall per axial length, N/m
+    rest: float  # simulated time to rest, s
 
 
 def buckled_helix(clearance: float, load: float) -> Helix:
-    """Loads a wire in a frictionless tube until it lies on the wall as a helix, and measures that.
+    """Loads a wire in a frictionless tube until it lies on the wall as a helix, and measures the helix.
 
-    The wire is clamped in the feeder on the tube's axis; its free end carries a dead load along the axis and may turn,
-    so no torque acts. It begins straight but for a bend of 1 mrad a joint whose direction turns once over the whole
-    length: that chooses the hand of the helix, not its pitch. Steps of 2 ms with the `accurate` preset's mass.
-    Pitch and wall force are measured in the middle two fifths, the axial force at the feeder.
+    The feeder clamps the wire on the axis of the tube. The free end carries a dead load along the axis and may turn, so
+    no torque acts. At first each joint bends by 1 mrad, in a direction that turns once over the whole length: this
+    chooses the hand of the helix, not its pitch. Steps of 2 ms with the mass of the `accurate` preset. Pitch and wall
+    force are measured in the middle two fifths, the axial force at the feeder.
 
     Args:
-        clearance: of the wire's axis in the tube, m.
+        clearance: radius of the tube less that of the wire, m.
         load: at the free end, N.
-
-    Returns:
-        The measured helix.
     """
     numerics = dataclasses.replace(ACCURACY["accurate"], timestep=0.002)
     wire = uniform_wire((0.004,) * 60, HELIX_EI * 1e6, friction=0.0, relaxation=0.02)
