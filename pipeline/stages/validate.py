@@ -163,7 +163,7 @@ def check_laws(laws: tuple[str, ...], report: Report) -> dict[str, dict[str, flo
     """The job of `physics_rows`."""
     from cathsim.physics_checks import LAWS, worst_error_pct
 
-    rows = {}
+    rows: dict[str, dict[str, float]] = {}
     for law in laws or LAWS:
         report(len(rows) / len(LAWS), law)
         rows[law] = {"worst_error_pct": worst_error_pct(LAWS[law](True))}
