@@ -44,9 +44,10 @@ class PictureStore:
         if folder is None:
             self._state, self._pictures = np.zeros(len(frames), np.uint8), np.zeros(shape, np.uint8)
         else:
-            stem = f"prepared-{camera}-{size}-{self._fingerprint()}"
-            self._state = _shared(folder / f"{stem}.state", (len(frames),))
-            self._pictures = _shared(folder / f"{stem}.pixels", shape)
+            # one file: of two, a process that makes them at the same time could share the state alone, and take
+            # pictures for ready that lie in the other's file
+            stored = _shared(folder / f"prepared-{camera}-{size}-{self._fingerprint()}.pictures", len(frames), size)
+            self._state, self._pictures = stored[: len(frames)], stored[len(frames) :].reshape(shape)
         self._told: set[int] = set()
 
     def healthy(self, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -103,13 +104,13 @@ class PictureStore:
         return digest.hexdigest()[:16]
 
 
-def _shared(path: Path, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """A file of zeros that processes share, made at once if it is not there or has another size."""
+def _shared(path: Path, count: int, size_px: int) -> NDArray[np.uint8]:
+    """States, then pictures, in a file of zeros that processes share; made if it is not there or has another size."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    size = int(np.prod(shape))
+    size = count * (1 + size_px**2)
     if not path.is_file() or path.stat().st_size != size:
         temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
         with temporary.open("wb") as file:
             file.truncate(size)  # sparse: takes no room until it is written
         os.replace(temporary, path)
-    return np.memmap(path, np.uint8, "r+", shape=shape)
+    return np.memmap(path, np.uint8, "r+", shape=(size,))
