@@ -28,8 +28,9 @@ RUN = $(GL) $(PY) -m pipeline
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
-	@sed -nE 's/^([a-z][a-z0-9_ -]*):.*##[ ]*(.*)/  \1@\2/p' $(firstword $(MAKEFILE_LIST)) | column -t -s@ 2>/dev/null \
-		|| sed -nE 's/^([a-z][a-z0-9_ -]*):.*##[ ]*(.*)/  \1: \2/p' $(firstword $(MAKEFILE_LIST))
+	@{ sed -nE 's/^([a-z][a-z0-9_ -]*):.*##[ ]*(.*)/\1@\2/p' $(firstword $(MAKEFILE_LIST)); \
+		for stage in $(STAGES); do sed -n "1s/^# */$$stage@stage: /p" conf/stage/$$stage.yaml; done; } \
+		| awk -F@ '{ printf "  %-14s %s\n", $$1, $$2 }'
 
 setup: $(INSTALLED)  ## virtual environment, pinned packages, native build, system libraries
 
@@ -63,53 +64,12 @@ demo: setup  ## an expert episode into the BCA: its log, its films, the report
 	@$(RUN) stage=expert experiment=demo $(ARGS)
 	@$(RUN) stage=report name=demo
 
-phantoms: setup  ## stage: the aortas with meshes, grids, pictures
-	@$(RUN) stage=phantoms budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-expert: phantoms  ## stage: episodes of the sampling expert
-	@$(RUN) stage=expert budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-user_study: setup  ## stage: what people did and answered at the console (make console)
-	@$(RUN) stage=user_study budget=$(BUDGET) name=$(NAME) $(ARGS)
+# after the stages that it reads
+$(STAGES): setup
+	@$(GL) $(PY) -m pipeline.chain --inputs $@ -- budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 console: setup  ## steer the wire yourself, in the browser; episodes go to runs/<name>/human
 	@$(PY) -m pipeline.console --name $(NAME) $(ARGS)
-
-validate: expert  ## stage: forces against real ones, speed, the wire against theory
-	@$(RUN) stage=validate budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-baselines: expert  ## stage: PPO and SAC on joints and images, and a policy that follows the planned path
-	@$(RUN) stage=baselines budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-enn: expert  ## stage: the Expert Navigation Network and its ablation; its episodes
-	@$(RUN) stage=enn budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-imitation: enn  ## stage: the expert's episodes learnt from with the image alone, and DAgger
-	@$(RUN) stage=imitation budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-force: enn  ## stage: contact forces predicted from what is seen
-	@$(RUN) stage=force budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-unseen: setup  ## stage: policies for anatomies never seen, by a roadmap and by images alone
-	@$(RUN) stage=unseen budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-guide3d: setup  ## stage: bi-planar data set (or ARGS='guide3d.root=PATH'), wires reconstructed in space
-	@$(RUN) stage=guide3d budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-shape: guide3d  ## stage: networks that tell the wire in space from one camera
-	@$(RUN) stage=shape budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-segmentation: guide3d  ## stage: UNet, TransUnet and SwinUnet find the wire's pixels
-	@$(RUN) stage=segmentation budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-splineformer: segmentation  ## stage: wires as B-splines, beside the traced segmentation
-	@$(RUN) stage=splineformer budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-navigation: enn unseen splineformer  ## stage: navigators on SplineFormer, from images alone, beside their rivals
-	@$(RUN) stage=navigation budget=$(BUDGET) name=$(NAME) $(ARGS)
-
-report: setup  ## stage: the page, from whatever has run
-	@$(RUN) stage=report budget=$(BUDGET) name=$(NAME)
 
 test: setup  ## all tests, TEST_JOBS=2 beside each other (ARGS go to pytest)
 	@# Sweeps over Ray are tested, too; where it cannot be installed, that test is left out.

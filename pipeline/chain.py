@@ -17,18 +17,19 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS
-from pipeline.stages import STAGE_NAMES
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY
+from pipeline.stages import available_stages, load_stage
 
 _USAGE = """\
-python -m pipeline.chain all|STAGE ... -- [OVERRIDE ...]
+python -m pipeline.chain all|[--inputs] STAGE ... -- [OVERRIDE ...]
 
-Runs all stages, or some, one after the other, and says how long the rest will take; overrides go to every stage,
-e.g. budget=desk name=desk, and stage.KEY=VALUE to those that have the setting, e.g. stage.device=cuda. It ends with the
-first stage that fails; the same command goes on from there.
+Runs all stages, or some, one after the other, and says how long the rest will take; --inputs: after the stages that
+they read. Overrides go to every stage, e.g. budget=desk name=desk, stage.KEY=VALUE to those that have the setting, e.g.
+stage.device=cuda, and stage@NAME.KEY=VALUE to one. It ends with the first stage that fails; the same command goes on
+from there.
 """
 _EXIT_USAGE = 2
-_ALL = "all"
+_ALL, _INPUTS = "all", "--inputs"
 _WORKED = 0.3  # of what a stage is known to take: less, and it was up to date or went on from an earlier run
 
 
@@ -46,12 +47,16 @@ def main(arguments: list[str]) -> int:
         return 0
     cut = arguments.index("--") if "--" in arguments else len(arguments)
     stages, overrides = arguments[:cut], arguments[cut + 1 :]
-    stages = list(STAGE_NAMES) if stages == [_ALL] else stages
-    unknown = [name for name in stages if name not in STAGE_NAMES]
+    with_inputs = _INPUTS in stages
+    stages = [name for name in stages if name != _INPUTS]
+    stages = list(available_stages()) if stages == [_ALL] else stages
+    unknown = [name for name in stages if name not in available_stages()]
     if unknown or not stages:
         problem = f"unknown stage {unknown[0]!r}" if unknown else "no stage is named"
-        _say(f"{problem}: choose from {_ALL}, {', '.join(STAGE_NAMES)}", error=True)
+        _say(f"{problem}: choose from {_ALL}, {', '.join(available_stages())}", error=True)
         return _EXIT_USAGE
+    if with_inputs:
+        stages = after_inputs(stages)
     foreign = [word for word in overrides if not any(concerns(word, stage) for stage in stages)]
     if foreign:
         _say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
@@ -59,15 +64,24 @@ def main(arguments: list[str]) -> int:
     return run(stages, overrides, known_minutes(overrides))
 
 
-def concerns(override: str, stage: str) -> bool:
-    """Whether an override is for a stage: one of `stage.KEY` is for those that have the setting.
+def after_inputs(stages: Sequence[str]) -> list[str]:
+    """The stages and all that they read, directly or not, in order."""
+    wanted, todo = set[str](), list(stages)
+    while todo:
+        name = todo.pop()
+        wanted.add(name)
+        todo += load_stage(name).reads
+    return [name for name in available_stages() if name in wanted]
 
-    Args:
-        override: of the command line.
-        stage: its name.
-    """
-    key = override.lstrip("+~").partition("=")[0].split(".")
-    return key[0] != "stage" or len(key) < 2 or key[1] in (item.name for item in fields(STAGE_SETTINGS[stage]))
+
+def concerns(override: str, stage: str) -> bool:
+    """Whether an override is for a stage: `stage.KEY` is for those that have the setting, `stage@NAME.KEY` for one."""
+    group, _, key = override.lstrip("+~").partition("=")[0].partition(".")
+    group, _, only = group.partition("@")
+    if group != "stage" or not key:
+        return True
+    names = {item.name for item in fields(load_stage(stage).settings)}
+    return only in ("", stage) and key.partition(".")[0] in names
 
 
 def known_minutes(overrides: Sequence[str]) -> dict[str, float]:
@@ -90,7 +104,7 @@ def run(stages: Sequence[str], overrides: Sequence[str], known: Mapping[str, flo
             rest = "" if left is None else f"; about {worded(left)} left in all"
             _say(f"== stage {number + 1} of {len(stages)}: {stage}{rest}")
             began = time.monotonic()
-            own = [word for word in overrides if concerns(word, stage)]
+            own = [word.replace(f"stage@{stage}.", "stage.", 1) for word in overrides if concerns(word, stage)]
             code = signals.wait_for([sys.executable, "-m", "pipeline", f"stage={stage}", *own])
             if code:
                 return code

@@ -8,6 +8,7 @@ tuples into lists: choices are checks of the annotations.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from dataclasses import field
 from pathlib import Path
 from typing import Any
@@ -17,24 +18,8 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from pipeline.settings.checks import shown, validated
 from pipeline.settings.kinds import BranchNames, FolderName, PathText, Seed, folder_name, path_text
-from pipeline.settings.stage_settings import (
-    ExpertSettings,
-    PhantomsSettings,
-    ReportSettings,
-    UserStudySettings,
-    ValidateSettings,
-)
-from pipeline.stages.guide3d.settings import Guide3dSettings, Guide3dSource
-from pipeline.stages.learning.settings import (
-    BaselinesSettings,
-    EnnSettings,
-    ForceSettings,
-    ImitationSettings,
-    UnseenSettings,
-)
-from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings
-from pipeline.stages.networks.splineformer_settings import SplineformerSettings
+from pipeline.stages import available_stages, load_stage
+from pipeline.stages.guide3d.settings import Guide3dSource
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
 
@@ -43,24 +28,8 @@ _PACKAGE = Path(__file__).resolve().parent
 CONFIG_DIRECTORY = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
 BUDGETS = ("smoke", "desk", "thesis")
 
-# Every stage's settings, by the stage's name.
-STAGE_SETTINGS: dict[str, type] = {
-    "phantoms": PhantomsSettings,
-    "expert": ExpertSettings,
-    "user_study": UserStudySettings,
-    "validate": ValidateSettings,
-    "baselines": BaselinesSettings,
-    "enn": EnnSettings,
-    "imitation": ImitationSettings,
-    "force": ForceSettings,
-    "unseen": UnseenSettings,
-    "guide3d": Guide3dSettings,
-    "shape": ShapeSettings,
-    "segmentation": SegmentationSettings,
-    "splineformer": SplineformerSettings,
-    "navigation": NavigationSettings,
-    "report": ReportSettings,
-}
+# Budgets, in the order of the arguments of `by_budget`; the last is that of experiment=thesis-check.
+_SIZES = (*BUDGETS, "check")
 
 
 @validated("phantom.")
@@ -83,7 +52,7 @@ class RunConfig:
     task: Task = field(default_factory=Task)  # that stages take over as stage.task
     target: FolderName | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
     modality: FolderName | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
-    budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml: sizes that the stages refer to
+    budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml
     name: FolderName = "${budget.name}"  # the run folder below runs_dir
     runs_dir: PathText = "runs"
     seed: Seed = 0
@@ -95,17 +64,31 @@ class RunConfig:
         return str(self.budget.get("name", "unnamed"))
 
 
-def register_schemas() -> None:
+def register_schemas(stages: Iterable[str] | None = None) -> None:
     """Makes the dataclasses known to Hydra, so that a wrong key or type is refused when the configuration is composed.
 
     The stages' schemas sit in a group of their own: in ``stage`` they would show up as stages a user can choose.
+
+    Args:
+        stages: whose settings are needed; they are imported. All when None.
+
+    Raises:
+        StageError: a stage needs a package that is not installed.
     """
     # Hydra makes its folder of these names before the values are checked.
     OmegaConf.register_new_resolver("hydra_folder", _hydra_folder, replace=True)
+    OmegaConf.register_new_resolver("by_budget", _by_budget, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=RunConfig)
-    for name, settings in STAGE_SETTINGS.items():
-        store.store(group="schema/stage", name=name, node=settings)
+    for name in available_stages() if stages is None else stages:
+        store.store(group="schema/stage", name=name, node=load_stage(name).settings)
+
+
+def _by_budget(*values: Any, _root_: DictConfig) -> Any:
+    """The value for the run's budget: of smoke, desk and thesis, and of the thesis's check where that differs."""
+    if not len(BUDGETS) <= len(values) <= len(_SIZES):
+        raise ConfigurationError(f"by_budget takes {len(BUDGETS)} or {len(_SIZES)} values, got {len(values)}")
+    return values[min(_SIZES.index(_root_.budget.sizes), len(values) - 1)]
 
 
 def _hydra_folder(runs_dir: str, name: str, stage: str) -> str:
@@ -136,7 +119,7 @@ def run_config(composed: DictConfig) -> RunConfig:
         raise ConfigurationError(
             "the configuration was composed without its schema: keep `- schema` in conf/config.yaml"
         )
-    if STAGE_SETTINGS.get(config.stage.name) is not type(config.stage):
+    if config.stage.name != type(config.stage).name:
         raise ConfigurationError(f"stage.name cannot be {shown(config.stage.name)}: choose a stage by stage=NAME")
     # `+key=value` adds keys past the schema: refused here, or a misspelt setting would pass unnoticed.
     _refuse_unknown("", composed, config)

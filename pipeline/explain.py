@@ -11,9 +11,9 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf.errors import ValidationError as OmegaConfValidationError
 from pydantic import ValidationError
 
-from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS, RunConfig
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig
 from pipeline.settings.checks import sentence
-from pipeline.stages import available_stages
+from pipeline.stages import available_stages, load_stage
 from pipeline.store.atomic_files import is_no_room
 from pipeline.store.errors import PipelineError
 from pipeline.task import PARTS, TASK
@@ -144,7 +144,7 @@ def _only_by_key() -> str:
 
 def _unknown_key(key: str, overrides: list[str]) -> str:
     stage = next((o.split("=", 1)[1] for o in overrides if o.startswith("stage=")), "")
-    settings = STAGE_SETTINGS.get(stage)
+    settings = load_stage(stage).settings if stage in available_stages() else None
     owner, _, last = key.rpartition(".")
     if key == TASK:
         return _only_by_key()

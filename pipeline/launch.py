@@ -52,7 +52,7 @@ options
   stage.KEY=VALUE   a setting of the stage, e.g. 'stage.phantoms=[type_1,bovine]'; --cfg job shows all of them
   -m, --multirun    sweep: 'seed=0,1,2' runs three jobs, each in runs/RUN/STAGE@seed=N/;
                     hydra/launcher=joblib, submitit_local or ray runs them beside each other
-  --cfg job         print the configuration and stop
+  --cfg job         print the configuration and stop; with --resolve, as it is for the budget
   --hydra-help      Hydra's own options
 """
 
@@ -107,10 +107,10 @@ def main(arguments: list[str]) -> int:
     logging.raiseExceptions = False  # a full disk must not add the log file's traceback to the one sentence
     signal.signal(signal.SIGTERM, _terminate)
     sys.argv = [sys.argv[0], *arguments]
-    register_schemas()
     if "-m" in arguments or "--multirun" in arguments:
         let_ctrl_c_interrupt()  # the jobs run elsewhere, so the launcher must get the chance to stop them
     try:
+        register_schemas(_chosen_stages(arguments))
         hydra_main(version_base="1.3", config_path=str(CONFIG_DIRECTORY), config_name="config")(task)()
     except KeyboardInterrupt:
         return _say("interrupted: finished items are kept; the same command goes on from there", EXIT_INTERRUPTED)
@@ -127,16 +127,20 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
+def _chosen_stages(arguments: list[str]) -> list[str]:
+    """The stages that the arguments name, or all where they may name them by a pattern."""
+    chosen = " ".join(word for word in arguments if re.match(r"[+~]*stage\b[^.]*=", word))
+    names = set(re.findall(r"\w+", chosen))
+    return [name for name in available_stages() if name in names or "(" in chosen]
+
+
 def usage() -> str:
     """Words the help, with the stages, budgets and experiments that exist.
 
     Returns:
         The text of ``--help``.
     """
-    summaries = {}
-    for name in available_stages():
-        summaries[name] = _summary(name)
-    stages = "\n".join(f"  {name:<10} {summary}" for name, summary in summaries.items())
+    stages = "\n".join(f"  {name:<12} {_summary(name)}" for name in available_stages())
     experiments = sorted(p.stem for p in (CONFIG_DIRECTORY / "experiment").glob("*.yaml"))
     return _USAGE.format(stages=stages, budgets=", ".join(BUDGETS), experiments=", ".join(experiments) or "none")
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from pipeline import chain
 from pipeline.jobs.costs import OK, OWN_PROCESS, kept_costs
-from pipeline.stages import STAGE_NAMES
+from pipeline.stages import available_stages
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.manifest import read_manifest
 from pipeline.store.provenance import git_state, software_versions
@@ -64,7 +64,7 @@ def rows(run: Path) -> list[Row]:
         run: folder of the run.
     """
     found: list[Row] = []
-    for stage in STAGE_NAMES:
+    for stage in available_stages():
         manifest = read_manifest(run / stage)
         costs = manifest.jobs if manifest is not None else kept_costs(run / stage)
         own = costs.get(OWN_PROCESS)

@@ -6,8 +6,6 @@ While a job runs its process tells what it really uses, and `pipeline.jobs.gpus`
 from __future__ import annotations
 
 from pipeline.jobs.gpus import CUDA_CONTEXT_BYTES
-from pipeline.stages.networks.settings import SEGMENTATION_ROWS
-from pipeline.stages.networks.splineformer_settings import SPLINEFORMER_VARIANTS
 
 _GB = 1e9
 CONTEXT_GB = CUDA_CONTEXT_BYTES / _GB
@@ -30,6 +28,7 @@ _DESK = {
     "shape": (286, 2.2e6), "published": (61, 5.3e6), "ordered": (74, 2.1e6),
 }  # fmt: skip
 _BYTES_A_WEIGHT = 20  # itself, its gradient, two moments, the best so far
+_SEGMENTATION, _SPLINEFORMER = ("unet", "transunet", "swinunet"), ("published", "ordered")  # keys of both tables
 _MORE = 1.5  # workspaces of convolutions, and what the allocator cannot use
 
 
@@ -60,14 +59,14 @@ def network_gb(network: str, size: str) -> float:
 
 def _seen(network: str, size: str) -> tuple[int, int]:
     """Side of what a network sees, px, and how many of them an update."""
-    if network in SPLINEFORMER_VARIANTS:
+    if network in _SPLINEFORMER:
         from splineformer.build import size_of
         from splineformer.learning.recipes import recipe_of
 
         return size_of(network, size).image_px, recipe_of(network, size).fit.batch_size
     from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
 
-    if network in SEGMENTATION_ROWS:
+    if network in _SEGMENTATION:
         recipe = segmentation_recipe(network, size)
         return recipe.crop_px, recipe.fit.batch_size
     kept = fgrn_recipe(size) if network == "fgrn" else shape_recipe(size)

@@ -1,26 +1,26 @@
-"""The registry of stages: what each reads, writes and depends on, found by name and imported only when it runs.
+"""The registry of stages, found by scanning this folder; a stage is imported only when it is chosen.
 
-A stage is one module of this package with a ``STAGE``, or the module ``stage`` of a folder. Its name appears in
-``STAGE_NAMES``, in the order in which the stages depend on each other; a name whose module is not there yet
-is not offered.
+A stage is two files: ``conf/stage/<name>.yaml`` and a module of this package, ``<name>.py`` or ``<name>/stage.py``,
+that ends with ``STAGE = Stage(...)``. Names and order are read from those declarations, so `--help` imports no stage.
 """
 
 from __future__ import annotations
 
+import ast
+import functools
+import graphlib
 import importlib
-import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.settings.checks import shown
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import RunFolder
 
-STAGE_NAMES = (
-    "phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "unseen", "guide3d",
-    "shape", "segmentation", "splineformer", "navigation", "report",
-)  # fmt: skip
+_DECLARATION = "\nSTAGE = "
+_PLACE_BY_DEFAULT = 50
 
 
 @dataclass(frozen=True)
@@ -50,72 +50,86 @@ def no_further_inputs(run_path: Path) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Stage:
-    """A step from files to files."""
+    """A step from files to files. `reads` and `place` are literals: they are read without importing the module."""
 
-    name: str
+    settings: type  # declared with `validated`; its field `name` is the stage's name
     run: Callable[[Any, StageContext], None]  # settings, context
     reads: tuple[str, ...] = ()  # stages that must have finished
     writes: tuple[str, ...] = ()  # what lies in its folder afterwards
     check: Callable[[Any], None] = no_check  # refuses settings with a ConfigurationError before anything is written
     seeded: bool = True  # whether its results depend on the run's seed: then each seed has a folder of its own
     further_inputs: Callable[[Path], dict[str, str]] = no_further_inputs  # hashes of whatever else it reads
+    place: int = _PLACE_BY_DEFAULT  # among stages that could run at the same time: the smallest comes first
+
+    @property
+    def name(self) -> str:
+        """The stage's name."""
+        return str(self.settings.name)  # type: ignore[attr-defined]
 
 
 def available_stages() -> tuple[str, ...]:
-    """Names the stages that this version has.
-
-    Returns:
-        Their names, in the order in which they depend on each other.
-    """
-    return tuple(name for name in STAGE_NAMES if importlib.util.find_spec(stage_module(name)) is not None)
+    """Names all stages, each after those that it reads; of several that could be next, by `place`, then by name."""
+    return tuple(_modules())
 
 
 def stage_module(name: str) -> str:
-    """Import name of a stage's module: one of this package, or `stage` in the stage's own folder.
+    """Import name of a stage's module, e.g. ``pipeline.stages.unseen.stage``.
 
-    Args:
-        name: the stage's.
+    Raises:
+        ConfigurationError: for an unknown name; the message lists the valid ones.
     """
-    module = f"{__name__}.{name}"
-    is_folder = (Path(__file__).parent / name).is_dir()
-    return f"{module}.stage" if is_folder else module
+    modules = _modules()
+    if name not in modules:
+        raise ConfigurationError(f"unknown stage {name!r}: choose one of {', '.join(modules)}")
+    return modules[name]
 
 
 def load_stage(name: str) -> Stage:
     """Imports one stage.
 
-    Args:
-        name: one of ``available_stages()``.
-
-    Returns:
-        The stage.
-
     Raises:
         ConfigurationError: for an unknown name; the message lists the valid ones.
         StageError: when the stage needs a package that is not installed.
     """
-    known = available_stages()
-    if name not in known:
-        raise ConfigurationError(f"unknown stage {name!r}: choose one of {', '.join(known)}")
     try:
-        module = importlib.import_module(stage_module(name))
+        stage: Stage = importlib.import_module(stage_module(name)).STAGE
     except ModuleNotFoundError as error:
         raise missing_module(name, error) from error
-    stage: Stage = module.STAGE
     return stage
 
 
 def missing_module(stage: str, error: ModuleNotFoundError) -> StageError:
-    """Words the lack of a package.
-
-    Args:
-        stage: which stage needs it.
-        error: what the import raised.
-
-    Returns:
-        The error to raise.
-    """
+    """The error to raise where a stage needs a package that is not installed."""
     return StageError(f"stage {stage} needs the module {error.name!r}, which is not installed: run `make setup`")
 
 
-__all__ = ["STAGE_NAMES", "Stage", "StageContext", "available_stages", "load_stage", "missing_module", "stage_module"]
+@functools.cache
+def _modules() -> Mapping[str, str]:
+    """Stage to import name of its module, in the order of `available_stages`."""
+    folder = Path(__file__).parent
+    modules, declared = {}, {}
+    for file in (*folder.glob("*.py"), *folder.glob("*/stage.py")):
+        _, found, declaration = file.read_text(encoding="utf-8").partition(_DECLARATION)
+        if found:
+            name, inside = (file.stem, "") if file.parent == folder else (file.parent.name, ".stage")
+            modules[name] = f"{__name__}.{name}{inside}"
+            declared[name] = _literals(declaration)
+    graph = graphlib.TopologicalSorter({name: values.get("reads", ()) for name, values in declared.items()})
+    graph.prepare()
+    ready, order = [*graph.get_ready()], {}
+    while ready:
+        ready.sort(key=lambda name: (declared[name].get("place", _PLACE_BY_DEFAULT), name))
+        first = ready.pop(0)
+        order[first] = modules[first]
+        graph.done(first)
+        ready += graph.get_ready()
+    return order
+
+
+def _literals(declaration: str) -> dict[str, Any]:
+    """The keywords ``reads`` and ``place`` of the call that a text begins with."""
+    statement = ast.parse(declaration).body[0]
+    if not isinstance(statement, ast.Expr) or not isinstance(statement.value, ast.Call):
+        raise TypeError(f"STAGE must be Stage(...), got {shown(declaration)}")
+    words = {word.arg: word.value for word in statement.value.keywords}
+    return {name: ast.literal_eval(words[name]) for name in ("reads", "place") if name in words}

@@ -139,7 +139,7 @@ def path_followers(settings: BaselinesSettings, context: StageContext) -> list[J
 
 
 STAGE = Stage(
-    name="baselines",
+    settings=BaselinesSettings,
     run=run_baselines,
     reads=("expert",),
     writes=(
@@ -151,4 +151,5 @@ STAGE = Stage(
         "notes.json",
     ),
     check=check_learning,
+    place=5,
 )

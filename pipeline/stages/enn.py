@@ -176,7 +176,7 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
 
 
 STAGE = Stage(
-    name="enn",
+    settings=EnnSettings,
     run=run_enn,
     reads=("expert",),
     writes=(
@@ -188,4 +188,5 @@ STAGE = Stage(
         "notes.json",
     ),
     check=check_enn,
+    place=6,
 )

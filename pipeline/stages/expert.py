@@ -7,23 +7,39 @@ from them.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from pipeline.report.episode_tables import episode_tables
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import demonstration_seeds, held_out_seeds
-from pipeline.settings.stage_settings import ExpertSettings
+from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.kinds import CountOrNone, Episodes, Processes, SomeFolderNames
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.store.atomic_files import write_json
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import number_of_actions, require_feeder, require_known_task
+from pipeline.task import Task, number_of_actions, require_feeder, require_known_task
 
 TARGETS = ("bca", "lcca", "lsa")
 OPERATOR, EVALUATION = "sampling_expert", "evaluation"
+
+
+@validated()
+class ExpertSettings:
+    """Settings of the sampling expert's episodes."""
+
+    name: str = "expert"
+    phantoms: SomeFolderNames = field(default_factory=list)
+    targets: SomeFolderNames = field(default_factory=list)
+    episodes: Episodes = 1  # demonstrations a phantom and target, from starts that are not turned
+    evaluation_episodes: Episodes = 1  # for the tables, from the starts and seeds of the policies compared with
+    threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # of the search; 0: one a core
+    task: Task = field(default_factory=Task)  # of the evaluation
+    film: bool = True
+    film_episodes: CountOrNone = 1  # films a phantom and target
 
 
 @dataclass(frozen=True)
@@ -232,7 +248,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
 
 
 STAGE = Stage(
-    name="expert",
+    settings=ExpertSettings,
     run=run_expert,
     reads=("phantoms",),
     writes=(
@@ -242,4 +258,5 @@ STAGE = Stage(
         "figures.json",
     ),
     check=check_expert,
+    place=2,
 )

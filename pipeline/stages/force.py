@@ -202,7 +202,7 @@ def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list
 
 
 STAGE = Stage(
-    name="force",
+    settings=ForceSettings,
     run=run_force,
     reads=("enn",),
     writes=(
@@ -214,4 +214,5 @@ STAGE = Stage(
         "figures.json",
     ),
     check=check_force,
+    place=8,
 )

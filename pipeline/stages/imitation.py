@@ -212,7 +212,7 @@ def figures(jobs: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list
 
 
 STAGE = Stage(
-    name="imitation",
+    settings=ImitationSettings,
     run=run_imitation,
     reads=("enn",),
     writes=(
@@ -224,4 +224,5 @@ STAGE = Stage(
         "figures.json",
     ),
     check=check_imitation,
+    place=7,
 )

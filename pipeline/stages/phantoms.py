@@ -3,22 +3,58 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.settings.stage_settings import PhantomsSettings
+from pipeline.settings.checks import validated
+from pipeline.settings.kinds import UNIQUE, BranchNames, FolderNames, PathText, Seed
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import hash_file
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 _MM = 1e3
+
+
+COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
+
+
+@validated()
+class PhantomsSettings:
+    """Settings of the phantoms stage."""
+
+    name: str = "phantoms"
+    phantoms: FolderNames = field(default_factory=list)  # named anatomies
+    random_seeds: Annotated[list[Seed], UNIQUE] = field(default_factory=list)  # one random anatomy a seed
+    resolution_mm: Annotated[float, Ge(0.1), Le(COARSEST_RESOLUTION_MM)] = 1.0  # spacing of the signed distance grid
+    wall_thickness_mm: Annotated[float, Ge(0.1), Le(10)] = 1.5
+    picture: bool = True
+    mesh: PathText | None = None  # surface file of an anatomy of one's own, which is then the only one
+    unit: str | None = None  # of that file
+    names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
+    mesh_sha256: str | None = None  # filled in: the results depend on the file, not on its path
+
+    def __post_init__(self) -> None:
+        """Checks that there is something to build, and reads the mesh."""
+        self.mesh_sha256 = None
+        if self.mesh is not None:
+            if not Path(self.mesh).is_file():
+                raise ConfigurationError(
+                    f"phantom.mesh={self.mesh} is no file: give the path of an STL, OBJ or PLY file"
+                )
+            self.mesh_sha256 = hash_file(Path(self.mesh))
+        elif self.unit is not None or self.names is not None:
+            raise ConfigurationError("phantom.unit and phantom.names belong to a mesh: give phantom.mesh=PATH too")
+        elif not self.phantoms and not self.random_seeds:
+            raise ConfigurationError("stage.phantoms is empty: name at least one")
 
 
 @dataclass(frozen=True)
@@ -162,7 +198,7 @@ def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:
 
 
 STAGE = Stage(
-    name="phantoms",
+    settings=PhantomsSettings,
     run=run_phantoms,
     writes=(
         "<phantom>/{lumen.stl, wall.stl, grid.npz, centrelines.json, targets.json, phantom.json, picture.png}",
@@ -172,4 +208,5 @@ STAGE = Stage(
     ),
     seeded=False,
     check=check_phantoms,
+    place=1,
 )

@@ -6,14 +6,17 @@ import logging
 from collections.abc import Collection
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Ge, Le
 
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.learning.section import LearningSection, learning_section
 from pipeline.report.page import PAGE, StageRecord, render_page
 from pipeline.report.results import Table, read_notes
 from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
-from pipeline.settings.stage_settings import ReportSettings
-from pipeline.stages import STAGE_NAMES, Stage, StageContext
+from pipeline.settings.checks import validated
+from pipeline.stages import Stage, StageContext, available_stages
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.file_memory import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
@@ -23,11 +26,16 @@ METRICS = "metrics.json"
 TABLES_FOLDER = "tables"
 LEARNING_FOLDER = "learning"
 PAGE_ROOM_BYTES = 12_000_000  # of embedded figures: the page stays below 15 MB
-# Stages of the plan, in order; the page says of each whether it has run.
-PLANNED_STAGES = ("phantoms", "expert", "user_study", "validate", "baselines", "enn", "imitation", "force", "unseen",
-                  "guide3d", "shape", "segmentation", "splineformer", "navigation")  # fmt: skip
 
 _LOGGER = logging.getLogger(__name__)
+
+
+@validated()
+class ReportSettings:
+    """Settings of the report."""
+
+    name: str = "report"
+    embed_limit_mb: Annotated[float, Ge(0), Le(1_000)] = 4.0  # larger pictures and films lie beside the page
 
 
 def finished_stages(run_path: Path) -> dict[str, Manifest]:
@@ -37,12 +45,12 @@ def finished_stages(run_path: Path) -> dict[str, Manifest]:
         run_path: the folder of the run.
 
     Returns:
-        Folder name (``expert``, ``expert@seed=1``) to manifest, in the order of the plan; the report itself is
+        Folder name (``expert``, ``expert@seed=1``) to manifest, in the order of the stages; the report itself is
         left out.
     """
     folders = sorted(p for p in run_path.iterdir() if p.is_dir()) if run_path.is_dir() else []
     found = {folder.name: read_manifest(folder) for folder in folders}
-    order = [*PLANNED_STAGES, *STAGE_NAMES]
+    order = available_stages()
     finished = {name: m for name, m in found.items() if m is not None and m.stage != "report"}
     return dict(
         sorted(finished.items(), key=lambda kv: (order.index(kv[1].stage) if kv[1].stage in order else 99, kv[0]))
@@ -67,7 +75,7 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
     figures = _figures(finished, learning, settings, context)
     records = [StageRecord(name, manifest) for name, manifest in finished.items()]
     have_run = {manifest.stage for manifest in finished.values()}
-    records += [StageRecord(name, None) for name in PLANNED_STAGES if name not in have_run]
+    records += [StageRecord(name, None) for name in available_stages() if name not in {*have_run, "report"}]
     page = render_page(
         run=context.run_path.name,
         budget="+".join(dict.fromkeys(m.budget for m in finished.values())) or context.budget,
@@ -138,9 +146,10 @@ def _inputs(run_path: Path) -> dict[str, str]:
 
 
 STAGE = Stage(
-    name="report",
+    settings=ReportSettings,
     run=run_report,
     writes=(PAGE, METRICS, f"{TABLES_FOLDER}/<table>.{{csv,tex}}", "figures/", f"{LEARNING_FOLDER}/<figure>.png"),
     seeded=False,
     further_inputs=_inputs,
+    place=99,
 )

@@ -97,7 +97,7 @@ def figures(rows: list[str], outcomes: dict[str, Any], context: StageContext) ->
 
 
 STAGE = Stage(
-    name="segmentation",
+    settings=SegmentationSettings,
     run=run_segmentation,
     reads=("guide3d",),
     writes=(
@@ -106,4 +106,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
+    place=12,
 )

@@ -126,7 +126,7 @@ def figures(rows: list[str], outcomes: dict[str, Any], context: StageContext) ->
 
 
 STAGE = Stage(
-    name="shape",
+    settings=ShapeSettings,
     run=run_shape,
     reads=("guide3d",),
     writes=(
@@ -135,4 +135,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
+    place=11,
 )

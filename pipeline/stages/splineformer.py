@@ -149,7 +149,7 @@ def figures(settings: SplineformerSettings, outcomes: dict[str, Any], context: S
 
 
 STAGE = Stage(
-    name="splineformer",
+    settings=SplineformerSettings,
     run=run_splineformer,
     reads=("guide3d", "segmentation"),
     writes=(
@@ -159,4 +159,5 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
+    place=13,
 )

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.settings.stage_settings import UserStudySettings
+from pipeline.settings.checks import validated
+from pipeline.settings.kinds import Count, SuccessRadius
 from pipeline.stages import Stage, StageContext
 from pipeline.store.provenance import hash_file
 
@@ -19,6 +20,15 @@ ROW = "H"  # of the thesis's ablation table
 _MM = 1e3
 
 _LOGGER = logging.getLogger(__name__)
+
+
+@validated()
+class UserStudySettings:
+    """Settings of the sum of what people recorded at the console."""
+
+    name: str = "user_study"
+    max_steps: Count = 300  # procedures with another limit are not counted
+    success_radius_mm: SuccessRadius = 8.0  # likewise
 
 
 @dataclass
@@ -207,9 +217,10 @@ def _recordings(run_path: Path) -> dict[str, str]:
 
 
 STAGE = Stage(
-    name="user_study",
+    settings=UserStudySettings,
     run=run_user_study,
     writes=("<phantom>/<target>.png", "results.json", "figures.json"),
     seeded=False,
     further_inputs=_recordings,
+    place=3,
 )

@@ -5,15 +5,17 @@ from __future__ import annotations
 import logging
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from pipeline.jobs.pool import Job, Report, run_jobs
 from pipeline.report.force_logs import EpisodeForces, pooled, read_forces, table_rows
 from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.settings.stage_settings import ValidateSettings
+from pipeline.settings.checks import validated
+from pipeline.settings.kinds import Count, FolderName
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.store.atomic_files import write_text
@@ -31,6 +33,19 @@ GROUP = "Force validation"
 VERDICT, DISTRIBUTION, BOXES = "verdict.txt", "distribution.png", "boxes.png"
 
 _LOGGER = logging.getLogger(__name__)
+
+
+@validated()
+class ValidateSettings:
+    """Settings of the validation against real forces and theory."""
+
+    name: str = "validate"
+    phantom: FolderName = "type_1"  # that of the real experiments; its episodes are compared, and its speed is measured
+    real_mean_n: Annotated[float, Gt(0), Le(100)] = 0.40  # normal distribution of the real forces
+    real_sd_n: Annotated[float, Gt(0), Le(100)] = 0.19
+    speed_steps: Count = 600  # an observation and round
+    speed_rounds: Annotated[int, Ge(1), Le(100)] = 3
+    physics: bool = True  # the wire against the theory of rods, most of a minute
 
 
 def check_validate(settings: ValidateSettings) -> None:
@@ -218,9 +233,10 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
 
 
 STAGE = Stage(
-    name="validate",
+    settings=ValidateSettings,
     run=run_validate,
     reads=("phantoms", "expert"),
     writes=(f"{DISTRIBUTION}, {BOXES}, heat/<phantom>.png", VERDICT, "results.json", "figures.json"),
     check=check_validate,
+    place=4,
 )

@@ -20,14 +20,16 @@ from omegaconf.errors import OmegaConfBaseException
 from cathsim.console.controls import Controls
 from cathsim.console.questionnaire import check_answers
 from cathsim.console.requests import KINDS, LONGEST_REQUEST, read_request
-from pipeline.config import CONFIG_DIRECTORY, STAGE_SETTINGS, register_schemas, run_config
+from pipeline.config import CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.explain import one_line
+from pipeline.stages import available_stages, load_stage
 from pipeline.store.errors import PipelineError
 from tests.fuzz.mutations import NASTY
 from tests.fuzz.target import Target, WrongError, refused
 
 _FIELDS = ("advance", "rotate", "sequence", "phantom", "target", "answers", "more")
 EXAMPLES = 25  # of a seed
+SETTINGS = {name: load_stage(name).settings for name in available_stages()}
 _PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20) | st.sampled_from(NASTY[:20]),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
@@ -60,11 +62,11 @@ class SettingsTarget(Target):
         super().__init__(folder)
         register_schemas()
         with initialize_config_dir(str(CONFIG_DIRECTORY), version_base="1.3"):
-            self.composed = {name: compose("config", overrides=[f"stage={name}"]) for name in STAGE_SETTINGS}
+            self.composed = {name: compose("config", overrides=[f"stage={name}"]) for name in SETTINGS}
         keys = {
             name: [f"stage.{f.name}" for f in dataclasses.fields(settings)]  # type: ignore[arg-type]
             + ["name", "seed", "runs_dir", "target", "modality", "phantom.name", "phantom.names", "force", "stage.none"]
-            for name, settings in STAGE_SETTINGS.items()
+            for name, settings in SETTINGS.items()
         }
         words = st.sampled_from(("nan", "-inf", "1e300", "-1", "0", "1e-9", "[1,2]", "{a: 1}", "null", "../x", "'a b'",
                                  "[[]]", "true", "9" * 400, "[nan]", "${seed}", "${nothing}", "${oc.env:HOME}", "a,b",
@@ -76,7 +78,7 @@ class SettingsTarget(Target):
             | st.text(max_size=12)
             | st.lists(words | numbers, max_size=3).map(lambda parts: f"[{','.join(parts)}]")
         )
-        self.overrides = st.sampled_from(sorted(STAGE_SETTINGS)).flatmap(
+        self.overrides = st.sampled_from(sorted(SETTINGS)).flatmap(
             lambda stage: st.tuples(
                 st.just(stage), st.lists(st.tuples(st.sampled_from(keys[stage]), values), min_size=1, max_size=3)
             )

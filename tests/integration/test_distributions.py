@@ -13,7 +13,7 @@ import numpy
 import pytest
 
 from pipeline.config import BUDGETS
-from pipeline.stages import STAGE_NAMES
+from pipeline.stages import available_stages
 from pipeline.store.manifest import read_manifest
 from pipeline.store.source_closure import SourceClosure
 
@@ -147,7 +147,7 @@ def test_the_pipeline_runs_from_its_wheel(installed: Path, tmp_path: Path) -> No
     where = run_installed(installed, tmp_path, "-c", "import cathsim, enn, guide3d, pipeline; print(pipeline.__file__)")
     assert where.startswith(str(installed))
     told = run_installed(installed, tmp_path, "-m", "pipeline", "--help")
-    for word in (*STAGE_NAMES, *BUDGETS, "demo"):
+    for word in (*available_stages(), *BUDGETS, "demo"):
         assert word in told
     run_installed(installed, tmp_path, "-m", "pipeline", "stage=phantoms", "budget=smoke", "stage.phantoms=[type_1]")
     run_installed(installed, tmp_path, "-m", "pipeline", "stage=report", "budget=smoke")

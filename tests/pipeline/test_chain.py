@@ -12,7 +12,8 @@ import pytest
 
 from pipeline import chain
 from pipeline.config import BUDGETS
-from pipeline.stages import STAGE_NAMES
+from pipeline.stages import available_stages
+from pipeline.store.manifest import read_manifest
 
 
 def start(pipeline_process, *arguments: str) -> subprocess.Popen[str]:
@@ -92,7 +93,7 @@ def test_the_estimate_follows_the_machine() -> None:
 
 @pytest.mark.parametrize("budget", ["smoke", "desk"])
 def test_every_stage_of_measured_budgets_is_known(budget: str) -> None:
-    assert set(chain.known_minutes([f"budget={budget}"])) == set(STAGE_NAMES)
+    assert set(chain.known_minutes([f"budget={budget}"])) == set(available_stages())
 
 
 def test_what_was_not_measured_is_not_guessed() -> None:
@@ -113,12 +114,18 @@ def test_settings_of_a_stage_go_to_the_stages_that_have_them(pipeline_process) -
     assert not chain.concerns("stage.device=cuda", "phantoms")
     assert chain.concerns("++stage.task.max_steps=5", "expert")
     assert not chain.concerns("stage.task.max_steps=5", "shape")
+    assert chain.concerns("stage@enn.decisions=5", "enn")
+    assert not chain.concerns("stage@enn.decisions=5", "baselines")
+    assert not chain.concerns("stage@enn.nothing=5", "enn")
     assert chain.concerns("budget=smoke", "phantoms")
     process = start(
-        pipeline_process, "user_study", "report", "--", "budget=smoke", "name=run", "stage.embed_limit_mb=2"
+        pipeline_process, "user_study", "report", "--", "budget=smoke", "name=run", "stage@report.embed_limit_mb=2"
     )
     told, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors + told
+    manifest = read_manifest(pipeline_process.runs / "run" / "report")
+    assert manifest is not None
+    assert manifest.config["embed_limit_mb"] == 2.0
     process = start(pipeline_process, "user_study", "report", "--", "budget=smoke", "stage.devise=cuda")
     told, errors = process.communicate(timeout=120)
     assert process.returncode == 2

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from pipeline.config import BUDGETS, CONFIG_DIRECTORY, STAGE_SETTINGS
+from pipeline.config import BUDGETS, CONFIG_DIRECTORY
 from pipeline.stages import available_stages
 from pipeline.store.errors import StageError
 from pipeline.variants import require_input
@@ -80,7 +80,7 @@ def test_configuration_holds_no_code_references(file: Path) -> None:
 
 
 def test_every_stage_has_settings_and_every_budget_serves_every_stage() -> None:
-    assert {p.stem for p in (CONFIG_DIRECTORY / "stage").glob("*.yaml")} == set(STAGE_SETTINGS)
+    assert {p.stem for p in (CONFIG_DIRECTORY / "stage").glob("*.yaml")} == set(available_stages())
     assert {p.stem for p in (CONFIG_DIRECTORY / "budget").glob("*.yaml")} == set(BUDGETS)
     keys = [set(OmegaConf.load(CONFIG_DIRECTORY / "budget" / f"{name}.yaml")) for name in BUDGETS]
     assert keys[0] == keys[1] == keys[2]

@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig, register_schemas, run_config
 from pipeline.recording.record import record_episode
-from pipeline.stages import STAGE_NAMES, baselines, enn, force, imitation
+from pipeline.stages import available_stages, baselines, enn, force, imitation
 from pipeline.stages.expert import check_expert
 from pipeline.stages.learning.expert_episodes import require_demonstrations, require_expert, task_of_log
 from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings, ForceSettings, ImitationSettings
@@ -31,7 +31,7 @@ def composed(*overrides: str) -> RunConfig:
 
 
 def stages_of(*overrides: str) -> dict[str, Any]:
-    return {name: composed(f"stage={name}", *overrides).stage for name in STAGE_NAMES}
+    return {name: composed(f"stage={name}", *overrides).stage for name in available_stages()}
 
 
 @pytest.mark.parametrize("further", [(), ("task.max_steps=200", "task.success_radius_mm=4", "task.wire=thesis")])

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline import thesis_check
 from pipeline.jobs.costs import OWN_PROCESS, CostMeter, keep_cost
-from pipeline.stages import STAGE_NAMES
+from pipeline.stages import available_stages
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.test_task import stages_of
 
@@ -39,7 +39,7 @@ def test_table_has_every_stage_and_job(tmp_path: Path, monkeypatch: pytest.Monke
     assert f"`python -m pipeline.thesis_check runs_dir={tmp_path} stage.device=cuda`, commit " in text
     told = json.loads((run / "thesis_check.json").read_text())
     found = [(row["stage"], row["job"], row["result"]) for row in told["rows"]]
-    assert [stage for stage, job, _ in found if not job] == list(STAGE_NAMES)
+    assert [stage for stage, job, _ in found if not job] == list(available_stages())
     assert found[:2] == [("phantoms", "", "ok"), ("expert", "", "did not finish")]
     assert [one for one in found if one[0] == "enn"] == [("enn", "", "ok"), ("enn", "a", "ok"), ("enn", "b", "ok")]
     assert ("force", "V/16", "the expert is gone: run stage=enn") in found

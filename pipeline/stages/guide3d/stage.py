@@ -140,7 +140,7 @@ def _reconstructions(settings: Guide3dSettings, context: StageContext, source: S
 
 
 STAGE = Stage(
-    name="guide3d",
+    settings=Guide3dSettings,
     run=run_guide3d,
     writes=(
         "dataset/{raw.json, b_spline.json, cvat.xml, truth.json, dataset.json, calibration/, images/} (generated)",
@@ -151,4 +151,5 @@ STAGE = Stage(
         "figures.json",
     ),
     check=check_guide3d,
+    place=10,
 )  # fmt: skip

@@ -20,17 +20,15 @@ from pipeline.settings.kinds import (
     EpisodesOrNone,
     FolderName,
     FolderNames,
-    PathText,
     Processes,
     RisingEpisodes,
     SomeFolderNames,
     Trainings,
-    Units,
     Weight,
     one_of,
 )
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import Task, task_in_random_arches
+from pipeline.task import Task
 
 # What forces are predicted from: the image alone, the same without the loss on features, three images, and more.
 FORCE_INPUTS = ("V", "V_plain", "V3", "V+M", "I+V", "I+V_action", "I")
@@ -43,7 +41,6 @@ _StudentObservations = Annotated[list[Annotated[str, one_of("image", "mask")]], 
 _ForceInputs = Annotated[list[Annotated[str, one_of(*FORCE_INPUTS)]], UNIQUE, NOT_EMPTY]
 _Reward = Annotated[str, one_of("geodesic", "distance")]
 _Samples = Annotated[list[Decisions], UNIQUE, RISING, NOT_EMPTY]
-_Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
 _SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], UNIQUE]
 
 
@@ -153,40 +150,3 @@ class ForceSettings:
     inputs: _ForceInputs = field(default_factory=lambda: ["V"])  # V: the image alone, as the thesis; see the stage
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
-
-
-@validated()
-class UnseenSettings:
-    """Settings of the policies for anatomies that were never seen."""
-
-    name: str = "unseen"
-    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca"])  # of every policy
-    anatomies: Count = 32  # random arches that the roadmap policy is trained on
-    curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each
-    demonstrations: CountOrNone = 12  # that the sampling expert tries, in as many arches
-    decisions: Decisions = 16_000  # of the roadmap policy's training
-    curve_decisions: Decisions = 8_000  # of each of the curve's policies, the one on `anatomies` arches among them
-    hidden: Units = 256  # units of each of their two layers
-    validation_anatomies: Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
-    validation_episodes: Episodes = 48  # in them
-    image: bool = True  # also the student that sees images and is told the wire's true mask
-    xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
-    image_anatomies: Count = 64  # arches that each is trained on
-    segmenter_epochs: Count = 50
-    wire_epochs: Count = 6  # of the network that finds the wire
-    rounds: Count = 6  # of lessons
-    lessons: Count = 90  # episodes a round
-    epochs: Count = 12  # over all lessons so far, a round
-    test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
-    phantoms: FolderNames = field(default_factory=list)  # named anatomies, none of them trained on
-    named_episodes: Episodes = 10  # on each, for each target
-    mesh: PathText | None = None  # scanned anatomy; left out where the file is missing
-    mesh_episodes: Annotated[int, Ge(1), Le(500)] = 20
-    wires: FolderNames = field(default_factory=list)  # further wires: presets, "softer", "stiffer"
-    wire_anatomies: Count = 10  # unseen arches that each is tried on
-    # errors of the roadmap's registration that its policy is tried with, mm an axis; 0 is the test without any
-    registration_noise_mm: _Noises = field(default_factory=lambda: [0.0, 1.0, 2.0, 4.0])
-    task: Task = field(default_factory=task_in_random_arches)
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
-    tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)

@@ -259,7 +259,7 @@ def _recordings(run_path: Path) -> dict[str, str]:
 
 
 STAGE = Stage(
-    name="navigation",
+    settings=NavigationSettings,
     run=run_navigation,
     reads=("expert", "enn", "unseen", "splineformer"),
     writes=(
@@ -276,4 +276,5 @@ STAGE = Stage(
     ),
     check=check_navigation,
     further_inputs=_recordings,
+    place=14,
 )

@@ -21,7 +21,6 @@ from pipeline.report.learning.tables import tables_from_logs
 from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.learning.settings import UnseenSettings
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.stages.unseen.demonstrations import DemonstrationsJob, record_demonstrations
 from pipeline.stages.unseen.image_policy import StudentJob, train_student
@@ -33,6 +32,7 @@ from pipeline.stages.unseen.jobs import (
     build_anatomies,
     train_roadmap,
 )
+from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.starts import StartsJob, lay_starts
 from pipeline.stages.unseen.tables import IMAGE, MISREGISTERED, ROADMAP, UNSEEN, XRAY, curve, registration
 from pipeline.stages.unseen.task import ROADMAP_KEYS, TEST_PHANTOM, UnseenTask, training_arch
@@ -305,7 +305,7 @@ def misregistered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
 
 
 STAGE = Stage(
-    name="unseen",
+    settings=UnseenSettings,
     run=run_unseen,
     writes=(
         "starts/<arch>.npz",
@@ -315,4 +315,5 @@ STAGE = Stage(
         "results.json",
     ),
     check=check_unseen,
+    place=9,
 )

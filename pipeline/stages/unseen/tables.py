@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.jobs.pool import Job
-from pipeline.stages.learning.settings import UnseenSettings
 from pipeline.stages.unseen.image_policy import StudentJob
 from pipeline.stages.unseen.jobs import RoadmapJob
+from pipeline.stages.unseen.settings import UnseenSettings
 
 ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows
 CURVE = "roadmap_curve"  # in the table of the curve: the policies with equally many decisions

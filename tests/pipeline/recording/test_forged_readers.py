@@ -16,8 +16,7 @@ from pipeline.recording.record import record_episode
 from pipeline.recording.replay import ReplayError, replay
 from pipeline.report.force_logs import read_forces
 from pipeline.report.learning.reading import read_logs
-from pipeline.settings.stage_settings import UserStudySettings
-from pipeline.stages.user_study import gather
+from pipeline.stages.user_study import UserStudySettings, gather
 from pipeline.store.errors import PipelineError
 
 WRONG_CONFIGURATION: dict[str, dict[str, Any]] = {

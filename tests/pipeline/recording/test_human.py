@@ -16,8 +16,7 @@ from pipeline.episodes import EpisodeReader, EpisodeReadError, check
 from pipeline.episodes.annotate import annotate, read_annotation
 from pipeline.recording.human import McapRecorder
 from pipeline.report.results import read_figures, read_results
-from pipeline.settings.stage_settings import UserStudySettings
-from pipeline.stages.user_study import gather, logs_of, tables, user_study_table
+from pipeline.stages.user_study import UserStudySettings, gather, logs_of, tables, user_study_table
 
 ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P1"}
 

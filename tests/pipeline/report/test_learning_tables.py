@@ -310,7 +310,7 @@ def test_report_shows_the_logs_and_says_what_differs(tmp_path: Path, run_python:
     printed = run_python(
         "import sys\n"
         "from pipeline.config import RunConfig\n"
-        "from pipeline.settings.stage_settings import ReportSettings\n"
+        "from pipeline.stages.report import ReportSettings\n"
         "from pipeline.execution import execute\n"
         "config = RunConfig(stage=ReportSettings(), budget={'name': 'desk'}, name='tried', runs_dir="
         + repr(str(tmp_path))

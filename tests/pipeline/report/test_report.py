@@ -91,7 +91,7 @@ def run_report(runs: Path, name: str, budget: str = "desk", **settings: float) -
     """
     from pipeline.config import RunConfig
     from pipeline.execution import execute
-    from pipeline.settings.stage_settings import ReportSettings
+    from pipeline.stages.report import ReportSettings
 
     stage = ReportSettings(**settings)
     execute(RunConfig(stage=stage, budget={"name": budget}, name=name, runs_dir=str(runs)))

@@ -15,12 +15,14 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pipeline.config import CONFIG_DIRECTORY, STAGE_SETTINGS, RunConfig, register_schemas, run_config
+from pipeline.config import CONFIG_DIRECTORY, RunConfig, register_schemas, run_config
 from pipeline.explain import one_line
 from pipeline.settings.checks import sentence
-from pipeline.settings.stage_settings import ExpertSettings
+from pipeline.stages import available_stages, load_stage
+from pipeline.stages.expert import ExpertSettings
 from pipeline.store.errors import ConfigurationError
 
+SETTINGS = {name: load_stage(name).settings for name in available_stages()}
 NONSENSE = ("nan", "inf", "-inf", "-1", "1e300", "99999999999999999999999", "text", "true")
 # Settings in which 0 means something: none of them, a number that the recipe chooses, one process a core, no noise.
 ZERO_IS_LEGAL = {
@@ -42,7 +44,7 @@ def composed() -> dict[str, DictConfig]:
     """Each stage's configuration as the command line composes it."""
     register_schemas()
     with initialize_config_dir(str(CONFIG_DIRECTORY), version_base="1.3"):
-        return {name: compose("config", overrides=[f"stage={name}"]) for name in STAGE_SETTINGS}
+        return {name: compose("config", overrides=[f"stage={name}"]) for name in SETTINGS}
 
 
 def given(config: DictConfig, override: str) -> RunConfig:
@@ -71,19 +73,19 @@ def key_of(name: str) -> str:
     return f"task.{name.partition('.')[2]}" if "." in name else f"stage.{name}"
 
 
-@pytest.mark.parametrize("stage", list(STAGE_SETTINGS))
+@pytest.mark.parametrize("stage", list(SETTINGS))
 def test_every_number_that_cannot_be_meant_is_refused_with_one_sentence(
     stage: str, composed: dict[str, DictConfig]
 ) -> None:
     config = composed[stage]
     assert run_config(config).stage.name == stage
-    for name, several in fields_of(STAGE_SETTINGS[stage], int, float):
+    for name, several in fields_of(SETTINGS[stage], int, float):
         for value in (*NONSENSE, "0"):
             override = f"stage.{name}={f'[{value}]' if several else value}"
             if value == "0" and name.rpartition(".")[2] in ZERO_IS_LEGAL and (stage, name) not in ZERO_IS_REFUSED_THERE:
                 given(config, override)
                 continue
-            if value == "true" and name in {n for n, _ in fields_of(STAGE_SETTINGS[stage], float)}:
+            if value == "true" and name in {n for n, _ in fields_of(SETTINGS[stage], float)}:
                 continue  # OmegaConf makes a float of it
             with pytest.raises((ConfigurationError, OmegaConfBaseException)) as refused:
                 given(config, override)
@@ -100,9 +102,9 @@ def test_a_seed_that_cannot_be_meant_is_refused(value: str, composed: dict[str, 
     assert one_line(refused.value, []).startswith("seed")
 
 
-@pytest.mark.parametrize("stage", list(STAGE_SETTINGS))
+@pytest.mark.parametrize("stage", list(SETTINGS))
 def test_no_name_leads_out_of_the_run_folder(stage: str, composed: dict[str, DictConfig]) -> None:
-    for name, several in fields_of(STAGE_SETTINGS[stage], str):
+    for name, several in fields_of(SETTINGS[stage], str):
         if name in NOT_NAMES:
             continue
         for value in BAD_NAMES:

@@ -9,8 +9,7 @@ import pytest
 
 from pipeline.episodes import EpisodeReader
 from pipeline.seeds import demonstration_seeds, held_out_seeds
-from pipeline.settings.stage_settings import ExpertSettings
-from pipeline.stages.expert import run_expert
+from pipeline.stages.expert import ExpertSettings, run_expert
 from pipeline.task import Task, number_of_actions
 from tests.pipeline.stages.small_expert import context
 

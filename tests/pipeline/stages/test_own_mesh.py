@@ -10,7 +10,7 @@ import trimesh
 
 from cathsim.anatomy import load_phantom
 from pipeline.launch import main
-from pipeline.settings.stage_settings import PhantomsSettings
+from pipeline.stages.phantoms import PhantomsSettings
 from pipeline.store.errors import ConfigurationError
 
 

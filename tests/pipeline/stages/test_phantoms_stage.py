@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.settings.stage_settings import PhantomsSettings
-from pipeline.stages.phantoms import check_phantoms, dimensions, write_bundle
+from pipeline.stages.phantoms import PhantomsSettings, check_phantoms, dimensions, write_bundle
 from pipeline.store.errors import ConfigurationError
 
 RESOLUTION = 2e-3

@@ -13,7 +13,6 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.report.learning.tables import tables_from_logs
 from pipeline.seeds import unseen_arches, validation_arches
-from pipeline.stages.learning.settings import UnseenSettings
 from pipeline.stages.unseen.image_policy import StudentJob, train_student
 from pipeline.stages.unseen.jobs import (
     AnatomiesJob,
@@ -21,6 +20,7 @@ from pipeline.stages.unseen.jobs import (
     build_anatomies,
     train_roadmap,
 )
+from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.stage import (
     check_unseen,
     plan,

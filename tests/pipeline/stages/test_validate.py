@@ -11,8 +11,7 @@ import trimesh
 
 from cathsim.physics_checks import AIM_PCT
 from pipeline.report.results import read_figures, read_results
-from pipeline.settings.stage_settings import ValidateSettings
-from pipeline.stages.validate import check_validate, physics_rows, run_validate
+from pipeline.stages.validate import ValidateSettings, check_validate, physics_rows, run_validate
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.report.evaluation_logs import write_force_log

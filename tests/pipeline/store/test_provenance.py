@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.settings.checks import settings_that_matter
-from pipeline.settings.stage_settings import ExpertSettings
+from pipeline.stages.expert import ExpertSettings
 from pipeline.store.progress import progress, progress_line
 from pipeline.store.provenance import git_state, hash_file, hash_value, machine, software_versions
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.config import STAGE_SETTINGS
-from pipeline.stages import STAGE_NAMES, stage_module
+from pipeline.stages import available_stages, load_stage, stage_module
 from pipeline.store import source_closure
 from pipeline.store.source_closure import SourceClosure, installed_packages, is_without_effect
 
@@ -139,11 +138,10 @@ def test_an_edit_puts_stages_out_of_date(edited: str, copied: dict[str, Path]) -
 
 
 TINY = {
-    "phantoms": "PhantomsSettings(phantoms=['type_1'], resolution_mm=2.5)",
-    "report": "ReportSettings()",
-    "guide3d": "Guide3dSettings(images=8, pairs=1, targets=['bca'], image_size_px=256, distorted=True)",
-    "force": "ForceSettings(targets=['bca'], samples=[12], test_samples=12, epochs=1, inputs=['V'], noise=0.5, "
-    "task=TASK.task)",
+    "phantoms": "phantoms=['type_1'], resolution_mm=2.5",
+    "report": "",
+    "guide3d": "images=8, pairs=1, targets=['bca'], image_size_px=256, distorted=True",
+    "force": "targets=['bca'], samples=[12], test_samples=12, epochs=1, inputs=['V'], noise=0.5, task=TASK.task",
 }
 
 
@@ -159,37 +157,31 @@ from tests.pipeline.stages.small_expert import TASK, context, in_this_process, w
 run = Path({str(tmp_path)!r})
 if {stage!r} == "force":
     write_expert(run / "enn", episodes=1)
-from pipeline.stages.guide3d.settings import Guide3dSettings
-from pipeline.stages.learning.settings import ForceSettings
-from pipeline.settings.stage_settings import PhantomsSettings, ReportSettings
 prepared = set(sys.modules)
 stage = load_stage({stage!r})
 module = sys.modules[{stage_module(stage)!r}]
 if hasattr(module, "run_jobs"):
     module.run_jobs = in_this_process
-stage.run({TINY[stage]}, context(run, {stage!r}, stage.reads))
+stage.run(stage.settings({TINY[stage]}), context(run, {stage!r}, stage.reads))
 print(json.dumps([n for n in sorted(sys.modules) if n.split(".")[0] in
                   ("pipeline", "cathsim", "enn", "guide3d", "splineformer") and n not in prepared]))
 """)
     loaded = set(json.loads(told.splitlines()[-1]))
     assert stage_module(stage) in loaded
-    # by pipeline.config, of every stage
-    gathered = {settings.__module__ for settings in STAGE_SETTINGS.values()}
-    gathered |= {name.rpartition(".")[0] for name in (*gathered, *map(stage_module, STAGE_NAMES))}
     known = SourceClosure().modules(stage_module(stage))
-    assert sorted(name for name in loaded - known - gathered if not is_without_effect(name)) == []
-    assert STAGE_SETTINGS[stage].__module__ in known
+    assert sorted(name for name in loaded - known if not is_without_effect(name)) == []
+    assert load_stage(stage).settings.__module__ in known
 
 
 def test_every_stage_has_sources_and_a_second_look_reads_none_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cache = tmp_path / "sources.json"
-    first = {stage: SourceClosure(cache).hash(stage_module(stage)) for stage in STAGE_NAMES}
-    assert len(set(first.values())) == len(STAGE_NAMES)
+    first = {stage: SourceClosure(cache).hash(stage_module(stage)) for stage in available_stages()}
+    assert len(set(first.values())) == len(available_stages())
 
     def parsed(text: str, name: str, *, is_package: bool) -> dict[str, Any]:
         raise AssertionError(f"{name} was read again")
 
     monkeypatch.setattr(source_closure, "references", parsed)
-    assert {stage: SourceClosure(cache).hash(stage_module(stage)) for stage in STAGE_NAMES} == first
+    assert {stage: SourceClosure(cache).hash(stage_module(stage)) for stage in available_stages()} == first

@@ -1,0 +1,63 @@
+"""Settings of the stage unseen: policies for anatomies that they were not trained on."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Annotated
+
+from annotated_types import Ge, Le
+
+from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.kinds import (
+    UNIQUE,
+    Count,
+    CountOrNone,
+    Decisions,
+    Device,
+    Episodes,
+    FolderNames,
+    PathText,
+    Processes,
+    SomeFolderNames,
+    Units,
+)
+from pipeline.task import Task, task_in_random_arches
+
+_Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
+
+
+@validated()
+class UnseenSettings:
+    """Settings of the policies for anatomies that were never seen."""
+
+    name: str = "unseen"
+    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca"])  # of every policy
+    anatomies: Count = 32  # random arches that the roadmap policy is trained on
+    curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each
+    demonstrations: CountOrNone = 12  # that the sampling expert tries, in as many arches
+    decisions: Decisions = 16_000  # of the roadmap policy's training
+    curve_decisions: Decisions = 8_000  # of each of the curve's policies, the one on `anatomies` arches among them
+    hidden: Units = 256  # units of each of their two layers
+    validation_anatomies: Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
+    validation_episodes: Episodes = 48  # in them
+    image: bool = True  # also the student that sees images and is told the wire's true mask
+    xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
+    image_anatomies: Count = 64  # arches that each is trained on
+    segmenter_epochs: Count = 50
+    wire_epochs: Count = 6  # of the network that finds the wire
+    rounds: Count = 6  # of lessons
+    lessons: Count = 90  # episodes a round
+    epochs: Count = 12  # over all lessons so far, a round
+    test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
+    phantoms: FolderNames = field(default_factory=list)  # named anatomies, none of them trained on
+    named_episodes: Episodes = 10  # on each, for each target
+    mesh: PathText | None = None  # scanned anatomy; left out where the file is missing
+    mesh_episodes: Annotated[int, Ge(1), Le(500)] = 20
+    wires: FolderNames = field(default_factory=list)  # further wires: presets, "softer", "stiffer"
+    wire_anatomies: Count = 10  # unseen arches that each is tried on
+    # errors of the roadmap's registration that its policy is tried with, mm an axis; 0 is the test without any
+    registration_noise_mm: _Noises = field(default_factory=lambda: [0.0, 1.0, 2.0, 4.0])
+    task: Task = field(default_factory=task_in_random_arches)
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+    tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)

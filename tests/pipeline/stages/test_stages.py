@@ -1,0 +1,139 @@
+"""The registry of stages: found by scanning, in an order that follows what they read, without being imported."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import pipeline
+from pipeline.config import CONFIG_DIRECTORY
+from pipeline.stages import available_stages, load_stage
+from pipeline.store.errors import ConfigurationError
+from pipeline.store.manifest import read_manifest
+
+YAML = """\
+# Counts to a number.
+defaults: [/schema/stage@_here_: count, _self_]
+numbers: ${by_budget:2, 20, 200}
+until: ${seed}
+"""
+MODULE = '''\
+"""The stage count."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Any
+
+from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.kinds import Count, Seed
+from pipeline.stages import Stage
+from pipeline.store.atomic_files import write_json
+
+
+@validated()
+class CountSettings:
+    """Settings of the stage count."""
+
+    name: str = "count"
+    numbers: Count = 1
+    until: Seed = 0
+    step: Count = 3
+    threads: int = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
+
+
+def run_count(settings: CountSettings, context: Any) -> None:
+    """Writes the numbers."""
+    write_json(context.path / "numbers.json", list(range(0, settings.numbers * settings.step, settings.step)))
+
+
+STAGE = Stage(settings=CountSettings, run=run_count, reads=("user_study",), writes=("numbers.json",))
+'''
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the pipeline with one more stage, which two files make."""
+    folder = tmp_path_factory.mktemp("project")
+    source = Path(pipeline.__file__).parent
+    shutil.copytree(source, folder / "pipeline", ignore=shutil.ignore_patterns("__pycache__", "conf"))
+    shutil.copytree(CONFIG_DIRECTORY, folder / "conf")
+    shutil.copy(source.parent / "Makefile", folder)
+    (folder / "conf" / "stage" / "count.yaml").write_text(YAML)
+    (folder / "pipeline" / "stages" / "count.py").write_text(MODULE)
+    return folder
+
+
+@pytest.fixture
+def in_project(project: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs a command in the copy."""
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "PYTHONPATH": str(project)}
+        return subprocess.run(words, cwd=project, env=environment, capture_output=True, text=True, check=False)
+
+    return run
+
+
+def test_two_files_add_a_stage(project: Path, in_project: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+    python = (sys.executable, "-m")
+    assert "count        Counts to a number." in in_project(*python, "pipeline", "--help").stdout
+    assert "stage: Counts to a number." in in_project("make", "help").stdout
+    words = ("budget=smoke", "name=run", "stage.step=4")
+    done = in_project(*python, "pipeline.chain", "--inputs", "count", "--", *words)
+    assert done.returncode == 0, done.stderr
+    assert "stage 1 of 2: user_study" in done.stdout
+    assert "stage 2 of 2: count" in done.stdout
+    folder = project / "runs" / "run" / "count"
+    assert (folder / "numbers.json").read_text().split() == ["[", "0,", "4", "]"]
+    manifest = read_manifest(folder)
+    assert manifest is not None
+    assert manifest.config == {"name": "count", "numbers": 2, "until": 0, "step": 4, "threads": 0}
+    assert "up to date" in in_project(*python, "pipeline", "stage=count", *words, "stage.threads=2").stdout
+    assert in_project(*python, "pipeline", "stage=report", "budget=smoke", "name=run").returncode == 0
+    assert ">count<" in (project / "runs" / "run" / "report" / "index.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("override", "sentence"),
+    [("stage.step=0", "stage.step must be 1 or more, got 0"),
+     ("stage.steps=2", "unknown setting 'stage.steps' (did you mean stage.step?): choose one of stage.numbers, "
+      "stage.until, stage.step, stage.threads"),
+     ("budget=huge", "unknown budget 'huge': choose one of smoke, desk, thesis")],
+)  # fmt: skip
+def test_wrong_settings_of_it_are_one_sentence(
+    override: str, sentence: str, in_project: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    done = in_project(sys.executable, "-m", "pipeline", "stage=count", "name=wrong", override)
+    assert done.returncode == 2
+    assert done.stderr.strip() == sentence
+
+
+def test_stages_come_after_what_they_read() -> None:
+    order = available_stages()
+    assert (order[0], order[-1]) == ("phantoms", "report")
+    for position, name in enumerate(order):
+        stage = load_stage(name)
+        assert stage.name == name
+        assert set(stage.reads) <= set(order[:position])
+
+
+def test_an_unknown_stage_is_refused_with_the_valid_ones() -> None:
+    with pytest.raises(ConfigurationError, match="unknown stage 'phantom': choose one of phantoms, expert"):
+        load_stage("phantom")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["stage=navigation", "--cfg", "job"]])
+def test_nothing_heavy_is_imported_before_a_stage_runs(arguments: list[str], run_python: Callable[[str], str]) -> None:
+    heavy = ("torch", "mujoco", "stable_baselines3", "matplotlib")
+    told = run_python(
+        "import sys\nfrom pipeline.launch import main\n"
+        f"main({arguments})\nprint([name for name in {heavy} if name in sys.modules])"
+    )
+    assert told.splitlines()[-1] == "[]"
