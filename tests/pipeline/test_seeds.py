@@ -109,6 +109,11 @@ def _own_ranges(source: str) -> list[str]:
     return found
 
 
+def test_every_acquisition_of_every_run_has_a_seed_of_its_own() -> None:
+    every = {seeds.acquisition_seed(run, number) for run in range(4) for number in range(1, 500)}
+    assert len(every) == 4 * 499
+
+
 def test_the_search_for_ranges_finds_them() -> None:
     for line in ("FIRST_TEST_ANATOMY = 31_000", "start = (job.seed * 1000 + number + 1) * 100_000",
                  "seed = 3 * EXPERT_SEED + 100_000 * job.seed", "range(31_000, 31_000 + test_arches)",

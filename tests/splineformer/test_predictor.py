@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from guide3d.dataset.acquisition_split import Split
 from guide3d.dataset.dataset import Dataset, images_of, split
-from guide3d.dataset.split import Split
 from guide3d.geometry.polyline import resample
 from guide3d.learning.model_file import read_content, write_content
 from guide3d.learning.training import finished

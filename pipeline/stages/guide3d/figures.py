@@ -10,6 +10,7 @@ import numpy as np
 from guide3d.dataset.dataset import Dataset
 from guide3d.dataset.frame import Frame, ImageError
 from guide3d.dataset.true_curves import VIEWS
+from guide3d.reconstruction.evaluation import Record, accepted
 from guide3d.reconstruction.reconstruction import reconstruct, reconstruct_greedy
 from pipeline.report.plots.guide3d import (
     Overlay,
@@ -20,8 +21,7 @@ from pipeline.report.plots.guide3d import (
     draw_segments,
 )
 from pipeline.report.results import Figure
-from pipeline.stages.guide3d.reconstruction import WAYS, Record
-from pipeline.stages.guide3d.tables import accepted
+from pipeline.stages.guide3d.reconstruction import WAYS
 
 GROUP = "Guide3D"
 _SHOWN = (0.1, 0.5, 0.9, 1.0)  # quantiles of the reprojection error

@@ -10,36 +10,28 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from guide3d.dataset.annotation_files import Views, write_curves
 from guide3d.dataset.dataset import Dataset
-from guide3d.dataset.frame import Frame
+from guide3d.dataset.simulated_annotation import click
 from guide3d.dataset.true_curves import VIEWS
 from guide3d.geometry.bspline import BSplineCurve
-from guide3d.geometry.metrics import curve_metrics, distances_along
-from guide3d.geometry.polyline import arc_length, resample
-from guide3d.reconstruction.reconstruction import reconstruct, reconstruct_greedy
+from guide3d.geometry.polyline import Array
+from guide3d.reconstruction.evaluation import Record, evaluate_pair
+from guide3d.reconstruction.reconstruction import reconstruct
 from pipeline.jobs.worker import Report
-from pipeline.stages.guide3d.annotation import annotated
 from pipeline.stages.guide3d.folder import RECONSTRUCTIONS, Source
 from pipeline.store.atomic_files import write_text
 
-Array = NDArray[np.float64]
-Record = dict[str, Any]
-
 PARTS, RECORDS = ".parts", "reconstructions.json"  # the former until the stage is done
-PLACES = 30  # along the wire at which errors are told, from the tip to its end
 ON_ANNOTATION, ON_CLICKS = ("global", "greedy"), ("global, clicks", "greedy, clicks")
 WAYS = (*ON_ANNOTATION, *ON_CLICKS)
-_DENSE_PX = 1.0  # of the polyline that clicks are drawn from
 
 
 @dataclass(frozen=True)
@@ -85,7 +77,7 @@ def reconstruct_pairs(job: ReconstructionJob, report: Report) -> dict[str, Any]:
             entries += [_entry(data, index, way, drawn) for way in ways if way in ON_ANNOTATION]
             if len(ways) == len(WAYS):
                 generator = np.random.default_rng((job.seed, index))
-                clicks = {view: _clicked(drawn[view], job, frame, view, generator) for view in VIEWS}
+                clicks = {view: click(drawn[view], job.noise_px, min(frame.size_px[view]), generator) for view in VIEWS}
                 entries += [_entry(data, index, way, clicks) for way in ON_CLICKS]
             report(place / len(job.frames), f"{place} of {len(job.frames)} pairs")
     write_text(part_file(job.folder, job.part), json.dumps(entries))
@@ -94,7 +86,7 @@ def reconstruct_pairs(job: ReconstructionJob, report: Report) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keeps what single pairs warn of out of the log: the records hold it, and the stage has judged the cameras."""
+    """Keeps what single pairs warn of out of the log: the records hold it, and the stage has checked the cameras."""
     logger = logging.getLogger(reconstruct.__module__)
     before = logger.level
     logger.setLevel(logging.ERROR)
@@ -109,49 +101,16 @@ def part_file(folder: Path, part: int) -> Path:
     return folder / PARTS / f"{part:03d}.json"
 
 
-def _clicked(points: Array, job: ReconstructionJob, frame: Frame, view: str, generator: np.random.Generator) -> Array:
-    dense = resample(points, count=max(2, int(arc_length(points)[-1] / _DENSE_PX)))
-    return annotated(dense, job.noise_px, min(frame.size_px[view]), generator)
-
-
 def _entry(data: Dataset, index: int, way: str, points: dict[str, Array]) -> Record:
     """Reconstructs one pair in one way."""
     frame, (a, b) = data.frames[index], (data.undistort(view, points[view]) for view in VIEWS)
     assert data.camera_a is not None
     assert data.camera_b is not None
-    started = time.process_time()
-    run = reconstruct if way.startswith("global") else reconstruct_greedy
-    record: Record = {"index": index, "label": frame.label, "way": way}
-    try:
-        found = run(data.camera_a, data.camera_b, a, b)
-    except ValueError as error:
-        return {**record, "accepted": False, "reason": str(error)}
-    record["cpu_s"] = time.process_time() - started
-    record |= {
-        "accepted": bool(found.accepted),
-        "reason": "; ".join(found.warnings),
-        "mean_a_px": float(found.mean_a_px),
-        "mean_b_px": float(found.mean_b_px),
-        "coverage": float(found.coverage),
-        "tangent_share": max(found.tangent_share),
-        "along_a_px": _along(found.residual_a_px),
-        "along_b_px": _along(found.residual_b_px),
-        "length_mm": found.length_mm,
-        "sd_mm": float(found.sd_mm.mean()),
-    }
-    truth = frame.curve_mm
-    if truth is not None:
-        record |= curve_metrics(truth, found.curve_mm)
-        record["along_mm"] = _along(distances_along(truth, found.curve_mm))
-        record["length_error_mm"] = record["length_mm"] - float(arc_length(truth)[-1])
-    if way == WAYS[0] and found.accepted:
-        record["curve"] = found.spline.to_tck()
-    return record
-
-
-def _along(values: Array) -> list[float]:
-    """Values at `PLACES` places from the tip to the end."""
-    return np.interp(np.linspace(0.0, 1.0, PLACES), np.linspace(0.0, 1.0, len(values)), values).tolist()
+    greedy = way.startswith("greedy")
+    record = evaluate_pair(data.camera_a, data.camera_b, a, b, frame.curve_mm, greedy=greedy)
+    if way != WAYS[0] or not record["accepted"]:
+        record.pop("curve", None)
+    return {"index": index, "label": frame.label, "way": way, **record}
 
 
 def gather(folder: Path, source: Source, parts: Sequence[int]) -> list[Record]:

@@ -7,18 +7,18 @@ from itertools import groupby
 
 import numpy as np
 
+from guide3d.dataset.acquisition_plan import PlannedAcquisition, plan_acquisitions
+from guide3d.reconstruction.evaluation import Record
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.report.results import write_figures, write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.guide3d.figures import reconstruction_figures, sample_figure
 from pipeline.stages.guide3d.folder import Source
-from pipeline.stages.guide3d.generator import DATASET, GenerationJob, Studio, assemble, generate
+from pipeline.stages.guide3d.generator import DATASET, GenerationJob, Recording, assemble, generate
 from pipeline.stages.guide3d.own_data import own_source
-from pipeline.stages.guide3d.plan import Acquisition, plan_acquisitions
-from pipeline.stages.guide3d.reconstruction import ReconstructionJob, Record, gather, reconstruct_pairs
+from pipeline.stages.guide3d.reconstruction import ReconstructionJob, gather, reconstruct_pairs
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.guide3d.tables import comparison_row, composition_table, reconstruction_tables
-from pipeline.stages.guide3d.wire_motions import targets_of
 from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.store.errors import ConfigurationError
 
@@ -44,9 +44,10 @@ def check_guide3d(settings: Guide3dSettings) -> None:
         return
     require_known_phantoms(settings.phantoms)
     from cathsim import load_phantom
+    from cathsim.planning.scripted_motions import arch_branches
 
     for name in settings.phantoms:
-        known = targets_of(load_phantom(name))
+        known = arch_branches(load_phantom(name))
         unknown = [target for target in settings.targets if target not in known]
         if unknown:
             raise ConfigurationError(f"phantom {name} has no branch {unknown[0]!r}: choose from {', '.join(known)}")
@@ -85,37 +86,36 @@ def _generated(settings: Guide3dSettings, context: StageContext) -> Source:
 
     # one pair of cameras for all phantoms, which all lie about the world's origin
     x, y, z = load_phantom(settings.phantoms[0]).bounds.mean(axis=0).tolist()
-    studio = Studio(
-        (x, y, z), settings.image_size_px, settings.distorted, settings.annotation_noise_px, settings.filling
-    )
-    planned = plan_acquisitions(
-        settings.images, settings.pairs, settings.phantoms, settings.targets, settings.steps, context.seed
-    )
+    recording = Recording(
+        (x, y, z), settings.image_size_px, settings.distorted, settings.annotation_noise_px, settings.filling,
+        settings.steps, context.seed,
+    )  # fmt: skip
+    planned = plan_acquisitions(settings.images, settings.pairs, settings.phantoms, settings.targets)
     jobs = [
         Job(
             f"acquisitions/{number}",
             generate,
-            GenerationJob(context.path, own, studio),
-            weight=_SECONDS_A_PAIR * sum(one.script.shapes for one in own),
+            GenerationJob(context.path, own, recording),
+            weight=_SECONDS_A_PAIR * sum(one.pairs for one in own),
         )
         for number, own in enumerate(_chunks(planned))
     ]
     run_jobs(context.folder, jobs, workers=settings.workers, label="acquisitions", preload=PRELOAD)
-    assemble(context.path, planned, studio)
+    assemble(context.path, planned, recording)
     return Source(DATASET)
 
 
-def _chunks(planned: list[Acquisition]) -> list[tuple[Acquisition, ...]]:
+def _chunks(planned: list[PlannedAcquisition]) -> list[tuple[PlannedAcquisition, ...]]:
     """Acquisitions of one phantom and filling together: the still parts of their images are computed once."""
 
-    def kind(one: Acquisition) -> tuple[str, bool]:
-        return one.script.phantom, one.fluid
+    def kind(one: PlannedAcquisition) -> tuple[str, bool]:
+        return one.phantom, one.fluid
 
-    chunks: list[tuple[Acquisition, ...]] = []
+    chunks: list[tuple[PlannedAcquisition, ...]] = []
     for _, group in groupby(sorted(planned, key=kind), key=kind):
-        chunk: list[Acquisition] = []
+        chunk: list[PlannedAcquisition] = []
         for one in group:
-            if chunk and sum(other.script.shapes for other in chunk) + one.script.shapes > _PAIRS_A_JOB:
+            if chunk and sum(other.pairs for other in chunk) + one.pairs > _PAIRS_A_JOB:
                 chunks.append(tuple(chunk))
                 chunk = []
             chunk.append(one)

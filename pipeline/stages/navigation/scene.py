@@ -50,11 +50,10 @@ def fluoroscope_of(phantom: Phantom, rig: Rig, filling: str) -> BiplaneFluorosco
 
 def _fluoroscope(phantom: Phantom, rig: Rig, filling: str) -> BiplaneFluoroscope:
     from cathsim import load_guidewire
-    from cathsim.fluoroscopy import BiplaneFluoroscope, radiograph, scene, wire_material
-    from pipeline.stages.guide3d.generator import Studio, cameras_of
+    from cathsim.fluoroscopy import BiplaneFluoroscope, askew_pair, radiograph, scene, wire_material
 
     x, y, z = phantom.bounds.mean(axis=0).tolist()
-    every = cameras_of(Studio((x, y, z), rig.image_size_px, False, 0.0, filling))
+    every = askew_pair((x, y, z), rig.image_size_px, distorted=False)
     cameras = [every[name] for name in rig.cameras]
     what = scene("bath", filling)
     stills = [radiograph(phantom.grid, camera, what, key=phantom.hash) for camera in cameras]

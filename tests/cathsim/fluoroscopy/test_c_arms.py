@@ -10,6 +10,7 @@ from cathsim.fluoroscopy import (
     Distortion,
     Projector,
     XRayCamera,
+    askew_pair,
     clinical_pair,
     guide3d_pair,
     read_projection,
@@ -42,6 +43,24 @@ def test_clinical_pair_is_frontal_and_lateral():
     np.testing.assert_allclose(a.projector.R[2], [0, 1, 0], atol=1e-12)
     assert abs(a.projector.R[2] @ b.projector.R[2]) < 1e-12
     assert a.distortion.identity
+
+
+def test_askew_pair_is_the_public_one_turned_by_six_degrees():
+    straight, askew = guide3d_pair(CENTRE, 256), askew_pair(CENTRE, 256).values()
+    for camera, turned in zip(straight, askew, strict=True):
+        np.testing.assert_allclose(turned.projector.project(CENTRE[None]), [[127.5, 127.5]], atol=1e-9)
+        turn = np.trace(turned.projector.R @ camera.projector.R.T)
+        assert np.degrees(np.arccos((turn - 1) / 2)) == pytest.approx(6.0, abs=1e-9)
+        assert turned.distortion == camera.distortion
+
+
+def test_undistorted_askew_cameras_differ_only_in_distortion():
+    raw, ideal = askew_pair(CENTRE, 256), askew_pair(CENTRE, 256, distorted=False)
+    point = CENTRE + np.array([[0.02, 0.03, -0.05]])
+    for name in ("a", "b"):
+        assert np.allclose(raw[name].projector.P, ideal[name].projector.P)
+        assert np.allclose(ideal[name].pixels(point), ideal[name].projector.project(point))
+        assert np.abs(raw[name].pixels(point) - ideal[name].pixels(point)).max() > 0.05
 
 
 def test_roll_turns_the_image_and_nothing_else():

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from guide3d.calibration.synthetic_xray import SyntheticDetector, cube_points_mm, draw_cube, draw_sheet
 from guide3d.geometry.camera import Camera
+from guide3d.geometry.distortion import Distortion
 
 MARKED = {"circle": 21, "double": 25, "single": 38}
 DETECTORS = {
@@ -61,3 +63,10 @@ def write_folder(folder: Path) -> Path:
     (folder / "framespec_cm.csv").write_text(f"x,y,z\n{rows}\n")
     (folder / "marks.ref").write_text("".join(f"{bead + 1} {kind}\n" for kind, bead in MARKED.items()))
     return folder
+
+
+def among_holes(distortion: Distortion, raw: np.ndarray) -> np.ndarray:
+    """Which raw pixels (n, 2) lie among the sheet's holes, where the distortion is measured: (n,) bool."""
+    tree = cKDTree(distortion.raw_px)
+    pitch = np.median(tree.query(distortion.raw_px, k=2)[0][:, 1])
+    return tree.query(raw)[0] <= 1.2 * pitch

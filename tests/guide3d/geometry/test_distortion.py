@@ -10,7 +10,7 @@ from guide3d.calibration.hexagonal_lattice import lattice_points
 from guide3d.calibration.perforated_sheet import SheetHoles, find_holes
 from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
 from guide3d.geometry.distortion import METHODS, Distortion, ideal_lattice, leave_out_errors, swirl_pattern
-from tests.guide3d.calibration.drawn_cube import DETECTORS, drawn_sheet
+from tests.guide3d.calibration.drawn_cube import DETECTORS, among_holes, drawn_sheet
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_the_map_undoes_the_distortion(sheet, method):
     _, _, holes = sheet
     distortion = Distortion.from_holes(holes, method, spans=12)
     raw = np.random.default_rng(3).uniform(30, 481, size=(400, 2))
-    raw = raw[distortion.covers(raw)]
+    raw = raw[among_holes(distortion, raw)]
     ours, truth = distortion.undistort_points(raw), DETECTORS["A"].undistort(raw)
     # the frames may differ by a similarity, which any camera takes up
     a, b = ((p - p.mean(axis=0)) @ [1, 1j] for p in (ours, truth))
@@ -145,3 +145,10 @@ def test_an_image_of_another_size_is_refused(sheet):
         Distortion.from_holes(sheet[2]).undistort_image(np.zeros((200, 300)))
     with pytest.raises(ValueError, match=r"expected pixels of shape \(\.\.\., 2\)"):
         Distortion.from_holes(sheet[2]).undistort_points(np.zeros((4, 3)))
+
+
+def test_a_known_distortion_is_sampled_as_by_a_sheet_without_error():
+    detector = DETECTORS["A"]
+    sampled = Distortion.of_function(detector.distort, 512)
+    ideal = np.random.default_rng(5).uniform(60, 450, size=(200, 2))
+    assert np.abs(sampled.distort_points(ideal) - detector.distort(ideal)).max() < 0.05

@@ -7,7 +7,7 @@ real detectors.
 from cathsim.fluoroscopy.attenuation import background_image, expose, lumen_path_length
 from cathsim.fluoroscopy.biplane import BiplaneFluoroscope, Frame
 from cathsim.fluoroscopy.body import THORAX, WATER_BATH, Box, Ellipsoid
-from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera, clinical_pair, guide3d_pair
+from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera, askew_pair, clinical_pair, guide3d_pair
 from cathsim.fluoroscopy.calibration_file import read_projection, write_calibration
 from cathsim.fluoroscopy.detector import Detector, quantum_noise
 from cathsim.fluoroscopy.distortion import Distortion
@@ -36,6 +36,7 @@ __all__ = [
     "Section",
     "WireMaterial",
     "XRayCamera",
+    "askew_pair",
     "background_image",
     "clinical_pair",
     "coil_tipped_wire",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from cathsim.fluoroscopy.detector import Detector
 from cathsim.fluoroscopy.distortion import Distortion
@@ -20,6 +21,9 @@ FOCAL_PX = {"a": 5150.0, "b": 4450.0}
 INTENSIFIER_DIAMETER = 16 * 0.0254  # m, taken to fill the collimator's circle
 _SIZE = 1024
 CLINICAL_FIELD = 0.25  # m in the plane of the isocentre
+# The shafts of six published pairs run 6 degrees out of the plane of both optical axes, so the patient lies askew by as
+# much. In that plane a whole shaft would lie on one epiline, and its depth could not be seen.
+_ASKEW = np.radians(6.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +133,32 @@ def guide3d_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRay
         camera = XRayCamera(projector, distortions[name], detectors[name])
         cameras.append(camera if size == _SIZE else camera.resized(size))
     return cameras[0], cameras[1]
+
+
+def askew_pair(centre: ArrayLike, size: int = _SIZE, *, distorted: bool = True) -> dict[str, XRayCamera]:
+    """Makes the public pair over a patient who lies askew by 6 degrees, as generated data sets and navigation use it.
+
+    The pair is turned about the middle of its viewing directions, through the point where its axes meet.
+
+    Args:
+        centre: (3,) m, where the axes meet.
+        size: px, side of the square images.
+        distorted: whether images show the detectors' distortion.
+
+    Returns:
+        Cameras "a" and "b" by name.
+    """
+    pair = guide3d_pair(centre, size)
+    a, b = (camera.projector for camera in pair)
+    axis = (a.R[2] + b.R[2]) / np.linalg.norm(a.R[2] + b.R[2])
+    turn = Rotation.from_rotvec(_ASKEW * axis).as_matrix()
+    turned = {}
+    for camera in pair:
+        projector, R = camera.projector, camera.projector.R @ turn.T
+        source = np.asarray(centre) + turn @ (projector.source - np.asarray(centre))
+        distortion = camera.distortion if distorted else Distortion.none(size, size)
+        turned[camera.name] = replace(camera, projector=replace(projector, R=R, t=-R @ source), distortion=distortion)
+    return turned
 
 
 def clinical_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRayCamera]:

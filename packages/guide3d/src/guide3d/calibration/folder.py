@@ -1,16 +1,21 @@
-"""A folder of calibration: both cameras' files, and the maps of their distortion where there are some."""
+"""A folder of calibration: both cameras' files, and the maps of their distortion or the X-rays of perforated sheets."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
+from guide3d.calibration.perforated_sheet import find_holes
 from guide3d.dataset.annotation_files import DETECTOR
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
 
-__all__ = ["cameras_in", "distortions_in"]
+__all__ = ["cameras_in", "distortions_in", "distortions_of_sheets"]
 
 _CAMERA_ENDINGS = ("txt", "yaml", "yml")
+_SHEET_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 
 def cameras_in(folder: Path) -> tuple[Camera, Camera] | None:
@@ -63,6 +68,34 @@ def distortions_in(folder: Path) -> tuple[Distortion, Distortion] | None:
         if files[0] is not None and files[1] is not None:
             return Distortion.load(files[0]), Distortion.load(files[1])
     return None
+
+
+def distortions_of_sheets(folder: Path) -> tuple[Distortion, Distortion] | None:
+    """Measures both detectors' distortion by the X-rays of perforated sheets in a folder, or in its "calibration".
+
+    Args:
+        folder: with *ndistort*16710* and *ndistort*16709* images.
+
+    Returns:
+        Those of cameras A and B; None unless both sheets are there.
+
+    Raises:
+        ValueError: an image shows no perforated sheet.
+    """
+    places = (folder / "calibration", folder)
+    sheets: list[Path] = []
+    for detector in DETECTOR.values():
+        images = (file for place in places for file in sorted(place.glob(f"*ndistort*{detector}*")))
+        sheets += [file for file in images if file.suffix.lower() in _SHEET_ENDINGS][:1]
+    if len(sheets) < len(DETECTOR):
+        return None
+    # cameras in text files come from XMALab, whose undistorted frame hangs on the box around the holes
+    texts = [file for place in places for file in place.glob(f"*{DETECTOR['a']}*.txt")]
+    frame = "bounding box" if texts else "least squares"
+    a, b = (
+        Distortion.from_holes(find_holes(np.asarray(Image.open(file).convert("L"))), frame=frame) for file in sheets
+    )
+    return a, b
 
 
 def _only(folder: Path, detector: str, endings: tuple[str, ...]) -> Path | None:

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.calibration.folder import cameras_in, distortions_in
+from guide3d.dataset.acquisition_split import Split, split_acquisitions
 from guide3d.dataset.annotation_files import Annotation, Views, read_curves, read_raw
 from guide3d.dataset.cvat import read_cvat
 from guide3d.dataset.frame import Frame
-from guide3d.dataset.split import Split, split_acquisitions
 from guide3d.dataset.true_curves import VIEWS, read_truth
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import Distortion

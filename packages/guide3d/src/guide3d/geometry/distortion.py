@@ -6,6 +6,7 @@ lattice is scaled, turned and shifted to fit all holes by least squares, so that
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +15,6 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from guide3d.atomic_file import whole_file
 from guide3d.calibration.hexagonal_lattice import lattice_points, local_lattice
@@ -27,6 +27,7 @@ __all__ = ["FRAMES", "METHODS", "Distortion", "ideal_lattice", "leave_out_errors
 METHODS = ("local weighted mean", "spline")
 FRAMES = ("least squares", "bounding box")
 _FOLDS = 13  # of q + 3 r: left-out holes are never neighbours
+_SHEET_PITCH = 0.0142  # of the image's side, of the holes that stand for a known distortion
 _GRID_PX = 8  # images are mapped through a grid this fine; between, the map is smooth
 
 
@@ -108,6 +109,23 @@ class Distortion:
         """The map of a sheet's holes; see the class and `ideal_lattice` for the arguments."""
         return cls(holes.centres_px, ideal_lattice(holes, frame), holes.width, holes.height, method, neighbours, spans)
 
+    @classmethod
+    def of_function(cls, distort: Callable[[np.ndarray], np.ndarray], size_px: int) -> Distortion:
+        """Samples a known distortion as a perforated sheet in front of the detector would show it, without error.
+
+        Args:
+            distort: takes undistorted px (n, 2) to raw ones.
+            size_px: side of the square image.
+        """
+        pitch, reach, middle = _SHEET_PITCH * size_px, int(1.2 / _SHEET_PITCH), (size_px - 1) / 2
+        q, r = (index.ravel() for index in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+        ideal = pitch * lattice_points(np.column_stack([q, r])) + middle
+        raw = np.full_like(ideal, np.inf)
+        near = np.abs(ideal - middle).max(axis=1) < 0.6 * size_px
+        raw[near] = distort(ideal[near])
+        kept = (np.abs(raw - middle) <= size_px / 2 + pitch).all(axis=1)
+        return cls(raw[kept], ideal[kept], size_px, size_px)
+
     @cached_property
     def _forward(self) -> LocalWeightedMean | SplineField:
         return _field(self.raw_px, self.ideal_px, self)
@@ -116,22 +134,10 @@ class Distortion:
     def _backward(self) -> LocalWeightedMean | SplineField:
         return _field(self.ideal_px, self.raw_px, self)
 
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.raw_px)
-
-    @cached_property
-    def _reach_px(self) -> float:
-        return 1.2 * float(np.median(self._tree.query(self.raw_px, k=2)[0][:, 1]))
-
     @property
     def displacement_px(self) -> np.ndarray:
         """How far each control point lies from where it should, (n,) px."""
         return np.asarray(np.linalg.norm(self.raw_px - self.ideal_px, axis=1))
-
-    def covers(self, raw_points: np.ndarray) -> np.ndarray:
-        """Whether raw pixels (..., 2) lie among the holes (to 1.2 pitches), where the map is measured: bool (...)."""
-        return np.asarray(self._tree.query(np.asarray(raw_points, float))[0] <= self._reach_px)
 
     def undistort_points(self, raw_points: np.ndarray) -> np.ndarray:
         """Raw pixels to undistorted ones.
@@ -140,7 +146,7 @@ class Distortion:
             raw_points: (..., 2) px as annotated on the image.
 
         Returns:
-            (..., 2) px; beyond the holes a continuation, see `covers`.
+            (..., 2) px; beyond the holes an almost linear continuation.
 
         Raises:
             ValueError: The points are not two-dimensional.

@@ -24,8 +24,8 @@ from guide3d.learning.training import FitProgress, FitReport, fit
 from guide3d.modeling.spherical import SphericalForm
 
 if TYPE_CHECKING:
+    from guide3d.dataset.acquisition_split import Split
     from guide3d.dataset.dataset import Dataset
-    from guide3d.dataset.split import Split
 
 Progress = Callable[[FitProgress], None]
 Curves = Mapping[int, Array]

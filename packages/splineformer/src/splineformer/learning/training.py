@@ -22,8 +22,8 @@ from splineformer.modeling.splineformer import SplineFormer
 from splineformer.predictor import Predictor
 
 if TYPE_CHECKING:
+    from guide3d.dataset.acquisition_split import Split
     from guide3d.dataset.dataset import Dataset
-    from guide3d.dataset.split import Split
 
 _MANY = 256  # curves whose mean a network starts from
 

@@ -1,35 +1,37 @@
-"""The annotation of a simulated wire: where a person would click, exactly or with a shaky hand, and what is in view."""
+"""The annotation of a simulated wire: the part in view, and the polyline along it, exact or clicked with noise."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from guide3d.geometry.polyline import arc_length, at_length
+from guide3d.geometry.bspline import BSplineCurve, fit_bspline
+from guide3d.geometry.polyline import Array, arc_length, at_length, resample
 
-Array = NDArray[np.float64]
+__all__ = ["VisiblePart", "annotate", "click", "fit_annotation", "thin_by_turning", "visible_part"]
 
 SPACING_PX, TURNING = 8.0, 0.2  # rad, of an exact annotation: within 0.05 px of the wire
 CLICKS_PX = (15.0, 30.0)  # between the clicks of a person on a straight stretch
 TURN_PX = 30.0  # a turn of 1 rad asks for clicks like so much more length
+_DENSE_PX = 1.0  # of the polyline that clicks on an annotation are drawn from
+_SPLINE_PX = 0.05  # a fitted curve keeps this near to exact annotations, and to clicks as near as their noise
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class VisiblePart:
     """A wire as one camera sees it.
 
     Attributes:
         points: (n, 2) px, tip first, to where the wire leaves the image.
-        visible: arc length from the tip to there, in the unit of the curve.
+        length: arc length from the tip to there, in the unit of the curve.
     """
 
     points: Array
-    visible: float
+    length: float
 
 
-def in_view(pixels: Array, arc: Array, size_px: int) -> View | None:
+def visible_part(pixels: Array, arc: Array, size_px: int) -> VisiblePart | None:
     """Cuts a projected curve where it first leaves the image.
 
     Args:
@@ -43,18 +45,18 @@ def in_view(pixels: Array, arc: Array, size_px: int) -> View | None:
     beyond = np.maximum(-pixels, pixels - (size_px - 1)).max(axis=1)
     outside = np.flatnonzero(beyond > 0)
     if not len(outside):
-        return View(pixels, float(arc[-1]))
+        return VisiblePart(pixels, float(arc[-1]))
     end = int(outside[0])
     if end == 0:
         return None
     share = -beyond[end - 1] / (beyond[end] - beyond[end - 1])  # of the last short, straight piece
     last = pixels[end - 1] + share * (pixels[end] - pixels[end - 1])
-    visible = arc[end - 1] + share * (arc[end] - arc[end - 1])
-    return View(np.vstack([pixels[:end], last]), float(visible))
+    length = arc[end - 1] + share * (arc[end] - arc[end - 1])
+    return VisiblePart(np.vstack([pixels[:end], last]), float(length))
 
 
-def annotated(points: Array, noise_px: float, size_px: int, generator: np.random.Generator) -> Array:
-    """The polyline that an annotator leaves.
+def annotate(points: Array, noise_px: float, size_px: int, generator: np.random.Generator) -> Array:
+    """Draws the polyline that an annotator leaves.
 
     Args:
         points: (n, 2) px, the wire in view, dense.
@@ -66,7 +68,7 @@ def annotated(points: Array, noise_px: float, size_px: int, generator: np.random
         (m, 2) px, both ends of the wire among them.
     """
     if noise_px == 0:
-        return thinned_by_turning(points, SPACING_PX, TURNING)
+        return thin_by_turning(points, SPACING_PX, TURNING)
     along = arc_length(points)
     measure = along + TURN_PX * _turned(points)
     places = np.cumsum(generator.uniform(*CLICKS_PX, int(measure[-1] / CLICKS_PX[0]) + 1))
@@ -75,8 +77,19 @@ def annotated(points: Array, noise_px: float, size_px: int, generator: np.random
     return np.clip(clicks + noise_px * generator.standard_normal(clicks.shape), 0.0, size_px - 1.0)
 
 
-def thinned_by_turning(points: Array, spacing: float, turning: float) -> Array:
-    """Some of the points of a dense curve: closer together where it turns, so that no chord strays far from it.
+def click(polyline: Array, noise_px: float, size_px: int, generator: np.random.Generator) -> Array:
+    """Annotates an annotated polyline (n, 2) px once more, by noisy clicks; arguments as of `annotate`."""
+    dense = resample(polyline, count=max(2, int(arc_length(polyline)[-1] / _DENSE_PX)))
+    return annotate(dense, noise_px, size_px, generator)
+
+
+def fit_annotation(points: Array, noise_px: float) -> BSplineCurve:
+    """Fits the smooth curve of b_spline.json to an annotation (n, 2) px with clicks of this noise."""
+    return fit_bspline(points, smoothing=2 * max(noise_px, _SPLINE_PX) ** 2 * len(points))
+
+
+def thin_by_turning(points: Array, spacing: float, turning: float) -> Array:
+    """Thins a dense curve, less where it turns, so that no chord strays far from it.
 
     Args:
         points: (n, d) dense.
@@ -93,7 +106,7 @@ def thinned_by_turning(points: Array, spacing: float, turning: float) -> Array:
 
 
 def _turned(points: Array) -> Array:
-    """How far a dense curve has turned up to each of its points, rad, whichever way. Shape (n,)."""
+    """Returns how far a dense curve has turned up to each of its points, rad, whichever way. Shape (n,)."""
     steps = np.diff(points, axis=0)
     steps = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
     bends = 2 * np.arcsin(np.minimum(np.linalg.norm(np.diff(steps, axis=0), axis=1) / 2, 1.0))

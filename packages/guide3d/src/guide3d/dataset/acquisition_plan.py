@@ -6,30 +6,41 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from guide3d.dataset.annotation_files import acquisition_name
-from pipeline.seeds import acquisition_seed
-from pipeline.stages.guide3d.wire_motions import Script
+
+__all__ = ["COMPOSITION", "PlannedAcquisition", "composition", "plan_acquisitions"]
 
 # (fluid, wire) to images of the real data set
 COMPOSITION = {(True, "angled"): 3664, (True, "straight"): 484, (False, "angled"): 2472, (False, "straight"): 2126}
 
 
 @dataclass(frozen=True)
-class Acquisition:
+class PlannedAcquisition:
     """One acquisition to be made.
 
     Attributes:
-        name: in the public layout, e.g. "1-bca-angle-5".
+        number: in the data set, from 1.
         fluid: whether the phantom is filled.
-        script: what the operator does.
+        wire: "angled" or "straight".
+        phantom: name of the anatomy.
+        target: branch that the wire is meant for, e.g. "bca".
+        pairs: of images.
     """
 
-    name: str
+    number: int
     fluid: bool
-    script: Script
+    wire: str
+    phantom: str
+    target: str
+    pairs: int
+
+    @property
+    def name(self) -> str:
+        """In the public layout, e.g. "1-bca-angle-5"."""
+        return acquisition_name(self.fluid, self.target, self.wire, self.number)
 
 
 def composition(images: int) -> dict[tuple[bool, str], int]:
-    """Pairs of images of every kind, in the thesis's proportions.
+    """Divides pairs of images among the kinds of acquisitions, in the thesis's proportions.
 
     Args:
         images: of both cameras together, at least 8.
@@ -48,8 +59,8 @@ def composition(images: int) -> dict[tuple[bool, str], int]:
 
 
 def plan_acquisitions(
-    images: int, pairs: int, phantoms: Sequence[str], targets: Sequence[str], steps: int, seed: int
-) -> list[Acquisition]:
+    images: int, pairs: int, phantoms: Sequence[str], targets: Sequence[str]
+) -> list[PlannedAcquisition]:
     """Plans a data set.
 
     Args:
@@ -57,21 +68,16 @@ def plan_acquisitions(
         pairs: of an acquisition at most.
         phantoms: anatomies, taken in turn.
         targets: branches, taken in turn.
-        steps: of 0.1 s from one pair to the next.
-        seed: of the run.
 
     Returns:
         The acquisitions, numbered from 1; those of a kind are equally long, to one pair.
     """
-    planned: list[Acquisition] = []
+    planned: list[PlannedAcquisition] = []
     for (fluid, wire), count in composition(images).items():
         acquisitions = -(-count // pairs)
         for index in range(acquisitions):
-            number = len(planned) + 1
             length = count // acquisitions + (index < count % acquisitions)
             target = targets[index % len(targets)]
             phantom = phantoms[index // len(targets) % len(phantoms)]
-            own = acquisition_seed(seed, number)
-            script = Script(phantom, target, wire, length, steps, own)
-            planned.append(Acquisition(acquisition_name(fluid, target, wire, number), fluid, script))
+            planned.append(PlannedAcquisition(len(planned) + 1, fluid, wire, phantom, target, length))
     return planned
