@@ -36,9 +36,6 @@ _WORKED = 0.3  # of what a stage is known to take: less, and it was up to date o
 def main(arguments: list[str]) -> int:
     """Runs the command line.
 
-    Args:
-        arguments: what follows ``python -m pipeline.chain``.
-
     Returns:
         0, or the exit code of the stage that failed.
     """
@@ -119,8 +116,6 @@ def minutes_left(stages: Sequence[str], spent: Mapping[str, float], known: Mappi
     """Estimates the wall time of stages that are still to run.
 
     Args:
-        stages: to run.
-        spent: minutes of those that ran.
         known: minutes of stages on the machine they were measured on.
 
     Returns:

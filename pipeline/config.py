@@ -107,9 +107,6 @@ def run_config(composed: DictConfig) -> RunConfig:
     Args:
         composed: the configuration as Hydra hands it over, without its own ``hydra`` node.
 
-    Returns:
-        The run configuration; ``stage`` is the stage's settings dataclass.
-
     Raises:
         ConfigurationError: when a value fails a check; the message is one sentence.
     """

@@ -13,14 +13,7 @@ from pipeline.store.errors import ConfigurationError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the console until Ctrl-C.
-
-    Args:
-        arguments: of the command line; the process's own when None.
-
-    Returns:
-        The exit code.
-    """
+    """Runs the console until Ctrl-C."""
     wanted = parser("python -m pipeline.console", folder=None)
     wanted.add_argument("--name", default="desk", metavar="RUN", help="run that the episodes belong to (default desk)")
     wanted.add_argument("--runs-dir", type=Path, default=Path("runs"), help="folder of the runs (default runs)")

@@ -36,12 +36,8 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     """Runs one stage, or finds that its results are up to date.
 
     Args:
-        config: the run.
         overrides: that it was composed with, of the command line or of the sweep's job.
         in_sweep: whether it is a job of a sweep, which gets a folder named after its overrides.
-
-    Returns:
-        How it ended.
 
     Raises:
         PipelineError: when a setting, an input or the folder stands in the way; the message is one sentence.

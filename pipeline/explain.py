@@ -42,7 +42,6 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
     """Words an error for the user.
 
     Args:
-        error: what was raised.
         overrides: the command line, to know which stage was meant.
 
     Returns:
@@ -78,9 +77,6 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
 
 def system_error(error: BaseException | None) -> OSError | None:
     """Finds what the operating system refused.
-
-    Args:
-        error: any exception, or None.
 
     Returns:
         The exception itself or the first of its causes that is an OSError; None when there is none.

@@ -78,11 +78,7 @@ def unwanted_distributions(names: list[str], *, gpu: bool) -> list[str]:
     """Picks out distributions that must not be installed.
 
     Args:
-        names: what is installed.
         gpu: whether CUDA is wanted.
-
-    Returns:
-        The offending names, sorted.
     """
     prefixes = UNWANTED_ALWAYS if gpu else UNWANTED_ALWAYS + UNWANTED_WITHOUT_GPU
     return sorted({name.lower() for name in names if name.lower().startswith(prefixes)})

@@ -68,9 +68,6 @@ class _Stop(BaseException):
 def task(composed: DictConfig) -> None:
     """Runs the stage of one composed configuration; Hydra and its launchers call it.
 
-    Args:
-        composed: the configuration.
-
     Raises:
         PipelineError: in a sweep, so that the launcher counts the job as failed and goes on with the others.
     """
@@ -91,9 +88,6 @@ def task(composed: DictConfig) -> None:
 
 def main(arguments: list[str]) -> int:
     """Runs the command line.
-
-    Args:
-        arguments: what follows ``python -m pipeline``.
 
     Returns:
         The exit code: 0 done or up to date, 1 failed, 2 wrong settings, 130 after Ctrl-C, 143 after SIGTERM.
@@ -135,11 +129,7 @@ def _chosen_stages(arguments: list[str]) -> list[str]:
 
 
 def usage() -> str:
-    """Words the help, with the stages, budgets and experiments that exist.
-
-    Returns:
-        The text of ``--help``.
-    """
+    """Words the help, with the stages, budgets and experiments that exist."""
     stages = "\n".join(f"  {name:<12} {_summary(name)}" for name in available_stages())
     experiments = sorted(p.stem for p in (CONFIG_DIRECTORY / "experiment").glob("*.yaml"))
     return _USAGE.format(stages=stages, budgets=", ".join(BUDGETS), experiments=", ".join(experiments) or "none")

@@ -42,7 +42,6 @@ class SeedRange:
 
         Args:
             seed: of the run or training, which names the part.
-            count: how many.
             skip: how many of the part come before them.
 
         Raises:
@@ -117,10 +116,6 @@ def demonstration_seeds(run_seed: int, count: int) -> range:
 def held_out_seeds(training_seed: int, count: int) -> range:
     """Seeds of the test episodes of a training: no other training's, and none that anything was trained or chosen on.
 
-    Args:
-        training_seed: of the training.
-        count: of episodes.
-
     Raises:
         ConfigurationError: more trainings, or more episodes of one, than there are seeds.
     """
@@ -151,10 +146,8 @@ def navigation_lesson_seeds(run_seed: int, number: int, course: int, count: int)
     """Seeds of the lessons of a round and course of a navigator.
 
     Args:
-        run_seed: of the run.
         number: of the round, from 0.
         course: its number, from 0.
-        count: of lessons.
 
     Raises:
         ConfigurationError: more courses, or lessons of one, than there are seeds.
@@ -171,9 +164,7 @@ def unseen_lesson_seeds(run_seed: int, number: int, count: int) -> range:
     """Seeds of the lessons of a round of the image student.
 
     Args:
-        run_seed: of the run.
         number: of the round, from 0.
-        count: of lessons.
 
     Raises:
         ConfigurationError: more lessons than there are seeds.

@@ -146,13 +146,7 @@ def require_feeder(task: Task, stage: str) -> None:
 
 
 def differences(one: Task, other: Task, parts: Sequence[str] = PARTS) -> list[str]:
-    """Names of the parts in which two tasks differ.
-
-    Args:
-        one: a task.
-        other: another.
-        parts: that count.
-    """
+    """Names of the parts in which two tasks differ."""
     found = [name for name in parts if not _same(getattr(one, name), getattr(other, name))]
     if LENGTH in found and one.wire == other.wire and one.guidewire() == other.guidewire():
         found.remove(LENGTH)  # wires are made of whole links: two lengths may be one wire
@@ -171,12 +165,7 @@ def require_same_task(
     """Refuses what an earlier stage made for another task.
 
     Args:
-        stage: that was asked to go on from it.
-        asked: its task.
-        found: the task of what the earlier stage made.
         whose: what that is, e.g. "the expert policy of type_1/bca".
-        maker: the earlier stage.
-        parts: of the tasks that must agree.
 
     Raises:
         StageError: names every difference.

@@ -34,9 +34,6 @@ Row = tuple[str, str, str, float | None, float | None, float | None, float | Non
 def main(overrides: Sequence[str]) -> int:
     """Runs the check, prints its table, and writes it into the run's folder.
 
-    Args:
-        overrides: of the command line, for every stage.
-
     Returns:
         0, or the exit code of the stage that failed.
     """
@@ -58,11 +55,7 @@ def _chosen(overrides: Sequence[str], key: str, default: str) -> str:
 
 
 def rows(run: Path) -> list[Row]:
-    """What every stage and its jobs took, in the order of the stages.
-
-    Args:
-        run: folder of the run.
-    """
+    """What every stage and its jobs took, in the order of the stages."""
     found: list[Row] = []
     for stage in available_stages():
         manifest = read_manifest(run / stage)
@@ -92,12 +85,7 @@ def provenance(command: Sequence[str]) -> dict[str, Any]:
 
 
 def markdown(found: Sequence[Row], command: str) -> str:
-    """The table as Markdown, with where it comes from.
-
-    Args:
-        found: of `rows`.
-        command: that it was made by.
-    """
+    """The table as Markdown, with where it comes from."""
     told = provenance([command])
     versions = ", ".join(f"{name} {told['versions'][name]}" for name in _VERSIONS if name in told["versions"])
     machine = told["machine"]

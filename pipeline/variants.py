@@ -51,14 +51,7 @@ def telling(overrides: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class Asked:
-    """What a run was asked for, as far as it chooses among folders.
-
-    Attributes:
-        overrides: of the command line or of the sweep's job.
-        in_sweep: whether it is a job of a sweep.
-        seed: of the run.
-        budget: of the run.
-    """
+    """What a run was asked for, as far as it chooses among folders."""
 
     overrides: tuple[str, ...] = ()
     in_sweep: bool = False
@@ -95,15 +88,6 @@ class Asked:
 
 def require_input(run_path: Path, stage: str, reader: str, asked: Asked | None = None) -> tuple[Path, Manifest]:
     """Finds the finished results of an earlier stage and checks that they are as it left them.
-
-    Args:
-        run_path: the folder of the run.
-        stage: the earlier stage.
-        reader: the stage that needs them.
-        asked: of the reader's run.
-
-    Returns:
-        Their folder and its manifest.
 
     Raises:
         StageError: it has not finished, several variants fit equally well, or a file was changed; the message names
@@ -166,10 +150,7 @@ def command(stage: str, run_path: Path, overrides: Sequence[str], *, in_sweep: b
     """The command that runs a stage, in backquotes.
 
     Args:
-        stage: its name.
-        run_path: the folder of the run.
         overrides: beside stage, name and runs_dir.
-        in_sweep: whether it is a job of a sweep.
     """
     words = [f"stage={stage}", f"name={run_path.name}", *overrides]
     if run_path.parent != Path("runs"):

@@ -163,9 +163,6 @@ def _run(arguments: argparse.Namespace, path: Path) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Args:
-        argv: arguments without the program's name; None for those of the process.
-
     Returns:
         The exit code: 0 fine, 1 damaged, 2 usage.
     """

@@ -20,9 +20,6 @@ from pipeline.episodes.reader import EpisodeReader
 def annotation_name(key: str) -> str:
     """The metadata record of an annotation.
 
-    Args:
-        key: a word, e.g. "questionnaire".
-
     Returns:
         For example `endonav.questionnaire`.
 
@@ -37,11 +34,6 @@ def annotation_name(key: str) -> str:
 
 def annotate(path: str | os.PathLike[str], key: str, values: Mapping[str, Any]) -> None:
     """Add an annotation to a finished log, or replace the one of that key; the log is exchanged in one instant.
-
-    Args:
-        path: the log.
-        key: a word, e.g. "questionnaire".
-        values: plain values.
 
     Raises:
         ValueError: the key is no word.
@@ -106,10 +98,6 @@ def _offset(part: ChunkIndex | MetadataIndex) -> int:
 
 def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | None:
     """Read an annotation of a log.
-
-    Args:
-        path: the log.
-        key: a word, e.g. "questionnaire".
 
     Returns:
         Its values, or None when the log has none of that key.

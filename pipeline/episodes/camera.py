@@ -20,14 +20,7 @@ LONGEST_EDGE = 8192
 
 
 def camera_frame(name: str) -> str:
-    """Name the frame of a camera: origin at the source, x right and y down in the image, z into it.
-
-    Args:
-        name: the camera.
-
-    Returns:
-        The frame id.
-    """
+    """Name the frame of a camera: origin at the source, x right and y down in the image, z into it."""
     return f"camera/{name}"
 
 
@@ -97,10 +90,6 @@ class Camera:
     def calibration(self, name: str, time_ns: int) -> bytes:
         """Serialise as `foxglove.CameraCalibration`.
 
-        Args:
-            name: the camera's name.
-            time_ns: nanoseconds since the epoch.
-
         Returns:
             Protobuf bytes. P is [K 0] there, as that message means it; the pose is in `transform`.
         """
@@ -113,10 +102,6 @@ class Camera:
 
     def transform(self, name: str, time_ns: int) -> FrameTransform:
         """Give the camera's pose in the world as `foxglove.FrameTransform`.
-
-        Args:
-            name: the camera's name.
-            time_ns: nanoseconds since the epoch.
 
         Returns:
             The message: source position in m, rotation camera to world as a unit quaternion.
@@ -136,14 +121,7 @@ class Camera:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Camera:
-        """Read what `to_json` gave.
-
-        Args:
-            values: the matrices and the size.
-
-        Returns:
-            The camera.
-        """
+        """Read what `to_json` gave."""
         return cls(**{name: values[name] for name in ("P", "K", "R", "t", "width", "height")})
 
 

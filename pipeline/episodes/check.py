@@ -37,9 +37,6 @@ class CheckReport:
 def check(path: Path) -> CheckReport:
     """Check a log from its first byte to its last.
 
-    Args:
-        path: the log.
-
     Returns:
         What was found; it never raises for damage.
     """

@@ -24,25 +24,10 @@ class ContainerError(ValueError):
 
 
 def damaged(path: Path, reason: object) -> EpisodeReadError:
-    """Make the error of a damaged log.
-
-    Args:
-        path: the log.
-        reason: what is wrong.
-
-    Returns:
-        The error to raise.
-    """
+    """Make the error of a damaged log."""
     return EpisodeReadError(f"{path} is damaged: {reason}; run '{recover_command(path)}' to save what is intact")
 
 
 def recover_command(path: Path) -> str:
-    """Give the command line that recovers a log.
-
-    Args:
-        path: the log.
-
-    Returns:
-        The command.
-    """
+    """Give the command line that recovers a log."""
     return f"python -m pipeline.episodes recover {path}"

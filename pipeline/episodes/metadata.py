@@ -54,24 +54,13 @@ def _open(record: Mapping[str, str]) -> dict[str, Any]:
 
 
 def seal_episode(info: EpisodeInfo, cameras: Mapping[str, Camera]) -> dict[str, str]:
-    """Make the content of the record `endonav.episode`.
-
-    Args:
-        info: the episode's information.
-        cameras: the cameras by name.
-
-    Returns:
-        Key-value pairs.
-    """
+    """Make the content of the record `endonav.episode`."""
     ordered = [{"name": name, **camera.to_json()} for name, camera in cameras.items()]
     return _seal({"info": info.to_json(), "cameras": ordered})
 
 
 def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Camera]]:
     """Read the content of the record `endonav.episode`.
-
-    Args:
-        record: key-value pairs.
 
     Returns:
         The information, and the cameras by name in the order in which they were declared.
@@ -101,25 +90,12 @@ def _reason(error: Exception) -> str:
 
 
 def seal_outcome(outcome: EpisodeOutcome) -> dict[str, str]:
-    """Make the content of the record `endonav.outcome`.
-
-    Args:
-        outcome: how the episode ended.
-
-    Returns:
-        Key-value pairs.
-    """
+    """Make the content of the record `endonav.outcome`."""
     return _seal(outcome.to_json())
 
 
 def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
     """Read the content of the record `endonav.outcome`.
-
-    Args:
-        record: key-value pairs.
-
-    Returns:
-        The outcome.
 
     Raises:
         ContainerError: it is damaged.
@@ -133,25 +109,12 @@ def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
 
 
 def seal_annotation(values: Mapping[str, Any]) -> dict[str, str]:
-    """Make the content of a record that was added to a finished log.
-
-    Args:
-        values: plain values.
-
-    Returns:
-        Key-value pairs.
-    """
+    """Make the content of a record that was added to a finished log."""
     return _seal(values)
 
 
 def open_annotation(record: Mapping[str, str]) -> dict[str, Any]:
     """Read the content of a record that was added to a finished log.
-
-    Args:
-        record: key-value pairs.
-
-    Returns:
-        The values.
 
     Raises:
         ContainerError: it is damaged.

@@ -51,9 +51,6 @@ class EpisodeReader:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Open a log.
 
-        Args:
-            path: a finished log.
-
         Raises:
             EpisodeReadError: it is missing, damaged, unfinished, no episode log, or newer than this reader.
         """
@@ -185,12 +182,6 @@ class EpisodeReader:
     def step(self, step: int) -> StepRecord:
         """Read one step at random.
 
-        Args:
-            step: its index.
-
-        Returns:
-            The record.
-
         Raises:
             EpisodeReadError: there is no such step, or its chunk is damaged.
         """
@@ -206,9 +197,6 @@ class EpisodeReader:
     def camera(self, name: str) -> Camera:
         """Give a camera's calibration.
 
-        Args:
-            name: the camera.
-
         Returns:
             Its matrices, every bit as written.
 
@@ -223,10 +211,6 @@ class EpisodeReader:
     def image(self, camera: str, step: int) -> NDArray[np.uint8]:
         """Read one image at random.
 
-        Args:
-            camera: its name.
-            step: step index.
-
         Returns:
             (H, W) uint8.
 
@@ -238,10 +222,6 @@ class EpisodeReader:
 
     def mask(self, camera: str, step: int) -> NDArray[np.bool_]:
         """Read one mask at random.
-
-        Args:
-            camera: its name.
-            step: step index.
 
         Returns:
             (H, W) bool.
@@ -255,9 +235,6 @@ class EpisodeReader:
     def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
         """Stream the images of a camera, one a step.
 
-        Args:
-            camera: its name.
-
         Yields:
             (H, W) uint8.
 
@@ -270,9 +247,6 @@ class EpisodeReader:
 
     def masks(self, camera: str) -> Iterator[NDArray[np.bool_]]:
         """Stream the masks of a camera, one a step.
-
-        Args:
-            camera: its name.
 
         Yields:
             (H, W) bool.
@@ -288,11 +262,7 @@ class EpisodeReader:
         """Say whether a camera's stream holds pictures.
 
         Args:
-            camera: its name.
             stream: "image" or "mask".
-
-        Returns:
-            True if there is at least one.
         """
         return bool(self._chunks.get(self._topics.get(camera_topic(camera, stream), 0)))
 

@@ -165,14 +165,7 @@ class EpisodeInfo:
         return round(self.control_dt * 1e9)
 
     def time_ns(self, step: int) -> int:
-        """Give the log time of a step.
-
-        Args:
-            step: step index.
-
-        Returns:
-            Nanoseconds since the epoch.
-        """
+        """Give the log time of a step."""
         return self.start_time_ns + step * self.interval_ns
 
     def to_json(self) -> dict[str, Any]:

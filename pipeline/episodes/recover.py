@@ -61,9 +61,6 @@ class _Findings:
 def mapped(path: Path) -> Iterator[tuple[int, Any]]:
     """Map a file into memory, which reads what is used and nothing else.
 
-    Args:
-        path: the file.
-
     Yields:
         File descriptor and memory map.
 
@@ -162,9 +159,6 @@ def recover(
         source: a partial, truncated or damaged log; it is left as it is.
         destination: where the valid log goes, in one instant when it is complete.
         overwrite: replace an existing destination instead of refusing.
-
-    Returns:
-        What was saved.
 
     Raises:
         EpisodeReadError: the source is no episode log, is too new, or holds no intact step.

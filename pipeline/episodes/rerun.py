@@ -43,9 +43,6 @@ _MASK, _FRUSTUM = (230, 60, 40), (150, 150, 160)
 def rerun_module() -> ModuleType:
     """The Rerun package.
 
-    Returns:
-        It.
-
     Raises:
         ViewerError: it is not installed.
     """
@@ -71,10 +68,6 @@ def log_episode(log: EpisodeReader, recording: RecordingStream) -> None:
     | episode                     | what the log says of itself                                             |
 
     Timelines are `step` and `time`, the seconds since the reset. Lengths are metres in the world frame of the log.
-
-    Args:
-        log: an open log.
-        recording: where it goes.
 
     Raises:
         EpisodeReadError: the log is damaged.
@@ -185,12 +178,6 @@ def _set_step(log: EpisodeReader, recording: RecordingStream, step: int) -> None
 def layout(cameras: tuple[str, ...]) -> Any:
     """The arrangement of views: the scene, the cameras' pictures, and the curves.
 
-    Args:
-        cameras: names of the log's cameras.
-
-    Returns:
-        A Rerun blueprint.
-
     Raises:
         ViewerError: Rerun is not installed.
     """
@@ -211,11 +198,7 @@ def save_recording(path: Path, destination: Path) -> Path:
     """Writes an episode as a Rerun recording; it appears under its name only when it is whole.
 
     Args:
-        path: the log.
         destination: the .rrd file; one that is there is replaced.
-
-    Returns:
-        The destination.
 
     Raises:
         EpisodeReadError: the log is damaged.
@@ -250,9 +233,6 @@ def save_recording(path: Path, destination: Path) -> Path:
 
 def show_episode(path: Path) -> None:
     """Opens an episode in the Rerun viewer and waits until it is closed.
-
-    Args:
-        path: the log.
 
     Raises:
         EpisodeReadError: the log is damaged.

@@ -56,9 +56,6 @@ _IMAGE_FIELDS = CompressedImage.DESCRIPTOR.fields_by_name
 def schema_data(message: Any) -> bytes:
     """Serialise the schema that MCAP wants of a protobuf message.
 
-    Args:
-        message: the protobuf class.
-
     Returns:
         A serialised FileDescriptorSet with all dependencies.
     """
@@ -66,14 +63,7 @@ def schema_data(message: Any) -> bytes:
 
 
 def partial_path(path: Path) -> Path:
-    """Say where a log lies until it is finished.
-
-    Args:
-        path: the finished log.
-
-    Returns:
-        The same with ".partial" appended.
-    """
+    """Say where a log lies until it is finished."""
     return path.with_name(path.name + ".partial")
 
 
@@ -106,9 +96,7 @@ class EpisodeWriter:
 
         Args:
             path: the finished log; folders are made.
-            info: what is known of the episode.
             cameras: cameras by name; each may give an image and a mask at every step.
-            phantom_mesh: the phantom's wall, target and entry for viewers.
             flush_every: steps from flush to flush, 1 to 10.
             overwrite: replace an existing log or partial log instead of refusing.
 
@@ -303,9 +291,6 @@ class EpisodeWriter:
 
         Args:
             outcome: how the episode ended; None for an unknown success.
-
-        Returns:
-            The finished log.
 
         Raises:
             ValueError: the outcome counts other steps than were recorded; the log stays open.

@@ -47,11 +47,7 @@ class CostMeter:
         self._began, self._worked = time.monotonic(), time.process_time()
 
     def read(self, outcome: str = OK) -> Cost:
-        """What the job has cost so far.
-
-        Args:
-            outcome: how it ended.
-        """
+        """What the job has cost so far."""
         gpu_bytes, device = _gpu()
         return Cost(
             wall_s=round(time.monotonic() - self._began, 3),
@@ -71,22 +67,12 @@ def _gpu() -> tuple[int, str]:
 
 
 def keep_cost(folder: Path, key: str, cost: Cost) -> None:
-    """Adds a job's cost to those of its stage, which an interrupted stage finds again.
-
-    Args:
-        folder: of the stage.
-        key: of the job.
-        cost: what it was.
-    """
+    """Adds a job's cost to those of its stage, which an interrupted stage finds again."""
     write_json(folder / COSTS / _FILE, {**kept_costs(folder), key: asdict(cost)})
 
 
 def kept_costs(folder: Path) -> dict[str, dict[str, Any]]:
-    """Costs of the jobs that have ended in a stage under way, by their keys; a damaged file counts as none.
-
-    Args:
-        folder: of the stage.
-    """
+    """Costs of the jobs that have ended in a stage under way, by their keys; a damaged file counts as none."""
     try:
         found = read_json(folder / COSTS / _FILE)
     except (FileNotFoundError, ValueError):

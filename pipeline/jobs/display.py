@@ -20,7 +20,6 @@ class JobState:
 
     def __init__(self, key: str, weight: float = 1.0, *, done: bool = False) -> None:
         """Args:
-        key: its name.
         weight: how long it takes beside the others.
         done: by an earlier, interrupted run.
         """
@@ -39,7 +38,6 @@ class JobState:
 
         Args:
             fraction: 0 to 1; the first one counts as what an earlier run had done already.
-            text: a few words.
         """
         if not self._seen:
             self._seen, self._first = True, fraction
@@ -69,8 +67,6 @@ class JobDisplay:
 
     def __init__(self, label: str, states: Sequence[JobState], *, workers: int) -> None:
         """Args:
-        label: what the jobs are.
-        states: of all of them.
         workers: how many run beside each other.
         """
         self.label, self.states, self.workers = label, {state.key: state for state in states}, workers

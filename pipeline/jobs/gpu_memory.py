@@ -45,12 +45,7 @@ def policy_gb(image_px: int, channels: int, batch: int = 0) -> float:
 
 
 def network_gb(network: str, size: str) -> float:
-    """For a network on images of a data set.
-
-    Args:
-        network: row or variant.
-        size: of its recipe.
-    """
+    """For a network on images of a data set."""
     side, batch = _seen(network, size)
     table = _DESK if size in ("desk", "smoke") else _THESIS
     bytes_a_pixel, weights = table.get(network, table["shape"])

@@ -34,7 +34,6 @@ class Gpu:
 
     Attributes:
         visible: what `CUDA_VISIBLE_DEVICES` calls it.
-        name: of its kind.
         free_bytes: of its memory when the stage looked.
         total_bytes: of its memory.
     """
@@ -68,9 +67,6 @@ def find_gpus() -> list[Gpu]:
 def check_device(device: str) -> None:
     """Refuses a GPU that there is not.
 
-    Args:
-        device: as `stage.device` has it.
-
     Raises:
         ConfigurationError: torch sees no GPU, or not so many.
     """
@@ -92,12 +88,7 @@ def check_device(device: str) -> None:
 
 
 def gpus_of(device: str, found: Sequence[Gpu]) -> list[Gpu]:
-    """Those of the GPUs there are that a setting allows.
-
-    Args:
-        device: as `stage.device` has it.
-        found: what there is.
-    """
+    """Those of the GPUs there are that a setting allows."""
     if device == CPU:
         return []
     return [found[_index(device)]] if ":" in device else list(found)
@@ -108,11 +99,7 @@ def _index(device: str) -> int:
 
 
 class GpuShare:
-    """Which job computes on which GPUs, and how much of their memory is promised.
-
-    Args:
-        gpus: to be shared out.
-    """
+    """Which job computes on which GPUs, and how much of their memory is promised."""
 
     def __init__(self, gpus: Sequence[Gpu]) -> None:
         self.gpus = list(gpus)
@@ -122,9 +109,7 @@ class GpuShare:
         """Refuses a job that would wait for ever.
 
         Args:
-            key: of the job.
             gigabytes: of memory that it needs on each GPU.
-            count: of GPUs.
 
         Raises:
             StageError: there are fewer GPUs, or they have less memory free.
@@ -142,9 +127,7 @@ class GpuShare:
         """Promises a job memory on the GPUs with the most room.
 
         Args:
-            key: of the job.
             gigabytes: on each of them.
-            count: of GPUs.
 
         Returns:
             The GPUs; None while there is no room.

@@ -108,9 +108,7 @@ def run_jobs(
         folder: of the stage; keeps what is done.
         jobs: all of the stage, in the order in which they should start.
         workers: processes beside each other; 0: one a core.
-        label: what the jobs are, for the progress line.
         preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
-        device: of their networks, as `stage.device` has it.
         find: tells which GPUs there are.
         available: tells how many bytes of memory may still be taken.
 

@@ -25,9 +25,6 @@ def training_gb(task: LearningTask, keys: tuple[str, ...], settings: TrainingSet
     """Memory of one training, nearly all of it the replay buffer or the roll-out.
 
     Args:
-        task: that it is trained for.
-        keys: observations that it sees.
-        settings: of the training.
         encoded: whether an encoder turns them into features, which take next to nothing.
     """
     if encoded:
@@ -47,8 +44,6 @@ def training_gpu_gb(image_px: int, keys: tuple[str, ...], batch: int = 0) -> flo
     """GPU memory of one training.
 
     Args:
-        image_px: side of its images.
-        keys: observations that it sees.
         batch: samples an update; 0: it learns from an encoder's features.
     """
     return policy_gb(image_px, sum(_CHANNELS.get(key, 0) for key in keys), batch)

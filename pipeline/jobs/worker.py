@@ -79,7 +79,6 @@ class Report:
         Args:
             start: what of the job is done before the part, 0 to 1.
             end: what is done after it.
-            label: put before the part's words.
 
         Returns:
             Takes the fraction of the part, and words.
@@ -130,8 +129,6 @@ def work(
     """Runs a job in this process, which is its own.
 
     Args:
-        run: the job's function.
-        given: to it.
         connection: to the stage; its end means that the stage is no more.
         notes: the stage's folder, and the file where the job's files below it are noted.
         gpus: that it computes on, as `CUDA_VISIBLE_DEVICES` calls them; none: it sees no GPU.

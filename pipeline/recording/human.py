@@ -24,12 +24,7 @@ QUESTIONNAIRE = "questionnaire"  # the annotation's key
 
 
 def recordings(runs_dir: Path, run: str) -> Path:
-    """Where the episodes of a run lie.
-
-    Args:
-        runs_dir: folder of the runs.
-        run: its name.
-    """
+    """Where the episodes of a run lie."""
     return runs_dir / run / FOLDER
 
 
@@ -37,9 +32,6 @@ class McapRecorder:
     """Writes each episode step by step, `<folder>/<phantom>/<target>/<NNN>.mcap`; a kill loses less than a second.
 
     An episode that is broken off is kept with the status "interrupted" and an unknown success.
-
-    Args:
-        folder: where the episodes go.
     """
 
     default_folder = recordings(Path("runs"), "desk")
@@ -55,8 +47,6 @@ class McapRecorder:
 
         Args:
             environment: after its reset.
-            info: of the reset.
-            seed: of the reset.
         """
         still = np.zeros(environment.action_space.shape or (), np.float32)
         record = step_record(environment, 0, still, 0.0, info)
@@ -86,12 +76,7 @@ class McapRecorder:
         """Writes a step.
 
         Args:
-            environment: after the step.
             action: shape (2,).
-            reward: of the step.
-            info: likewise.
-            terminated: likewise.
-            truncated: likewise.
 
         Raises:
             EpisodeWriteError: the log cannot be written.
@@ -131,7 +116,6 @@ class McapRecorder:
         """Keeps a questionnaire in the log, and in a JSON file beside it.
 
         Args:
-            episode: a finished log.
             answers: as `cathsim.console.check_answers` gives them.
 
         Returns:

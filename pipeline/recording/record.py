@@ -39,16 +39,8 @@ def step_record(
     """The record of a step that the environment has just made.
 
     Args:
-        environment: after the step.
         step: its index; 0 is the state after reset.
         action: shape (actions,).
-        reward: of the step.
-        info: as the environment gave it.
-        terminated: likewise.
-        truncated: likewise.
-
-    Returns:
-        The record.
     """
     simulation = environment.simulation
     contacts = simulation.contacts()
@@ -114,8 +106,6 @@ def describe_episode(
     """What is known of an episode before its first step.
 
     Args:
-        environment: that the episode runs in.
-        seed: of its reset.
         operator: who steers, e.g. "sampling_expert".
         configuration: kept beside that of task and wire.
     """
@@ -147,9 +137,6 @@ def open_log(
     """Starts the log of an episode with the environment's fluoroscope and phantom.
 
     Args:
-        environment: that the episode runs in.
-        path: of the log; its folder is made.
-        info: as `describe_episode` gives it.
         overwrite: replace a log that is there.
         pictures: whether the log gets images and masks; without, it declares no camera.
     """
@@ -164,13 +151,7 @@ def open_log(
 
 
 def log_step(log: EpisodeWriter, record: StepRecord, environment: NavigateEnv) -> None:
-    """Gives a step with the fluoroscope's image and mask to a log.
-
-    Args:
-        log: from `open_log`.
-        record: of the step.
-        environment: after the step.
-    """
+    """Gives a step with the fluoroscope's image and mask to a log."""
     fluoroscope, biplane = environment.fluoroscope, environment.biplane
     images, masks = {CAMERA: fluoroscope.image()}, {CAMERA: fluoroscope.mask()}
     if biplane is not None:
@@ -194,13 +175,10 @@ def record_episode(
     """Runs one episode and logs it; the log appears under its name only when it is whole.
 
     Args:
-        environment: to be reset and steered.
         policy: gives the action to an observation and info.
         path: of the log; one that is there is replaced.
         seed: of the reset.
         operator: who steers, e.g. "sampling_expert".
-        configuration: kept in the log.
-        film: takes a frame a step.
         pictures: log image and mask of every step, whatever the observation is; without, nothing is drawn that the
             policy does not look at.
 

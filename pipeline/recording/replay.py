@@ -46,11 +46,9 @@ def replay(
 
     Args:
         log: of an episode that a feeder or tip motors steered.
-        observation: names of the observations wanted.
         image_size: of images among them, px; None: as the log's camera has it, or 80.
         reward: of the steps, "distance" or "geodesic"; None: as it was recorded.
         force_penalty: of the reward; None: as it was recorded.
-        path_penalty: likewise.
         environment: made by `replay_environment` for another log of the same task, to save making it anew.
 
     Returns:
@@ -121,16 +119,7 @@ def replay_environment(
     force_penalty: float | None = None,
     path_penalty: float | None = None,
 ) -> NavigateEnv:
-    """Makes the environment that a log was recorded in.
-
-    Args:
-        log: of an episode.
-        observation: as `replay` takes it.
-        image_size: likewise.
-        reward: likewise.
-        force_penalty: likewise.
-        path_penalty: likewise.
-    """
+    """Makes the environment that a log was recorded in; arguments as those of `replay`."""
     from cathsim import NavigateEnv
 
     with EpisodeReader(log) as reader:
@@ -158,10 +147,6 @@ def replay_environment(
 @contextlib.contextmanager
 def told(info: EpisodeInfo, what: str) -> Iterator[None]:
     """Words what a log says of itself and what cannot be used, e.g. because it was written by another version.
-
-    Args:
-        info: of the log.
-        what: that is read of it.
 
     Raises:
         EpisodeReadError: in place of what the body raises over values of the wrong kind.

@@ -30,9 +30,7 @@ class Origin:
     """Where a log comes from: what the report's tables group by.
 
     Attributes:
-        stage: that recorded it.
         row: of the stage's table, e.g. "I+V+M" or "ppo_image".
-        training_seed: of the policy.
         variant: "thesis" or "desk".
         further: whatever else is worth keeping.
     """
@@ -56,12 +54,7 @@ class Origin:
 
 
 def controllers(policy: Policy | ClonedPolicy, mode: str) -> Callable[[int], Controller]:
-    """What gives a policy for the episode of a seed, as `run_trials` wants it.
-
-    Args:
-        policy: that steers.
-        mode: "deterministic" or "stochastic".
-    """
+    """What gives a policy for the episode of a seed, as `run_trials` wants it."""
     return lambda seed: policy.controller(deterministic=mode == MODES[0], seed=seed)
 
 
@@ -79,13 +72,10 @@ def run_trials(
     """Records one episode a seed; those whose log is there already are not repeated.
 
     Args:
-        environment: that the episodes run in.
         controller: gives the policy for the episode of a seed, so that no episode depends on those before it.
         folder: gets ``000.mcap``, ``001.mcap``, …
         seeds: of the episodes' starts, and of the policy's draws.
         mode: "deterministic" or "stochastic"; kept in the log.
-        origin: kept in the log.
-        pictures: whether the logs hold images and masks.
         report: takes the share done and a few words.
 
     Returns:
@@ -119,10 +109,6 @@ def run_trials(
 
 def recorded(path: Path, seed: int) -> EpisodeMetrics | None:
     """The metrics of a log that an interrupted run has left.
-
-    Args:
-        path: of the log.
-        seed: that it must have.
 
     Returns:
         None: there is no whole log of that seed.

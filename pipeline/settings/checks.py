@@ -75,7 +75,6 @@ def sentence(error: ValidationError, prefix: str | None = None) -> str:
     """Words what a validator refused.
 
     Args:
-        error: of a settings dataclass, of the pipeline or of a package.
         prefix: what the user writes before a field's name; the class's name and a dot when None.
 
     Returns:
@@ -122,14 +121,7 @@ def require_modalities(*sets: str) -> None:
 
 
 def settings_that_matter(settings: Any) -> dict[str, Any]:
-    """Lists a stage's settings without those that cannot change its results.
-
-    Args:
-        settings: a stage's settings dataclass.
-
-    Returns:
-        Field name to value.
-    """
+    """Lists a stage's settings without those that cannot change its results."""
     everything = dataclasses.asdict(settings)
     return {
         item.name: everything[item.name]

@@ -53,29 +53,14 @@ class Study:
 
 
 def logs_of(run_path: Path) -> list[Path]:
-    """The human's logs of a run.
-
-    Args:
-        run_path: folder of the run.
-
-    Returns:
-        Paths, sorted.
-    """
+    """The human's logs of a run."""
     from pipeline.recording.human import FOLDER, SUFFIX
 
     return sorted((run_path / FOLDER).rglob(f"*{SUFFIX}"))
 
 
 def gather(logs: list[Path], settings: UserStudySettings) -> Study:
-    """Reads the logs.
-
-    Args:
-        logs: their paths.
-        settings: which procedures count.
-
-    Returns:
-        What they hold.
-    """
+    """Reads the logs."""
     from cathsim.console.questionnaire import check_answers
     from cathsim.console.recorder import OPERATOR
     from cathsim.metrics import EpisodeMetrics
@@ -127,9 +112,6 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
 def tables(study: Study) -> dict[str, Any]:
     """The measured cells; none for what nobody did.
 
-    Args:
-        study: what was found.
-
     Returns:
         Table to row to column to cell.
     """
@@ -166,12 +148,7 @@ def user_study_table(answers: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
-    """Sums the recordings up.
-
-    Args:
-        settings: which procedures count.
-        context: where the run lies.
-    """
+    """Sums the recordings up."""
     logs = logs_of(context.run_path)
     if not logs:
         _LOGGER.info(
@@ -183,16 +160,7 @@ def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
 
 
 def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Figure]:
-    """Draws ways and forces of every task.
-
-    Args:
-        study: what was found.
-        folder: of the stage.
-        settings: with the radius of success.
-
-    Returns:
-        What the report shows.
-    """
+    """Draws ways and forces of every task."""
     from cathsim import PHANTOMS, load_phantom
     from pipeline.episodes import EpisodeReader
     from pipeline.report.plots.episodes import draw_task

@@ -25,9 +25,6 @@ def atomic_path(path: Path) -> Iterator[Path]:
     Args:
         path: the final file; its folder is made when missing.
 
-    Yields:
-        The path to write to.
-
     Raises:
         FileNotFoundError: when the body wrote nothing.
     """
@@ -44,12 +41,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text file atomically in UTF-8.
-
-    Args:
-        path: the file.
-        text: its new content.
-    """
+    """Writes a text file atomically in UTF-8."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -58,7 +50,6 @@ def write_json(path: Path, value: Any) -> None:
     """Writes a JSON file atomically, readable by people: indented, keys in the order given.
 
     Args:
-        path: the file.
         value: anything JSON can hold; NaN and infinity are refused, other programs could not read them.
 
     Raises:
@@ -70,11 +61,7 @@ def write_json(path: Path, value: Any) -> None:
 def read_json(path: Path) -> Any:
     """Reads a JSON file.
 
-    Args:
-        path: the file.
-
     Raises:
-        FileNotFoundError: there is none.
         ValueError: it is no JSON, or nested deeper than anything that is written here.
     """
     try:
@@ -100,9 +87,6 @@ def remove_unfinished(folder: Path) -> int:
 
 def is_no_room(error: BaseException | None) -> bool:
     """Tells whether an error, or what caused it, means that no more could be written.
-
-    Args:
-        error: any exception, or None.
 
     Returns:
         True for a full disk, a used-up quota or a file size limit.

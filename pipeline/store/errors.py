@@ -28,9 +28,6 @@ def stopping_the_stage(*kinds: type[Exception]) -> Iterator[None]:
 
     Args:
         kinds: of errors whose message is such a sentence: a damaged checkpoint, and what to remove.
-
-    Raises:
-        StageError: in place of one of them.
     """
     try:
         yield

@@ -29,7 +29,6 @@ class FileMemory:
     def __init__(self, store: Path | None, root: Path, *, version: str = "1") -> None:
         """Args:
         store: the file; None: nothing is kept. One that cannot be read or was damaged is an empty one.
-        root: folder of the files.
         version: of the values; those of another version are forgotten.
         """
         self._store, self._root, self._version = store, root, version
@@ -46,9 +45,6 @@ class FileMemory:
     def recall(self, file: Path) -> Any | None:
         """The value that is remembered of a file.
 
-        Args:
-            file: below the root.
-
         Returns:
             None: nothing is remembered, or the file has changed since.
 
@@ -62,11 +58,7 @@ class FileMemory:
         """Computes the value of a file and remembers it.
 
         Args:
-            file: below the root.
             function: file to a JSON value.
-
-        Returns:
-            The value.
         """
         before = file.stat()
         value = function(file)
@@ -88,7 +80,6 @@ class FileMemory:
         """Tells whether a file is there with a content.
 
         Args:
-            file: below the root.
             sha256: of the content, hex.
             size: of the content, bytes.
         """
@@ -114,11 +105,7 @@ class FileMemory:
 
 
 def digests_of(folder: Path) -> FileMemory:
-    """The memory of a stage folder's digests.
-
-    Args:
-        folder: of the stage, in its run's folder.
-    """
+    """The memory of a stage folder's digests."""
     return FileMemory(folder.parent / CACHE / "digests" / f"{folder.name}.json", folder)
 
 

@@ -35,10 +35,6 @@ class Marks:
     """The marks of one stage's folder."""
 
     def __init__(self, folder: Path, memory: FileMemory) -> None:
-        """Args:
-        folder: of the stage.
-        memory: of its files' digests.
-        """
         self._folder, self._memory = folder, memory
         self._place = folder / PROGRESS
         self._identity = self._place / "identity.json"
@@ -110,7 +106,6 @@ class Marks:
         """Marks an item as done.
 
         Args:
-            key: of the item.
             result: JSON value that the stage wants back.
         """
         files = {}
@@ -167,7 +162,6 @@ def remove_files(folder: Path, *, keep: Set[str] = frozenset()) -> None:
     """Removes files of a stage's folder, and folders that are empty then; what begins with a dot stays.
 
     Args:
-        folder: of the stage.
         keep: names relative to it that stay.
     """
     for place, _, files in os.walk(folder, topdown=False):

@@ -81,10 +81,6 @@ class Manifest:
     def changed_output(self, folder: Path, memory: FileMemory) -> str | None:
         """Finds an output that is not as the stage left it.
 
-        Args:
-            folder: of the stage.
-            memory: of its files' digests.
-
         Returns:
             Its path and what is wrong, e.g. ``runs/desk/expert/results.json is missing``; None when all are right.
         """
@@ -97,9 +93,6 @@ class Manifest:
         """Finds a file that the stage did not write but that readers of its folder would take for its own.
 
         Readers find files by their endings, so only those count that an output of the stage has, too.
-
-        Args:
-            folder: of the stage.
         """
         endings = {os.path.splitext(name)[1] for name in self.outputs}
         foreign = (n for n in files_below(folder) if n not in self.outputs and os.path.splitext(n)[1] in endings)
@@ -111,9 +104,6 @@ _MANIFESTS = TypeAdapter(Manifest)
 
 def read_manifest(folder: Path) -> Manifest | None:
     """Reads the manifest of a finished stage.
-
-    Args:
-        folder: the stage's run folder.
 
     Returns:
         The manifest, or None when the stage has not finished there or its manifest cannot be read.
@@ -135,9 +125,6 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 def files_below(folder: Path) -> Iterator[str]:
     """Lists the files of a stage's folder; what begins with a dot is its scratch and left out.
-
-    Args:
-        folder: of the stage.
 
     Yields:
         Paths relative to it, with slashes.

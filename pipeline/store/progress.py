@@ -20,13 +20,8 @@ def progress(items: Sequence[Item], label: str, *, done_before: int = 0) -> Iter
     """Passes items on and says how far the work is and how long the rest will take.
 
     Args:
-        items: what is still to be done.
-        label: what the items are, e.g. ``phantoms``.
         done_before: items that an earlier, interrupted run already finished; they count in the total, not in the
             estimate.
-
-    Yields:
-        Each item in turn.
     """
     total = done_before + len(items)
     if sys.stderr.isatty():
@@ -46,10 +41,6 @@ def progress_line(label: str, done: int, total: int, elapsed_s: float, done_now:
     """Words one line of progress.
 
     Args:
-        label: what is counted.
-        done: items finished, earlier runs included.
-        total: items in all.
-        elapsed_s: seconds this run has worked.
         done_now: items this run has finished, at least one.
 
     Returns:

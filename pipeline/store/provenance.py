@@ -22,22 +22,12 @@ def hash_value(value: Any) -> str:
 
     Args:
         value: dicts, lists, numbers, strings.
-
-    Returns:
-        SHA-256 in hex.
     """
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def hash_file(path: Path) -> str:
-    """Hashes a file's content.
-
-    Args:
-        path: the file.
-
-    Returns:
-        SHA-256 in hex.
-    """
+    """SHA-256 of a file's content, in hex."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

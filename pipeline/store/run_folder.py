@@ -47,7 +47,6 @@ class RunFolder:
     def __init__(self, path: Path, identity: Identity) -> None:
         """Args:
         path: the folder; it is made when missing.
-        identity: what the results will depend on.
         """
         self.path = path
         self.identity = identity
@@ -125,9 +124,6 @@ class RunFolder:
     def result_of(self, key: str) -> Any | None:
         """What a finished item left for the stage's summary.
 
-        Args:
-            key: the item's key.
-
         Returns:
             The value given to ``mark_done`` ({} when none was), or None while the item is not done.
         """
@@ -135,13 +131,6 @@ class RunFolder:
 
     def pending(self, items: Sequence[Item], *, key: Callable[[Item], str] = str) -> list[Item]:
         """Lists the items that are not done yet, for stages that hand them to worker processes themselves.
-
-        Args:
-            items: all items of the stage.
-            key: names an item; names must differ.
-
-        Returns:
-            Those to do, in order.
 
         Raises:
             ValueError: when two items have the same key.
@@ -152,36 +141,23 @@ class RunFolder:
         return [item for item, name in zip(items, keys, strict=True) if self.result_of(name) is None]
 
     def noted(self, key: str) -> contextlib.AbstractContextManager[None]:
-        """Notes the files that this process writes while the body runs as an item's.
-
-        Args:
-            key: the item's key.
-        """
+        """Notes the files that this process writes while the body runs as an item's."""
         return self._marks.noted(key)
 
     def journal(self, key: str) -> Path:
-        """Where another process that works on an item notes its files: see `pipeline.store.written_files.noted`.
-
-        Args:
-            key: the item's key.
-        """
+        """Where another process that works on an item notes its files: see `pipeline.store.written_files.noted`."""
         return self._marks.journal(key)
 
     def mark_done(self, key: str, result: Any = None) -> None:
         """Records that an item is finished, with the files noted for it; call it after they are written.
 
         Args:
-            key: the item's key.
             result: JSON value that the stage wants back in its summary, also after an interruption.
         """
         self._marks.mark(key, {} if result is None else result)
 
     def forget(self, key: str) -> None:
-        """Has an item done again from nothing.
-
-        Args:
-            key: the item's key.
-        """
+        """Has an item done again from nothing."""
         self._marks.forget(key)
 
     def resumable(
@@ -191,14 +167,6 @@ class RunFolder:
 
         An item whose body raises, or during which the process dies, stays to be done. A body with something to hand
         to the summary calls ``mark_done(key, result)`` itself, as its last act.
-
-        Args:
-            items: all items of the stage.
-            key: names an item; names must differ.
-            label: what the items are, for the progress line.
-
-        Yields:
-            Each unfinished item.
         """
         todo = self.pending(items, key=key)
         for item in progress(todo, label, done_before=len(items) - len(todo)):
@@ -215,17 +183,8 @@ class RunFolder:
         """Writes the manifest, the last act of a stage.
 
         Args:
-            stage: its name.
-            run: the run's name.
-            budget: the budget's name.
-            seed: the run's seed.
-            config: the stage's settings.
             started: ``time.monotonic()`` when the work began.
-            overrides: what the user asked for.
             variant: those of them that the folder is named after.
-
-        Returns:
-            The manifest as written.
         """
         remove_unfinished(self.path)
         manifest = Manifest(

@@ -47,9 +47,6 @@ class SourceClosure:
     def modules(self, *names: str) -> set[str]:
         """The modules that some modules reach, those themselves and the packages around all of them.
 
-        Args:
-            names: import names of modules of the packages.
-
         Raises:
             ModuleNotFoundError: one is none of the packages'.
         """
@@ -69,9 +66,6 @@ class SourceClosure:
     def files(self, *names: str) -> dict[str, Path]:
         """The files that results of modules depend on: sources of all modules reached, and what those read.
 
-        Args:
-            names: import names.
-
         Returns:
             A name that is the same on every machine to the file.
         """
@@ -87,9 +81,6 @@ class SourceClosure:
 
         Args:
             names: import names, e.g. ``pipeline.stages.enn``.
-
-        Returns:
-            SHA-256 in hex.
         """
         digest = hashlib.sha256()
         for name, file in sorted(self.files(*names).items()):
@@ -162,11 +153,7 @@ class SourceClosure:
 
 
 def is_without_effect(name: str) -> bool:
-    """Whether results never depend on a module.
-
-    Args:
-        name: its import name.
-    """
+    """Whether results never depend on a module."""
     return name in WITHOUT_EFFECT or name.startswith(_FOLDERS_WITHOUT_EFFECT)
 
 
@@ -181,9 +168,5 @@ def installed_packages() -> dict[str, Path]:
 
 
 def source_closure(run_path: Path) -> SourceClosure:
-    """The sources behind modules, with the memory of a run.
-
-    Args:
-        run_path: its folder.
-    """
+    """The sources behind modules, with the memory of a run."""
     return SourceClosure(run_path / CACHE / "sources.json")

@@ -16,11 +16,6 @@ def references(text: str, module: str, *, is_package: bool) -> dict[str, Any]:
 
     Imports inside functions count; those for type checkers alone do not.
 
-    Args:
-        text: source of the module.
-        module: its import name.
-        is_package: whether it is a package's ``__init__``.
-
     Returns:
         JSON values:
 

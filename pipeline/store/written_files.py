@@ -58,7 +58,6 @@ def noted(folder: Path, journal: Path) -> Iterator[None]:
     """Notes what this process writes while the body runs.
 
     Args:
-        folder: below which it is noted.
         journal: gets a line a file, its path relative to the folder; lines of earlier processes stay.
     """
     if not _installed:
@@ -75,11 +74,7 @@ def noted(folder: Path, journal: Path) -> Iterator[None]:
 
 
 def note(*files: Path) -> None:
-    """Notes files that another program has written for this process; nothing where nobody asks for notes.
-
-    Args:
-        files: their paths.
-    """
+    """Notes files that another program has written for this process; nothing where nobody asks for notes."""
     if (notes := _state["notes"]) is not None:
         for file in files:
             notes.add(file)
@@ -87,9 +82,6 @@ def note(*files: Path) -> None:
 
 def read_journal(journal: Path) -> list[str]:
     """What a journal holds.
-
-    Args:
-        journal: of `noted`.
 
     Returns:
         Paths relative to its folder, in the order in which they were first written; none without a journal.

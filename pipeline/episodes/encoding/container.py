@@ -48,14 +48,7 @@ _LIBRARY = f"endonav episodes, mcap {version('mcap')}"
 
 
 def record_bytes(record: McapRecord) -> bytes:
-    """Serialise one MCAP record.
-
-    Args:
-        record: the record.
-
-    Returns:
-        Opcode, length and content.
-    """
+    """Serialise one MCAP record."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
@@ -130,7 +123,6 @@ class McapFile:
         """Declare a topic, before or between chunks.
 
         Args:
-            topic: the topic.
             schema_name: full name of its message.
             schema_data: the schema: for protobuf a serialised FileDescriptorSet.
             encoding: of schema and messages.
@@ -154,10 +146,7 @@ class McapFile:
         """Add a message to the chunk in memory.
 
         Args:
-            channel_id: of the topic.
-            log_time_ns: nanoseconds since the epoch.
             sequence: the step index.
-            payload: the serialised message.
         """
         size = len(payload)
         self._parts.append(
@@ -220,10 +209,6 @@ class McapFile:
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record now, after what is in memory.
-
-        Args:
-            name: of the record.
-            values: its content.
 
         Raises:
             OSError: it could not be written; may be tried again.

@@ -62,9 +62,6 @@ def encode_image(image: NDArray[np.uint8]) -> bytes:
     Args:
         image: (H, W) uint8.
 
-    Returns:
-        The PNG file's bytes.
-
     Raises:
         ValueError: not a two-dimensional uint8 array.
     """
@@ -79,9 +76,6 @@ def encode_mask(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> bytes:
     Args:
         mask: (H, W) bool, or uint8 where anything but 0 is set.
 
-    Returns:
-        The PNG file's bytes.
-
     Raises:
         ValueError: not a two-dimensional bool or uint8 array.
     """
@@ -92,9 +86,6 @@ def encode_mask(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> bytes:
 
 def decode_image(data: bytes) -> NDArray[np.uint8]:
     """Read a grey PNG.
-
-    Args:
-        data: the PNG file's bytes.
 
     Returns:
         (H, W) uint8.
@@ -107,9 +98,6 @@ def decode_image(data: bytes) -> NDArray[np.uint8]:
 
 def decode_mask(data: bytes) -> NDArray[np.bool_]:
     """Read a mask.
-
-    Args:
-        data: the PNG file's bytes.
 
     Returns:
         (H, W) bool.

@@ -14,9 +14,6 @@ _DOUBLE = struct.Struct("<d")
 def varint(value: int) -> bytes:
     """Encode a non-negative integer.
 
-    Args:
-        value: the integer, at least 0.
-
     Returns:
         Its base-128 bytes, least significant group first.
     """
@@ -35,34 +32,18 @@ def tag(number: int, wire_type: int) -> bytes:
     """Encode the key that stands before a field.
 
     Args:
-        number: field number.
         wire_type: VARINT, FIXED64, DELIMITED or FIXED32.
-
-    Returns:
-        The key's bytes.
     """
     return varint(number << 3 | wire_type)
 
 
 def delimited(number: int, payload: bytes) -> bytes:
-    """Encode a string, bytes, packed or message field.
-
-    Args:
-        number: field number.
-        payload: the field's content.
-
-    Returns:
-        Key, length and payload.
-    """
+    """Encode a string, bytes, packed or message field."""
     return tag(number, DELIMITED) + varint(len(payload)) + payload
 
 
 def double(number: int, value: float) -> bytes:
     """Encode a double field.
-
-    Args:
-        number: field number.
-        value: the number.
 
     Returns:
         Key and eight bytes.
@@ -75,11 +56,7 @@ def timestamp(number: int, time_ns: int) -> bytes:
     """Encode a `google.protobuf.Timestamp` field.
 
     Args:
-        number: field number.
         time_ns: nanoseconds since the epoch, at least 0.
-
-    Returns:
-        The field's bytes.
     """
     seconds, nanos = divmod(time_ns, 1_000_000_000)
     return delimited(number, b"\x08" + varint(seconds) + b"\x10" + varint(nanos))
@@ -100,9 +77,6 @@ def _read_varint(data: bytes, position: int) -> tuple[int, int]:
 
 def fields(data: bytes) -> Iterator[tuple[int, int, int, int]]:
     """Walk over the fields of a message.
-
-    Args:
-        data: a serialised message.
 
     Yields:
         Field number, wire type, start and end of the field's content; a VARINT has its value in place of the start.

@@ -54,11 +54,7 @@ def parse_record(kind: Any, content: bytes) -> Any:
     """Parse the content of a record.
 
     Args:
-        kind: a record class of `mcap.records`.
         content: the record's bytes after opcode and length.
-
-    Returns:
-        The record.
 
     Raises:
         ContainerError: the content is no such record.
@@ -71,9 +67,6 @@ def parse_record(kind: Any, content: bytes) -> Any:
 
 def check_magic(fd: int) -> int:
     """Check that a file begins as MCAP.
-
-    Args:
-        fd: file descriptor.
 
     Returns:
         The file's size in bytes.
@@ -91,9 +84,6 @@ def check_magic(fd: int) -> int:
 
 def read_summary(fd: int) -> Summary:
     """Read the index at the end of a file.
-
-    Args:
-        fd: file descriptor.
 
     Returns:
         The index, its checksum verified.
@@ -137,13 +127,6 @@ def _read(fd: int, length: int, offset: int) -> bytes:
 def read_metadata(fd: int, index: MetadataIndex) -> Metadata:
     """Read the metadata record that an index names.
 
-    Args:
-        fd: file descriptor.
-        index: where it lies.
-
-    Returns:
-        The record.
-
     Raises:
         ContainerError: it is damaged.
     """
@@ -156,10 +139,6 @@ def read_metadata(fd: int, index: MetadataIndex) -> Metadata:
 
 def read_chunk(fd: int, index: ChunkIndex) -> bytes:
     """Read and decompress the chunk that an index names.
-
-    Args:
-        fd: file descriptor.
-        index: where it lies.
 
     Returns:
         The chunk's records, checksum verified.
@@ -177,7 +156,6 @@ def open_chunk(content: bytes, offset: int) -> bytes:
     """Decompress a chunk and verify its checksum.
 
     Args:
-        content: the chunk record after opcode and length.
         offset: where the record begins in the file, for messages.
 
     Returns:
@@ -212,9 +190,6 @@ def open_chunk(content: bytes, offset: int) -> bytes:
 def messages(chunk: bytes) -> Iterator[MessageSpan]:
     """List the messages of a chunk.
 
-    Args:
-        chunk: its decompressed records.
-
     Yields:
         Channel, time, and where the payload lies in `chunk`.
 
@@ -242,10 +217,6 @@ def messages(chunk: bytes) -> Iterator[MessageSpan]:
 def walk(data: Any, start: int = 0) -> Iterator[tuple[int, int, int]]:
     """Walk over the records of a buffer.
 
-    Args:
-        data: bytes or a memory map.
-        start: where the first record begins.
-
     Yields:
         Opcode, and where the record's content begins and ends.
 
@@ -271,10 +242,6 @@ _METADATA_MARKS = tuple(struct.pack("<I", len(name)) + name.encode() for name in
 
 def find_record(data: Any, start: int) -> int | None:
     """Find the next place that looks like a chunk or like an episode's metadata.
-
-    Args:
-        data: bytes or a memory map.
-        start: where to begin.
 
     Returns:
         Where the record begins, or None. Whether it is intact is for its checksum to say.

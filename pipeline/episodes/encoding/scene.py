@@ -93,14 +93,7 @@ class PhantomMesh:
         return delimited(SceneEntity.DESCRIPTOR.fields_by_name["triangles"].number, body)
 
     def scene(self, time_ns: int) -> bytes:
-        """Serialise as `foxglove.SceneUpdate` with the entities "phantom", "target" and "entry".
-
-        Args:
-            time_ns: nanoseconds since the epoch.
-
-        Returns:
-            Protobuf bytes.
-        """
+        """Serialise as `foxglove.SceneUpdate` with the entities "phantom", "target" and "entry"."""
         entities = SceneUpdate.DESCRIPTOR.fields_by_name["entities"].number
         update = delimited(entities, _entity_head("phantom", time_ns) + self._triangles)
         for name, centre, colour in (("target", self.target, _TARGET_COLOUR), ("entry", self.entry, _ENTRY_COLOUR)):
@@ -116,9 +109,6 @@ class PhantomMesh:
 
 def decode_phantom(data: bytes) -> PhantomMesh:
     """Read what `PhantomMesh.scene` gave.
-
-    Args:
-        data: a serialised `foxglove.SceneUpdate`.
 
     Returns:
         The mesh, every bit as written.
@@ -191,7 +181,6 @@ def encode_wire_line(points: FloatArray, time_ns: int) -> bytes:
 
     Args:
         points: (n, 3), m, world, tip first.
-        time_ns: nanoseconds since the epoch.
 
     Returns:
         Protobuf bytes; the entity "wire" replaces that of the step before.
@@ -215,7 +204,6 @@ def encode_wire_points(points: FloatArray, time_ns: int) -> bytes:
 
     Args:
         points: (n, 3), m, world, tip first.
-        time_ns: nanoseconds since the epoch.
 
     Returns:
         Protobuf bytes; coordinates are float32, `/step` keeps the exact ones.

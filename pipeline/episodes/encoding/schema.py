@@ -121,7 +121,6 @@ def camera_topic(name: str, stream: str) -> str:
     """Name the topic of a camera's stream.
 
     Args:
-        name: the camera.
         stream: "image", "mask" or "calibration".
 
     Returns:
@@ -132,9 +131,6 @@ def camera_topic(name: str, stream: str) -> str:
 
 def topic_messages(cameras: tuple[str, ...]) -> dict[str, Any]:
     """List the topics of a log with their protobuf classes, in the order of their channel ids (1, 2, ...).
-
-    Args:
-        cameras: names of the cameras, in the order of the episode's information.
 
     Returns:
         Topic -> message class.

@@ -53,9 +53,6 @@ def _extra_head(key: str) -> bytes:
 def encode_step(record: StepRecord) -> bytes:
     """Serialise a record as an `endonav.Step` message.
 
-    Args:
-        record: the step.
-
     Returns:
         Protobuf bytes, as the protobuf library would write them (zero scalars are written out, which is equivalent).
     """
@@ -117,9 +114,6 @@ def decode_step(data: bytes) -> StepRecord:
 
 def decode_resultant_force_norm(data: bytes) -> float:
     """Read the norm as it stands in a message, to compare it with the vector.
-
-    Args:
-        data: protobuf bytes of an `endonav.Step`.
 
     Returns:
         The norm in newtons.
