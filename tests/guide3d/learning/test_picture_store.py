@@ -13,15 +13,21 @@ from guide3d.learning.preprocessing import Preprocessing
 from tests.guide3d.learning.drawn_data import draw
 
 
+@pytest.mark.parametrize("overtaken_at", [1, 2])
 def test_a_store_made_by_two_processes_at_once_never_gives_an_empty_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overtaken_at: int
 ) -> None:
     data, preprocessing = draw(tmp_path / "drawn"), Preprocessing(32, 128)
     others: list[PictureStore] = []
+    targets: list[Path] = []
     replace = os.replace
 
     def overtaken(source: Path, target: Path) -> None:
-        """Lets another process make its store just before this one's file appears."""
+        """Lets another process make its store just before one of this one's files appears."""
+        targets.append(target)
+        if len(targets) != overtaken_at:
+            replace(source, target)
+            return
         aside = target.with_name("aside")
         replace(source, aside)  # two processes name their temporary files differently
         with monkeypatch.context() as undone:
