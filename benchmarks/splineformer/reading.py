@@ -39,8 +39,7 @@ from guide3d.dataset.masks import strip_mask
 from guide3d.reconstruction.synthetic_scene import scenes
 from splineformer.build import build, size_of
 from splineformer.comparison.curve_errors import curve_errors
-from splineformer.export import export_onnx, graphs, onnx_difference
-from splineformer.modeling.ordered import OrderedSplineFormer
+from splineformer.export import export_onnx, graph_of, onnx_difference
 from splineformer.predictor import SOURCE_PX, Predictor
 from splineformer.tokens import round_trip_px, tokens_of_polyline
 
@@ -116,7 +115,7 @@ def exports(predictor: Predictor, times: int) -> dict[str, float]:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-        seen = {name: value.numpy() for name, value in graphs(network)[".onnx"].inputs.items()}
+        seen = {name: value.numpy() for name, value in graph_of(network).inputs.items()}
         told["onnx_latency_ms"] = cpu_ms(lambda: session.run(["control"], seen), times)
     return told
 
@@ -151,7 +150,7 @@ def main() -> None:
         predictor = Predictor(build(size_of("ordered", "desk")))
         measured |= speed(Predictor(build(size_of("published", "desk"))), times, "published_")
     measured |= speed(predictor, times)
-    if arguments.exports and isinstance(predictor.network, OrderedSplineFormer):
+    if arguments.exports and predictor.network.variant == "ordered":
         measured |= exports(predictor, times)
     if arguments.data is not None and arguments.model is not None:
         measured |= accuracy(predictor, arguments)

@@ -15,12 +15,19 @@ from guide3d.geometry.polyline import resample
 from guide3d.learning.model_file import read_content, write_content
 from guide3d.learning.training import finished
 from splineformer.build import VARIANTS, build, size_of
-from splineformer.image_input import picture_of
-from splineformer.learning.augmentation import Augmentation, inside, moved, shadow, warped, without_wire
-from splineformer.learning.curve_perturbation import drifted
+from splineformer.image_input import picture_of, pixels_of_shares, shares_of_pixels
+from splineformer.learning.augmentation import (
+    Augmentation,
+    inside,
+    moved,
+    perturbed,
+    shadow,
+    warped,
+    without_wire,
+)
 from splineformer.learning.losses import attention_loss, nearest_on_curve, offset_loss
 from splineformer.learning.recipes import recipe_of
-from splineformer.learning.samples import SplineObjective, curves_of, passes_of, pixels_of_shares, shares_of_pixels
+from splineformer.learning.samples import SplineObjective, curves_of, passes_of
 from splineformer.learning.training import train
 from splineformer.predictor import Predictor, tokens_px
 from splineformer.tokens import sampled, tokens_of_polyline
@@ -56,7 +63,7 @@ def test_prediction_is_a_curve_in_pixels(variant: str) -> None:
     image = image_of(wavy_wire(0))
     told = predictor(image)
     assert told.wires == "one"
-    assert not told.remarks
+    assert not told.warnings
     assert np.allclose(told.curve.at(0.0), told.tip_px)
     assert len(told.knots_px) == len(told.control_points_px) + 4
     points = told.points(50)
@@ -74,13 +81,13 @@ def test_no_wire_and_several_wires_are_said() -> None:
     none = saying(untrained("ordered"), 0)(image)
     assert none.wires == "none"
     assert none.tokens is None
-    assert "no wire" in none.remarks[0]
+    assert "no wire" in none.warnings[0]
     with pytest.raises(ValueError, match="shows no wire"):
         none.points()
     several = saying(untrained("ordered"), 2)(image)
     assert several.tokens is not None
     assert several.confidence < 0.01
-    assert "more than one wire" in several.remarks[0]
+    assert "more than one wire" in several.warnings[0]
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -89,7 +96,7 @@ def test_inverted_images_are_turned_over(variant: str) -> None:
     plain, turned = saying(untrained(variant)), saying(untrained(variant), inverted=True)
     told = turned(255 - image)
     assert told.inverted
-    assert "inverted" in told.remarks[-1]
+    assert "inverted" in told.warnings[-1]
     assert np.allclose(told.tokens, plain(image).tokens, atol=1e-3)
 
 
@@ -98,9 +105,9 @@ def test_other_sizes_and_depths() -> None:
     points = wavy_wire(0)
     image = image_of(points)
     deep = predictor(image.astype(np.uint16) * 200 + 1000)
-    assert "uint16" in deep.remarks[0]
+    assert "uint16" in deep.warnings[0]
     twice = predictor(image.repeat(2, 0).repeat(2, 1))
-    assert "512 x 512 px instead of 256 x 256" in twice.remarks[0]
+    assert "512 x 512 px instead of 256 x 256" in twice.warnings[0]
     assert np.allclose(twice.tip_px + 0.5, 2 * (predictor(image).tip_px + 0.5), atol=0.1)
     assert np.allclose(predictor(np.stack([image] * 3, -1)).tokens, predictor(image).tokens)
     wide = picture_of(image[:128], 64, 256)
@@ -254,14 +261,14 @@ def test_offsets_are_right_where_they_point_to_the_place() -> None:
     assert offset_loss(right + torch.tensor([0.5, 0.0]), point).item() == pytest.approx(12.5, rel=0.02)
 
 
-def test_drift_is_smooth_and_of_different_size() -> None:
+def test_perturbation_is_smooth_and_of_different_size() -> None:
     points = torch.from_numpy(np.stack([wavy_wire(k, 1, 48) for k in range(12)])).float()
-    moved = drifted(points, np.random.default_rng(2)) - points
+    moved = perturbed(points, np.random.default_rng(2)) - points
     size = moved.norm(dim=-1).mean(1)
     assert size.max() > 3 * size.min() > 0
     bend = (moved[:, 2:] + moved[:, :-2] - 2 * moved[:, 1:-1]).norm(dim=-1).mean(1)
     assert (bend < 0.3 * size).all()
-    assert torch.equal(moved, drifted(points, np.random.default_rng(2)) - points)
+    assert torch.equal(moved, perturbed(points, np.random.default_rng(2)) - points)
 
 
 def test_wires_that_turn_much_are_met_oftener() -> None:

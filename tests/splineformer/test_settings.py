@@ -13,7 +13,7 @@ from splineformer.learning.augmentation import Augmentation
 from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.learning.recipes import recipe_of
 from splineformer.modeling.ordered import OrderedSettings
-from splineformer.modeling.splineformer import SplineFormerSettings
+from splineformer.modeling.published import SplineFormerSettings
 from splineformer.navigation.camera_view import ViewSettings
 from splineformer.navigation.cloning import CloningSettings
 from splineformer.navigation.navigator import NavigatorSettings

@@ -94,19 +94,13 @@ def speed(predictor: Predictor, data: Dataset) -> dict[str, float]:
 
 def round_trips(predictor: Predictor, data: Dataset, seed: int) -> dict[str, float]:
     """Mean error of annotated curves that become tokens of the variant's form and curves again; number of tokens."""
-    from splineformer.modeling.ordered import OrderedSplineFormer
-    from splineformer.tokens import round_trip_px, tokens_of_polyline, tokens_on_knots
-
-    network = predictor.network
+    from splineformer.tokens import round_trip_px
 
     draws = np.random.default_rng(seed).permutation(len(data.frames))[:_TRIPS]
     errors, counts = [], []
     for number, index in enumerate(draws.tolist()):
         points = data.frames[index].polyline("ab"[number % 2])
-        if isinstance(network, OrderedSplineFormer):
-            tokens = tokens_on_knots(points, network.knots.double().cpu().numpy())
-        else:
-            tokens = tokens_of_polyline(points)
+        tokens = predictor.network.fit_tokens(points)
         errors.append(round_trip_px(points, tokens))
         counts.append(len(tokens))
     return {"round_trip_px": float(np.mean(errors)), "tokens_mean": float(np.mean(counts)), "tokens_max": max(counts)}
@@ -115,8 +109,7 @@ def round_trips(predictor: Predictor, data: Dataset, seed: int) -> dict[str, flo
 def kinds_told(predictor: Predictor, data: Dataset, job: VariantJob, report: Report) -> dict[str, float]:
     """Shares (%) of test images whose kind is told: one wire, none (taken away), two (one added), inverted levels."""
     from guide3d.dataset.dataset import VIEWS, images_of, split
-    from splineformer.image_input import picture_of
-    from splineformer.learning.samples import shares_of_pixels
+    from splineformer.image_input import picture_of, shares_of_pixels
 
     items = images_of(data, split(data, seed=job.split_seed).test, _KINDS_OF)
     generator = np.random.default_rng(job.seed)

@@ -11,17 +11,17 @@ import pytest
 import torch
 
 from guide3d.geometry.polyline import arc_length, at_length
-from splineformer.attention import attention_map, decoder_attention, fused
+from splineformer.attention import attention_map, fused
 from splineformer.build import SIZES, VARIANTS, build, described, rebuilt, size_of
 from splineformer.decoding import collocation
 from splineformer.export import export_onnx, onnx_difference
-from splineformer.learning.samples import course_of
-from splineformer.modeling.lines import dark_lines, line_pyramid, local_contrast
+from splineformer.learning.targets import course_of
+from splineformer.modeling.convolutions import dark_lines, line_pyramid, local_contrast
 from splineformer.modeling.ordered import OrderedSettings, OrderedSplineFormer
-from splineformer.modeling.positions import grid_positions, sequence_positions
+from splineformer.modeling.published import FIRST_END, SplineFormer, SplineFormerSettings
 from splineformer.modeling.refinement import Refinement, at_equal_shares
-from splineformer.modeling.splineformer import FIRST_END, SplineFormer, SplineFormerSettings
 from splineformer.modeling.tip_map import TipMap, led_to
+from splineformer.modeling.transformer import grid_positions, sequence_positions
 from tests.splineformer.curves import image_of, wavy_wire
 
 
@@ -105,9 +105,9 @@ def test_ordered_variant() -> None:
     assert torch.allclose(said.begun[0][:, 0], said.tip.place, atol=1e-6)  # the curve is led to its tip
     assert torch.allclose(said.begun[0][:, -1], said.overview[:, -1], atol=1e-6)
     assert said.kind.wires.shape == (3, 3)
-    reading = model.read(levels(3, 64))
-    assert torch.allclose(reading.control, said.control, atol=1e-6)
-    assert ((reading.support > 0) & (reading.support < 1)).all()
+    read = model.read(levels(3, 64))
+    assert torch.allclose(read.tokens[..., 1:], said.control, atol=1e-6)
+    assert ((read.quality > 0) & (read.quality < 1)).all()
     with pytest.raises(ValueError, match="divisible by 32"):
         OrderedSplineFormer(OrderedSettings(image_px=250))
 
@@ -266,7 +266,7 @@ def test_fusion_of_attention() -> None:
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_attention_map(variant: str) -> None:
     model = network(variant)
-    weights, lengths = decoder_attention(model, levels(2, 64))
+    weights, lengths = model.attention(levels(2, 64))
     assert torch.allclose(weights.sum(-1), torch.ones(weights.shape[:3]), atol=1e-5)
     assert (lengths <= weights.shape[2]).all()
     seen = attention_map(model, image_of(wavy_wire(0)))

@@ -11,7 +11,6 @@ import torch
 
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.image_input import picture_of
-from splineformer.modeling.splineformer import SplineFormer
 from splineformer.navigation.camera_view import AGO, RAYS, WAY_ARCS, CameraView, ViewSettings
 from splineformer.navigation.cloning import CloningSettings, Episode, clone
 from splineformer.navigation.navigator import Navigator, NavigatorSettings
@@ -69,11 +68,7 @@ def test_memory_is_the_encoders(variant: str) -> None:
     reading = eye([image])[0]
     levels = torch.from_numpy(picture_of(image, 64, 256).pixels.astype(np.float32))[None, None]
     with torch.no_grad():
-        network = eye.network
-        if isinstance(network, SplineFormer):
-            memory = network.encoder(network.normalised(levels))
-        else:
-            memory = network.encode(levels)[0]
+        memory = eye.network.read(levels).features
     assert np.allclose(reading.memory[: len(reading.memory) // 2], memory[0].mean(0).numpy(), atol=1e-5)
     assert not eye.network.training
 

@@ -8,9 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from splineformer.build import Network
 from splineformer.image_input import picture_of
-from splineformer.modeling.splineformer import SplineFormer
+from splineformer.modeling.curve_network import CurveNetwork
 
 DISCARD = 0.65
 
@@ -39,26 +38,7 @@ def fused(weights: Tensor, discard: float = DISCARD) -> Tensor:
     return torch.where(together < discard * together.max(), 0.0, together).unflatten(0, (side, side))
 
 
-@torch.no_grad()
-def decoder_attention(network: Network, levels: Tensor) -> tuple[Tensor, Tensor]:
-    """The last decoder layer's attention to the encoder's memory.
-
-    Args:
-        network: either variant.
-        levels: (B, 1, image_px, image_px) grey levels of 0 to 255.
-
-    Returns:
-        (B, heads, tokens, N) weights, and (B,) how many of the tokens count.
-    """
-    if isinstance(network, SplineFormer):
-        decoded = network.decode(levels, attention=True)
-        assert decoded.attention is not None
-        return decoded.attention, decoded.lengths
-    weights = network.memory_attention(levels)
-    return weights, torch.full((len(levels),), weights.shape[2])
-
-
-def attention_map(network: Network, image: ArrayLike, discard: float = DISCARD) -> NDArray[np.float32]:
+def attention_map(network: CurveNetwork, image: ArrayLike, discard: float = DISCARD) -> NDArray[np.float32]:
     """Where the network looks in an image.
 
     Args:
@@ -75,7 +55,7 @@ def attention_map(network: Network, image: ArrayLike, discard: float = DISCARD) 
     network.eval()
     shape = np.shape(image)[:2]
     picture = picture_of(image, network.settings.image_px, max(shape))
-    weights, lengths = decoder_attention(network, torch.from_numpy(picture.pixels.astype(np.float32))[None, None])
+    weights, lengths = network.attention(torch.from_numpy(picture.pixels.astype(np.float32))[None, None])
     small = fused(weights[0, :, : int(lengths[0])], discard)
     side = int(picture.side_px)
     large = F.interpolate(small[None, None], (side, side), mode="bilinear", align_corners=False)[0, 0]

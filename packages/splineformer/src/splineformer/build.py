@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from splineformer.modeling.curve_network import CurveNetwork
 from splineformer.modeling.ordered import OrderedSettings, OrderedSplineFormer
-from splineformer.modeling.splineformer import SplineFormer, SplineFormerSettings
+from splineformer.modeling.published import SplineFormer, SplineFormerSettings
 
 VARIANTS = ("published", "ordered")
 LAYOUT = 2  # of what model files keep; a change of the networks that old weights do not fit raises it
 
-Network = SplineFormer | OrderedSplineFormer
+_NETWORKS: dict[Any, Any] = {SplineFormerSettings: SplineFormer, OrderedSettings: OrderedSplineFormer}
 
 SIZES: dict[str, dict[str, SplineFormerSettings | OrderedSettings]] = {
     "published": {
@@ -55,36 +56,37 @@ def size_of(variant: str, size: str) -> SplineFormerSettings | OrderedSettings:
     return SIZES[variant][size]
 
 
-def build(settings: SplineFormerSettings | OrderedSettings) -> Network:
+def build(settings: SplineFormerSettings | OrderedSettings) -> CurveNetwork:
     """Builds the network that settings describe."""
-    return SplineFormer(settings) if isinstance(settings, SplineFormerSettings) else OrderedSplineFormer(settings)
+    network: CurveNetwork = _NETWORKS[type(settings)](settings)
+    return network
 
 
-def described(network: Network) -> dict[str, Any]:
+def described(network: CurveNetwork) -> dict[str, Any]:
     """What a model file keeps to build the network again: see `rebuilt`."""
-    variant = "published" if isinstance(network, SplineFormer) else "ordered"
     settings = {
         key: list(value) if isinstance(value, tuple) else value for key, value in asdict(network.settings).items()
     }
-    return {"layout": LAYOUT, "variant": variant, "settings": settings}
+    return {"layout": LAYOUT, "variant": network.variant, "settings": settings}
 
 
-def rebuilt(told: Mapping[str, Any]) -> Network:
-    """Builds a network, its weights still to be filled in, from what `described` told.
+def rebuilt(description: Mapping[str, Any]) -> CurveNetwork:
+    """Builds a network, its weights still to be filled in, from what `described` gave.
 
     Raises:
         ValueError: another layout or variant, or settings of another version.
     """
-    if told.get("layout") != LAYOUT:
+    if description.get("layout") != LAYOUT:
         raise ValueError(
-            f"the network has layout {told.get('layout')}, this version reads {LAYOUT}: train it again, or take the "
-            "version that wrote it"
+            f"the network has layout {description.get('layout')}, this version reads {LAYOUT}: train it again, or "
+            "take the version that wrote it"
         )
-    kinds = {"published": SplineFormerSettings, "ordered": OrderedSettings}
-    if told.get("variant") not in kinds:
-        raise ValueError(f"unknown variant '{told.get('variant')}'; there are {', '.join(VARIANTS)}")
-    settings = {key: tuple(value) if isinstance(value, list) else value for key, value in told["settings"].items()}
+    classes = {network.variant: settings for settings, network in _NETWORKS.items()}
+    variant = description.get("variant")
+    if variant not in classes:
+        raise ValueError(f"unknown variant '{variant}'; there are {', '.join(VARIANTS)}")
+    sizes = {key: tuple(value) if isinstance(value, list) else value for key, value in description["settings"].items()}
     try:
-        return build(kinds[told["variant"]](**settings))
+        return build(classes[variant](**sizes))
     except (TypeError, ValueError) as error:
         raise ValueError(f"the network's settings are of another version ({error}): train it again") from error

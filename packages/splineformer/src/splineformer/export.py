@@ -8,22 +8,21 @@ from __future__ import annotations
 import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from guide3d.atomic_file import whole_file
-from splineformer.build import Network
-from splineformer.modeling.ordered import OrderedSplineFormer
-from splineformer.modeling.splineformer import SplineFormer
+from splineformer.modeling.curve_network import CurveNetwork
 
 _GREYEST = 255.0
 
 
 @dataclass(frozen=True)
 class Graph:
-    """A part of a network with tensors in and tensors out.
+    """A network with tensors in and tensors out.
 
     Attributes:
         module: that computes it.
@@ -37,61 +36,60 @@ class Graph:
 
 
 class _Ordered(nn.Module):
-    def __init__(self, network: OrderedSplineFormer) -> None:
+    outputs = ("control", "points", "spread", "on_wire", "wires", "inverted")
+
+    def __init__(self, network: Any) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, levels: Tensor) -> tuple[Tensor, ...]:
-        said = self.network(levels)
-        return said.control, said.stages[-1], said.spread, said.on_wire, said.kind.wires, said.kind.inverted
+        curve = self.network(levels)
+        return curve.control, curve.stages[-1], curve.spread, curve.on_wire, curve.kind.wires, curve.kind.inverted
 
 
 class _Published(nn.Module):
     """Every step up to the limit; where the sequence ends is read off the end probabilities afterwards."""
 
-    def __init__(self, network: SplineFormer) -> None:
+    outputs = ("tokens", "end", "wires", "inverted")
+
+    def __init__(self, network: Any) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, levels: Tensor) -> tuple[Tensor, ...]:
         network = self.network
         x = network.normalised(levels)
-        memory = network.encoder(x)
-        cache = network.decoder.begin(memory)
+        features = network.encoder(x)
+        cache = network.decoder.begin(features)
         token = network.tip(x)[:, None]
         tokens, ends = [token], [torch.zeros_like(token[:, :, 0])]
-        for _ in range(network.settings.limit - 1):
+        for _ in range(network.limit - 1):
             following = network.decoder.step(token, cache)
             token = following.tokens
             tokens.append(token)
             ends.append(torch.sigmoid(following.end))
-        kind = network.kind(memory)
+        kind = network.kind(features)
         return torch.cat(tokens, 1), torch.cat(ends, 1), kind.wires, kind.inverted
 
 
-def graphs(network: Network, batch: int = 1, seed: int = 0) -> dict[str, Graph]:
-    """The network in graphs: ending of the file to the graph, with random examples.
+_MODULES: dict[str, Any] = {"published": _Published, "ordered": _Ordered}
 
-    Args:
-        network: either variant.
-        batch: images at once.
-        seed: of the examples.
-    """
+
+def graph_of(network: CurveNetwork, batch: int = 1, seed: int = 0) -> Graph:
+    """The network as a graph, for a number of images at once, with random examples of a seed."""
     size = network.settings.image_px
     generator = torch.Generator().manual_seed(seed)
-    levels = {"levels": _GREYEST * torch.rand(batch, 1, size, size, generator=generator)}
-    if isinstance(network, SplineFormer):
-        return {".onnx": Graph(_Published(network).eval(), levels, ("tokens", "end", "wires", "inverted"))}
-    outputs = ("control", "points", "spread", "on_wire", "wires", "inverted")
-    return {".onnx": Graph(_Ordered(network).eval(), levels, outputs)}
+    levels = _GREYEST * torch.rand(batch, 1, size, size, generator=generator)
+    module = _MODULES[network.variant](network).eval()
+    return Graph(module, {"levels": levels}, module.outputs)
 
 
-def export_onnx(network: Network, path: Path | str, batch: int = 1) -> list[Path]:
+def export_onnx(network: CurveNetwork, path: Path | str, batch: int = 1) -> list[Path]:
     """Writes a network as ONNX, for a fixed number of images.
 
     Args:
         network: either variant.
-        path: of the file, ``model.onnx``; each file appears whole or not at all.
+        path: of the file, ``model.onnx``; it appears whole or not at all.
         batch: images at once.
 
     Returns:
@@ -101,31 +99,29 @@ def export_onnx(network: Network, path: Path | str, batch: int = 1) -> list[Path
         ModuleNotFoundError: the extra `splineformer[onnx]` is not installed.
     """
     _require("onnx", "onnxscript")
-    written = []
-    for ending, graph in graphs(network, batch).items():
-        program = torch.onnx.export(
-            graph.module,
-            tuple(graph.inputs.values()),
-            input_names=list(graph.inputs),
-            output_names=list(graph.outputs),
-            dynamo=True,
-            verbose=False,
-        )
-        assert program is not None
-        file = Path(path).with_suffix(ending)
-        with whole_file(file) as stream:
-            stream.write(program.model_proto.SerializeToString())
-        written.append(file)
-    return written
+    graph = graph_of(network, batch)
+    program = torch.onnx.export(
+        graph.module,
+        tuple(graph.inputs.values()),
+        input_names=list(graph.inputs),
+        output_names=list(graph.outputs),
+        dynamo=True,
+        verbose=False,
+    )
+    assert program is not None
+    file = Path(path).with_suffix(".onnx")
+    with whole_file(file) as stream:
+        stream.write(program.model_proto.SerializeToString())
+    return [file]
 
 
-def onnx_difference(network: Network, path: Path | str, batch: int = 1, seed: int = 1) -> dict[str, float]:
-    """Compares ONNX files with the network they were made of, on random inputs.
+def onnx_difference(network: CurveNetwork, path: Path | str, batch: int = 1, seed: int = 1) -> dict[str, float]:
+    """Compares an ONNX file with the network it was made of, on random inputs.
 
     Args:
         network: that was exported.
         path: of the file, as `export_onnx` got it.
-        batch: likewise.
+        batch: images at once, as `export_onnx` got it.
         seed: of the inputs.
 
     Returns:
@@ -139,16 +135,13 @@ def onnx_difference(network: Network, path: Path | str, batch: int = 1, seed: in
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
-    told = {}
-    for ending, graph in graphs(network, batch, seed).items():
-        file = str(Path(path).with_suffix(ending))
-        session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
-        theirs = session.run(list(graph.outputs), {name: value.numpy() for name, value in graph.inputs.items()})
-        with torch.no_grad():
-            ours = graph.module(*graph.inputs.values())
-        for name, a, b in zip(graph.outputs, theirs, ours, strict=True):
-            told[name] = float(np.abs(a - b.numpy()).max())
-    return told
+    graph = graph_of(network, batch, seed)
+    file = str(Path(path).with_suffix(".onnx"))
+    session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+    theirs = session.run(list(graph.outputs), {name: value.numpy() for name, value in graph.inputs.items()})
+    with torch.no_grad():
+        ours = graph.module(*graph.inputs.values())
+    return {name: float(np.abs(a - b.numpy()).max()) for name, a, b in zip(graph.outputs, theirs, ours, strict=True)}
 
 
 def _require(*modules: str) -> None:

@@ -1,4 +1,4 @@
-"""Intake of images: any grey image, of any size and depth, to the square picture of 8 bits that the networks see."""
+"""Image input: any grey image, of any size and depth, to the square picture of 8 bits that the networks see."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Picture:
     Attributes:
         pixels: (size, size) uint8.
         side_px: side of the square, in pixels of the image, that the picture shows; its corner is the image's.
-        remarks: what had to be done to the image.
+        warnings: sentences about what had to be done to the image.
     """
 
     pixels: NDArray[np.uint8]
     side_px: float
-    remarks: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
@@ -34,7 +34,7 @@ def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
         image: (h, w) grey levels, or (h, w, 3) with three equal channels; uint8 as it is, other types are spread over
             0 to 255.
         size_px: side of the network's picture.
-        expected_px: side of the images that the network was trained on; others get a remark.
+        expected_px: side of the images that the network was trained on; others get a warning.
 
     Returns:
         The picture; a shorter side is filled up with black, at the right or below.
@@ -43,7 +43,7 @@ def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
         ValueError: another shape, too small, not finite, or all of one grey level.
     """
     array = np.asarray(image)
-    remarks = []
+    warnings = []
     if array.ndim == 3 and array.shape[2] in (3, 4):
         if (array[..., 0] != array[..., 1]).any() or (array[..., 0] != array[..., 2]).any():
             raise ValueError("expected a grey image, got a coloured one: convert it first")
@@ -51,14 +51,14 @@ def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
     if array.ndim != 2 or min(array.shape) < SMALLEST_PX:
         raise ValueError(f"expected a grey image of at least {SMALLEST_PX} px a side, got shape {array.shape}")
     if array.dtype != np.uint8:
-        remarks.append(f"{array.dtype} grey levels were spread over 0 to 255")
+        warnings.append(f"{array.dtype} grey levels were spread over 0 to 255")
         array = _eight_bits(array)
     if array.min() == array.max():
         raise ValueError(f"expected an image, got one grey level ({int(array.min())}) everywhere")
     height, width = array.shape
     side = max(height, width)
     if (height, width) != (expected_px, expected_px):
-        remarks.append(f"{width} x {height} px instead of {expected_px} x {expected_px}")
+        warnings.append(f"{width} x {height} px instead of {expected_px} x {expected_px}")
     if height != width:
         square = np.zeros((side, side), np.uint8)
         square[:height, :width] = array
@@ -67,7 +67,7 @@ def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
         # areas are averaged on the way down; there is nothing to average on the way up
         way = Image.Resampling.BOX if side > size_px else Image.Resampling.BILINEAR
         array = np.asarray(Image.fromarray(array).resize((size_px, size_px), way))
-    return Picture(array, float(side), tuple(remarks))
+    return Picture(array, float(side), tuple(warnings))
 
 
 def _eight_bits(array: NDArray[np.generic]) -> NDArray[np.uint8]:
@@ -78,3 +78,13 @@ def _eight_bits(array: NDArray[np.generic]) -> NDArray[np.uint8]:
     if high <= low:
         low, high = levels.min(), levels.max()
     return np.clip(np.round((levels - low) * (255.0 / max(high - low, 1e-12))), 0, 255).astype(np.uint8)
+
+
+def shares_of_pixels(points_px: NDArray[np.float64], size_px: tuple[float, float]) -> NDArray[np.float64]:
+    """Pixel coordinates, (0, 0) the first pixel's centre, to shares of the image's sides, 0 its border."""
+    return (np.asarray(points_px, float) + 0.5) / np.asarray(size_px, float)
+
+
+def pixels_of_shares(shares: NDArray[np.float64], size_px: tuple[float, float]) -> NDArray[np.float64]:
+    """Shares of the image's sides to pixel coordinates."""
+    return np.asarray(shares, float) * np.asarray(size_px, float) - 0.5

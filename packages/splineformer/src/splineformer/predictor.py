@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from torch import Tensor
 
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array, arc_length
 from guide3d.learning.model_file import UNFIT, read_model, write_model
-from splineformer.build import Network, described, rebuilt
-from splineformer.image_input import Picture, picture_of
-from splineformer.learning.samples import pixels_of_shares
+from splineformer.build import described, rebuilt
+from splineformer.image_input import Picture, picture_of, pixels_of_shares
+from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
 from splineformer.modeling.image_head import WIRES
-from splineformer.modeling.splineformer import SplineFormer
 from splineformer.tokens import FEWEST_TOKENS, curve_of_tokens, sampled
 
 KIND = "splineformer"
@@ -39,7 +37,7 @@ class Prediction:
         confidence: 0 to 1.
         error_px: expected mean distance of the curve from the wire, of the ordered variant; else None.
         inverted: the wire is brighter than its surroundings; the image was read with its grey levels turned over.
-        remarks: sentences about what is odd.
+        warnings: sentences about what may make the prediction wrong.
     """
 
     wires: str
@@ -47,7 +45,12 @@ class Prediction:
     confidence: float
     error_px: float | None
     inverted: bool
-    remarks: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """The former name of `warnings`."""
+        return self.warnings
 
     def _there(self) -> Array:
         if self.tokens is None:
@@ -92,7 +95,7 @@ class Predictor:
 
     def __init__(
         self,
-        network: Network,
+        network: CurveNetwork,
         *,
         source_px: int = SOURCE_PX,
         device: str = "cpu",
@@ -101,13 +104,11 @@ class Predictor:
     ) -> None:
         # compiling changes a network in place: the caller's stays as it is
         self.network = (copy.deepcopy(network) if compiled else network).to(device).eval()
-        network = self.network
         self.source_px = source_px
         self.device = torch.device(device)
-        self._forward: Any = network.decode if isinstance(network, SplineFormer) else network.read
         if compiled:
             # part by part: the sequences that the published variant unrolls end where the image says
-            for part in network.children():
+            for part in self.network.children():
                 part.compile(backend=backend)
 
     @classmethod
@@ -122,11 +123,11 @@ class Predictor:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, of another kind, or of another version.
         """
-        told = read_model(path, KIND)
+        content = read_model(path, KIND)
         try:
-            network = rebuilt(told["network"])
-            network.load_state_dict(told["weights"])
-            source_px = int(told["preprocessing"]["source_px"])
+            network = rebuilt(content["network"])
+            network.load_state_dict(content["weights"])
+            source_px = int(content["preprocessing"]["source_px"])
         except UNFIT as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} cannot be used: {reason}") from error
@@ -175,66 +176,39 @@ class Predictor:
                 pictures.append(picture_of(image, self.network.settings.image_px, self.source_px))
             except ValueError as error:
                 raise ValueError(f"image {number}: {error}" if len(images) > 1 else str(error)) from None
-        told: list[Prediction] = []
+        predictions: list[Prediction] = []
         for start in range(0, len(pictures), _BATCH):
-            told += self._read(pictures[start : start + _BATCH])
-        return told
+            predictions += self._read(pictures[start : start + _BATCH])
+        return predictions
 
     @torch.inference_mode()
     def _read(self, pictures: list[Picture]) -> list[Prediction]:
         levels = torch.from_numpy(np.stack([picture.pixels for picture in pictures]))[:, None].float().to(self.device)
-        tokens, kinds, inverted, quality, errors = self._outputs(levels)
-        turned = torch.sigmoid(inverted) > 0.5
-        if bool(turned.any()):
-            again = self._outputs(255.0 - levels[turned])
-            for place, row in enumerate(torch.nonzero(turned)[:, 0].tolist()):
-                tokens[row], quality[row], errors[row] = again[0][place], again[3][place], again[4][place]
-                kinds[row] = again[1][place]
-        return [
-            _prediction(
-                picture, tokens[row], torch.softmax(kinds[row], -1), bool(turned[row]), quality[row], errors[row]
-            )
-            for row, picture in enumerate(pictures)
-        ]
-
-    def _outputs(self, levels: Tensor) -> tuple[list[Array], Tensor, Tensor, list[float], list[float | None]]:
-        """Tokens as shares of the side, logits about the image, and how good the curves are."""
-        network = self.network
-        if isinstance(network, SplineFormer):
-            decoded = self._forward(levels)
-            rows = decoded.tokens.double().cpu().numpy()
-            tokens = [row[: max(int(n), FEWEST_TOKENS)] for row, n in zip(rows, decoded.lengths, strict=True)]
-            ends = [float(end[int(n) - 1]) for end, n in zip(decoded.end, decoded.lengths, strict=True)]
-            return tokens, decoded.kind.wires, decoded.kind.inverted, ends, [None] * len(tokens)
-        reading = self._forward(levels)
-        said = reading.said
-        knots = network.knots.double().cpu().numpy()[FEWEST_TOKENS:]
-        control = reading.control.double().cpu().numpy()
-        return (
-            [np.column_stack([knots, points]) for points in control],
-            said.kind.wires,
-            said.kind.inverted,
-            reading.support.tolist(),
-            reading.error.tolist(),
-        )
+        curves = self.network.read(levels)
+        inverted = torch.sigmoid(curves.kind.inverted) > 0.5
+        source = [(curves, row) for row in range(len(pictures))]
+        if bool(inverted.any()):
+            again = self.network.read(255.0 - levels[inverted])
+            for place, row in enumerate(torch.nonzero(inverted)[:, 0].tolist()):
+                source[row] = (again, place)
+        return [_prediction(picture, *source[row], bool(inverted[row])) for row, picture in enumerate(pictures)]
 
 
-def _prediction(
-    picture: Picture, tokens: Array, kinds: Tensor, inverted: bool, quality: float, error: float | None
-) -> Prediction:
-    likely = WIRES[int(kinds.argmax())]
-    remarks = list(picture.remarks)
+def _prediction(picture: Picture, curves: CurveBatch, row: int, inverted: bool) -> Prediction:
+    kinds = torch.softmax(curves.kind.wires[row], -1)
+    wires = WIRES[int(kinds.argmax())]
+    warnings = list(picture.warnings)
     if inverted:
-        remarks.append("grey levels are inverted: the image was turned over before reading")
-    error_px = None if error is None else error * picture.side_px
-    if likely == "none":
-        remarks.append("the image seems to show no wire")
-        return Prediction(likely, None, float(kinds[0]), None, inverted, tuple(remarks))
-    if likely == "several":
-        remarks.append("the image seems to show more than one wire: the curve is one of them, or a mixture")
-    return Prediction(
-        likely, tokens_px(tokens, picture.side_px), float(kinds[1]) * quality, error_px, inverted, tuple(remarks)
-    )
+        warnings.append("grey levels are inverted: the image was turned over before reading")
+    if wires == "none":
+        warnings.append("the image seems to show no wire")
+        return Prediction(wires, None, float(kinds[0]), None, inverted, tuple(warnings))
+    if wires == "several":
+        warnings.append("the image seems to show more than one wire: the curve is one of them, or a mixture")
+    tokens = curves.tokens[row, : int(curves.lengths[row])].double().cpu().numpy()
+    confidence = float(kinds[1]) * float(curves.quality[row])
+    error_px = None if curves.error is None else float(curves.error[row]) * picture.side_px
+    return Prediction(wires, tokens_px(tokens, picture.side_px), confidence, error_px, inverted, tuple(warnings))
 
 
 def tokens_px(tokens: Array, side_px: float) -> Array:

@@ -1,4 +1,4 @@
-"""Variety in training: images and curves moved alike, grey levels changed, wires hidden, taken away or doubled."""
+"""Augmentation: images and curves moved alike, grey levels changed, wires hidden, removed or doubled, curves bent."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ _TRIES = 6
 _SHORTEST = 0.006  # of the image's side: less of a wire is no curve
 _WIRE_CELLS = 7  # round the curve that are filled in when a wire is taken away
 _FILL_CELLS = 15
+_LEAST, _MOST = 0.004, 0.07  # of the image's side, standard deviation of a curve's perturbation
+_NODES = (3, 10)  # random offsets along a curve, at least and at most
 
 Points = NDArray[np.float64]
 
@@ -158,3 +160,22 @@ def recoloured(images: Tensor, settings: Augmentation, generator: np.random.Gene
             image[0, row : row + tall, column : column + wide] = float(generator.uniform(20, 200))
     grain = torch.from_numpy(generator.standard_normal(tuple(images.shape), np.float32))
     return (images + drawn(0.0, settings.noise) * grain).clamp(0.0, 255.0)
+
+
+def perturbed(points: Tensor, generator: np.random.Generator) -> Tensor:
+    """Moves curves off their places smoothly, as predicted ones are, for refinements to learn from.
+
+    The size of the offsets differs from curve to curve.
+
+    Args:
+        points: (B, n, 2) shares of the image's side.
+        generator: of the draws.
+
+    Returns:
+        (B, n, 2).
+    """
+    batch, count = points.shape[:2]
+    size = np.exp(generator.uniform(np.log(_LEAST), np.log(_MOST), (batch, 1, 1)))
+    nodes = int(generator.integers(_NODES[0], _NODES[1] + 1))
+    offsets = torch.from_numpy((size * generator.standard_normal((batch, 2, nodes))).astype(np.float32))
+    return points + F.interpolate(offsets, count, mode="linear", align_corners=True).transpose(1, 2)

@@ -13,7 +13,7 @@ from guide3d.setting_kinds import Count, Weight, settings
 from splineformer.decoding import decode
 from splineformer.modeling.image_head import ImageKind
 from splineformer.modeling.ordered import Ordered
-from splineformer.modeling.splineformer import Taught
+from splineformer.modeling.published import Taught
 
 _ONE_WIRE = 1
 _SOFT = 0.1  # hundredths of the side: below, a distance falls like its square

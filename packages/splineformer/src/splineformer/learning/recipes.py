@@ -10,7 +10,7 @@ from splineformer.build import size_of
 from splineformer.learning.augmentation import Augmentation
 from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.modeling.ordered import OrderedSettings
-from splineformer.modeling.splineformer import SplineFormerSettings
+from splineformer.modeling.published import SplineFormerSettings
 
 _PLAIN = Augmentation(
     shift=0.0, turn_deg=0.0, stretch=0.0, gain=0.0, offset=0.0, noise=0.0, hidden=0.0, inverted=0.0, empty=0.0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from guide3d.dataset.dataset import VIEWS
-from guide3d.geometry.polyline import arc_length, at_length, resample
-from splineformer.decoding import collocation, padded
+from guide3d.geometry.polyline import arc_length, resample
+from splineformer.image_input import shares_of_pixels
 from splineformer.learning.augmentation import (
     Augmentation,
-    at_shares,
     inside,
     moved,
     recoloured,
@@ -23,20 +22,15 @@ from splineformer.learning.augmentation import (
     warped,
     without_wire,
 )
-from splineformer.learning.curve_perturbation import drifted
-from splineformer.learning.losses import OrderedWeights, PublishedWeights, ordered_loss, published_loss
+from splineformer.learning.losses import OrderedWeights, PublishedWeights
+from splineformer.learning.targets import TARGETS, Targets
+from splineformer.modeling.curve_network import CurveNetwork
 from splineformer.modeling.image_head import WIRES
-from splineformer.modeling.ordered import OrderedSplineFormer
-from splineformer.modeling.splineformer import SplineFormer
-from splineformer.tokens import TokenSettings, tokens_of_polyline
 
 if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset
 
 _DENSE = 240  # points of a curve that is kept
-_CURVE_SAMPLES = 128  # of the ordered variant's curve loss
-_NEAR_PCT = 40  # of a batch's images teach what looks from near by: it learns sooner than the overview, and costs more
-_BEGINS = 0.4  # share of samples whose tip and refinements begin near the true curve, not where the overview says
 _BEND = 8 / 1024  # of the side: turns are counted between steps of this length
 _NONE, _ONE, _SEVERAL = range(len(WIRES))
 
@@ -53,16 +47,6 @@ class Pictures(Protocol):
         """(n, size, size) images."""
 
 
-def shares_of_pixels(points_px: NDArray[np.float64], size_px: tuple[float, float]) -> NDArray[np.float64]:
-    """Pixel coordinates, (0, 0) the first pixel's centre, to shares of the image's sides, 0 its border."""
-    return (np.asarray(points_px, float) + 0.5) / np.asarray(size_px, float)
-
-
-def pixels_of_shares(shares: NDArray[np.float64], size_px: tuple[float, float]) -> NDArray[np.float64]:
-    """Shares of the image's sides to pixel coordinates."""
-    return np.asarray(shares, float) * np.asarray(size_px, float) - 0.5
-
-
 def curves_of(data: Dataset) -> list[NDArray[np.float64] | None]:
     """The curves of all images, camera A first: dense points as shares of the sides; None where it is too short."""
     curves: list[NDArray[np.float64] | None] = []
@@ -71,24 +55,6 @@ def curves_of(data: Dataset) -> list[NDArray[np.float64] | None]:
             kept = inside(shares_of_pixels(frame.polyline(camera), frame.size_px[camera]))
             curves.append(None if kept is None else resample(kept, count=_DENSE))
     return curves
-
-
-def course_of(curve: NDArray[np.float64], steps: int, step: float) -> NDArray[np.float64]:
-    """A curve from its end on, in equal steps; beyond the tip it goes straight on.
-
-    Args:
-        curve: (n, 2) tip first.
-        steps: how many points.
-        step: between them, in the curve's unit.
-
-    Returns:
-        (steps, 2).
-    """
-    length = arc_length(curve)[-1]
-    at = length - step * np.arange(steps)
-    ahead = curve[0] - at_length(curve, min(step, length))
-    ahead /= max(float(np.linalg.norm(ahead)), 1e-12)
-    return at_length(curve, np.maximum(at, 0.0)) + np.maximum(-at, 0.0)[:, None] * ahead
 
 
 def passes_of(curve: NDArray[np.float64], turn: float) -> int:
@@ -107,7 +73,7 @@ def passes_of(curve: NDArray[np.float64], turn: float) -> int:
 
 
 class SplineObjective:
-    """What both variants learn; `guide3d.learning.training.fit` takes it."""
+    """What a variant learns; `guide3d.learning.training.fit` takes it."""
 
     def __init__(
         self,
@@ -115,7 +81,7 @@ class SplineObjective:
         curves: Sequence[NDArray[np.float64] | None],
         training: Indices,
         validation: Indices,
-        network: SplineFormer | OrderedSplineFormer,
+        network: CurveNetwork,
         *,
         augmentation: Augmentation | None = None,
         weights: PublishedWeights | OrderedWeights | None = None,
@@ -126,7 +92,7 @@ class SplineObjective:
         curves: of all images, as `curves_of` gives them.
         training: images to learn from, as `images_of` lists them.
         validation: images to validate with.
-        network: that learns; decides which targets a batch has.
+        network: that learns; its variant decides which targets a batch has.
         augmentation: of what is learnt from.
         weights: of the loss.
         source_px: side of the camera's images, in which the tokens' tolerance is meant.
@@ -134,7 +100,7 @@ class SplineObjective:
         Raises:
             ValueError: nothing to learn from.
         """
-        self.stores, self.curves, self.source_px = stores, curves, source_px
+        self.stores, self.curves = stores, curves
         self.frames = len(curves) // len(stores)
         self.training_items, self.validation_items = self._with_curves(training), self._with_curves(validation)
         self.augmentation = augmentation or Augmentation()
@@ -143,38 +109,14 @@ class SplineObjective:
         self.training_items = np.repeat(self.training_items, passes)
         if not len(self.training_items):
             raise ValueError("there is no image to learn from: the data set's training part is empty")
-        self.targets: Callable[[list[NDArray[np.float64]], np.random.Generator | None], dict[str, Tensor]]
-        if isinstance(network, SplineFormer):
-            published = weights if isinstance(weights, PublishedWeights) else PublishedWeights()
-            self.tokens = TokenSettings(limit=network.settings.limit)
-            self.targets = self._token_targets
-            self._loss = lambda module, batch: published_loss(
-                module(batch["images"], batch["tokens"][:, :-1]), batch, published
-            )
-        else:
-            ordered = weights if isinstance(weights, OrderedWeights) else OrderedWeights()
-            self.shares = network.shares.double().cpu().numpy()
-            self.steps, self.step = network.settings.steps, network.step
-            parameters = torch.linspace(0, 1, _CURVE_SAMPLES, dtype=torch.float64)
-            self.curve_shares = parameters.numpy()
-            self.bases = collocation(network.knots.double().cpu(), parameters).float()
-            self.targets = self._point_targets
-            sights = [step.sight for step in network.refinements()]
-            self._loss = lambda module, batch: ordered_loss(
-                module(batch["images"], batch["starts"], batch["begins"]),
-                batch,
-                ordered,
-                self.bases.to(batch["images"].device),
-                network.shares,
-                sights,
-            )
+        self.targets: Targets = TARGETS[network.variant](network, weights, source_px)
 
     def _with_curves(self, items: Indices) -> Indices:
         return np.array([item for item in items if self.curves[item] is not None], np.int64)
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Mean loss of a batch."""
-        return self._loss(module, batch)
+        return self.targets.loss(module, batch)
 
     def batch(self, items: Indices, generator: np.random.Generator | None) -> dict[str, Tensor]:
         """Images and targets as tensors; varied where there is a generator; unreadable images are replaced."""
@@ -225,38 +167,6 @@ class SplineObjective:
         image = self._images(other)[0]
         curve = np.asarray(self.curves[int(other[0])])
         return shadow(image, without_wire(image, curve, generator)).flip(1 if generator.uniform() < 0.7 else 2)
-
-    def _token_targets(
-        self, curves: list[NDArray[np.float64]], unused: np.random.Generator | None = None
-    ) -> dict[str, Tensor]:
-        sequences = []
-        for curve in curves:
-            fitted = tokens_of_polyline(curve * self.source_px, self.tokens)
-            units = np.array([fitted[-1, 0], self.source_px, self.source_px])
-            sequences.append(torch.from_numpy((fitted / units).astype(np.float32)))
-        tokens, lengths = padded(sequences, self.tokens.limit)
-        return {"tokens": tokens, "lengths": lengths}
-
-    def _point_targets(
-        self, curves: list[NDArray[np.float64]], generator: np.random.Generator | None = None
-    ) -> dict[str, Tensor]:
-        def at(shares: NDArray[np.float64]) -> Tensor:
-            return torch.from_numpy(np.stack([at_shares(curve, shares) for curve in curves]).astype(np.float32))
-
-        points = at(self.shares)
-        courses = [course_of(curve, self.steps, self.step) for curve in curves]
-        lengths = torch.tensor([arc_length(curve)[-1] / self.step for curve in curves], dtype=torch.float32)
-        told = {
-            "points": points,
-            "curve": at(self.curve_shares),
-            "course": torch.from_numpy(np.stack(courses).astype(np.float32)),
-            "length": lengths.clamp(1.0, self.steps - 1.0),
-        }
-        if generator is None:
-            return told | {"starts": points, "begins": torch.zeros(len(curves), dtype=torch.bool)}
-        near = -(-len(curves) * _NEAR_PCT // 100)
-        begins = torch.from_numpy(generator.uniform(size=near) < _BEGINS)
-        return told | {"starts": drifted(points[:near], generator), "begins": begins}
 
     def _readable(self, items: Indices, generator: np.random.Generator | None) -> Indices:
         """The items, each damaged one replaced by the next readable one of the same part."""

@@ -15,10 +15,9 @@ from guide3d.learning.distributed import Ranks
 from guide3d.learning.picture_store import PictureStore
 from guide3d.learning.preprocessing import Preprocessing
 from guide3d.learning.training import FitProgress, FitReport, fit
-from splineformer.build import Network, build
+from splineformer.build import build
 from splineformer.learning.recipes import Recipe
 from splineformer.learning.samples import SplineObjective, curves_of
-from splineformer.modeling.splineformer import SplineFormer
 from splineformer.predictor import Predictor
 
 if TYPE_CHECKING:
@@ -75,7 +74,7 @@ def train(
         weights=recipe.weights,
         source_px=source_px,
     )
-    start_at_mean(network, objective)
+    start_at_mean(objective)
     report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
     for store, camera in zip(stores, VIEWS, strict=True):
         if store.damaged:
@@ -83,15 +82,12 @@ def train(
     return Predictor(network, source_px=source_px), report
 
 
-def start_at_mean(network: Network, objective: SplineObjective) -> None:
-    """Lets the tip predictor start from the mean first token, and the overview from the mean curve."""
+def start_at_mean(objective: SplineObjective) -> None:
+    """Lets the network's training start from the mean of the curves it learns from."""
     items = objective.training_items
     chosen = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
-    targets = objective.targets([np.asarray(objective.curves[item]) for item in chosen], None)
-    if isinstance(network, SplineFormer):
-        network.tip.start_at(targets["tokens"][:, 0].mean(0))
-    else:
-        network.start_at(targets["course"].mean(0), float(targets["length"].mean()))
+    targets = objective.targets
+    targets.start(targets([np.asarray(objective.curves[item]) for item in chosen], None))
 
 
 def square_side(data: Dataset) -> int:

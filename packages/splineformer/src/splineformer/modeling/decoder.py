@@ -1,4 +1,4 @@
-"""The autoregressive decoder: one spline token after the other, each from those before it and the encoder's memory."""
+"""The autoregressive decoder: one spline token after the other, from those before it and the encoder's features."""
 
 from __future__ import annotations
 
@@ -8,29 +8,21 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from splineformer.modeling.positions import sequence_positions
-from splineformer.modeling.transformer import Cache, DecoderLayer, LayerCache, decoder_layers
+from splineformer.modeling.transformer import Cache, DecoderLayer, LayerCache, decoder_layers, sequence_positions
 
 
 class NextTokens(NamedTuple):
-    """What the heads say of the tokens that follow."""
+    """What the decoder's heads predict."""
 
     tokens: Tensor  # (B, M, 3) knot, x, y, in network units
     end: Tensor  # (B, M) logit that it is the last
 
 
 class SplineDecoder(nn.Module):
-    """Tokens to the tokens that follow them.
+    """Tokens to the tokens that follow them, each from those before it and the encoder's features.
 
     The knot comes from the hidden state by softplus, the control point from knot and hidden state by softplus, the end
     of the sequence by a logit.
-
-    Args:
-        width: of the tokens.
-        layers: how many.
-        heads: of each.
-        limit: most tokens of a curve.
-        dropout: in training.
     """
 
     positions: Tensor
@@ -52,24 +44,24 @@ class SplineDecoder(nn.Module):
         point = F.softplus(self.point(torch.cat([knot, hidden], dim=-1)))
         return NextTokens(torch.cat([knot, point], dim=-1), self.end(hidden)[..., 0])
 
-    def forward(self, tokens: Tensor, memory: Tensor) -> NextTokens:
+    def forward(self, tokens: Tensor, features: Tensor) -> NextTokens:
         """What follows each of the (B, M, 3) tokens, all at once: for training, where all are known."""
         x = self.embed(tokens) + self.positions[: tokens.shape[1]]
         for layer in decoder_layers(self.layers):
-            x = layer(x, layer.cross_attention.keys_values(memory))
+            x = layer(x, layer.cross_attention.keys_values(features))
         return self.heads(x)
 
-    def begin(self, memory: Tensor) -> Cache:
-        """An empty cache, with the memory's keys and values."""
-        return Cache([LayerCache(layer.cross_attention.keys_values(memory)) for layer in decoder_layers(self.layers)])
+    def begin(self, features: Tensor) -> Cache:
+        """A cache without tokens, with the keys and values of the (B, N, width) features."""
+        return Cache([LayerCache(layer.cross_attention.keys_values(features)) for layer in decoder_layers(self.layers)])
 
     def step(self, token: Tensor, cache: Cache, attention: bool = False) -> NextTokens:
-        """What follows one (B, 1, 3) token after those in the cache.
+        """What follows one (B, 1, 3) token after those in the cache, which it joins.
 
         Args:
             token: the newest.
             cache: of those before; changed.
-            attention: keep the last layer's (B, heads, N) weights over the memory in the cache.
+            attention: keep the last layer's (B, heads, N) weights over the features in the cache.
         """
         x = self.embed(token) + self.positions[cache.length]
         for number, (layer, own) in enumerate(zip(decoder_layers(self.layers), cache.layers, strict=True)):

@@ -18,18 +18,14 @@ class ImageKind(NamedTuple):
 
 
 class ImageHead(nn.Module):
-    """Two linear maps on the mean and the maximum of the encoder's memory.
-
-    Args:
-        width: of the memory.
-    """
+    """Two linear maps on the mean and the maximum of the encoder's features."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
         self.hidden = nn.Sequential(nn.Linear(2 * width, width), nn.GELU())
         self.wires, self.inverted = nn.Linear(width, len(WIRES)), nn.Linear(width, 1)
 
-    def forward(self, memory: Tensor) -> ImageKind:
-        """(B, N, width) memory to logits."""
-        hidden = self.hidden(torch.cat([memory.mean(dim=1), memory.amax(dim=1)], dim=-1))
+    def forward(self, features: Tensor) -> ImageKind:
+        """(B, N, width) features to logits."""
+        hidden = self.hidden(torch.cat([features.mean(dim=1), features.amax(dim=1)], dim=-1))
         return ImageKind(self.wires(hidden), self.inverted(hidden)[:, 0])

@@ -1,9 +1,9 @@
 """The variant of our own: the whole curve at once from the whole picture, then its tip and its course from near by.
 
-An overview in small tells the whole course of the wire at once: how it runs through its loops is known only from the
-whole. The memory's tokens are joined for that, so that places stay places, and each point's own query adds to it. The
-course is counted from where the wire comes in, in equal steps, for there the wires of a patient run alike whatever
-their length; the length is told beside it. Then the points attend to each other and go to their own places, a heat map
+An overview predicts the whole course of the wire at once: how it runs through its loops is known only from the whole
+image. The features are joined for that, so that places stay places, and each point's own query adds to it. The course
+is counted from where the wire comes in, in equal steps, for there the wires of a patient run alike whatever their
+length; the length is predicted beside it. Then the points attend to each other and go to their own places, a heat map
 finds the tip near by, and refinements move the points onto the wire, coarse ones first. A fixed linear map, least
 squares on fixed knots, turns points into control points.
 """
@@ -11,22 +11,22 @@ squares on fixed knots, turns points into control points.
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple, cast
+from typing import Annotated, ClassVar, NamedTuple, cast
 
 import torch
 from annotated_types import Interval
 from torch import Tensor, nn
 
+from guide3d.geometry.polyline import Array
 from guide3d.setting_kinds import Layers, LayersOrNone, PixelDistance, Pixels, Units, settings
 from splineformer.decoding import collocation, uniform_knots
-from splineformer.modeling.convolutions import Stem
+from splineformer.modeling.convolutions import CHANNELS, Stem, line_pyramid
+from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
 from splineformer.modeling.image_head import ImageHead, ImageKind
-from splineformer.modeling.lines import CHANNELS, line_pyramid
-from splineformer.modeling.positions import grid_positions
-from splineformer.modeling.refinement import Refinement, at_equal_shares
-from splineformer.modeling.revision import Revision
+from splineformer.modeling.refinement import Refinement, Revision, at_equal_shares
 from splineformer.modeling.tip_map import TipMap, TipSeen, led_to
-from splineformer.modeling.transformer import DecoderLayer, EncoderLayer, decoder_layers
+from splineformer.modeling.transformer import DecoderLayer, EncoderLayer, decoder_layers, grid_positions
+from splineformer.tokens import FEWEST_TOKENS, tokens_on_knots
 
 _STEPS = 10.0  # of the course: unit of what the length's layer gives
 _DENSER_AT_TIP = 0.5  # first span of the knots over the mean span: the tip bends most
@@ -46,8 +46,8 @@ class OrderedSettings:
         heads: of attention.
         encoder_layers: over the coarsest map.
         decoder_layers: of the queries.
-        kept: numbers of each token that tell the curve.
-        hidden: units of the layers that tell it.
+        kept: numbers of each token from which the curve is predicted.
+        hidden: units of the layers that predict it.
         steps: of the course, from where the wire comes in.
         longest: wire whose tip they reach, in sides of the picture.
         queries: points that are refined, at fixed shares of the length.
@@ -55,8 +55,8 @@ class OrderedSettings:
         tip_channels: of the heat map of the tip, over the stem's first map.
         revision_cells: of each revision: distance of the places it looks at, px of the picture.
         revision_layers: of attention between the points.
-        cells: of each refinement, likewise.
-        reach: such places to each side.
+        cells: of each refinement, px of the picture.
+        reach: such places to each side, of revisions and refinements.
         refinement_width: of its hidden layers.
     """
 
@@ -84,7 +84,7 @@ class OrderedSettings:
 
 
 class Ordered(NamedTuple):
-    """What the ordered network says of pictures."""
+    """What the ordered network predicts from pictures."""
 
     course: Tensor  # (B, steps, 2) from where the wire comes in, beyond its tip, too; shares of the side
     length: Tensor  # (B,) of the wire, in steps
@@ -99,23 +99,10 @@ class Ordered(NamedTuple):
     kind: ImageKind
 
 
-class Reading(NamedTuple):
-    """Curves that were read."""
+class OrderedSplineFormer(CurveNetwork):
+    """Picture to control points in one pass."""
 
-    control: Tensor  # (B, control_points, 2)
-    support: Tensor  # (B,) mean probability that the points lie on the wire
-    error: Tensor  # (B,) expected mean distance of the points, shares of the side
-    said: Ordered
-    memory: Tensor  # (B, N, width) of the encoder
-
-
-class OrderedSplineFormer(nn.Module):
-    """Picture to control points in one pass.
-
-    Args:
-        settings: sizes.
-    """
-
+    variant: ClassVar[str] = "ordered"
     positions: Tensor
     knots: Tensor
     shares: Tensor
@@ -168,9 +155,13 @@ class OrderedSplineFormer(nn.Module):
                 layer.weight.mul_(0.1)
             self.start_at(torch.full((s.steps, 2), 0.5), 0.5 * s.steps)
 
+    @property
+    def limit(self) -> int:
+        return int(self.settings.control_points)
+
     @torch.no_grad()
     def start_at(self, course: Tensor, length: float) -> None:
-        """Sets biases so that an untrained network tells about this (steps, 2) course and length."""
+        """Sets biases so that an untrained network predicts about this (steps, 2) course and length."""
         self.to_points.bias.copy_(course.flatten())
         self.to_length.bias.fill_(length / _STEPS)
         self.own.bias.zero_()
@@ -182,7 +173,7 @@ class OrderedSplineFormer(nn.Module):
 
     def _encoded(self, image: Tensor, pyramid: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
         maps = self.stem(pyramid[self.settings.overview_level])
-        # lines do not tell whether the grey levels are turned over: shades do
+        # lines look alike whether the grey levels are inverted or not: shades do not
         shade = nn.functional.avg_pool2d(image / 127.5 - 1.0, image.shape[-1] // maps[-1].shape[-1])
         x = self.to_tokens(maps[-1].flatten(2).transpose(1, 2)) + self.to_shade(shade.flatten(2).transpose(1, 2))
         x = x + self.positions
@@ -190,16 +181,12 @@ class OrderedSplineFormer(nn.Module):
             x = layer(x)
         return self.norm(x), maps
 
-    def encode(self, image: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """The (B, N, width) memory and the stem's maps."""
-        return self._encoded(image, self.normalised(image))
-
-    def _course(self, memory: Tensor) -> tuple[Tensor, Tensor]:
+    def _course(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """The (B, steps, 2) course and the (B,) length."""
-        x = self.queries.expand(len(memory), -1, -1)
+        x = self.queries.expand(len(features), -1, -1)
         for layer in decoder_layers(self.decoder):
-            x = layer(x, layer.cross_attention.keys_values(memory), causal=False)
-        whole = self.whole(self.narrow(memory).flatten(1))
+            x = layer(x, layer.cross_attention.keys_values(features), causal=False)
+        whole = self.whole(self.narrow(features).flatten(1))
         course = self.to_points(whole).unflatten(1, (-1, 2)) + self.own(self.own_norm(x))
         length = (_STEPS * self.to_length(whole)[:, 0]).clamp(1.0, self.settings.steps - 1.0)
         return course, length
@@ -230,17 +217,17 @@ class OrderedSplineFormer(nn.Module):
             stages.append(points)
         return begun, stages, hidden
 
-    def _said(self, image: Tensor, starts: Tensor | None, begins: Tensor | None) -> tuple[Ordered, Tensor]:
+    def _predicted(self, image: Tensor, starts: Tensor | None, begins: Tensor | None) -> tuple[Ordered, Tensor]:
         pyramid = self.normalised(image)
-        memory, maps = self._encoded(image, pyramid)
-        course, length = self._course(memory)
+        features, maps = self._encoded(image, pyramid)
+        course, length = self._course(features)
         overview = self._up_to_length(course, length)
         points, near = overview.detach(), len(image)
         if starts is not None and begins is not None:
             near = len(starts)
             points = torch.where(begins[:, None, None], starts, points[:near])
         fine = maps[0][:near]
-        coarse = memory[:near].transpose(1, 2).unflatten(2, maps[-1].shape[2:])
+        coarse = features[:near].transpose(1, 2).unflatten(2, maps[-1].shape[2:])
         revised = []
         tip = None
         for number, step in enumerate(self.revise):
@@ -253,9 +240,9 @@ class OrderedSplineFormer(nn.Module):
         begun, stages, hidden = self.refined([level[:near] for level in pyramid], points)
         spread, on_wire = self.to_quality(hidden).unbind(-1)
         control = self.to_control @ at_equal_shares(stages[-1], self.shares)
-        kind = self.kind(memory)
-        said = Ordered(course, length, overview, tip, revised, begun, stages, control, spread, on_wire, kind)
-        return said, memory
+        kind = self.kind(features)
+        prediction = Ordered(course, length, overview, tip, revised, begun, stages, control, spread, on_wire, kind)
+        return prediction, features
 
     def forward(self, image: Tensor, starts: Tensor | None = None, begins: Tensor | None = None) -> Ordered:
         """Reads pictures.
@@ -266,22 +253,29 @@ class OrderedSplineFormer(nn.Module):
                 pictures beyond the first n get no more than an overview.
             begins: (n,) where they do.
         """
-        return self._said(image, starts, begins)[0]
+        return self._predicted(image, starts, begins)[0]
 
     @torch.no_grad()
-    def read(self, image: Tensor) -> Reading:
-        """Reads pictures, and tells how good the curves are."""
-        said, memory = self._said(image, None, None)
-        support = torch.sigmoid(said.on_wire).mean(1)
-        return Reading(said.control, support, said.spread.exp().mean(1) / 100, said, memory)
+    def read(self, image: Tensor) -> CurveBatch:
+        prediction, features = self._predicted(image, None, None)
+        control = prediction.control
+        knots = self.knots[FEWEST_TOKENS:].expand(len(control), -1)[..., None]
+        lengths = torch.full((len(control),), self.limit, device=control.device)
+        on_wire = torch.sigmoid(prediction.on_wire).mean(1)
+        error = prediction.spread.exp().mean(1) / 100
+        return CurveBatch(torch.cat([knots, control], -1), lengths, features, prediction.kind, on_wire, error)
 
-    def memory_attention(self, image: Tensor) -> Tensor:
-        """(B, heads, steps, N) weights of the last decoder layer over the memory, for pictures of attention."""
-        memory, _ = self.encode(image)
+    @torch.no_grad()
+    def attention(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        features, _ = self._encoded(image, self.normalised(image))
         x = self.queries.expand(len(image), -1, -1)
         for layer in decoder_layers(self.decoder)[:-1]:
-            x = layer(x, layer.cross_attention.keys_values(memory), causal=False)
+            x = layer(x, layer.cross_attention.keys_values(features), causal=False)
         last = decoder_layers(self.decoder)[-1]
         normed = last.norm_self(x)
         x = x + last.self_attention(normed, last.self_attention.keys_values(normed))
-        return last.cross_attention.weights(last.norm_cross(x), last.cross_attention.keys_values(memory))
+        weights = last.cross_attention.weights(last.norm_cross(x), last.cross_attention.keys_values(features))
+        return weights, torch.full((len(image),), weights.shape[2])
+
+    def fit_tokens(self, points_px: Array) -> Array:
+        return tokens_on_knots(points_px, self.knots.double().cpu().numpy())

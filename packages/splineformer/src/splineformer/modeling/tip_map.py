@@ -26,11 +26,11 @@ class TipSeen(NamedTuple):
 
 
 class TipMap(nn.Module):
-    """A fine feature map and the memory to the place of the tip.
+    """A fine feature map and the encoder's features to the place of the tip.
 
     Args:
         channels: of the fine map.
-        width: of the memory.
+        width: of the features.
         side: cells of the fine map.
         hidden: channels between.
     """
@@ -53,7 +53,7 @@ class TipMap(nn.Module):
 
         Args:
             fine: (B, channels, side, side).
-            coarse: (B, width, h, w) memory.
+            coarse: (B, width, h, w) features.
             expected: (B, 2) where the curve has its tip, shares of the side.
         """
         known = F.interpolate(self.far(coarse), (self.side, self.side), mode="bilinear", align_corners=False)

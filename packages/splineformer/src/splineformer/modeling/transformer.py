@@ -1,7 +1,8 @@
-"""Transformer layers with a key-value cache: attention, feed-forward, an encoder layer and a decoder layer."""
+"""Transformer layers with a key-value cache, and sinusoidal positions in a sequence and on a grid."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -9,14 +10,31 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+_LONGEST = 10_000.0  # wavelength of the positions, over 2 pi
+
+
+def sequence_positions(count: int, width: int) -> Tensor:
+    """(count, width) sines and cosines of the place in a sequence.
+
+    Source:
+        Vaswani et al., Attention Is All You Need (2017), section 3.5.
+    """
+    rates = torch.exp(torch.arange(0, width, 2) * (-math.log(_LONGEST) / width))
+    angles = torch.arange(count)[:, None] * rates
+    return torch.stack([angles.sin(), angles.cos()], dim=-1).flatten(1)[:, :width]
+
+
+def grid_positions(side: int, width: int) -> Tensor:
+    """(side², width) positions of the cells of a square grid, row by row: half for the row, half for the column."""
+    if width % 4:
+        raise ValueError(f"width must be a multiple of 4, got {width}")
+    line = sequence_positions(side, width // 2)
+    rows, columns = line[:, None].expand(-1, side, -1), line[None].expand(side, -1, -1)
+    return torch.cat([rows, columns], dim=-1).flatten(0, 1)
+
 
 class Attention(nn.Module):
-    """Attention of several heads.
-
-    Args:
-        width: of the tokens.
-        heads: that share the width.
-    """
+    """Attention of several heads, which share the width."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -69,9 +87,9 @@ class EncoderLayer(nn.Module):
 
 @dataclass
 class LayerCache:
-    """Keys and values a decoder layer has already computed: of the memory once, of the tokens so far."""
+    """Keys and values a decoder layer has already computed: of the features once, of the tokens so far."""
 
-    memory: tuple[Tensor, Tensor]
+    features: tuple[Tensor, Tensor]
     tokens: tuple[Tensor, Tensor] | None = None
 
 
@@ -85,7 +103,7 @@ class Cache:
 
 
 class DecoderLayer(nn.Module):
-    """Self-attention over the tokens, attention to the memory, feed-forward; normalised before, added to the input."""
+    """Self-attention over the tokens, cross-attention to the features, feed-forward; each normalised before."""
 
     def __init__(self, width: int, heads: int, dropout: float = 0.0) -> None:
         super().__init__()
@@ -94,17 +112,17 @@ class DecoderLayer(nn.Module):
         self.forward_part = feed_forward(width, dropout)
         self.dropout = nn.Dropout(dropout)
 
-    def forward(self, x: Tensor, memory: tuple[Tensor, Tensor], causal: bool = True) -> Tensor:
+    def forward(self, x: Tensor, features: tuple[Tensor, Tensor], causal: bool = True) -> Tensor:
         """(B, M, width) tokens to the same, all at once.
 
         Args:
             x: tokens.
-            memory: keys and values of the cross-attention.
+            features: keys and values of the cross-attention.
             causal: a token sees none after it.
         """
         normed = self.norm_self(x)
         x = x + self.dropout(self.self_attention(normed, self.self_attention.keys_values(normed), causal))
-        x = x + self.dropout(self.cross_attention(self.norm_cross(x), memory))
+        x = x + self.dropout(self.cross_attention(self.norm_cross(x), features))
         return x + self.dropout(self.forward_part(self.norm_forward(x)))
 
     def step(self, x: Tensor, cache: LayerCache, attended: list[Tensor] | None = None) -> Tensor:
@@ -123,8 +141,8 @@ class DecoderLayer(nn.Module):
         x = x + self.self_attention(normed, cache.tokens)
         asking = self.norm_cross(x)
         if attended is not None:
-            attended.append(self.cross_attention.weights(asking, cache.memory)[:, :, 0])
-        x = x + self.cross_attention(asking, cache.memory)
+            attended.append(self.cross_attention.weights(asking, cache.features)[:, :, 0])
+        x = x + self.cross_attention(asking, cache.features)
         return x + self.forward_part(self.norm_forward(x))
 
 

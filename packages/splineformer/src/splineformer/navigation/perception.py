@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from splineformer.decoding import DEGREE, decode
+from splineformer.decoding import decode
 from splineformer.image_input import picture_of
 from splineformer.modeling.image_head import WIRES
-from splineformer.modeling.splineformer import SplineFormer
 from splineformer.predictor import Predictor
 
 CURVE_POINTS = 96
@@ -54,13 +53,12 @@ class Reader:
     @property
     def tokens(self) -> int:
         """Tokens of a reading."""
-        settings = self.network.settings
-        return settings.limit if isinstance(self.network, SplineFormer) else settings.control_points  # type: ignore[union-attr]
+        return self.network.limit
 
     @property
     def memory(self) -> int:
         """Numbers of a reading's memory."""
-        return 2 * self.network.settings.width
+        return 2 * int(self.network.settings.width)
 
     def __call__(self, images: Sequence[ArrayLike]) -> list[Reading]:
         """Reads images.
@@ -83,30 +81,12 @@ class Reader:
 
     @torch.inference_mode()
     def _read(self, levels: Tensor) -> list[Reading]:
-        memory, tokens, lengths, kinds = self._outputs(levels.to(self.predictor.device))
-        points = decode(tokens, lengths, CURVE_POINTS)
+        read = self.network.read(levels.to(self.predictor.device))
+        memory, tokens = read.features, read.unit_tokens()
+        points = decode(tokens, read.lengths, CURVE_POINTS)
         cells = memory.transpose(1, 2).unflatten(2, (round(memory.shape[1] ** 0.5), -1))
         at_tip = F.grid_sample(cells, 2 * points[:, :1, None] - 1, align_corners=False, padding_mode="border")
         both = torch.cat([memory.mean(1), at_tip[:, :, 0, 0]], 1).cpu().numpy()
-        sure = torch.softmax(kinds, -1)[:, _ONE].cpu().numpy()
+        sure = torch.softmax(read.kind.wires, -1)[:, _ONE].cpu().numpy()
         rows, curves = tokens.float().cpu().numpy(), points.float().cpu().numpy()
         return [Reading(row, curve, m, float(p)) for row, curve, m, p in zip(rows, curves, both, sure, strict=True)]
-
-    def _outputs(self, levels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The (B, N, width) memory, (B, limit, 3) tokens with knots in 0 to 1, their (B,) numbers, logits of kinds."""
-        network = self.network
-        if isinstance(network, SplineFormer):
-            memory = network.encoder(network.normalised(levels))
-            decoded = network.decode(levels, memory=memory)
-            lengths = decoded.lengths.clamp_min(DEGREE + 1)
-            place = torch.arange(decoded.tokens.shape[1], device=levels.device)[None]
-            last = (lengths - 1)[:, None]
-            tokens = decoded.tokens.gather(1, torch.minimum(place, last)[..., None].expand(-1, -1, 3))
-            knots = torch.cummax(tokens[..., :1].clamp_min(0), 1).values
-            tokens = torch.cat([knots / knots[:, -1:].clamp_min(1e-6), tokens[..., 1:]], -1)
-            return memory, tokens, lengths, decoded.kind.wires
-        reading = network.read(levels)
-        control = reading.control
-        knots = network.knots[DEGREE + 1 :].expand(len(control), -1)[..., None]
-        lengths = torch.full((len(control),), control.shape[1], device=control.device)
-        return reading.memory, torch.cat([knots, control], -1), lengths, reading.said.kind.wires

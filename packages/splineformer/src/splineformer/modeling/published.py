@@ -1,0 +1,215 @@
+"""SplineFormer as published: patch encoder, tip predictor and autoregressive spline decoder."""
+
+from __future__ import annotations
+
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from guide3d.geometry.polyline import Array
+from guide3d.setting_kinds import Dropout, Layers, Pixels, Units, settings
+from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
+from splineformer.modeling.decoder import NextTokens, SplineDecoder
+from splineformer.modeling.image_head import ImageHead, ImageKind
+from splineformer.modeling.transformer import EncoderLayer, grid_positions
+from splineformer.tokens import FEWEST_TOKENS, TokenSettings, tokens_of_polyline
+
+STOP = 0.5
+FIRST_END = 3  # the sequence may end from this token on
+_TIP_CHANNELS = (16, 32, 64, 128)
+_TIP_SIDE = 8  # of the tip predictor's last feature map
+_TIP_HIDDEN = 512
+
+
+@settings
+class SplineFormerSettings:
+    """Sizes of the published network.
+
+    Attributes:
+        image_px: side of the images it reads.
+        patch_px: side of a patch; divides `image_px`.
+        width: of the tokens.
+        heads: of attention.
+        encoder_layers: how many.
+        decoder_layers: how many.
+        limit: most tokens of a curve.
+        dropout: in training.
+        tip_px: side to which the tip predictor averages the images.
+    """
+
+    image_px: Pixels = 1024
+    patch_px: Pixels = 32
+    width: Units = 256
+    heads: Units = 8
+    encoder_layers: Layers = 6
+    decoder_layers: Layers = 6
+    limit: Layers = 23
+    dropout: Dropout = 0.1
+    tip_px: Pixels = 256
+
+
+class PatchEncoder(nn.Module):
+    """Patches to tokens by LayerNorm, a linear map and LayerNorm; sinusoidal positions; then layer after layer."""
+
+    positions: Tensor
+
+    def __init__(self, image_px: int, patch_px: int, width: int, layers: int, heads: int, dropout: float = 0.0) -> None:
+        super().__init__()
+        if image_px % patch_px:
+            raise ValueError(f"patch_px must divide image_px, got {patch_px} and {image_px}")
+        self.patch_px, self.side = patch_px, image_px // patch_px
+        self.embed = nn.Sequential(nn.LayerNorm(patch_px**2), nn.Linear(patch_px**2, width), nn.LayerNorm(width))
+        self.register_buffer("positions", grid_positions(self.side, width), persistent=False)
+        self.dropout = nn.Dropout(dropout)
+        self.layers = nn.ModuleList(EncoderLayer(width, heads, dropout) for _ in range(layers))
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """(B, 1, image_px, image_px) normalised images to (B, side², width) features, row by row."""
+        p, s = self.patch_px, self.side
+        patches = image[:, 0].unflatten(2, (s, p)).unflatten(1, (s, p)).permute(0, 1, 3, 2, 4).flatten(3).flatten(1, 2)
+        x = self.dropout(self.embed(patches) + self.positions)
+        for layer in self.layers:
+            x = layer(x)
+        return self.norm(x)
+
+
+class TipPredictor(nn.Module):
+    """The first token: convolutions of stride 2, then 512 units, then three numbers by softplus.
+
+    Args:
+        image_px: side of the image.
+        seen_px: it is averaged down to this side first; what the convolutions leave is pooled to 8 x 8 cells.
+    """
+
+    def __init__(self, image_px: int, seen_px: int) -> None:
+        super().__init__()
+        self.shrink = max(image_px // seen_px, 1)
+        layers: list[nn.Module] = []
+        before = 1
+        for channels in _TIP_CHANNELS:
+            layers += [nn.Conv2d(before, channels, 3, 2, 1), nn.BatchNorm2d(channels), nn.ReLU()]
+            before = channels
+        self.convolutions = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(_TIP_SIDE))
+        self.hidden = nn.Sequential(nn.Flatten(), nn.Linear(before * _TIP_SIDE**2, _TIP_HIDDEN), nn.ReLU())
+        self.out = nn.Linear(_TIP_HIDDEN, 3)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """(B, 1, h, w) images to (B, 3) knot, x, y of the first token."""
+        if self.shrink > 1:
+            image = F.avg_pool2d(image, self.shrink)
+        token: Tensor = F.softplus(self.out(self.hidden(self.convolutions(image))))
+        return token
+
+    @torch.no_grad()
+    def start_at(self, token: Tensor) -> None:
+        """Sets the last bias so that an untrained network gives this (3,) token."""
+        self.out.bias.copy_(torch.log(torch.expm1(token.clamp_min(1e-3))))
+
+
+class Decoded(NamedTuple):
+    """Curves that were decoded."""
+
+    tokens: Tensor  # (B, limit, 3) in network units
+    lengths: Tensor  # (B,) tokens of each
+    end: Tensor  # (B, limit) probability that the token is the last
+    features: Tensor  # (B, N, width) of the encoder
+    attention: Tensor | None  # (B, heads, limit, N) of the last layer over the features
+
+
+class Taught(NamedTuple):
+    """Predictions in training: every token from the true ones before it."""
+
+    first: Tensor  # (B, 3) the tip predictor's token
+    following: NextTokens  # (B, limit - 1, ...)
+    kind: ImageKind
+
+
+class SplineFormer(CurveNetwork):
+    """Image to spline tokens, one after the other.
+
+    Network units: knots as a share of the curve's length, x and y as a share of the image's side.
+    """
+
+    variant: ClassVar[str] = "published"
+
+    def __init__(self, settings: SplineFormerSettings) -> None:
+        super().__init__()
+        self.settings = s = settings
+        self.encoder = PatchEncoder(s.image_px, s.patch_px, s.width, s.encoder_layers, s.heads, s.dropout)
+        self.decoder = SplineDecoder(s.width, s.decoder_layers, s.heads, s.limit, s.dropout)
+        self.tip = TipPredictor(s.image_px, s.tip_px)
+        self.kind = ImageHead(s.width)
+
+    @property
+    def limit(self) -> int:
+        return int(self.settings.limit)
+
+    def normalised(self, image: Tensor) -> Tensor:
+        """(B, 1, h, w) grey levels of 0 to 255, to -1 to 1."""
+        return image / 127.5 - 1.0
+
+    def forward(self, image: Tensor, tokens: Tensor) -> Taught:
+        """Teacher forcing.
+
+        Args:
+            image: (B, 1, image_px, image_px) grey levels of 0 to 255.
+            tokens: (B, limit - 1, 3) true tokens, padded.
+        """
+        x = self.normalised(image)
+        features = self.encoder(x)
+        return Taught(self.tip(x), self.decoder(tokens, features), self.kind(features))
+
+    @torch.no_grad()
+    def decode(self, image: Tensor, attention: bool = False) -> Decoded:
+        """Reads the curves off images; each sequence goes on until its end probability passes one half.
+
+        Args:
+            image: (B, 1, image_px, image_px) grey levels of 0 to 255.
+            attention: return the last layer's attention, too.
+        """
+        x = self.normalised(image)
+        features = self.encoder(x)
+        cache = self.decoder.begin(features)
+        token = self.tip(x)[:, None]
+        limit, batch = self.limit, len(image)
+        tokens, ends = [token], [token.new_zeros(batch, 1)]
+        lengths = torch.full((batch,), limit, device=token.device)
+        for number in range(1, limit):
+            following = self.decoder.step(token, cache, attention)
+            token = following.tokens
+            end = torch.sigmoid(following.end)
+            tokens.append(token)
+            ends.append(end)
+            if number + 1 >= FIRST_END:
+                lengths = torch.where((end[:, 0] > STOP) & (lengths == limit), number + 1, lengths)
+                if bool((lengths < limit).all()):
+                    break
+        missing = limit - len(tokens)
+        every, end = torch.cat(tokens, 1), torch.cat(ends, 1)
+        every = torch.cat([every, every[:, -1:].expand(-1, missing, -1)], 1)
+        end = torch.cat([end, end[:, -1:].expand(-1, missing)], 1)
+        weights = None
+        if attention:
+            weights = torch.stack(cache.attended, dim=2)
+            # the first token comes from the tip predictor: the query that carries it stands for it
+            weights = torch.cat([weights[:, :, :1], weights], dim=2)
+            weights = torch.cat([weights, weights[:, :, -1:].expand(-1, -1, missing, -1)], dim=2)
+        return Decoded(every, lengths, end, features, weights)
+
+    @torch.no_grad()
+    def read(self, image: Tensor) -> CurveBatch:
+        decoded = self.decode(image)
+        quality = decoded.end.gather(1, decoded.lengths[:, None] - 1)[:, 0]
+        lengths = decoded.lengths.clamp_min(FEWEST_TOKENS)
+        return CurveBatch(decoded.tokens, lengths, decoded.features, self.kind(decoded.features), quality, None)
+
+    def attention(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        decoded = self.decode(image, attention=True)
+        assert decoded.attention is not None
+        return decoded.attention, decoded.lengths
+
+    def fit_tokens(self, points_px: Array) -> Array:
+        return tokens_of_polyline(points_px, TokenSettings(limit=self.limit))
