@@ -1,0 +1,248 @@
+"""The documents match the repository: names, paths, links, commands, tables of modules, length and wording."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+DOCS = PROJECT_ROOT / "docs"
+ARCHITECTURE = DOCS / "architecture.md"
+PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
+READMES = [PROJECT_ROOT / "packages" / package / "README.md" for package in PACKAGES]
+PAGES = sorted(DOCS.rglob("*.md"))
+DOCUMENTS = [PROJECT_ROOT / "README.md", *READMES, *PAGES]
+WORD_LIMIT = 1_200
+FOLDERS = ("pipeline/", "packages/", "benchmarks/", "tests/", "conf/", "docs/")
+DOTTED = re.compile(rf"(?:{'|'.join((*PACKAGES, 'pipeline'))})(?:\.\w+)+")
+# Groups of entry points, which look like modules and are none.
+ENTRY_POINTS = {"cathsim.recorders"}
+# Words that have a plain one in the field's language.
+UNWANTED = re.compile(
+    r"\b(eyes?|lessons?|pupils?|judgements?|intake|drift(?:s|ed)?|ink|clumsy|likewise|at a desk|spares? the wall|what is odd"
+    r"|told|anew|memory's)\b",
+    re.IGNORECASE,
+)
+
+
+def relative(document: Path) -> str:
+    return document.relative_to(PROJECT_ROOT).as_posix()
+
+
+def without_blocks(text: str) -> str:
+    return re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def quoted(text: str) -> list[str]:
+    """What stands between single backticks outside blocks of code."""
+    return re.findall(r"`([^`\n]+)`", without_blocks(text))
+
+
+def code_blocks(text: str, language: str = r"\w*") -> list[str]:
+    return re.findall(rf"^```{language}(?: [\w-]+)?\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+
+
+def resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or an attribute of one, or a field of a class in one."""
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:length]))
+        except ModuleNotFoundError as error:
+            if error.name is None or not name.startswith(error.name):  # an optional dependency is missing
+                return True
+            continue
+        for part in parts[length:]:
+            if not hasattr(found, part):
+                return part in getattr(found, "__dataclass_fields__", {})
+            found = getattr(found, part)
+        return True
+    return False
+
+
+def run_settings() -> set[str]:
+    """Names such as ``guide3d.root``, which are settings of a run and look like modules."""
+    from pipeline.config import RunConfig
+
+    return {f"guide3d.{name}" for name in RunConfig().guide3d.__dataclass_fields__}
+
+
+def read(document: Path) -> str:
+    return document.read_text(encoding="utf-8")
+
+
+documents = pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent.name != "results"], ids=relative)
+def test_page_is_short(page: Path) -> None:
+    assert len(read(page).split()) <= WORD_LIMIT
+
+
+def anchors(text: str) -> set[str]:
+    """The anchors that a Markdown renderer gives the headings of a page."""
+    headings = re.findall(r"^#+ (.+)$", without_blocks(text), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@documents
+def test_links_lead_to_files_and_headings(document: Path) -> None:
+    wrong = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", without_blocks(read(document))):
+        if link.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (document.parent / path).resolve() if path else document
+        if not target.exists() or (anchor and anchor not in anchors(read(target))):
+            wrong.append(link)
+    assert not wrong
+
+
+@documents
+def test_dotted_names_exist(document: Path) -> None:
+    settings = run_settings() | ENTRY_POINTS
+    names = {found[0] for text in quoted(read(document)) if (found := DOTTED.match(text))}
+    assert not sorted(name for name in names - settings if not resolves(name))
+
+
+def paths_in(text: str) -> Iterator[str]:
+    for item in [*quoted(text), *re.findall(r"\S+", "\n".join(code_blocks(text)))]:
+        if item.startswith(FOLDERS) and not re.search(r"[<>…\[\]]", item):
+            yield item.split(":")[0].rstrip(",.")
+
+
+@documents
+def test_paths_exist(document: Path) -> None:
+    missing = []
+    for path in paths_in(read(document)):
+        choices = re.search(r"\{([^}]+)\}", path)
+        variants = [path.replace(choices[0], one) for one in choices[1].split(",")] if choices else [path]
+        missing += [one for one in variants if not any(PROJECT_ROOT.glob(one.rstrip("/")))]
+    assert not missing
+
+
+@documents
+def test_commands_name_modules_files_and_verbs(document: Path) -> None:
+    text = read(document)
+    commands = "\n".join([*quoted(text), *code_blocks(text)])
+    for module in re.findall(r"-m ((?:cathsim|enn|guide3d|splineformer|pipeline|tests)[\w.]*)", commands):
+        assert importlib.util.find_spec(module), module
+    for script in re.findall(r"python ((?!-)\S+\.py)", commands):
+        assert (PROJECT_ROOT / script).is_file(), script
+    verbs = set(re.findall(r"^([a-z][a-z0-9_-]*):", read(PROJECT_ROOT / "Makefile"), re.MULTILINE))
+    for verb in re.findall(r"(?:^|`)make ([a-z][a-z0-9_-]*)", commands, re.MULTILINE):
+        assert verb in verbs, verb
+
+
+@documents
+def test_settings_exist(document: Path) -> None:
+    from pipeline.config import STAGE_SETTINGS
+
+    known = {name for settings in STAGE_SETTINGS.values() for name in settings.__dataclass_fields__}
+    text = read(document)
+    used = set(re.findall(r"\bstage\.([a-z]\w*)", "\n".join([*quoted(text), *code_blocks(text)])))
+    used -= {"name"}
+    assert not sorted(used - known)
+
+
+@documents
+def test_python_blocks_import_what_exists(document: Path) -> None:
+    for block in code_blocks(read(document), "python"):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and node.module and DOTTED.match(f"{node.module}."):
+                assert all(resolves(f"{node.module}.{alias.name}") for alias in node.names), ast.unparse(node)
+            elif isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names if DOTTED.match(f"{alias.name}.x")]
+                assert all(resolves(name) for name in names), ast.unparse(node)
+
+
+@documents
+def test_words_are_plain(document: Path) -> None:
+    assert not sorted({found[0] for found in UNWANTED.finditer(read(document))})
+
+
+def package_folders(package: str) -> tuple[Path, set[str]]:
+    """The source folder of a package, and its folders with an ``__init__`` as paths below it."""
+    root = PROJECT_ROOT / "pipeline" if package == "pipeline" else PROJECT_ROOT / "packages" / package / "src" / package
+    return root, {one.parent.relative_to(root).as_posix() for one in root.rglob("__init__.py")} - {"."}
+
+
+def listed_folders() -> set[str]:
+    """The folders that the tree of the architecture page lists, as paths from the repository's root."""
+    tree = next(block for block in code_blocks(read(ARCHITECTURE)) if "packages/cathsim/src/cathsim/" in block)
+    listed: set[str] = set()
+    parents: list[str] = []
+    for line in tree.splitlines():
+        if found := re.match(r"( *)([\w./-]+)/ ", line):
+            depth = len(found[1]) // 2
+            parents = [*parents[:depth], found[2]]
+            listed.add("/".join(parents))
+    return listed
+
+
+def test_tree_of_the_architecture_is_that_of_the_repository() -> None:
+    listed = listed_folders()
+    assert not sorted(folder for folder in listed if not (PROJECT_ROOT / folder).is_dir())
+    for package in (*PACKAGES, "pipeline"):
+        root, folders = package_folders(package)
+        base = relative(root)
+        assert {base, *(f"{base}/{folder}" for folder in folders)} <= listed
+    for parent in ("docs", "tests", "benchmarks", "conf"):
+        kept = {relative(path) for path in (PROJECT_ROOT / parent).iterdir() if path.is_dir() and any(path.glob("*.*"))}
+        assert kept - {f"{parent}/__pycache__"} <= listed
+
+
+def table_column(text: str, header: str) -> list[str]:
+    """The first cells of the tables whose first header cell is this."""
+    cells: list[str] = []
+    inside = False
+    for line in text.splitlines():
+        first = line.split("|")[1].strip() if line.startswith("|") else None
+        inside = first is not None and (inside or first == header)
+        if inside and first is not None and first != header and not set(first) <= set("-: "):
+            cells.append(first)
+    return cells
+
+
+def test_tables_of_stages_are_complete() -> None:
+    stages = {path.stem for path in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml")}
+    for document in (ARCHITECTURE, PROJECT_ROOT / "README.md", DOCS / "pipeline" / "stages.md"):
+        listed = [cell.strip("`") for cell in table_column(read(document), "stage")]
+        assert set(listed) == stages, relative(document)
+        assert len(listed) == len(stages)
+
+
+def test_readme_lists_every_folder_of_the_repository() -> None:
+    tree = next(block for block in code_blocks(read(PROJECT_ROOT / "README.md")) if "pipeline/ " in block)
+    listed = set(re.findall(r"^([\w./]+)/ ", tree, re.MULTILINE))
+    assert listed == {"packages/" + package for package in PACKAGES} | {"pipeline", "conf", "docs", "tests", "benchmarks"}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_table_of_modules_covers_the_package(package: str) -> None:
+    text = read(PROJECT_ROOT / "packages" / package / "README.md")
+    named = {name for cell in table_column(text, "module") for name in re.findall(r"`([\w.]+)`", cell)}
+    assert not sorted(name for name in named if not resolves(name))
+    _, folders = package_folders(package)
+    top = {f"{package}.{folder}" for folder in folders if "/" not in folder}
+    assert not sorted(top - named)
+
+
+def test_a_wrong_name_path_and_link_are_found(tmp_path: Path) -> None:
+    assert not resolves("cathsim.observations.nothing")
+    assert not resolves("enn.policy.Policy.nothing")
+    assert resolves("enn.policy.Policy.load")
+    assert list(paths_in("see `pipeline/nothing.py` and\n```\npython benchmarks/none.py\n```\n")) == [
+        "pipeline/nothing.py",
+        "benchmarks/none.py",
+    ]
+    assert anchors("# Seeds and sweeps\n## Task, and more\n") == {"seeds-and-sweeps", "task-and-more"}
+    assert yaml.safe_load(read(PROJECT_ROOT / "conf" / "config.yaml"))["defaults"]
+    assert UNWANTED.search("the navigator's eye")
