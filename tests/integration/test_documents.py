@@ -18,6 +18,7 @@ ARCHITECTURE = DOCS / "architecture.md"
 PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
 READMES = [PROJECT_ROOT / "packages" / package / "README.md" for package in PACKAGES]
 PAGES = sorted(DOCS.rglob("*.md"))
+STAGES = {path.stem for path in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml")}
 DOCUMENTS = [PROJECT_ROOT / "README.md", *READMES, *PAGES]
 WORD_LIMIT = 1_200
 FOLDERS = ("pipeline/", "packages/", "benchmarks/", "tests/", "conf/", "docs/")
@@ -137,20 +138,22 @@ def test_commands_name_modules_files_and_verbs(document: Path) -> None:
         assert importlib.util.find_spec(module), module
     for script in re.findall(r"python ((?!-)\S+\.py)", commands):
         assert (PROJECT_ROOT / script).is_file(), script
-    verbs = set(re.findall(r"^([a-z][a-z0-9_-]*):", read(PROJECT_ROOT / "Makefile"), re.MULTILINE))
+    verbs = set(re.findall(r"^([a-z][a-z0-9_-]*):", read(PROJECT_ROOT / "Makefile"), re.MULTILINE)) | STAGES
     for verb in re.findall(r"(?:^|`)make ([a-z][a-z0-9_-]*)", commands, re.MULTILINE):
         assert verb in verbs, verb
 
 
 @documents
 def test_settings_exist(document: Path) -> None:
-    from pipeline.config import STAGE_SETTINGS
+    from pipeline.stages import available_stages, load_stage
 
-    known = {name for settings in STAGE_SETTINGS.values() for name in settings.__dataclass_fields__}
+    stages = {name: set(load_stage(name).settings.__dataclass_fields__) for name in available_stages()}
+    known = set().union(*stages.values())
     text = read(document)
-    used = set(re.findall(r"\bstage\.([a-z]\w*)", "\n".join([*quoted(text), *code_blocks(text)])))
-    used -= {"name"}
+    used = set(re.findall(r"(?<![\w/])stage\.([a-z]\w*)", "\n".join([*quoted(text), *code_blocks(text)])))
     assert not sorted(used - known)
+    for stage, name in re.findall(r"\bstage@([a-z]\w*)\.([a-z]\w*)", text):
+        assert name in stages[stage], f"stage@{stage}.{name}"
 
 
 @documents
@@ -213,11 +216,10 @@ def table_column(text: str, header: str) -> list[str]:
 
 
 def test_tables_of_stages_are_complete() -> None:
-    stages = {path.stem for path in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml")}
     for document in (ARCHITECTURE, PROJECT_ROOT / "README.md", DOCS / "pipeline" / "stages.md"):
         listed = [cell.strip("`") for cell in table_column(read(document), "stage")]
-        assert set(listed) == stages, relative(document)
-        assert len(listed) == len(stages)
+        assert set(listed) == STAGES, relative(document)
+        assert len(listed) == len(STAGES)
 
 
 def test_readme_lists_every_folder_of_the_repository() -> None:
