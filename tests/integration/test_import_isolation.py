@@ -76,6 +76,17 @@ def test_episodes_need_neither_simulator_nor_learning() -> None:
     assert not found & {"cathsim", "mujoco", "torch", "hydra", "omegaconf"}
 
 
+def test_the_geometry_of_guide3d_imports_no_torch(run_python: Callable[[str], str]) -> None:
+    folder = source_root("guide3d") / "geometry"
+    names = [path.stem for path in sorted(folder.glob("*.py")) if path.stem != "__init__"]
+    assert len(names) >= 7
+    found = {name for path in folder.glob("*.py") for name in imported_packages(path.read_text(encoding="utf-8"))}
+    assert not found & {"torch", "torchvision", "timm"}
+    imports = "; ".join(f"import guide3d.geometry.{name}" for name in names)
+    # what these modules import in turn counts, too
+    assert json.loads(run_python(f"{imports}; import json, sys; print(json.dumps('torch' in sys.modules))")) is False
+
+
 @pytest.mark.parametrize("package", list(ALLOWED))
 def test_no_module_is_called_after_nothing(package: str) -> None:
     names = {file.stem for file in sources(package)} | {file.parent.name for file in sources(package)}

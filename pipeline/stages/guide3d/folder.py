@@ -6,8 +6,6 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
 from guide3d.dataset.dataset import Dataset
 from pipeline.store.atomic_files import write_json
 from pipeline.store.errors import StageError
@@ -96,17 +94,3 @@ def read_source(folder: Path) -> Source:
     if not path.is_file():
         raise StageError(f"{folder} holds no data set: run stage=guide3d again")
     return Source(**json.loads(path.read_text(encoding="utf-8")))
-
-
-def reconstructed_curves(folder: Path, data: Dataset) -> dict[int, np.ndarray]:
-    """The reconstructed wires.
-
-    Args:
-        folder: of the stage.
-        data: from `open_dataset`.
-
-    Returns:
-        Index of a frame to its curve, (n, 3) mm from the tip, a point a millimetre; without those that were rejected.
-    """
-    found = {index: frame.reconstruction_mm for index, frame in enumerate(data.frames)}
-    return {index: curve for index, curve in found.items() if curve is not None}

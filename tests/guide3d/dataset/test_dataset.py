@@ -146,42 +146,6 @@ def test_annotations_without_images(root: Path) -> None:
         frame.image("a")
 
 
-def test_small_pictures_are_area_averages_kept_on_disk(root: Path, tmp_path: Path, caplog) -> None:
-    data = Dataset.open(root)
-    data.frames[5].image_path("a").write_bytes(b"no picture")
-    small = data.pictures("a", 32, tmp_path / "cache")
-    assert small.shape == (12, 32, 32)
-    block = data.frames[3].image("a")[8:12, 40:44].mean()
-    assert abs(float(small[3, 2, 10]) - block) <= 1.0
-    assert not small[5].any()
-    assert [record for record in caplog.messages if "cannot be read" in record]
-    caplog.clear()
-    stamp = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "cache").glob("*.npy")}
-    again = data.pictures("a", 32, tmp_path / "cache")
-    assert np.array_equal(small, again)
-    assert not caplog.messages
-    assert stamp == {path.name: path.stat().st_mtime_ns for path in (tmp_path / "cache").glob("*.npy")}
-
-
-def test_an_interrupted_cache_goes_on(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = Dataset.open(root)
-    whole = np.array(data.pictures("a", 32, tmp_path / "whole"))
-    read: list[str] = []
-    original = type(data.frames[0]).image
-
-    def image(frame, camera):
-        read.append(frame.label)
-        if len(read) == 5:
-            raise KeyboardInterrupt
-        return original(frame, camera)
-
-    monkeypatch.setattr(type(data.frames[0]), "image", image)
-    with pytest.raises(KeyboardInterrupt):
-        data.pictures("a", 32, tmp_path / "cut")
-    assert np.array_equal(data.pictures("a", 32, tmp_path / "cut"), whole)
-    assert len(read) == 5 + 12 - 4  # the four that were done are not read again
-
-
 def test_properties_say_whether_annotations_are_undistorted(root: Path) -> None:
     (root / "dataset.json").unlink()
     assert Dataset.open(root).undistorted is None

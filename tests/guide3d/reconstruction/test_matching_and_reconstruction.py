@@ -12,7 +12,7 @@ from guide3d.native_library import HOME, library, sources_digest
 from guide3d.reconstruction.curve_fitting import FitSettings
 from guide3d.reconstruction.matching import Match, MatchingSettings, complete, image_curve, match_curves
 from guide3d.reconstruction.reconstruction import ReconstructionSettings, reconstruct, reconstruct_greedy
-from guide3d.reconstruction.reprojection import along_wire, distances_to, numbers, picture
+from guide3d.reconstruction.reprojection import distances_to, numbers, picture
 from guide3d.reconstruction.synthetic_scene import KINDS, Scene, clicked, rig, scenes, wire
 
 EXACT = list(scenes(16, seed=5))
@@ -175,9 +175,6 @@ def test_the_report_has_plain_numbers_and_a_picture() -> None:
     assert page.size == (1024, 732)
     colours = np.asarray(page).reshape(-1, 3)
     assert ((colours == (30, 110, 220)).all(axis=1)).any()
-    parts = along_wire(result.residual_a_px, 20)
-    assert parts.shape == (20,)
-    assert parts.mean() == pytest.approx(result.mean_a_px, rel=0.1)
 
 
 def test_distance_to_a_polyline() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from guide3d.dataset.dataset import Dataset
 from pipeline.stages.guide3d import stage as guide3d
-from pipeline.stages.guide3d.folder import open_dataset, reconstructed_curves
+from pipeline.stages.guide3d.folder import open_dataset
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.guide3d.tables import reconstruction_tables
 from pipeline.store.errors import ConfigurationError, StageError
@@ -61,8 +61,8 @@ def test_a_generated_run_leaves_data_curves_tables_and_figures(generated: Path) 
     data = open_dataset(generated)
     assert len(data) == 4
     assert data.undistorted is False
-    curves = reconstructed_curves(generated, data)
-    errors = [np.linalg.norm(curves[i][0] - data.frames[i].curve_mm[0]) for i in curves]
+    curves = [frame.reconstruction_mm for frame in data.frames]
+    errors = [np.linalg.norm(curve[0] - frame.curve_mm[0]) for curve, frame in zip(curves, data.frames, strict=True)]
     assert len(errors) == 4
     assert max(errors) < 1.0
     shown = {entry["file"] for entry in json.loads((generated / "figures.json").read_text())}
@@ -78,7 +78,7 @@ def test_ones_own_data_set_is_read_where_it_lies(own: Path, tmp_path: Path) -> N
     assert results["guide3d_reconstruction"]["global"]["n"] == 8
     assert results["guide3d_reconstruction"]["greedy"]["n"] == 3
     assert results["guide3d_reconstruction"]["global"]["accepted_pct"] == 100.0
-    assert len(reconstructed_curves(folder, open_dataset(folder))) == 8
+    assert sum(frame.reconstruction_mm is not None for frame in open_dataset(folder).frames) == 8
     assert not (folder / "dataset").exists()
 
 
@@ -93,7 +93,7 @@ def test_annotations_alone_will_do(own: Path, tmp_path: Path) -> None:
     # where one's own images come from is not known here
     assert set(results["datasets"]["both/guide3d"]) == {"collection", "type", "frames"}
     assert json.loads((folder / "figures.json").read_text()) == []
-    assert reconstructed_curves(folder, open_dataset(folder)) == {}
+    assert all(frame.reconstruction_mm is None for frame in open_dataset(folder).frames)
 
 
 def test_residuals_tell_that_annotations_are_raw(generated: Path, tmp_path: Path, caplog) -> None:

@@ -1,6 +1,6 @@
 """The report of a calibration: one page with its figures and pictures, and the command line that makes it.
 
-    python -m guide3d.calibration.report DIR --output FOLDER
+    python -m guide3d.calibration DIR --output FOLDER
 
 writes FOLDER/index.html with its pictures, the cameras (XMALab text, OpenCV YAML) and the distortion maps.
 """
@@ -189,7 +189,7 @@ def _camera_table(calibration: CubeCalibration) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m guide3d.calibration.report",
+        prog="python -m guide3d.calibration",
         description="Calibrate detectors from images of a sheet and a bead cube.",
     )
     parser.add_argument(
@@ -217,7 +217,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(f"{warning}\n")
     sys.stdout.write(f"{page}\n")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -68,11 +68,6 @@ class RigCalibration:
     noise_px: float
     left_out: dict[str, str] = field(default_factory=dict)
 
-    def errors_px(self, pose: str, detector: str) -> np.ndarray:
-        """Reprojection distances (k,) of the beads that were used."""
-        residual = self.residuals_px[pose, detector][self.used[pose, detector]]
-        return np.asarray(np.linalg.norm(residual, axis=1))
-
 
 def calibrate_rig(
     points_mm: np.ndarray,

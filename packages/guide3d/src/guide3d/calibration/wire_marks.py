@@ -33,11 +33,6 @@ class WireMark:
     kind: str
     pixels: np.ndarray
 
-    @property
-    def centre_px(self) -> np.ndarray:
-        """Mean (2,) of its pixels."""
-        return self.pixels.mean(axis=0)
-
 
 @dataclass(frozen=True, eq=False)
 class _Line:

@@ -1,1 +1,33 @@
-"""The Guide3D data set: its layout, its annotation and its split."""
+"""The data set: annotations, images, cameras and true curves, read, split, planned and annotated.
+
+Names are imported at first use.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from guide3d.dataset.acquisition_split import Split, split_acquisitions
+    from guide3d.dataset.dataset import VIEWS, Dataset, images_of, split
+    from guide3d.dataset.frame import Frame, ImageError
+
+_HOME = {
+    "VIEWS": "dataset",
+    "Dataset": "dataset",
+    "Frame": "frame",
+    "ImageError": "frame",
+    "Split": "acquisition_split",
+    "images_of": "dataset",
+    "split": "dataset",
+    "split_acquisitions": "acquisition_split",
+}
+
+__all__ = ["VIEWS", "Dataset", "Frame", "ImageError", "Split", "images_of", "split", "split_acquisitions"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

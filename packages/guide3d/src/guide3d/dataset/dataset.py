@@ -34,7 +34,6 @@ from guide3d.dataset.true_curves import VIEWS, read_truth
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import Distortion
 from guide3d.json_file import read_json
-from guide3d.learning.picture_cache import cached_pictures
 
 __all__ = ["VIEWS", "Dataset", "images_of", "split"]
 
@@ -172,20 +171,6 @@ class Dataset:
         if self.undistorted is not False or self.distortions is None:
             return points
         return self.distortions[VIEWS.index(camera)].distort_points(points)
-
-    def pictures(self, camera: str, size_px: int, folder: str | Path) -> np.memmap[Any, np.dtype[np.uint8]]:
-        """All images of a camera at a smaller size, area-averaged, kept on disk; an interrupted call goes on.
-
-        Args:
-            camera: "a" or "b".
-            size_px: side of the small images.
-            folder: where they are kept.
-
-        Returns:
-            (frames, size_px, size_px) uint8, read only; the row of an image that cannot be read is 0, which the log
-            tells once.
-        """
-        return cached_pictures(self.frames, camera, size_px, Path(folder))
 
 
 def split(data: Dataset, shares: tuple[float, float, float] = (0.8, 0.1, 0.1), seed: int = 0) -> Split:

@@ -69,10 +69,6 @@ class Ranks:
         distributed.all_reduce(told)
         return [float(value) for value in told]
 
-    def agreed(self, value: float) -> float:
-        """The number of rank 0."""
-        return self.summed(value if self.rank == 0 else 0.0)[0]
-
     def wait(self) -> None:
         """Waits until every rank is here."""
         self.summed(0.0)

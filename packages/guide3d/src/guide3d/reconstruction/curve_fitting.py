@@ -29,8 +29,6 @@ from guide3d.setting_kinds import Millimetres, PixelDistance, Positive, settings
 
 Array = NDArray[np.float64]
 
-START_SMOOTHING_MM = 3.0  # of the first curve, through triangulated pairs
-
 
 @settings
 class FitSettings:

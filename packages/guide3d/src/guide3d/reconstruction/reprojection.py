@@ -41,12 +41,6 @@ def distances_to(polyline: ArrayLike, points: ArrayLike) -> Array:
     return best
 
 
-def along_wire(residual_px: Array, count: int = 30) -> Array:
-    """Returns the mean residual (count,) px in equal parts of a wire, tip first, from residuals (n,) along it."""
-    parts = np.array_split(np.asarray(residual_px, dtype=float), count)
-    return np.array([part.mean() if len(part) else np.nan for part in parts])
-
-
 def numbers(result: Reconstruction) -> dict[str, Any]:
     """Returns a reconstruction's figures as plain numbers: reprojection, coverage, uncertainty and what is odd."""
     figures: dict[str, Any] = {}
