@@ -12,7 +12,7 @@ from cathsim.fluoroscopy import BiplaneFluoroscope, Box, Ellipsoid, Projector, X
 from cathsim.fluoroscopy.body import body_depth
 from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.fluoroscopy.radiograph import DepthFunction
-from cathsim.fluoroscopy.scene import Scene
+from cathsim.fluoroscopy.scene import XRayScene
 from cathsim.observations.observables import points_to_border
 from cathsim.planning.sampling import SamplingExpert
 
@@ -47,7 +47,7 @@ def bead_cube(camera: XRayCamera) -> np.ndarray:
     walls += [Box((0, 0.02, side * 0.104), (0.14, 0.09, 0.005), acrylic) for side in (-1.0, 1.0)]
     rail = Box((-0.099, 0.0, 0.0), (0.007, 0.09, 0.005), 30.0)
     origin = np.zeros(3)
-    empty = Scene("cube", (), 0.0, 0.0, 0.0, 0.0, scatter=0.05)
+    empty = XRayScene("cube", (), 0.0, 0.0, 0.0, 0.0, scatter=0.05)
     return _seen(camera, empty, lambda projector: body_depth(projector, (*beads, *walls, rail), origin))
 
 
@@ -70,10 +70,10 @@ def perforated_sheet(camera: XRayCamera) -> np.ndarray:
             cover += np.exp(-SHEET_DEPTH * (nearest > SHEET_HOLE * pitch / 2)) / 9
         return -np.log(cover).astype(np.float32)
 
-    return _seen(camera, Scene("sheet", (), 0.0, 0.0, 0.0, 0.0, scatter=0.03, middle=115.0), depth)
+    return _seen(camera, XRayScene("sheet", (), 0.0, 0.0, 0.0, 0.0, scatter=0.03, middle=115.0), depth)
 
 
-def _seen(camera: XRayCamera, scene: Scene, depth: DepthFunction) -> np.ndarray:
+def _seen(camera: XRayCamera, scene: XRayScene, depth: DepthFunction) -> np.ndarray:
     fluoroscope = BiplaneFluoroscope([camera], [expose_depth(camera, scene, depth)])
     return fluoroscope.render(np.zeros((0, 3)), 7)[camera.name].image
 

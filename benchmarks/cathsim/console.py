@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cathsim.console.headless import Tab, find_browser, running_console, wait_until
+from benchmarks.cathsim.headless_browser import Tab, find_browser, running_console, wait_until
 
 
 def drawn(tab: Tab) -> np.ndarray:

@@ -74,7 +74,7 @@ class Anatomy:
 def check_phantoms(settings: PhantomsSettings) -> None:
     """Refuses unknown phantoms and units with a `ConfigurationError` that lists the valid ones."""
     if settings.mesh is not None:
-        from cathsim.anatomy.mesh.unit import check_unit
+        from cathsim.anatomy.mesh.reading import check_unit
 
         try:
             check_unit(settings.unit)

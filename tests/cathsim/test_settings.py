@@ -15,10 +15,10 @@ import pytest
 
 import cathsim
 from cathsim.fluoroscopy.body import Box, Ellipsoid
-from cathsim.fluoroscopy.distortion import Distortion
+from cathsim.fluoroscopy.distortion import DetectorDistortion
 from cathsim.fluoroscopy.materials import Section, WireMaterial
 from cathsim.fluoroscopy.projector import Projector
-from cathsim.fluoroscopy.scene import SCENES, Scene
+from cathsim.fluoroscopy.scene import SCENES, XRayScene
 from cathsim.planning.path import plan_path
 from cathsim.presets import ACCURACY, Accuracy
 
@@ -26,14 +26,18 @@ from cathsim.presets import ACCURACY, Accuracy
 EXTRAS = {"cathsim.composer", "cathsim.console", "cathsim._native"}
 # Dataclasses that hold results or are put together by the code itself, whose numbers no user chooses.
 RECORDS = {
-    *("anatomy.generator.aorta:Aorta", "anatomy.generator.arch_type:ArchMeasures", "anatomy.centreline:LumenPaths"),
+    *("anatomy.generator.aorta:Aorta", "anatomy.centreline:LumenPaths"),
     *("anatomy.distance_grid:SignedDistanceGrid", "anatomy.lumen_report:LumenReport"),
     *("anatomy.phantom:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
     *("anatomy.vessel_tree:Branch", "anatomy.vessel_tree:VesselTree"),
     *("contact.hull_vessel:HullVessel", "contact.hulls:Hull", "contact.intrusion:WallFit", "contact.sdf:Vessel"),
     *("description:Specification", "link_ladder:Ladder", "planning.path:LumenPath", "validation:Unit"),
-    *("fluoroscopy.c_arms:XRayCamera", "fluoroscopy.calibration_file:Projection", "fluoroscopy.wire_shadow:Shadow"),
+    *(
+        "fluoroscopy.c_arms:XRayCamera",
+        "fluoroscopy.calibration_file:Projection",
+        "fluoroscopy.wire_shadow:ShadowWindow",
+    ),
     *(
         "fluoroscopy.radiograph:Radiograph",
         "observations.observables:Observable",
@@ -47,9 +51,9 @@ EXAMPLES: dict[type[Any], Any] = {
     Accuracy: ACCURACY["accurate"],
     Box: Box((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 20.0),
     Ellipsoid: Ellipsoid((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 20.0),
-    Distortion: Distortion(64, 64),
+    DetectorDistortion: DetectorDistortion(64, 64),
     Projector: Projector.frontal([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]], 64),
-    Scene: SCENES["bath"],
+    XRayScene: SCENES["bath"],
     Section: Section(0.1, ((0.3e-3, 800.0), (0.5e-3, 300.0))),
     WireMaterial: WireMaterial((Section(0.1, ((0.3e-3, 800.0),)),)),
 }
@@ -67,25 +71,25 @@ ZERO = {
     "Detector": {
         *("video_noise", "focal_blur", "screen_blur", "glare", "field_centre", "penumbra", "heel", "equalisation"),
     },
-    "Distortion": {"pincushion", "barrel", "twist", "tilt", "centre"},
+    "DetectorDistortion": {"pincushion", "barrel", "twist", "tilt", "centre"},
     "Ellipsoid": {"centre", "attenuation"},
     "ExpertSettings": {"rounds", "force_cost", "free_force"},
     "Guidewire": {"taper", "tip_angle", "tip_length", "relaxation", "friction", "motor_joints", "motor_angle"},
     "Leader": {"position"},
     "NavigationTask": {"target", "start_jitter", "start_rotation", "force_penalty", "path_penalty"},
-    "Scene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},
+    "XRayScene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},
     "Section": {"layers"},
 }
 MINUS_ONE = {
     "Aneurysm": {"angle"},
     "Box": {"centre", "attenuation"},
     "Detector": {"field_centre"},
-    "Distortion": {"centre", "twist"},
+    "DetectorDistortion": {"centre", "twist"},
     "Ellipsoid": {"centre", "attenuation"},
     "Guidewire": {"tip_angle"},
     "Leader": {"position"},
     "NavigationTask": {"target"},
-    "Scene": {"wall", "filling"},
+    "XRayScene": {"wall", "filling"},
 }
 NEVER = (math.nan, math.inf, -math.inf, 1e300, "text")
 

@@ -48,12 +48,20 @@ def fluoroscope_of(phantom: Phantom, size: int, wire_radius: float) -> BiplaneFl
 
 @kept_with_owner
 def _fluoroscope(phantom: Phantom, size: int, wire_radius: float, filling: str) -> BiplaneFluoroscope:
-    from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, Distortion, Projector, radiograph, scene, wire_material
+    from cathsim.fluoroscopy import (
+        PAIRS,
+        BiplaneFluoroscope,
+        DetectorDistortion,
+        Projector,
+        radiograph,
+        scene,
+        wire_material,
+    )
     from cathsim.fluoroscopy.c_arms import XRayCamera
 
     centre = phantom.bounds.mean(axis=0)
     detector = PAIRS["guide3d"](centre, size)[0].detector  # light, blur and noise of the navigation's first camera
-    camera = XRayCamera(Projector.view(VIEW, phantom.bounds, size), Distortion.none(size, size), detector)
+    camera = XRayCamera(Projector.view(VIEW, phantom.bounds, size), DetectorDistortion.none(size, size), detector)
     still = radiograph(phantom.grid, camera, scene("bath", filling), key=phantom.hash)
     return BiplaneFluoroscope([camera], [still], material=wire_material("default", wire_radius), centre=centre)
 

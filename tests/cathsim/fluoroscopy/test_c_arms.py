@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cathsim.fluoroscopy import (
-    Distortion,
+    DetectorDistortion,
     Projector,
     XRayCamera,
     askew_pair,
@@ -104,7 +104,9 @@ def test_text_layout_is_that_of_the_laboratory(tmp_path):
     assert np.linalg.det(real.R) == pytest.approx(1, abs=1e-6)
     camera = guide3d_pair(CENTRE)[0]
     projector = Projector(real.K, real.R, real.t / 100, real.width, real.height, "b")
-    ours = write_calibration({"b": XRayCamera(projector, Distortion.none(1024, 1024), camera.detector)}, tmp_path)[1]
+    ours = write_calibration(
+        {"b": XRayCamera(projector, DetectorDistortion.none(1024, 1024), camera.detector)}, tmp_path
+    )[1]
     ours_lines, their_lines = ours.read_bytes().split(b"\r\n"), path.read_bytes().split(b"\r\n")
     assert len(ours_lines) == len(their_lines)
     for one, other in zip(ours_lines, their_lines, strict=True):
@@ -126,4 +128,4 @@ def test_bad_files_and_cameras_are_refused(tmp_path):
         write_calibration({}, tmp_path, unit="inch")
     camera = guide3d_pair(CENTRE)[0]
     with pytest.raises(ValueError, match="resize one of them"):
-        XRayCamera(camera.projector, Distortion.none(64, 64), camera.detector)
+        XRayCamera(camera.projector, DetectorDistortion.none(64, 64), camera.detector)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from cathsim.fluoroscopy import Distortion, guide3d_pair
+from cathsim.fluoroscopy import DetectorDistortion, guide3d_pair
 
 MAPS = [camera.distortion for camera in guide3d_pair(np.zeros(3))]
 
@@ -43,7 +43,7 @@ def test_jacobian_is_the_derivative(distortion):
 
 
 def test_terms_by_hand():
-    distortion = Distortion(101, 101, pincushion=0.1, barrel=-0.02, twist=0.05)
+    distortion = DetectorDistortion(101, 101, pincushion=0.1, barrel=-0.02, twist=0.05)
     half, middle = 50.5, 50.0
     x, y, r2 = 0.6, -0.3, 0.45
     expected = [
@@ -59,7 +59,7 @@ def test_size_scales_the_map_and_nothing_is_none():
     ideal = grid(1024, 64)
     shrunk = (ideal + 0.5) / 4 - 0.5
     np.testing.assert_allclose(small.distort(shrunk), (big.distort(ideal) + 0.5) / 4 - 0.5, atol=1e-9)
-    flat = Distortion.none(64, 48)
+    flat = DetectorDistortion.none(64, 48)
     assert flat.identity
     np.testing.assert_array_equal(flat.distort(ideal), ideal)
     np.testing.assert_array_equal(flat.undistort(ideal), ideal)
@@ -76,17 +76,19 @@ def test_far_points_stay_far_and_in_order():
 def test_json_repeats_the_map():
     plain = json.loads(json.dumps(MAPS[0].to_json()))
     names = ("width", "height", "pincushion", "barrel", "twist", "tilt", "centre")
-    again = Distortion(**{name: tuple(plain[name]) if isinstance(plain[name], list) else plain[name] for name in names})
+    again = DetectorDistortion(
+        **{name: tuple(plain[name]) if isinstance(plain[name], list) else plain[name] for name in names}
+    )
     assert again == MAPS[0]
     assert "r2" in plain["model"]
 
 
 def test_bad_input_is_refused():
     with pytest.raises(ValueError, match="folds the image"):
-        Distortion(64, 64, pincushion=-0.5)
+        DetectorDistortion(64, 64, pincushion=-0.5)
     with pytest.raises(ValueError, match="twist must be a finite number"):
-        Distortion(64, 64, twist=np.nan)
+        DetectorDistortion(64, 64, twist=np.nan)
     with pytest.raises(ValueError, match=r"shape \(n, 2\)"):
         MAPS[0].distort(np.zeros((3, 3)))
     with pytest.raises(ValueError, match="width must lie in 1 to 8192 px, got 0"):
-        Distortion(0, 4)
+        DetectorDistortion(0, 4)

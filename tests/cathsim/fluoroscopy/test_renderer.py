@@ -52,7 +52,7 @@ def test_mask_has_no_gap(size):
     assert whole > 100  # the others leave the image
 
 
-def test_mask_is_thin_and_every_pixel_of_it_has_ink():
+def test_mask_is_thin_and_every_pixel_of_it_is_darkened():
     renderer = make(80)
     wire = random_wire(3)
     image, mask = renderer.render(wire), renderer.mask(wire)
@@ -92,7 +92,7 @@ def test_thin_wire_is_drawn_at_least_1_2_px_wide():
     assert make(80, wire_radius=1e-5).wire_width_px == pytest.approx(1.2)
     image = make(80).render(straight_wire([0.001, 0, -0.05], [0.02, 0, 0.06]))
     rows = image[30:50].min(axis=1)
-    assert rows.max() < 100  # ink in every row, whatever the position between pixels
+    assert rows.max() < 100  # the wire darkens every row, whatever the position between pixels
 
 
 @pytest.mark.parametrize("links", [[0.016] * 9, [0.004] * 6 + [0.016] * 8, [0.003, 0.017] * 7])

@@ -8,9 +8,9 @@ from cathsim.fluoroscopy import (
     Box,
     Detector,
     Ellipsoid,
-    Scene,
     Section,
     WireMaterial,
+    XRayScene,
     coil_tipped_wire,
     jacketed_wire,
     scene,
@@ -94,9 +94,9 @@ def test_larger_pixels_catch_more_photons():
         (lambda: Section(0.1, ((0.5e-3, 1.0), (0.3e-3, 1.0))), "growing positive radii"),
         (lambda: Section(0.0, ((0.5e-3, 1.0),)), "length must lie in"),
         (lambda: WireMaterial(()), "at least one section"),
-        (lambda: Scene("", (), 0, 0, 0, 0, scatter=1.0), "scatter must lie in"),
-        (lambda: Scene("", (), 0, 0, 0, 0, scatter=0.1, middle=300), "middle must lie in"),
-        (lambda: Scene("", (), 0, 0, -1, 0, scatter=0.1), "wall_thickness must lie in 0 to 0.1 m, got -1"),
+        (lambda: XRayScene("", (), 0, 0, 0, 0, scatter=1.0), "scatter must lie in"),
+        (lambda: XRayScene("", (), 0, 0, 0, 0, scatter=0.1, middle=300), "middle must lie in"),
+        (lambda: XRayScene("", (), 0, 0, -1, 0, scatter=0.1), "wall_thickness must lie in 0 to 0.1 m, got -1"),
     ],
 )
 def test_bad_input_is_refused(make, message):

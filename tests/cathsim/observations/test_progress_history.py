@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cathsim.environment import NavigateEnv
-from cathsim.observations.progress_history import GAIN_SCALE, HISTORY_SIZE, MEMORIES, PATIENCE, History
+from cathsim.observations.progress_history import GAIN_SCALE, HISTORY_SIZE, PATIENCE, TIME_CONSTANTS, History
 from cathsim.simulation import CONTROL_STEP
 
 FORWARD = np.array([1.0, 0.2])
@@ -34,7 +34,7 @@ def test_means_follow_the_actions(environment: NavigateEnv) -> None:
     environment.reset(seed=0)
     for _ in range(10):
         seen = environment.step(FORWARD)[0]["history"]
-    share = 1 - np.exp(-10 * CONTROL_STEP / MEMORIES)
+    share = 1 - np.exp(-10 * CONTROL_STEP / TIME_CONSTANTS)
     np.testing.assert_allclose(seen[:4].reshape(2, 2), share[:, None] * FORWARD, atol=1e-6)
     gained = share * 0.018  # m/s: the way ahead is free, so nearly what is fed
     np.testing.assert_allclose(seen[4:6], gained / (GAIN_SCALE + gained), rtol=0.15)

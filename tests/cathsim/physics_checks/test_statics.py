@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from cathsim.physics_checks import AIM_PCT, LAWS, Case, worst_error_pct
+from cathsim.physics_checks import AIM_PCT, LAWS, TheoryCheck, worst_error_pct
 from cathsim.physics_checks.rig import uniform_wire
 from cathsim.physics_checks.statics import (
     EI,
@@ -42,6 +42,6 @@ def test_a_simulated_cantilever_and_column_follow_theory() -> None:
 
 
 def test_the_worst_error_counts_without_its_sign() -> None:
-    cases = [Case("elastica", "a", 1.01, 1.0), Case("elastica", "b", 0.97, 1.0)]
+    cases = [TheoryCheck("elastica", "a", 1.01, 1.0), TheoryCheck("elastica", "b", 0.97, 1.0)]
     assert worst_error_pct(cases) == pytest.approx(3.0)
     assert set(LAWS) == set(AIM_PCT)

@@ -16,11 +16,7 @@ RESERVE = 0.028  # at least this much simulated wire lies in the sheath, m
 
 
 def empty_spec(numerics: Accuracy) -> mujoco.MjSpec:
-    """A specification without bodies, with the solver's options that every model of a wire has.
-
-    Args:
-        numerics: gives the timestep.
-    """
+    """A specification without bodies, with the solver's options that every model of a wire has."""
     spec = mujoco.MjSpec()
     spec.modelname = "cathsim"
     spec.compiler.degree = False
@@ -42,9 +38,6 @@ def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motor
     """Describes a wire whose proximal end a feeder advances and rotates along the sheath's axis.
 
     Args:
-        vessel: lumen and sheath.
-        wire: its mechanics.
-        numerics: timestep and mass scale.
         tip_motors: adds a motor to each of the two hinges of the most distal joints.
 
     Returns:

@@ -14,7 +14,6 @@ from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.blood.flow import BloodFlow, blood_flow
 from cathsim.contact.hulls import Decomposition, decomposition
-from cathsim.description import Specified, chosen, described
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
@@ -23,6 +22,7 @@ from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
+from cathsim.registration.description import Specified, chosen, described
 from cathsim.robot.follower import DRIVES, FollowerRobot
 from cathsim.simulation import CONTROL_STEP, Simulation
 from cathsim.viewing.display import MODES, Display
@@ -103,12 +103,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         wire: a preset's name or a `Guidewire`; for far targets a longer one, load_guidewire("default").scaled(0.36).
         accuracy: "accurate", "fast" (about twice as fast, deeper contacts), "reference", or an `Accuracy`.
         actions: "feeder" or "tip_motors".
-        observation: see above.
         image_size: side of the images, px (the thesis uses 80 and 128; the public biplane data set has 1,024).
         cameras: None, "guide3d", "clinical", or a `BiplaneFluoroscope`: two C-arms beside the frontal view.
         render_mode: "rgb_array" (a 3-D view, needs EGL or OSMesa), "fluoroscopy" (the frontal image) or "human" (a
             window that shows every step at the speed of the simulated time; the extra `human` brings pygame for it).
-        phantom_seed: of the random phantom.
         blood: None, "steady", "pulsatile", or a `BloodFlow`: its drag on the wire.
         contact: "sdf", "hulls" (convex hulls of the wall, made in minutes and cached), or a `Decomposition`.
         drive: "direct", or "robot": the follower robot feeds the wire stroke by stroke, so that a step may move it less
@@ -323,9 +321,6 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
         Args:
             state: from `state`.
-
-        Returns:
-            The observation of that moment.
         """
         if state["target"] != self.task.target:
             self._set_task(dataclasses.replace(self._own_task, target=state["target"]))

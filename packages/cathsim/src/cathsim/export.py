@@ -48,8 +48,6 @@ def export_mjcf(
 
     Args:
         folder: is made, or replaced if it holds an earlier export.
-        phantom: the vessel.
-        wire: the guidewire.
         contact: "hulls", or how finely the wall is cut into them.
         entry: name of the phantom's entry.
         numerics: timestep and mass scale; a plain `mj_step` repeats no substep.

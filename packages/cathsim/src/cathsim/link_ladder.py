@@ -74,7 +74,6 @@ def pass_on(source: np.ndarray, size: int, *, bend: bool) -> np.ndarray:
 
     Args:
         source: positions, velocities or accelerations. Shape (2 + 2 joints,).
-        size: of the result.
         bend: positions: the bend of dropped joints goes to the first that stays, so that the wire keeps its direction.
 
     Returns:

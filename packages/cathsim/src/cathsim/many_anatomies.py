@@ -12,12 +12,12 @@ import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike, as_target
-from cathsim.description import Specified, chosen, described
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.registration.description import Specified, chosen, described
 
 # a phantom's name or a mesh's path; the seed of a random arch; a name that needs a seed, and that
-Anatomy = str | int | tuple[str, int]
+AnatomyChoice = str | int | tuple[str, int]
 
 
 class Case(NamedTuple):
@@ -37,10 +37,10 @@ class PhantomShelf:
 
     def __init__(self, capacity: int = 64) -> None:
         self.capacity = capacity
-        self._kept: OrderedDict[tuple[Anatomy, float], Phantom] = OrderedDict()
+        self._kept: OrderedDict[tuple[AnatomyChoice, float], Phantom] = OrderedDict()
         self._lock = threading.Lock()
 
-    def take(self, name: Anatomy, resolution: float) -> Phantom:
+    def take(self, name: AnatomyChoice, resolution: float) -> Phantom:
         """The phantom of a name, or for a number the random arch of that seed.
 
         Args:
@@ -89,7 +89,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     def __init__(
         self,
-        phantoms: Sequence[Anatomy | Phantom] = tuple(range(16)),
+        phantoms: Sequence[AnatomyChoice | Phantom] = tuple(range(16)),
         targets: Sequence[TargetLike] = ("bca", "lcca"),
         wires: Sequence[str | Guidewire] = ("default",),
         *,
@@ -228,9 +228,6 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
         Args:
             state: from `state`.
-
-        Returns:
-            The observation of that moment.
         """
         self._change(state["case"])
         self.np_random.bit_generator.state = state["generator"]

@@ -96,7 +96,6 @@ class NavigationTask:
             progress: decrease of the distance along the lumen in this step, m; 0 unless `reads_progress`.
             force: largest resultant contact force of the step, N.
             moved: how far the tip has moved in this step, m.
-            success: whether the target was reached.
         """
         if self.reward == "geodesic":
             reward = POTENTIAL_PER_METRE * progress - STEP_COST + (SUCCESS_REWARD if success else 0.0)
@@ -119,7 +118,6 @@ def require_reach(task: NavigationTask, simulation: Simulation) -> None:
     """Refuses a wire that is too short for the task's target, fed in all the way and on the shortest way.
 
     Args:
-        task: with the target.
         simulation: with the phantom, its entry and the wire.
 
     Raises:
@@ -146,8 +144,6 @@ def navigation_task(
 
     Args:
         target: its target; None: the task's own.
-        fields: other fields of the task.
-        task: whose fields they replace.
 
     Raises:
         ValueError: a field that there is not.

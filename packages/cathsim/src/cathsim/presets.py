@@ -8,6 +8,8 @@ from annotated_types import Interval
 
 from cathsim.validation import Unit, settings
 
+WIRE_RADIUS = 0.45e-3  # m, of the usual guidewire of 0.035 in
+
 _Depth = Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
 
 

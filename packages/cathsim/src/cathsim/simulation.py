@@ -105,9 +105,6 @@ class Simulation:
     arrays that this class returns always have the size of the whole wire.
 
     Args:
-        phantom: the vessel.
-        wire: the guidewire.
-        numerics: time stepping.
         entry: name of the phantom's entry.
         contact: "sdf", the signed-distance grid; "hulls", convex hulls of the wall, or how finely it is cut into them.
         tip_motors: with motors in the tip's joints.

@@ -83,7 +83,6 @@ def settings(cls: type[Kind] | None = None, *, frozen: bool = True, eq: bool = T
     Args:
         cls: the class, where the decorator has no arguments.
         frozen: as of `dataclasses.dataclass`.
-        eq: likewise.
 
     Raises:
         ValueError: on construction, one sentence that names field, range and unit.
@@ -114,10 +113,6 @@ def check_fields(made: Any, of: type[Any]) -> None:
 
     A subclass that the standard library's decorator has made sets them without a check.
 
-    Args:
-        made: the object.
-        of: the settings class.
-
     Raises:
         ValueError: as `settings` raises it.
     """
@@ -131,8 +126,6 @@ def quantity(name: str, value: Any, annotation: Any) -> Any:
     """Checks an argument of a function as `settings` checks a field.
 
     Args:
-        name: of the argument.
-        value: what came.
         annotation: one of those of this module, or another with ranges and a unit.
 
     Returns:

@@ -12,9 +12,9 @@ from annotated_types import Interval
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
-from cathsim.description import Specified
 from cathsim.environment import NavigateEnv
 from cathsim.many_anatomies import NavigateManyEnv
+from cathsim.registration.description import Specified
 from cathsim.validation import quantity
 
 _Many = Annotated[int, Interval(ge=1, le=100_000)]
@@ -28,7 +28,6 @@ class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
     `info["final_obs"]` and `info["final_info"]` (`autoreset="same_step"`).
 
     Args:
-        num_envs: number of environments.
         threads: number of threads; by default one a core.
         autoreset: "next_step" or "same_step".
         variations: arguments of single environments, over `arguments`; as many as environments.

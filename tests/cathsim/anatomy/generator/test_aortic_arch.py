@@ -8,9 +8,9 @@ import pytest
 
 from cathsim.anatomy import Aneurysm, ArchParameters, VesselTree
 from cathsim.anatomy.generator.aortic_arch import build_arch
-from cathsim.anatomy.generator.arch_type import arch_type, measure_arch
 from cathsim.anatomy.library import NAMED
 from cathsim.anatomy.lumen import build_lumen
+from tests.cathsim.anatomy.generator.arch_type import arch_type, measure_arch
 
 TYPES = {
     "type_1": "I",

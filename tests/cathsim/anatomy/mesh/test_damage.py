@@ -12,9 +12,8 @@ from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
 from cathsim.anatomy.mesh import importer
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.openings import close_openings
-from cathsim.anatomy.mesh.reading import Triangles
+from cathsim.anatomy.mesh.reading import Size, Triangles, detect_unit
 from cathsim.anatomy.mesh.samples import sample_surface
-from cathsim.anatomy.mesh.unit import Size, detect_unit
 from tests.cathsim.anatomy.generator.drawn_arch import arch_mesh
 
 COARSE = 2e-3

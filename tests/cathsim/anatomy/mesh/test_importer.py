@@ -152,13 +152,13 @@ def test_it_can_be_described_and_a_changed_file_is_refused(
 ):
     path, found = plain
     monkeypatch.setenv("CATHSIM_CACHE", str(cache))
-    told = json.loads(json.dumps(phantom_description(found)))
-    assert phantom_described(told).hash == found.hash
+    description = json.loads(json.dumps(phantom_description(found)))
+    assert phantom_described(description).hash == found.hash
     moved = tmp_path / "arch_0.stl"
     moved.write_bytes(path.read_bytes()[:-1] + b"\x01")
-    told["mesh"]["path"] = str(moved)
+    description["mesh"]["path"] = str(moved)
     with pytest.raises(ValueError, match="phantom 'arch_0' is another than the one described"):
-        phantom_described(told)
+        phantom_described(description)
 
 
 def test_it_is_cached_with_its_report(plain: tuple[Path, Phantom], cache: Path, monkeypatch: pytest.MonkeyPatch):

@@ -11,12 +11,11 @@ import trimesh
 from cathsim.anatomy import MeshRefusedError, SignedDistanceGrid
 from cathsim.anatomy.centreline import LumenPaths, resampled, smoothed
 from cathsim.anatomy.cross_section import wall_distances
-from cathsim.anatomy.mesh.branches import Vessel
-from cathsim.anatomy.mesh.naming import name_vessels, ordered_names, renamed, world_rotation
+from cathsim.anatomy.mesh.branches import RoughVessel
+from cathsim.anatomy.mesh.naming import name_vessels, ordered_names, propose_targets, renamed, world_rotation
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.reading import Triangles, clean_triangles, read_triangles
 from cathsim.anatomy.mesh.samples import SurfaceSamples, nearest_on_triangles, sample_surface
-from cathsim.anatomy.mesh.targets import propose_targets
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 
@@ -110,16 +109,16 @@ def test_cross_sections():
     assert np.abs(np.linalg.norm(ends, axis=-1) - 6e-3).max() < 1e-4
 
 
-def _vessel(start: list[float], end: list[float], radius: float, number: int | None) -> Vessel:
+def _vessel(start: list[float], end: list[float], radius: float, number: int | None) -> RoughVessel:
     points = np.linspace(start, end, 40)
-    return Vessel(points, np.full(40, radius), number)
+    return RoughVessel(points, np.full(40, radius), number)
 
 
-def _arch() -> Vessel:
+def _arch() -> RoughVessel:
     angle = np.linspace(0, np.pi, 60)
     bow = np.stack([0.035 * np.cos(angle), 0 * angle, 0.035 * np.sin(angle)], axis=1)
     down = np.linspace([0.035, 0, -0.1], [0.035, 0, 0], 60)
-    aorta = Vessel(np.concatenate([down, bow]), np.full(120, 0.012), 0)
+    aorta = RoughVessel(np.concatenate([down, bow]), np.full(120, 0.012), 0)
     for x, radius, number in ((0.02, 0.004, 1), (0.0, 0.0035, 2), (-0.02, 0.006, 3)):
         child = _vessel([x, 0, 0.03], [1.5 * x, 0, 0.09], radius, number)
         child.start = 0.1 + 0.035 * (np.arccos(x / 0.035))

@@ -4,8 +4,7 @@ from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
 from cathsim.anatomy.library import PHANTOMS, load_phantom
 from cathsim.anatomy.mesh.importer import import_mesh
-from cathsim.anatomy.mesh.refusal import MeshRefusedError
-from cathsim.anatomy.mesh.report import ImportReport
+from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.anatomy.phantom import Entry, Phantom, Target
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 

@@ -29,10 +29,8 @@ def wall_distances(
     """Distances to the wall along rays within the planes across a vessel.
 
     Args:
-        grid: the lumen.
         points: (n, 3) m, inside it.
         tangents: (n, 3) unit vectors along the vessel.
-        rays: how many, evenly around.
         reach: m at which a ray ends though it met no wall.
 
     Returns:

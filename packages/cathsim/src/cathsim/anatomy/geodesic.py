@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
+from cathsim.anatomy.vessel_tree import VesselTree
 
 MARGIN = 4e-3  # m outside the lumen up to which the field continues its nearest inside value
 _SEED_RADIUS = 2e-3  # m: within this ball about the target the distance is the straight one
@@ -18,7 +18,6 @@ def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> NDArray[np.fl
     """Shortest distance to a target inside the lumen, by fast marching.
 
     Args:
-        grid: the lumen.
         target: (3,) m, world frame, inside the lumen.
 
     Returns:
@@ -91,41 +90,12 @@ def _continue_outwards(field: NDArray[np.float32], farthest: float, grid: Signed
     return field
 
 
-def arc_distance(tree: VesselTree, points: ArrayLike, branch: str, arc: float) -> NDArray[np.float64]:
-    """Distance along the centreline graph from points to a place on a branch.
-
-    Each point is first projected onto the nearest vessel, nearness measured in that vessel's radii.
-
-    Args:
-        tree: the vessels.
-        points: (..., 3) m, world frame.
-        branch: the target's branch.
-        arc: m along that branch.
-
-    Returns:
-        (...,) m.
-    """
-    points = np.asarray(points, dtype=np.float64)
-    flat = points.reshape(-1, 3)
-    best = np.full(len(flat), np.inf)
-    result = np.zeros(len(flat))
-    for candidate in tree:
-        _, at, distance = nearest_on_branch(candidate, flat)
-        relative = distance / candidate.radius_at(at)
-        better = relative < best
-        best[better] = relative[better]
-        result[better] = graph_distance(tree, candidate.name, at[better], branch, arc)
-    return result.reshape(points.shape[:-1])
-
-
 def graph_distance(tree: VesselTree, start: str, start_arc: ArrayLike, branch: str, arc: float) -> NDArray[np.float64]:
     """Arc length of the only way through the centreline graph between two places.
 
     Args:
-        tree: the vessels.
         start: branch of the first place.
         start_arc: (...,) m along it.
-        branch: branch of the second place.
         arc: m along it.
 
     Returns:
@@ -147,7 +117,6 @@ def centreline_path(tree: VesselTree, start: tuple[str, float], end: tuple[str, 
     """Points of the centreline graph from one place to another.
 
     Args:
-        tree: the vessels.
         start: branch and arc length (m) of the first place.
         end: branch and arc length (m) of the second place.
 

@@ -82,7 +82,6 @@ def load_phantom(
     Args:
         name: one of PHANTOMS; "random" or "random_wide" (rare shapes as often as common ones), which need a seed; the
             path of a mesh (STL, OBJ, PLY); or with `parameters` any name of your own.
-        seed: which random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
         parameters: measures of an arch of your own.
@@ -126,23 +125,27 @@ def phantom_description(phantom: Phantom) -> dict[str, Any]:
     Raises:
         ValueError: it was put together by hand.
     """
-    told = {"name": phantom.name, "hash": phantom.hash, "resolution": phantom.grid.spacing}
+    description = {"name": phantom.name, "hash": phantom.hash, "resolution": phantom.grid.spacing}
     if phantom.source is not None:
-        return {**told, "mesh": dict(phantom.source)}
+        return {**description, "mesh": dict(phantom.source)}
     parameters = phantom.parameters
     if parameters is None or phantom_hash(parameters, phantom.grid.spacing) != phantom.hash:
         raise ValueError(
             f"phantom {phantom.name!r} was put together by hand and cannot be written as JSON: load it by its name, "
             "with ArchParameters of your own, or from a mesh's file."
         )
-    return told if NAMED.get(phantom.name) == parameters else {**told, "parameters": dataclasses.asdict(parameters)}
+    return (
+        description
+        if NAMED.get(phantom.name) == parameters
+        else {**description, "parameters": dataclasses.asdict(parameters)}
+    )
 
 
-def phantom_described(told: Mapping[str, Any]) -> Phantom:
+def phantom_described(description: Mapping[str, Any]) -> Phantom:
     """The phantom of a description.
 
     Args:
-        told: from `phantom_description`.
+        description: from `phantom_description`.
 
     Returns:
         The phantom, loaded or built again.
@@ -150,36 +153,36 @@ def phantom_described(told: Mapping[str, Any]) -> Phantom:
     Raises:
         ValueError: it is another by now: a mesh's file, or the generator, has changed.
     """
-    name, resolution = told["name"], told["resolution"]
-    if "mesh" in told:
-        return _described_mesh(told)
-    if "parameters" in told:
-        measures = dict(told["parameters"])
+    name, resolution = description["name"], description["resolution"]
+    if "mesh" in description:
+        return _described_mesh(description)
+    if "parameters" in description:
+        measures = dict(description["parameters"])
         if measures.get("aneurysm") is not None:
             measures["aneurysm"] = Aneurysm(**measures["aneurysm"])
         phantom = _load_arch(name, ArchParameters(**measures), resolution)
     else:
         phantom = _load_arch(name, _parameters_of(name, None), resolution)
-    _require_same(told, phantom.hash)
+    _require_same(description, phantom.hash)
     return phantom
 
 
-def _described_mesh(told: Mapping[str, Any]) -> Phantom:
+def _described_mesh(description: Mapping[str, Any]) -> Phantom:
     from cathsim.anatomy.mesh.importer import import_mesh, mesh_digest
 
-    path, unit, names = (told["mesh"][key] for key in ("path", "unit", "names"))
+    path, unit, names = (description["mesh"][key] for key in ("path", "unit", "names"))
     names = None if names is None else tuple(one if isinstance(one, str) else tuple(one) for one in names)
     # before the import, which takes its time
-    _require_same(told, mesh_digest(Path(path), unit, names, float(told["resolution"])))
+    _require_same(description, mesh_digest(Path(path), unit, names, float(description["resolution"])))
     renamed = dict(names) if names and not isinstance(names[0], str) else names
-    return import_mesh(path, unit=unit, names=renamed, resolution=told["resolution"])
+    return import_mesh(path, unit=unit, names=renamed, resolution=description["resolution"])
 
 
-def _require_same(told: Mapping[str, Any], digest: str) -> None:
-    if digest != told["hash"]:
+def _require_same(description: Mapping[str, Any], digest: str) -> None:
+    if digest != description["hash"]:
         raise ValueError(
-            f"phantom {told['name']!r} is another than the one described (hash {digest} instead of {told['hash']}): "
-            "its mesh or the generator of arches has changed since."
+            f"phantom {description['name']!r} is another than the one described (hash {digest} instead of "
+            f"{description['hash']}): its mesh or the generator of arches has changed since."
         )
 
 
@@ -205,7 +208,6 @@ def build_phantom(name: str, parameters: ArchParameters, *, resolution: float = 
     """Builds a phantom without any cache.
 
     Args:
-        name: its name.
         parameters: the arch's measures.
         resolution: m between lattice points.
 

@@ -28,7 +28,6 @@ def build_lumen(tree: VesselTree, *, resolution: float, fillet_radius: float) ->
     the ostia, and the result is rescaled to unit slope near the wall. Open ends are closed by flat caps.
 
     Args:
-        tree: the vessels.
         resolution: m between lattice points.
         fillet_radius: m, rounding at ostia.
 

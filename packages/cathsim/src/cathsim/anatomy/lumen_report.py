@@ -11,8 +11,8 @@ from cathsim.anatomy.cross_section import wall_distances
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.geodesic import centreline_path
 from cathsim.anatomy.phantom import ENTRY_DEPTH, Phantom
+from cathsim.presets import WIRE_RADIUS
 
-WIRE_RADIUS = 0.45e-3  # m
 _SPECK = 8  # lattice points: what is smaller is rounding at an edge, not a chamber
 
 
@@ -60,12 +60,8 @@ def check_lumen(phantom: Phantom, *, required_radius: float = 2e-3, wire_radius:
     """Checks a lumen on its distance grid.
 
     Args:
-        phantom: what to check.
         required_radius: m, the least distance from centreline to wall on the way to any target.
         wire_radius: m, clearance at which the lumen must hang together.
-
-    Returns:
-        The findings.
     """
     from scipy.ndimage import label
 

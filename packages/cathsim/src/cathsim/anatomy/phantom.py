@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid, sample_trilinear
 from cathsim.anatomy.generator.arch_parameters import ArchParameters
-from cathsim.anatomy.geodesic import arc_distance, geodesic_field, graph_distance
+from cathsim.anatomy.geodesic import geodesic_field, graph_distance
 from cathsim.anatomy.point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
 from cathsim.anatomy.vessel_tree import VesselTree
 
@@ -142,9 +142,6 @@ class Phantom:
         Args:
             wanted: one of `targets`, or (3,) m, world frame, inside the lumen.
 
-        Returns:
-            The target.
-
         Raises:
             ValueError: for an unknown name, listing the valid ones; for a point outside the lumen.
         """
@@ -163,9 +160,6 @@ class Phantom:
 
         Args:
             name: one of `entries`.
-
-        Returns:
-            The entry.
 
         Raises:
             ValueError: for an unknown name, listing the valid ones.
@@ -210,19 +204,6 @@ class Phantom:
         """
         return sample_trilinear(self.geodesic_field(target), self.grid.origin, self.grid.spacing, points)
 
-    def centreline_distance(self, points: ArrayLike, target: TargetLike) -> NDArray[np.float64]:
-        """Arc length from points, projected onto the nearest vessel, to a target through the centreline graph.
-
-        Args:
-            points: (..., 3) m, world frame.
-            target: one of `targets`, or a point in the lumen, (3,) m.
-
-        Returns:
-            (...,) m.
-        """
-        place = self.target(target)
-        return arc_distance(self.tree, points, place.branch, place.arc)
-
     def way_length(self, target: TargetLike, entry: str = "descending") -> float:
         """Arc length from an entry to a target along the centrelines, and from there to the target itself.
 
@@ -264,9 +245,6 @@ class Phantom:
 
 def locate_targets(tree: VesselTree) -> dict[str, Target]:
     """Targets of an aortic arch, on the centrelines, at the distances of TARGET_DISTANCE.
-
-    Args:
-        tree: the vessels.
 
     Returns:
         Targets by name; those whose branch is missing or too short are left out.

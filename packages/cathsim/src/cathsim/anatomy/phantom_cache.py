@@ -12,6 +12,7 @@ import logging
 import os
 import tempfile
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from zipfile import BadZipFile
@@ -27,7 +28,7 @@ from cathsim.anatomy.phantom import Entry, Phantom, Target
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 logger = logging.getLogger(__name__)
-_DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexError, NotImplementedError, zlib.error)
+DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexError, NotImplementedError, zlib.error)
 
 
 def default_cache_directory() -> Path:
@@ -41,6 +42,30 @@ def default_cache_directory() -> Path:
         return Path(chosen).expanduser()
     base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"
     return Path(base).expanduser() / "cathsim"
+
+
+def write_archive(path: Path, arrays: dict[str, NDArray], what: str, *, compressed: bool = False) -> None:
+    """Writes arrays atomically as one .npz file; a folder that cannot be written to only costs a warning.
+
+    Args:
+        path: of the file; its folder is made.
+        what: subject and verb of the warning, such as "the hulls are".
+    """
+    temporary = None
+    save: Callable[..., None] = np.savez_compressed if compressed else np.savez
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".building-", suffix=".npz", delete=False) as file:
+            temporary = file.name
+            save(file, **arrays)
+        os.replace(temporary, path)
+        temporary = None
+    except OSError as error:
+        logger.warning("%s not cached: %s cannot be written (%s).", what, path.parent, error)
+    finally:
+        if temporary is not None:  # also after an interruption
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
 
 
 @dataclass(frozen=True)
@@ -68,8 +93,6 @@ class PhantomCache:
         """Reads a phantom; its geodesic fields are read at first use.
 
         Args:
-            name: name to give it.
-            digest: its hash.
             parameters: its measures, None for a mesh's.
 
         Returns:
@@ -88,7 +111,7 @@ class PhantomCache:
                 values[near] = file["distance"]
                 grid = SignedDistanceGrid(values, np.array(meta["origin"]), meta["spacing"])
                 points, radius = file["points"], file["radius"]
-        except _DAMAGE as error:
+        except DAMAGE as error:
             logger.warning("cached phantom %s is damaged (%s) and is built anew.", path, error)
             return None
         branches, start = [], 0
@@ -118,9 +141,6 @@ class PhantomCache:
         """Writes a phantom with its geodesic fields; a directory that cannot be written to only costs a warning.
 
         Fields of targets at open ends are left out: they are computed at first use.
-
-        Args:
-            phantom: what to store.
         """
         grid = phantom.grid
         outside = float(grid.values.min())
@@ -166,21 +186,7 @@ class PhantomCache:
             values = phantom.geodesic_field(target)
             arrays[f"geodesic_{target}"] = values[marched]
             arrays[f"farthest_{target}"] = values.max()
-        path = self.path(phantom.hash)
-        temporary = None
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".building-", suffix=".npz", delete=False) as file:
-                temporary = file.name
-                np.savez(file, **arrays)  # type: ignore[arg-type]
-            os.replace(temporary, path)
-            temporary = None
-        except OSError as error:
-            logger.warning("phantom %s is not cached: %s cannot be written (%s).", phantom.name, path.parent, error)
-        finally:
-            if temporary is not None:  # also after an interruption
-                with contextlib.suppress(OSError):
-                    os.unlink(temporary)
+        write_archive(self.path(phantom.hash), arrays, f"phantom {phantom.name} is")
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +203,7 @@ class _FieldReader:
                     return None
                 values = np.full(self.grid.shape, file[f"farthest_{target}"], dtype=np.float32)
                 values[_marched(self.grid)] = file[f"geodesic_{target}"]
-        except _DAMAGE as error:
+        except DAMAGE as error:
             logger.warning("geodesic field %s in %s is damaged (%s) and is computed anew.", target, self.path, error)
             return None
         return values

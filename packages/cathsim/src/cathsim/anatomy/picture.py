@@ -27,12 +27,8 @@ def draw_phantom(phantom: Phantom, path: Path | None = None, *, pixel: float = 5
     """Draws a phantom from the front, the left anterior oblique and the left.
 
     Args:
-        phantom: what to draw.
         path: PNG file to write, or None for the figure only.
         pixel: m per picture element.
-
-    Returns:
-        The figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

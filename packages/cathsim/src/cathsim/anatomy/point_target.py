@@ -50,8 +50,6 @@ def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str) -> None
 
     Args:
         point: m, world frame.
-        grid: of the lumen.
-        phantom: its name.
 
     Raises:
         ValueError: says where the nearest place inside the lumen is.
@@ -76,7 +74,6 @@ def nearest_branch(point: Point, tree: VesselTree) -> tuple[str, float, float]:
 
     Args:
         point: m, world frame.
-        tree: the vessels.
 
     Returns:
         The branch, nearness measured in the vessels' radii; the arc length along it, m; the distance from its

@@ -22,7 +22,6 @@ def lumen_surface(grid: SignedDistanceGrid, *, level: float = 0.0) -> trimesh.Tr
     """Surface at a distance from the wall, by marching cubes.
 
     Args:
-        grid: the lumen.
         level: m, positive inside the lumen; 0 is the wall itself.
 
     Returns:
@@ -44,9 +43,6 @@ def lumen_surface(grid: SignedDistanceGrid, *, level: float = 0.0) -> trimesh.Tr
 def open_ends(tree: VesselTree) -> list[tuple[Array, Array, float]]:
     """Flat openings of a vessel tree.
 
-    Args:
-        tree: the vessels.
-
     Returns:
         For each opening its centre (3,) m, unit normal (3,) out of the vessel, and radius m.
     """
@@ -60,7 +56,6 @@ def wall_surface(grid: SignedDistanceGrid, tree: VesselTree, thickness: float) -
     """The vessel wall as a solid of even thickness, cut open at the ends.
 
     Args:
-        grid: the lumen.
         tree: the vessels, which tell where the ends are.
         thickness: m.
 

@@ -172,9 +172,6 @@ class VesselTree:
     def ancestry(self, name: str) -> tuple[str, ...]:
         """Names from the root down to a branch, both included.
 
-        Args:
-            name: a branch of this tree.
-
         Returns:
             Names, root first.
         """
@@ -188,9 +185,6 @@ class VesselTree:
 
         Args:
             offset: (3,) m, world frame.
-
-        Returns:
-            A new tree.
         """
         offset = np.asarray(offset, dtype=np.float64)
         return VesselTree(
@@ -203,9 +197,6 @@ class VesselTree:
         """Arc length at which a branch leaves the lumen of its parent.
 
         A branch that continues its parent's end (a bifurcation) leaves it at zero.
-
-        Args:
-            name: a branch of this tree.
 
         Returns:
             Arc length along that branch, m; zero for the root.
@@ -226,9 +217,6 @@ class VesselTree:
     def ostium(self, name: str) -> Array:
         """Centre of a branch's ostium, where its centreline leaves the parent's lumen.
 
-        Args:
-            name: a branch of this tree.
-
         Returns:
             (3,) m, world frame.
         """
@@ -239,7 +227,6 @@ def nearest_on_branch(branch: Branch, points: ArrayLike) -> tuple[Array, Array, 
     """Nearest centreline point of one branch, by projection onto its segments.
 
     Args:
-        branch: the branch.
         points: (m, 3) m, world frame.
 
     Returns:

@@ -29,10 +29,6 @@ class Drag:
     1/2 rho d 5.4 sqrt(nu/d) sqrt(u) v, the boundary layer of the flow across. Across, the sum lies within
     5 % of White's fit of measurements, 1 + 10 Re^(-2/3), from Re = 60 to 1000, and up to 22 % below it down to Re = 1.
 
-    Args:
-        field: the blood.
-        wire: the guidewire.
-
     Source: Cox (1970), Journal of Fluid Mechanics 44, 791-810 (slender body); Taylor (1952), Proceedings of the Royal
         Society A 214, 158-183 (oblique cylinder, Re 20 to 10^5); White (2006), Viscous Fluid Flow (fit).
     """

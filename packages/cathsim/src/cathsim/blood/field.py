@@ -34,7 +34,6 @@ class BloodField:
     """Velocity of the blood in a phantom, by place and time.
 
     Args:
-        phantom: the vessels.
         flow: what the heart drives through them.
 
     Attributes:
@@ -97,7 +96,6 @@ class BloodField:
         """Share of the root's flow that a vessel carries at a place.
 
         Args:
-            branch: its name.
             arc: (...,) m along it.
 
         Returns:

@@ -108,13 +108,9 @@ def picture(phantom: Phantom, path: Path | None = None, *, flow: BloodFlow | Non
     """Draws the flow: the field from the front, the flow of the open ends over a beat, profiles in the aorta.
 
     Args:
-        phantom: the vessels.
         path: PNG file to write, or None for the figure only.
         flow: by default the pulsatile one.
         time: of the field, s; the default is about peak systole.
-
-    Returns:
-        The figure.
     """
     from cathsim.blood.field import blood_field
     from cathsim.blood.picture import draw_flow

@@ -27,11 +27,7 @@ def draw_flow(field: BloodField, time: float) -> Figure:
     """Draws a flow.
 
     Args:
-        field: the blood in a phantom.
         time: of the field's picture, s.
-
-    Returns:
-        The figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -50,7 +46,6 @@ def frontal_field(field: BloodField, time: float) -> tuple[Array, Array, Array]:
     """The velocity seen from the front: along each line of sight that of the fastest point.
 
     Args:
-        field: the blood in a phantom.
         time: s.
 
     Returns:

@@ -45,11 +45,7 @@ class VesselArena(composer.Entity):
         return self._model
 
     def show(self, phantom: Phantom) -> None:
-        """Adds what a renderer needs: the lumen's surface, translucent, and a camera "frontal" that sees all of it.
-
-        Args:
-            phantom: whose lumen it is.
-        """
+        """Adds what a renderer needs: the lumen's surface, translucent, and a camera "frontal" that sees all of it."""
         root, bounds = self._model, phantom.bounds
         root.visual.headlight.set_attributes(ambient=[0.45] * 3, diffuse=[0.55] * 3)
         root.visual.map.set_attributes(znear=0.01, zfar=10.0)
@@ -79,8 +75,6 @@ def set_controls(physics: mjcf.Physics, actuators: list[mjcf.Element], values: n
     """Sets controls without marking the physics as changed: that would cost a forward pass at the next look.
 
     Args:
-        physics: whose actuators they are.
-        actuators: n of them.
         values: shape (n,), in the unit of each actuator's control.
     """
     physics.data.ctrl[physics.bind(actuators).element_id] = values
@@ -140,7 +134,6 @@ class Feeder(composer.Entity):
         """Sets the target of the coming control step; it never runs further ahead than the force limit can use.
 
         Args:
-            physics: whose wire is moved.
             translation: m.
             rotation: rad.
         """
@@ -154,7 +147,6 @@ class Feeder(composer.Entity):
         """Sets the servos for a substep.
 
         Args:
-            physics: whose wire is moved.
             share: of the control step that has passed at the substep's end, 0 to 1.
         """
         set_controls(physics, self.servos, self._from + share * (self._to - self._from))
@@ -180,12 +172,7 @@ class GuidewireObservables(composer.Observables):
 
 
 class GuidewireEntity(composer.Entity):
-    """The wire: a chain of capsules, with motors in its tip if the model has any.
-
-    Args:
-        model: MJCF of the links.
-        wire: its mechanics.
-    """
+    """The wire: a chain of capsules, with motors in its tip if the model has any."""
 
     def _build(self, model: mjcf.RootElement, wire: Guidewire) -> None:
         self._model, self.wire = model, wire
@@ -206,7 +193,6 @@ class GuidewireEntity(composer.Entity):
         """Sets the tip's motors.
 
         Args:
-            physics: whose wire is bent.
             shares: of the motors' range, -1 to 1. Shape (motors,).
         """
         set_controls(physics, self.motors, shares * np.asarray(physics.bind(self.motors).ctrlrange)[:, 1])

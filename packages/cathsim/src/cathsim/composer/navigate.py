@@ -33,9 +33,6 @@ class NavigateTask(composer.Task):
     The two agree within millimetres, not bit for bit.
 
     Args:
-        phantom: the vessel.
-        wire: the guidewire.
-        task: what an episode asks for.
         entry: name of the phantom's entry.
         tip_motors: 21 actions instead of two.
         image_size: side of the fluoroscopic image, px.
@@ -215,8 +212,6 @@ def load(
         wire: a preset's name or a `Guidewire`.
         actions: "feeder" (translation, rotation) or "tip_motors" (20 motors, translation).
         image_size: side of the fluoroscopic image, px.
-        numerics: time stepping.
-        phantom_seed: of the random phantom.
         visual: with the lumen's surface and a camera for `environment.physics.render(camera_id="frontal")`.
         task: the task, a `NavigationTask` or of a subclass.
         task_fields: fields of the task, over its own: success_radius, max_steps, start_jitter, start_rotation, reward,

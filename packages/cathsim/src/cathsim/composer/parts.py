@@ -34,8 +34,6 @@ def model_parts(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_moto
 
     Args:
         vessel: lumen and sheath; must outlive every Physics made of the parts.
-        wire: its mechanics.
-        numerics: timestep and mass scale.
         tip_motors: with motors in the tip's joints.
     """
     spec = model_spec(vessel, wire, numerics, tip_motors=tip_motors)

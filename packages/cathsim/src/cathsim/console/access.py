@@ -10,11 +10,7 @@ from urllib.parse import urlsplit
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host name means this machine alone.
-
-    Args:
-        host: a name or an address.
-    """
+    """Whether a host name means this machine alone."""
     if host == "localhost":
         return True
     try:
@@ -38,7 +34,6 @@ class Access:
 
         Args:
             headers: of the request, names in lower case.
-            token: what it carries.
 
         Returns:
             One sentence; "" lets it in.

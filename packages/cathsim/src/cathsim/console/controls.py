@@ -57,11 +57,7 @@ class ControlPanel:
         self._heard = -math.inf
 
     def set(self, controls: Controls) -> None:
-        """Takes a reading.
-
-        Args:
-            controls: what is pressed now.
-        """
+        """Takes a reading."""
         with self._lock:
             if controls.pressed:
                 self._tapped = controls

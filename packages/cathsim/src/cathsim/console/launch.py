@@ -29,11 +29,7 @@ def parser(prog: str, *, folder: Path | None) -> argparse.ArgumentParser:
     """The command line.
 
     Args:
-        prog: name of the program.
         folder: where episodes go by default; None where the program chooses it by other means.
-
-    Returns:
-        The parser.
     """
     arguments = argparse.ArgumentParser(
         prog=prog, description="Steer the guidewire in the browser: keyboard, gamepad or touch."
@@ -57,11 +53,7 @@ def listen(host: str, port: int) -> socket.socket:
     """Takes a port before anything slow is done.
 
     Args:
-        host: name or address.
         port: 0 takes a free one.
-
-    Returns:
-        The bound socket.
 
     Raises:
         LaunchError: it is in use, not allowed, or the address is not this machine's.
@@ -96,8 +88,6 @@ def address_of(host: str, port: int, token: str | None) -> str:
     """What the operator opens.
 
     Args:
-        host: that the console listens on.
-        port: likewise.
         token: or None.
     """
     shown = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
@@ -124,7 +114,6 @@ def start(options: argparse.Namespace, factory: Any, folder: Path) -> int:
     Args:
         options: as `parser` gives them.
         factory: makes a recorder of a folder.
-        folder: where episodes go.
 
     Returns:
         The exit code: 0, or 1 with one sentence on the standard error.

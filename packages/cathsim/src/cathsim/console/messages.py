@@ -21,12 +21,7 @@ def frame_message(header: Mapping[str, Any], points: np.ndarray, jpeg: bytes) ->
     """Packs a picture.
 
     Args:
-        header: state and numbers to show.
         points: the wire's, m, world frame. Shape (n, 3).
-        jpeg: the fluoroscopic image.
-
-    Returns:
-        The message.
     """
     text = json.dumps({**header, "points": len(points)}).encode()
     text += b" " * (-len(text) % 4)
@@ -40,9 +35,6 @@ def surface_message(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray
         vertices: m, world frame. Shape (v, 3).
         normals: out of the lumen. Shape (v, 3).
         faces: indices of vertices. Shape (f, 3).
-
-    Returns:
-        The message.
     """
     head = SURFACE_MAGIC + struct.pack("<II", len(vertices), len(faces))
     return b"".join(

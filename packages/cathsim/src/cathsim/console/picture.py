@@ -38,9 +38,6 @@ class FluoroscopyMonitor:
 
         Args:
             points: ends of its links from the tip to the proximal end, m, world frame. Shape (n, 3).
-
-        Returns:
-            A grey JPEG.
         """
         self._renderer.render_into(outside_sheath(points, self._vessel), self._image, None)
         stream = io.BytesIO()
@@ -49,9 +46,6 @@ class FluoroscopyMonitor:
 
     def mark(self, task: NavigationTask) -> dict[str, Any]:
         """Where the target lies in the image.
-
-        Args:
-            task: with the target.
 
         Returns:
             `pixel` [u, v] and `radius` of the sphere of success, px.
@@ -63,11 +57,7 @@ class FluoroscopyMonitor:
 
 
 def surface_of(phantom: Phantom) -> bytes:
-    """The lumen's surface for the 3-D view, as a message.
-
-    Args:
-        phantom: the vessel.
-    """
+    """The lumen's surface for the 3-D view, as a message."""
     grid = phantom.grid
     coarse = SignedDistanceGrid(grid.values[::_STRIDE, ::_STRIDE, ::_STRIDE], grid.origin, grid.spacing * _STRIDE)
     mesh = lumen_surface(coarse)

@@ -47,7 +47,6 @@ class Procedure:
     Args:
         environment: with contact info; the procedure resets it.
         recorder: keeps the episode, or None.
-        seed: of the reset.
 
     Attributes:
         samples: one a control step, from the reset on.
@@ -174,8 +173,6 @@ def between(earlier: Sample, later: Sample, share: float) -> np.ndarray:
     """The wire between two samples, for display only: a control step is shown in several pictures.
 
     Args:
-        earlier: the sample before.
-        later: the sample after.
         share: 0 gives the earlier, 1 the later one.
 
     Returns:

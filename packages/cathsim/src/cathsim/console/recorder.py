@@ -6,7 +6,7 @@ import json
 import logging
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -57,14 +57,10 @@ class Recorder(Protocol):
         ...
 
 
-RecorderFactory = Callable[[Path], Recorder]
-
-
 def episode_path(folder: Path, phantom: str, target: str, suffix: str) -> Path:
     """The next free file of a task: `<folder>/<phantom>/<target>/<NNN><suffix>`.
 
     Args:
-        folder: of all recordings.
         phantom: the task's.
         target: the task's.
         suffix: with its dot, e.g. ".npz".
@@ -101,9 +97,6 @@ class NpzRecorder:
 
     Arrays: action (T, 2), reward (T,), tip (T + 1, 3) m, wire_points (T + 1, n, 3) m, force (T + 1, 3) N, insertion
     (T + 1,) m, rotation (T + 1,) rad; `description` is JSON: operator, phantom and its hash, task, seed, metrics.
-
-    Args:
-        folder: where the episodes go.
     """
 
     default_folder = Path("console_episodes")

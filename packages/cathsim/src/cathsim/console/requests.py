@@ -71,12 +71,6 @@ def read_request(text: str) -> dict[str, Any]:
 def check_request(request: Mapping[str, Any]) -> dict[str, Any]:
     """Checks a request that did not come as JSON.
 
-    Args:
-        request: its type and fields.
-
-    Returns:
-        It.
-
     Raises:
         ValueError: it is no request; one sentence says why.
     """

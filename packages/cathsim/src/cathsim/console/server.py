@@ -142,7 +142,6 @@ def create_app(loop: RealTimeLoop, desk: Desk, access: Access) -> FastAPI:
     Args:
         loop: started and stopped with the application.
         desk: the loop's page.
-        access: who is let in.
 
     Returns:
         The application; `/` is the page, `/ws` the websocket.

@@ -79,11 +79,8 @@ class RealTimeLoop(threading.Thread):
     """Runs procedures for one operator.
 
     Args:
-        setup: what to begin with.
-        page: what the operator looks at.
         recorder: keeps the episodes, or None.
         note: what the page says about recording.
-        phantoms: that the operator may choose.
 
     Raises:
         ValueError: the phantom, target, wire or accuracy is unknown.

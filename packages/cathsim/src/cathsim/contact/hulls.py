@@ -6,19 +6,14 @@ solid with a hole, whose convex parts close the hole.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import logging
-import os
-import tempfile
 import time
-import zlib
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
-from zipfile import BadZipFile
 
 import numpy as np
 from annotated_types import Interval
@@ -26,7 +21,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.phantom_cache import default_cache_directory
+from cathsim.anatomy.phantom_cache import DAMAGE, default_cache_directory, write_archive
 from cathsim.anatomy.surface import MAXIMUM_WALL, wall_surface
 from cathsim.validation import Count, Unit, settings
 
@@ -39,7 +34,6 @@ DECOMPOSITION_VERSION = 1  # raise it whenever the same settings give other hull
 CONTACTS = ("sdf", "hulls")  # backends for contact between wire and wall
 # CoACD's search, made three times as fast as by default at the same fit (see benchmarks/cathsim/hulls.py)
 SAMPLES, CUTS, DEPTH = 1000, 10, 2
-_DAMAGE = (BadZipFile, OSError, ValueError, KeyError, EOFError, IndexError, NotImplementedError, zlib.error)
 
 
 @settings
@@ -101,8 +95,6 @@ def wall_hulls(phantom: Phantom, settings: Decomposition | None = None, *, cache
     """The convex hulls of a phantom's wall, from the disk cache or by decomposing it, which takes minutes.
 
     Args:
-        phantom: the vessel.
-        settings: how finely.
         cache_dir: by default that of phantoms.
 
     Returns:
@@ -203,30 +195,16 @@ def _read(path: Path) -> list[Hull] | None:
             start = end
         if not hulls:
             raise ValueError("it is empty")
-    except _DAMAGE as error:
+    except DAMAGE as error:
         logger.warning("cached hulls %s are damaged (%s) and are built anew.", path, error)
         return None
     return hulls
 
 
 def _write(path: Path, hulls: list[Hull]) -> None:
-    """Writes hulls atomically; a directory that cannot be written to only costs a warning."""
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".building-", suffix=".npz", delete=False) as file:
-            temporary = file.name
-            np.savez_compressed(
-                file,
-                vertices=np.concatenate([hull.vertices for hull in hulls]),
-                faces=np.concatenate([hull.faces for hull in hulls]),
-                ends=np.cumsum([(len(hull.vertices), len(hull.faces)) for hull in hulls], axis=0),
-            )
-        os.replace(temporary, path)
-        temporary = None
-    except OSError as error:
-        logger.warning("the hulls are not cached: %s cannot be written (%s).", path.parent, error)
-    finally:
-        if temporary is not None:  # also after an interruption
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
+    arrays = {
+        "vertices": np.concatenate([hull.vertices for hull in hulls]),
+        "faces": np.concatenate([hull.faces for hull in hulls]),
+        "ends": np.cumsum([(len(hull.vertices), len(hull.faces)) for hull in hulls], axis=0),
+    }
+    write_archive(path, arrays, "the hulls are", compressed=True)

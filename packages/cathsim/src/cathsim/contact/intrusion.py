@@ -44,10 +44,8 @@ def wall_fit(phantom: Phantom, hulls: Sequence[Hull], *, samples: int = 4000, se
     """Compares hulls with the wall along the normals of points drawn evenly from the lumen's surface.
 
     Args:
-        phantom: with the true wall.
         hulls: m, world frame.
         samples: number of points before those at open ends are left out.
-        seed: of the draw.
     """
     points, inward = _wall_samples(phantom, samples, seed)
     depths = np.arange(1, round(REACH / STEP) + 1) * STEP

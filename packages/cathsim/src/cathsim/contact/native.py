@@ -6,6 +6,7 @@ import ctypes
 import functools
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,6 +19,10 @@ LAYOUT_FIELDS = (
 )
 
 
+def _fields(kind: Any, *names: str) -> tuple[tuple[str, Any], ...]:
+    return tuple((name, kind) for name in names)
+
+
 class Engine(ctypes.Structure):
     """MuJoCo functions that the native code calls (struct Engine of step.h)."""
 
@@ -28,22 +33,12 @@ class SimulationStruct(ctypes.Structure):
     """One simulation (struct Simulation of step.h)."""
 
     _fields_ = (
-        ("model", ctypes.c_void_p),
-        ("fine", ctypes.c_void_p),
-        ("finest", ctypes.c_void_p),
-        ("data", ctypes.c_void_p),
-        ("saved", ctypes.c_void_p),
-        ("vessel_geom", ctypes.c_int),
-        ("hulls", ctypes.c_int),
-        ("first_geom", ctypes.c_int),
-        ("last_geom", ctypes.c_int),
-        ("refinement", ctypes.c_int),
-        ("tolerance", ctypes.c_double),
-        ("rise", ctypes.c_double),
-        ("depth_samples", ctypes.c_int),
-        ("depth", ctypes.c_double),
-        ("drag", ctypes.c_void_p),
-        ("loads", ctypes.c_void_p),
+        *_fields(ctypes.c_void_p, "model", "fine", "finest", "data", "saved"),
+        *_fields(ctypes.c_int, "vessel_geom", "hulls", "first_geom", "last_geom", "refinement"),
+        *_fields(ctypes.c_double, "tolerance", "rise"),
+        *_fields(ctypes.c_int, "depth_samples"),
+        *_fields(ctypes.c_double, "depth"),
+        *_fields(ctypes.c_void_p, "drag", "loads"),
     )
 
 
@@ -51,17 +46,12 @@ class BloodStruct(ctypes.Structure):
     """A velocity field of blood (struct Blood of blood.h)."""
 
     _fields_ = (
-        ("size", ctypes.c_int * 3),
-        ("origin", ctypes.c_double * 3),
-        ("inverse", ctypes.c_double),
-        ("nodes", ctypes.c_void_p),
-        ("samples", ctypes.c_void_p),
-        ("table", ctypes.c_void_p),
-        ("phases", ctypes.c_int),
-        ("rows", ctypes.c_int),
-        ("columns", ctypes.c_int),
-        ("frequency", ctypes.c_double),
-        ("start", ctypes.c_double),
+        *_fields(ctypes.c_int * 3, "size"),
+        *_fields(ctypes.c_double * 3, "origin"),
+        *_fields(ctypes.c_double, "inverse"),
+        *_fields(ctypes.c_void_p, "nodes", "samples", "table"),
+        *_fields(ctypes.c_int, "phases", "rows", "columns"),
+        *_fields(ctypes.c_double, "frequency", "start"),
     )
 
 
@@ -69,13 +59,9 @@ class DragStruct(ctypes.Structure):
     """Drag of blood on a wire (struct Drag of blood.h)."""
 
     _fields_ = (
-        ("blood", ctypes.c_void_p),
-        ("across_viscous", ctypes.c_double),
-        ("along_viscous", ctypes.c_double),
-        ("across_layer", ctypes.c_double),
-        ("along_layer", ctypes.c_double),
-        ("across_inertial", ctypes.c_double),
-        ("spacing", ctypes.c_double),
+        *_fields(ctypes.c_void_p, "blood"),
+        *_fields(ctypes.c_double, "across_viscous", "along_viscous", "across_layer", "along_layer"),
+        *_fields(ctypes.c_double, "across_inertial", "spacing"),
     )
 
 
@@ -83,13 +69,9 @@ class StepSummary(ctypes.Structure):
     """What one control step reports (struct StepSummary of step.h)."""
 
     _fields_ = (
-        ("force", ctypes.c_double * 3),
-        ("force_max", ctypes.c_double),
-        ("force_mean", ctypes.c_double),
-        ("penetration_max", ctypes.c_double),
-        ("contacts", ctypes.c_int),
-        ("refined", ctypes.c_int),
-        ("warnings", ctypes.c_int),
+        *_fields(ctypes.c_double * 3, "force"),
+        *_fields(ctypes.c_double, "force_max", "force_mean", "penetration_max"),
+        *_fields(ctypes.c_int, "contacts", "refined", "warnings"),
     )
 
 
@@ -137,15 +119,8 @@ def library() -> ctypes.CDLL:
             f"cathsim's native code was built for MuJoCo {built} and {running} is running: "
             "reinstall cathsim with 'pip install --force-reinstall --no-deps ./packages/cathsim'"
         )
-    native.cathsim_vessel_register.argtypes = (
-        [ctypes.c_void_p] * 2
-        + [ctypes.c_double]
-        + [ctypes.c_void_p] * 3
-        + [
-            ctypes.c_double,
-            ctypes.c_double,
-        ]
-    )
+    pointer, number = ctypes.c_void_p, ctypes.c_double
+    native.cathsim_vessel_register.argtypes = (*2 * (pointer,), number, *3 * (pointer,), *2 * (number,))
     native.cathsim_vessel_distances.argtypes = [ctypes.c_int, ctypes.c_int] + [ctypes.c_void_p] * 3
     native.cathsim_penetration.restype = ctypes.c_double
     table = ctypes.c_void_p.in_dll(mujoco_library(), "mjCOLLISIONFUNC")

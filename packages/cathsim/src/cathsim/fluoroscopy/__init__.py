@@ -10,12 +10,12 @@ from cathsim.fluoroscopy.body import THORAX, WATER_BATH, Box, Ellipsoid
 from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera, askew_pair, clinical_pair, guide3d_pair
 from cathsim.fluoroscopy.calibration_file import read_projection, write_calibration
 from cathsim.fluoroscopy.detector import Detector, quantum_noise
-from cathsim.fluoroscopy.distortion import Distortion
+from cathsim.fluoroscopy.distortion import DetectorDistortion
 from cathsim.fluoroscopy.materials import Section, WireMaterial, coil_tipped_wire, jacketed_wire, wire_material
 from cathsim.fluoroscopy.projector import VIEWS, Projector
 from cathsim.fluoroscopy.radiograph import Radiograph, expose_depth, radiograph
 from cathsim.fluoroscopy.renderer import FluoroscopyRenderer
-from cathsim.fluoroscopy.scene import SCENES, Scene, scene
+from cathsim.fluoroscopy.scene import SCENES, XRayScene, scene
 
 __all__ = [
     "PAIRS",
@@ -26,16 +26,16 @@ __all__ = [
     "BiplaneFluoroscope",
     "Box",
     "Detector",
-    "Distortion",
+    "DetectorDistortion",
     "Ellipsoid",
     "FluoroscopyRenderer",
     "Frame",
     "Projector",
     "Radiograph",
-    "Scene",
     "Section",
     "WireMaterial",
     "XRayCamera",
+    "XRayScene",
     "askew_pair",
     "background_image",
     "clinical_pair",

@@ -52,8 +52,6 @@ def lumen_path_length(
     """Length of every pixel's ray inside the lumen.
 
     Args:
-        grid: signed distance to the wall.
-        projector: the camera.
         level: m; where the distance exceeds it counts as inside, so a negative one adds a wall of that thickness.
         samples: rays along each side of a pixel, averaged; by default enough for smooth edges.
 
@@ -122,7 +120,6 @@ def background_image(
 
     Args:
         grid: signed distance to the vessel's wall.
-        projector: the camera.
         contrast: 1/m, what the contrast agent adds to the lumen's attenuation.
         body: solids around the vessels, placed about the grid's centre.
         key: content hash of the phantom; images of the same key, camera and settings are computed once a process.
@@ -132,26 +129,25 @@ def background_image(
     """
     if key is None:
         return _background(grid, projector, contrast, body)
-    return _cached_background(_Keyed((key, projector.key, contrast, body), grid, projector))
+    return _cached_background(Keyed((key, projector.key, contrast, body), grid, projector, contrast, body))
 
 
-class _Keyed:
-    """A background to be made, told from others by its key alone."""
+class Keyed:
+    """Arguments of a cached function of which the key alone is compared."""
 
-    def __init__(self, key: tuple[Any, ...], grid: DistanceGrid, projector: Projector) -> None:
-        self.key, self.grid, self.projector = key, grid, projector
+    def __init__(self, key: tuple[Any, ...], *arguments: Any) -> None:
+        self.key, self.arguments = key, arguments
 
     def __hash__(self) -> int:
         return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Keyed) and self.key == other.key
+        return isinstance(other, Keyed) and self.key == other.key
 
 
 @lru_cache(maxsize=64)
-def _cached_background(wanted: _Keyed) -> NDArray[np.float32]:
-    *_, contrast, body = wanted.key
-    return _background(wanted.grid, wanted.projector, contrast, body)
+def _cached_background(wanted: Keyed) -> NDArray[np.float32]:
+    return _background(*wanted.arguments)
 
 
 def _background(

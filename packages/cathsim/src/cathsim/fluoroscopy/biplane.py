@@ -14,9 +14,9 @@ from cathsim.fluoroscopy.attenuation import DistanceGrid
 from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera
 from cathsim.fluoroscopy.materials import WireMaterial, jacketed_wire
 from cathsim.fluoroscopy.radiograph import Radiograph, radiograph
-from cathsim.fluoroscopy.renderer import WIRE_RADIUS
-from cathsim.fluoroscopy.scene import Scene, scene
-from cathsim.fluoroscopy.wire_shadow import WireInk
+from cathsim.fluoroscopy.scene import XRayScene, scene
+from cathsim.fluoroscopy.wire_shadow import WireShadow
+from cathsim.presets import WIRE_RADIUS
 
 MAXIMUM_SIZE = 4096  # px
 _NORMALS = 4096
@@ -31,7 +31,7 @@ class Frame(NamedTuple):
     """(height, width), 1 on the wire; in the same distorted pixels as the image"""
 
 
-class Anatomy(Protocol):
+class ImagedPhantom(Protocol):
     """What a phantom has to offer."""
 
     @property
@@ -76,7 +76,6 @@ class BiplaneFluoroscope:
     Args:
         cameras: the cameras; their names are the keys of what `render` returns.
         radiographs: what each expects of the scene.
-        material: of the wire.
         centre: (3,) m, the middle of where the wire will be.
 
     Attributes:
@@ -109,7 +108,7 @@ class BiplaneFluoroscope:
         self.cameras = {camera.name: camera for camera in cameras}
         self.material = material or jacketed_wire(WIRE_RADIUS)
         self._stills = dict(zip(names, radiographs, strict=True))
-        self._inks = {camera.name: WireInk(camera, self.material, centre) for camera in cameras}
+        self._shadows = {camera.name: WireShadow(camera, self.material, centre) for camera in cameras}
         self._kernels = {camera.name: _kernel(camera) for camera in cameras}
         self._expose = _native_expose()
         self.recipe: dict[str, Any] | None = None
@@ -124,22 +123,21 @@ class BiplaneFluoroscope:
     @classmethod
     def of(
         cls,
-        phantom: Anatomy,
+        phantom: ImagedPhantom,
         geometry: str = "guide3d",
         *,
         size: int = 1024,
-        surroundings: str | Scene = "bath",
+        surroundings: str | XRayScene = "bath",
         filling: str = "fluid",
         material: WireMaterial | None = None,
     ) -> BiplaneFluoroscope:
         """The fluoroscope of a phantom.
 
         Args:
-            phantom: the vessel.
             geometry: "guide3d" (the public data set's) or "clinical" (frontal and lateral).
             size: px, side of the square images, 16 to 4,096.
-            surroundings: "bath", "patient", "empty", or a `Scene`.
-            filling: of the lumen, "fluid", "contrast" or "air"; a `Scene` brings its own.
+            surroundings: "bath", "patient", "empty", or a `XRayScene`.
+            filling: of the lumen, "fluid", "contrast" or "air"; a `XRayScene` brings its own.
             material: of the wire; by default nitinol in a tungsten-filled jacket.
 
         Returns:
@@ -199,7 +197,7 @@ class BiplaneFluoroscope:
         camera, still, kernel = self.cameras[name], self._stills[name], self._kernels[name]
         projector, detector = camera.projector, camera.detector
         width, height = projector.width, projector.height
-        shadow = self._inks[name].shadow(points)
+        shadow = self._shadows[name].shadow(points)
         image, mask = np.empty((height, width), np.uint8), np.zeros((height, width), np.uint8)
         window: tuple[Any, ...] = (0, 0, 0, 0, None)
         if shadow is not None:
@@ -225,12 +223,11 @@ class BiplaneFluoroscope:
 
         Args:
             points: (n, 3) m, the wire's nodes from the tip, world frame.
-            name: of the camera.
 
         Returns:
             (m, 2) px from the tip, distorted, about 1.5 px apart; points may lie outside the image.
         """
-        return self._inks[name].centreline(points)[0]
+        return self._shadows[name].centreline(points)[0]
 
     def to_json(self) -> dict[str, Any]:
         """Every camera's matrices and distortion as plain JSON values."""

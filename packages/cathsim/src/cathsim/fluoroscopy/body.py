@@ -116,8 +116,6 @@ def body_depth(projector: Projector, body: tuple[Solid, ...], origin: NDArray[np
     """Optical depth of a body along the ray of every pixel.
 
     Args:
-        projector: the camera.
-        body: its solids.
         origin: (3,) m, where the body's own origin stands in the world.
 
     Returns:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from cathsim.fluoroscopy.detector import Detector
-from cathsim.fluoroscopy.distortion import Distortion
+from cathsim.fluoroscopy.distortion import DetectorDistortion
 from cathsim.fluoroscopy.projector import Projector
 
 # The public biplane data set: distance between the sources, angle between the axes, focal lengths for 1024 px.
@@ -37,7 +37,7 @@ class XRayCamera:
     """
 
     projector: Projector
-    distortion: Distortion
+    distortion: DetectorDistortion
     detector: Detector
 
     def __post_init__(self) -> None:
@@ -57,9 +57,6 @@ class XRayCamera:
 
         Args:
             size: px, new shorter side.
-
-        Returns:
-            The camera.
         """
         projector = self.projector.resized(size)
         return replace(self, projector=projector, distortion=self.distortion.resized(projector.width, projector.height))
@@ -113,8 +110,8 @@ def guide3d_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRay
         ),
     }
     distortions = {
-        "a": Distortion(_SIZE, _SIZE, 0.055, -0.0215, -0.016, tilt=(0.0038, -0.0018), centre=(-0.05, 0.07)),
-        "b": Distortion(_SIZE, _SIZE, 0.056, -0.0225, 0.017, tilt=(-0.0036, 0.0025), centre=(0.05, 0.05)),
+        "a": DetectorDistortion(_SIZE, _SIZE, 0.055, -0.0215, -0.016, tilt=(0.0038, -0.0018), centre=(-0.05, 0.07)),
+        "b": DetectorDistortion(_SIZE, _SIZE, 0.056, -0.0225, 0.017, tilt=(-0.0036, 0.0025), centre=(0.05, 0.05)),
     }
     cameras = []
     for name, side in (("a", 1.0), ("b", -1.0)):
@@ -175,7 +172,7 @@ def clinical_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRa
     a, b = (
         XRayCamera(
             Projector.c_arm(centre=centre, field_of_view=CLINICAL_FIELD, size=size, primary_deg=primary, name=name),
-            Distortion.none(size, size),
+            DetectorDistortion.none(size, size),
             panel,
         )
         for name, primary in (("a", 0.0), ("b", 90.0))

@@ -89,7 +89,6 @@ def quantum_noise(
     Args:
         image: (height, width) grey levels without noise.
         photons: mean count of a white pixel.
-        generator: source of the draws.
         gamma: exponent of the display that the grey levels went through.
 
     Returns:

@@ -20,7 +20,7 @@ _DOMAIN = 1.6  # half image sides from the image's centre; the corners lie at 1.
 
 
 @settings
-class Distortion:
+class DetectorDistortion:
     """Where the detector shows what a pinhole camera would see elsewhere.
 
     With x, y from `centre` in half image sides and r² = x² + y², an ideal point is shown at
@@ -64,7 +64,7 @@ class Distortion:
             )
 
     @classmethod
-    def none(cls, width: int, height: int) -> Distortion:
+    def none(cls, width: int, height: int) -> DetectorDistortion:
         """The identity, as of a flat panel."""
         return cls(width, height)
 
@@ -73,17 +73,14 @@ class Distortion:
         """Whether nothing moves."""
         return not any((self.pincushion, self.barrel, self.twist, *self.tilt))
 
-    def resized(self, width: int, height: int) -> Distortion:
+    def resized(self, width: int, height: int) -> DetectorDistortion:
         """The same map over an image of another size.
 
         Args:
             width: px.
             height: px; of the same shape as before, else the map is another.
-
-        Returns:
-            The map.
         """
-        return Distortion(width, height, self.pincushion, self.barrel, self.twist, self.tilt, self.centre)
+        return DetectorDistortion(width, height, self.pincushion, self.barrel, self.twist, self.tilt, self.centre)
 
     @property
     def _half(self) -> float:

@@ -135,8 +135,5 @@ def wire_material(name: str, radius: float) -> WireMaterial:
     Args:
         name: of the preset; those that have no material of their own are jacketed wires.
         radius: outer, m.
-
-    Returns:
-        The material.
     """
     return coil_tipped_wire(radius) if name == "nitrex_straight" else jacketed_wire(radius)

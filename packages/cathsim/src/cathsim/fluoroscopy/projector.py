@@ -52,7 +52,7 @@ class Projector:
         width: px.
         height: px.
         name: of the view, as used for topics and files.
-        source_detector_distance: m, only needed to give the pixel pitch on the detector.
+        source_detector_distance: m; no pixel depends on it.
     """
 
     K: Annotated[Array, SkipValidation]
@@ -98,10 +98,6 @@ class Projector:
             roll_deg: degrees by which the image is turned clockwise; 90 puts the head on its right.
             source_detector_distance: m.
             source_object_distance: m, from the source to the isocentre.
-            name: of the view.
-
-        Returns:
-            The camera.
 
         Raises:
             ValueError: for distances that are not 0 < source to object < source to detector, an empty field or image,
@@ -139,9 +135,6 @@ class Projector:
             size: px, the side of a square image or (width, height).
             geometry: source_detector_distance and source_object_distance in m, if not the usual ones.
 
-        Returns:
-            The camera.
-
         Raises:
             ValueError: for an unknown name or bounds that are not two ordered corners.
         """
@@ -173,9 +166,6 @@ class Projector:
         Args:
             bounds: (2, 3) m, lowest and highest corner in the world frame.
             size: px, the side of a square image or (width, height).
-
-        Returns:
-            The camera.
         """
         return cls.view("frontal", bounds, size)
 
@@ -188,11 +178,6 @@ class Projector:
     def source(self) -> Array:
         """(3,) m, the X-ray source in the world frame."""
         return -self.R.T @ self.t
-
-    @property
-    def pixel_pitch(self) -> float:
-        """Side of a pixel on the detector, m."""
-        return float(self.source_detector_distance / self.K[0, 0])
 
     @property
     def rays(self) -> Array:

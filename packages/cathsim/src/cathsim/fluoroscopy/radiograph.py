@@ -9,11 +9,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.fluoroscopy.attenuation import DistanceGrid, lumen_path_length
+from cathsim.fluoroscopy.attenuation import DistanceGrid, Keyed, lumen_path_length
 from cathsim.fluoroscopy.body import body_depth
 from cathsim.fluoroscopy.c_arms import XRayCamera
 from cathsim.fluoroscopy.projector import Projector
-from cathsim.fluoroscopy.scene import Scene
+from cathsim.fluoroscopy.scene import XRayScene
 
 DepthFunction = Callable[[Projector], NDArray[np.float32]]
 
@@ -41,13 +41,11 @@ class Radiograph:
             array.flags.writeable = False
 
 
-def optical_depth(grid: DistanceGrid, projector: Projector, scene: Scene) -> NDArray[np.float32]:
+def optical_depth(grid: DistanceGrid, projector: Projector, scene: XRayScene) -> NDArray[np.float32]:
     """Optical depth of a scene for every pixel of a pinhole camera.
 
     Args:
         grid: signed distance to the vessel's wall.
-        projector: the camera.
-        scene: the rest.
 
     Returns:
         (height, width), dimensionless.
@@ -70,51 +68,28 @@ def optical_depth(grid: DistanceGrid, projector: Projector, scene: Scene) -> NDA
     return depth
 
 
-def radiograph(grid: DistanceGrid, camera: XRayCamera, scene: Scene, *, key: str | None = None) -> Radiograph:
+def radiograph(grid: DistanceGrid, camera: XRayCamera, scene: XRayScene, *, key: str | None = None) -> Radiograph:
     """What a camera's detector expects of a scene.
 
     Args:
         grid: signed distance to the vessel's wall.
-        camera: source, distortion and detector.
-        scene: body, wall and filling.
         key: content hash of the phantom; radiographs of the same key, camera and scene are computed once a process.
-
-    Returns:
-        Expected photons.
     """
     if key is None:
         return expose_depth(camera, scene, lambda projector: optical_depth(grid, projector, scene))
-    return _cached(_Keyed((key, camera.projector.key, camera.distortion, camera.detector, scene), grid, camera, scene))
-
-
-class _Keyed:
-    """A radiograph to be made, told from others by its key alone."""
-
-    def __init__(self, key: tuple[object, ...], grid: DistanceGrid, camera: XRayCamera, scene: Scene) -> None:
-        self.key, self.grid, self.camera, self.scene = key, grid, camera, scene
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Keyed) and self.key == other.key
+    return _cached(Keyed((key, camera.projector.key, camera.distortion, camera.detector, scene), grid, camera, scene))
 
 
 @lru_cache(maxsize=16)
-def _cached(wanted: _Keyed) -> Radiograph:
-    return radiograph(wanted.grid, wanted.camera, wanted.scene)
+def _cached(wanted: Keyed) -> Radiograph:
+    return radiograph(*wanted.arguments)
 
 
-def expose_depth(camera: XRayCamera, scene: Scene, depth_of: DepthFunction) -> Radiograph:
+def expose_depth(camera: XRayCamera, scene: XRayScene, depth_of: DepthFunction) -> Radiograph:
     """Turns optical depths into expected photons: distortion, focal blur, exposure, scatter, collimator.
 
     Args:
-        camera: source, distortion and detector.
-        scene: for its scatter and brightness.
         depth_of: optical depth of every pixel of the pinhole camera it is given, (height, width).
-
-    Returns:
-        Expected photons.
     """
     from scipy import ndimage  # here, as only bi-planar views need it
 

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from cathsim.fluoroscopy.attenuation import GAMMA
 from cathsim.fluoroscopy.detector import quantum_noise
 from cathsim.fluoroscopy.projector import Projector
+from cathsim.presets import WIRE_RADIUS
 
-WIRE_RADIUS = 0.45e-3  # m
 WIRE_ATTENUATION = 3500.0  # 1/m: nitinol (about 760) under a radiopaque jacket and coil
 MINIMUM_WIDTH_PX = 1.2
-_MASK_REACH_PX = 0.7072  # half a pixel's diagonal: every pixel that the axis enters is in the mask, without a gap
+MASK_REACH_PX = 0.7072  # half a pixel's diagonal: every pixel that the axis enters is in the mask, without a gap
 _ENTRIES = 1024
 
 _FAILURES = {
@@ -35,7 +35,7 @@ class _ViewStruct(ctypes.Structure):
         ("background", ctypes.c_void_p),
         ("transmission", ctypes.c_void_p),
         ("entries", ctypes.c_int),
-        ("ink_reach", ctypes.c_float),
+        ("shadow_reach", ctypes.c_float),
         ("mask_reach", ctypes.c_float),
         ("piece", ctypes.c_double),
     )
@@ -49,7 +49,6 @@ class FluoroscopyRenderer:
     centre: perspective would change it by some per cent over a phantom.
 
     Args:
-        projector: the camera.
         background: (height, width) grey levels 0 to 255 without the wire, as `background_image` makes them.
         wire_radius: m.
         wire_attenuation: 1/m, of the wire's material.
@@ -108,7 +107,7 @@ class FluoroscopyRenderer:
             self._transmission.ctypes.data,
             len(self._transmission),
             radius + 0.5,
-            max(radius, _MASK_REACH_PX),
+            max(radius, MASK_REACH_PX),
             max(2.0, radius),
         )
         self._address = ctypes.addressof(self._view)

@@ -19,7 +19,7 @@ _Over = Annotated[float, Interval(ge=-1e6, le=1e6), Unit("1/m")]  # attenuation 
 
 
 @settings
-class Scene:
+class XRayScene:
     """A vessel in its surroundings; attenuations are over those of what surrounds it.
 
     Attributes:
@@ -42,14 +42,11 @@ class Scene:
     scatter: Annotated[float, Interval(ge=0, lt=1)]
     middle: Annotated[float, Interval(gt=0, lt=255), Unit("grey levels")] = 140.0
 
-    def filled(self, content: str) -> Scene:
+    def filled(self, content: str) -> XRayScene:
         """The same scene with another content of the lumen.
 
         Args:
             content: "fluid" (what surrounds it), "contrast" (40 mg/ml of iodine) or "air".
-
-        Returns:
-            The scene.
 
         Raises:
             ValueError: for an unknown content.
@@ -61,8 +58,8 @@ class Scene:
         return replace(self, filling=filling)
 
 
-SCENES: dict[str, Scene] = {
-    "bath": Scene(
+SCENES: dict[str, XRayScene] = {
+    "bath": XRayScene(
         "bath",
         WATER_BATH,
         surroundings=ATTENUATION["water"],
@@ -71,22 +68,19 @@ SCENES: dict[str, Scene] = {
         filling=0.0,
         scatter=0.12,
     ),
-    "patient": Scene(
+    "patient": XRayScene(
         "patient", THORAX, surroundings=20.5, wall=0.5, wall_thickness=0.002, filling=0.0, scatter=0.25, middle=120.0
     ),
-    "empty": Scene("empty", (), surroundings=0.0, wall=0.0, wall_thickness=0.0, filling=0.0, scatter=0.0),
+    "empty": XRayScene("empty", (), surroundings=0.0, wall=0.0, wall_thickness=0.0, filling=0.0, scatter=0.0),
 }
 
 
-def scene(name: str, filling: str = "fluid") -> Scene:
+def scene(name: str, filling: str = "fluid") -> XRayScene:
     """A scene by name.
 
     Args:
         name: "bath" (a silicone phantom in a water bath), "patient" (thorax with lungs and spine) or "empty".
         filling: of the lumen, "fluid", "contrast" or "air".
-
-    Returns:
-        The scene.
 
     Raises:
         ValueError: for an unknown name or filling.

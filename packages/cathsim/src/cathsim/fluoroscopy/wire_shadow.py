@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from cathsim.fluoroscopy.c_arms import XRayCamera
 from cathsim.fluoroscopy.curve import smooth_curve
 from cathsim.fluoroscopy.materials import WireMaterial
-from cathsim.fluoroscopy.renderer import MINIMUM_WIDTH_PX
+from cathsim.fluoroscopy.renderer import MASK_REACH_PX, MINIMUM_WIDTH_PX
 
 Array = NDArray[np.float64]
 
 _ENTRIES, _ROWS = 512, 32
 _SPREAD = (0.7, 1.4)  # range of wire radii a camera is prepared for, over that at its middle
 _PIECE_PX = 1.5  # length of the straight pieces that the curve is drawn in
-_MASK_REACH_PX = 0.7072  # half a pixel's diagonal: every pixel that the axis enters is in the mask, without a gap
 
 
 class _WindowStruct(ctypes.Structure):
@@ -33,7 +32,7 @@ class _WindowStruct(ctypes.Structure):
 
 
 @dataclass(frozen=True, eq=False)
-class Shadow:
+class ShadowWindow:
     """What a wire takes away from an image, in the window that it touches.
 
     Attributes:
@@ -49,7 +48,7 @@ class Shadow:
     mask: NDArray[np.uint8]
 
 
-class WireInk:
+class WireShadow:
     """Draws a wire's shadow for one camera; safe to share between threads.
 
     Every pixel's transmission is that of nested cylinders, averaged over the pixel and over the focal spot's blur;
@@ -57,7 +56,6 @@ class WireInk:
     does not vanish from small images.
 
     Args:
-        camera: for which.
         material: the wire's sections from the tip.
         centre: (3,) m, a point in the middle of where the wire will be.
     """
@@ -82,7 +80,7 @@ class WireInk:
                 distance = np.sqrt(np.linspace(0.0, reach[i, j] ** 2, _ENTRIES))
                 self._profiles[i, j] = _transmission(distance, own, section.radius, section.depth, blur)
         self._profiles[:, :, -1] = 1.0
-        self._reach, self._mask_reach = reach, np.maximum(self._radii, _MASK_REACH_PX).astype(np.float32)
+        self._reach, self._mask_reach = reach, np.maximum(self._radii, MASK_REACH_PX).astype(np.float32)
         self._margin = float(max(reach.max(), self._mask_reach.max())) + 1.0
         self._spacing = _PIECE_PX / scale
         draw = library().cathsim_wire_draw
@@ -118,7 +116,7 @@ class WireInk:
             radius = radius * np.where(stretch > 1e-6, np.linalg.det(J) / np.maximum(stretch, 1e-6), 1.0)
         return distortion.distort(ideal), arc, radius
 
-    def shadow(self, nodes: ArrayLike) -> Shadow | None:
+    def shadow(self, nodes: ArrayLike) -> ShadowWindow | None:
         """Transmission and mask of a wire.
 
         Args:
@@ -166,7 +164,7 @@ class WireInk:
             2 * self._margin + 4 * _PIECE_PX,
         )
         self._draw(ctypes.addressof(window), len(pixels), *(array.ctypes.data for array in arrays))
-        return Shadow(int(low[0]), int(low[1]), strand, mask)
+        return ShadowWindow(int(low[0]), int(low[1]), strand, mask)
 
 
 def _transmission(

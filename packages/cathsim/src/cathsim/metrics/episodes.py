@@ -150,11 +150,7 @@ class EpisodeMetrics:
             forces: (T,) N magnitudes, or (T, 3) N resultant vectors.
             rewards: (T,).
             success: whether the target was reached in time.
-            target: the vessel aimed at.
             force_limit: N, at which a step counts as unsafe.
-
-        Returns:
-            The metrics.
 
         Raises:
             ValueError: for arrays of unequal length, no step, or values that are not finite.
@@ -273,9 +269,6 @@ def summarise(
         shortest: optimal path length for SPL, m: by target, or one for each episode, or None for the shortest
             successful path among these episodes. Policies compare fairly only under the same optimum: pass
             `shortest_successful_paths` of all of them.
-
-    Returns:
-        The summary.
 
     Raises:
         ValueError: without episodes, or when an optimal length is missing for a successful one.

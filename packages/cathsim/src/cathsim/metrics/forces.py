@@ -63,7 +63,6 @@ def compare_forces(
         simulated: (n,) N.
         real_mean_n: mean of the real forces, N.
         real_sd_n: their standard deviation, N.
-        generator: draws the real sample.
 
     Raises:
         ValueError: there are too few forces to test, or some are not finite.
@@ -103,9 +102,7 @@ def verdict(
     """Says what agrees with the real forces and what does not.
 
     Args:
-        c: the tests.
         pushed: (n,) N, forces of the same wire pushed without a planner.
-        operators: who steered the simulated episodes.
         free_force_n: force that the operator does not pay for, N; None where it is not known.
 
     Returns:

@@ -150,7 +150,6 @@ def outside_sheath(points: np.ndarray, vessel: Vessel) -> np.ndarray:
 
     Args:
         points: nodes from the tip to the proximal end, m, world frame. Shape (k, 3).
-        vessel: with the sheath.
 
     Returns:
         Shape (n, 3).

@@ -9,11 +9,11 @@ import numpy as np
 
 from cathsim.simulation import CONTROL_STEP, Simulation
 
-MEMORIES = np.array([1.0, 4.0])  # s: time constants of the running means
+TIME_CONSTANTS = np.array([1.0, 4.0])  # s: time constants of the running means
 PATIENCE = 8.0  # s without progress that count as long
 BACK_SCALE, GAIN_SCALE, INSERTION_SCALE = 0.02, 0.01, 0.03  # m, m/s, m
 PROGRESS = 1e-3  # m: a smaller gain does not count as progress
-HISTORY_SIZE = 3 * len(MEMORIES) + 5
+HISTORY_SIZE = 3 * len(TIME_CONSTANTS) + 5
 
 
 class History:
@@ -23,18 +23,17 @@ class History:
     try something else.
 
     Args:
-        simulation: whose wire is steered.
         remaining: gives the way that remains from the tip to the target, m.
     """
 
     def __init__(self, simulation: Simulation, remaining: Callable[[], float]) -> None:
         self.simulation, self._remaining_way = simulation, remaining
-        self._forget = np.exp(-CONTROL_STEP / MEMORIES)
+        self._forget = np.exp(-CONTROL_STEP / TIME_CONSTANTS)
         self.begin()
 
     def begin(self) -> None:
         """Starts anew at the moment."""
-        self._moves, self._gain = np.zeros((len(MEMORIES), 2)), np.zeros(len(MEMORIES))
+        self._moves, self._gain = np.zeros((len(TIME_CONSTANTS), 2)), np.zeros(len(TIME_CONSTANTS))
         self._remaining = self._best = self._remaining_way()
         self._waited = 0.0
         self._insertion, self._rotation = self.simulation.insertion, self.simulation.rotation
@@ -44,7 +43,6 @@ class History:
 
         Args:
             translation: of the feeder, as a share of the largest in a step, -1 to 1.
-            rotation: likewise.
         """
         keep, now = self._forget, self._remaining_way()
         self._moves = keep[:, None] * self._moves + (1 - keep)[:, None] * (translation, rotation)

@@ -56,7 +56,6 @@ class Roadmap:
     x, towards -y. It turns with the wire and has no place where it jumps.
 
     Args:
-        simulation: whose tip it is.
         target: one of its phantom's targets, or a point in the lumen.
         registration_noise: standard deviation, m an axis, of the displacement between scan and patient, which stays the
             same through an episode; 0: a perfect registration.
@@ -189,7 +188,6 @@ def target_image(pixel: np.ndarray, size: int, radius_px: float) -> np.ndarray:
     Args:
         pixel: where the target is seen, px, column and row. Shape (2,).
         size: side of the image, px.
-        radius_px: of the dot.
 
     Returns:
         255 on the dot, with a soft edge, 0 elsewhere. Shape (size, size), uint8.

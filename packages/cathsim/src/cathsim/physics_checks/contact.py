@@ -12,7 +12,7 @@ from cathsim.arena import FEEDER
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import LINK_NAME
 from cathsim.physics_checks.rig import (
-    Case,
+    TheoryCheck,
     add_feeder,
     dead_load,
     feeder_force,
@@ -49,7 +49,6 @@ def tension_ratio(friction: float, angle: float, *, speed: float = 0.005, link: 
     The mean is over the travel of two links, so that every phase of a link on the post has the same weight.
 
     Args:
-        friction: coefficient.
         angle: of wrap, rad.
         speed: of the feeder, m/s.
         link: length of the links, m.
@@ -86,7 +85,7 @@ def tension_ratio(friction: float, angle: float, *, speed: float = 0.005, link: 
     return float(np.mean(ratios)), float(np.std(ratios))
 
 
-def capstan_cases(quick: bool) -> list[Case]:
+def capstan_cases(quick: bool) -> list[TheoryCheck]:
     """Tension ratios against e^(friction x angle).
 
     Friction acts on the surface of the wire, tension along its axis: the exponent of a wire of radius r on a post of
@@ -108,7 +107,9 @@ def capstan_cases(quick: bool) -> list[Case]:
         corrected = 100 * (ratio / math.exp(friction * angle * thick) - 1)
         remark = f"± {deviation / ratio:.2%} in time; {corrected:+.2f} % from the thick wire's"
         cases.append(
-            Case("capstan", f"μ {friction:g}, θ {turns:g} π, {speed} mm/s", ratio, math.exp(friction * angle), remark)
+            TheoryCheck(
+                "capstan", f"μ {friction:g}, θ {turns:g} π, {speed} mm/s", ratio, math.exp(friction * angle), remark
+            )
         )
     return cases
 
@@ -171,13 +172,10 @@ def buckled_helix(clearance: float, load: float) -> Helix:
     return Helix(feeder_force(data), pitch, line_load, rest)
 
 
-def helix_cases(quick: bool) -> list[Case]:
+def helix_cases(quick: bool) -> list[TheoryCheck]:
     """Axial force against 8 pi^2 EI / p^2 and wall force per length against r F^2 / (4 EI), with p and F measured.
 
     Both laws are for helices of small slope; at finite slope b the force is smaller by cos^3 b, which the remark gives.
-
-    Args:
-        quick: two of the four wires.
 
     Returns:
         Forces in N, line loads in N/m.
@@ -190,7 +188,7 @@ def helix_cases(quick: bool) -> list[Case]:
         law = 8 * math.pi**2 * HELIX_EI / helix.pitch**2
         finite = law * math.cos(math.atan(2 * math.pi * clearance / helix.pitch)) ** 3
         remark = f"pitch {1e3 * helix.pitch:.1f} mm; {100 * (helix.force / finite - 1):+.2f} % at finite slope"
-        cases.append(Case("helix", f"{name}: F", helix.force, law, remark))
+        cases.append(TheoryCheck("helix", f"{name}: F", helix.force, law, remark))
         wall = clearance * helix.force**2 / (4 * HELIX_EI)
-        cases.append(Case("helix", f"{name}: wall", helix.line_load, wall, f"at rest after {helix.rest:.1f} s"))
+        cases.append(TheoryCheck("helix", f"{name}: wall", helix.line_load, wall, f"at rest after {helix.rest:.1f} s"))
     return cases

@@ -17,7 +17,7 @@ WORLD_SITE = "world"
 
 
 @dataclass(frozen=True)
-class Case:
+class TheoryCheck:
     """A measured value beside the value of theory, in the same unit.
 
     Attributes:
@@ -67,7 +67,6 @@ def dead_load(spec: mujoco.MjSpec, name: str, direction: np.ndarray, site: str =
         spec: model under construction, from `new_spec`.
         name: of the actuator; its control is the force (N), its length the displacement (m).
         direction: unit vector in the world. Shape (3,).
-        site: where it acts.
     """
     load = spec.add_actuator(name=name, target=site, refsite=WORLD_SITE, trntype=mujoco.mjtTrn.mjTRN_SITE)
     load.set_to_motor()
@@ -78,7 +77,6 @@ def add_feeder(spec: mujoco.MjSpec, position: np.ndarray) -> mujoco.MjsBody:
     """Adds a body that slides along the world's z and holds the wire; its servo is the arena's.
 
     Args:
-        spec: model under construction.
         position: of the body, m. Shape (3,).
     """
     body = spec.worldbody.add_body(name=FEEDER, pos=position)
@@ -104,7 +102,6 @@ def settle(model: mujoco.MjModel, data: mujoco.MjData, *, speed: float = 1e-6, l
     """Steps until the wire rests.
 
     Args:
-        model: of the wire.
         data: its state, advanced.
         speed: the wire rests below this joint speed, rad/s.
         limit: longest simulated time, s.

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from cathsim.guidewire import LINK_NAME, Guidewire, load_guidewire
-from cathsim.physics_checks.rig import Case, dead_load, new_spec, settle, uniform_wire
+from cathsim.physics_checks.rig import TheoryCheck, dead_load, new_spec, settle, uniform_wire
 from cathsim.presets import ACCURACY, Accuracy
 
 STIFFNESS_NMM2 = 400.0
@@ -75,7 +75,7 @@ def cantilever_deflection(wire: Guidewire, load: float, numerics: Accuracy) -> f
     return float(data.actuator_length[0])
 
 
-def elastica_cases() -> list[Case]:
+def elastica_cases() -> list[TheoryCheck]:
     """Deflection over length of cantilevers at every preset's timestep, of uniform stiffness and of the default's."""
     cases = []
     for preset, numerics in ACCURACY.items():
@@ -84,13 +84,13 @@ def elastica_cases() -> list[Case]:
             for load in (1.0, 2.0, 5.0, 10.0):
                 deflection = cantilever_deflection(wire, load * EI / wire.length**2, numerics)
                 name = f"PL²/EI {load:g}, {chain}, {preset} {1e3 * numerics.timestep:g} ms"
-                cases.append(Case("elastica", name, deflection / wire.length, elastica_deflection(load)))
+                cases.append(TheoryCheck("elastica", name, deflection / wire.length, elastica_deflection(load)))
     wire = load_guidewire("default", tip_angle=0.0, tip_length=0.0)
     for load in (0.005, 0.02):
         deflection = cantilever_deflection(wire, load, ACCURACY["accurate"])
         exact = rod_deflection(load, wire.length, lambda s: wire.stiffness(wire.length - s))
         name = f"default taper, {1e3 * load:g} mN, accurate {1e3 * ACCURACY['accurate'].timestep:g} ms"
-        cases.append(Case("elastica", name, deflection / wire.length, exact / wire.length))
+        cases.append(TheoryCheck("elastica", name, deflection / wire.length, exact / wire.length))
     return cases
 
 
@@ -189,7 +189,7 @@ class Column:
         return (low + high) / 2
 
 
-def buckling_cases() -> list[Case]:
+def buckling_cases() -> list[TheoryCheck]:
     """Critical loads (N), found by two independent procedures for two supports."""
     cases = []
     numerics = dataclasses.replace(ACCURACY["reference"], timestep=0.002)
@@ -199,6 +199,8 @@ def buckling_cases() -> list[Case]:
             wire = uniform_wire(links, STIFFNESS_NMM2)
             theory = factor * math.pi**2 * EI / wire.length**2
             column, name = build(wire, numerics), f"{support}, {chain}"
-            cases.append(Case("buckling", f"{name}, stiffness to zero", column.critical_by_stiffness(1e-5), theory))
-            cases.append(Case("buckling", f"{name}, growth", column.critical_by_growth(1e-6), theory))
+            cases.append(
+                TheoryCheck("buckling", f"{name}, stiffness to zero", column.critical_by_stiffness(1e-5), theory)
+            )
+            cases.append(TheoryCheck("buckling", f"{name}, growth", column.critical_by_growth(1e-6), theory))
     return cases

@@ -14,11 +14,6 @@ _FORWARD_STEPS = 120  # about the length of a successful episode
 def pushed_forces(phantom: str, steps: int, *, seed: int) -> np.ndarray:
     """Contact forces of the wire when it is fed at full speed with random rotation.
 
-    Args:
-        phantom: its name.
-        steps: how many.
-        seed: of actions and starts.
-
     Returns:
         (steps,) N, largest resultant of each step.
     """
@@ -35,13 +30,7 @@ def pushed_forces(phantom: str, steps: int, *, seed: int) -> np.ndarray:
 
 
 def steps_per_second(environment: NavigateEnv, steps: int, *, seed: int) -> float:
-    """Steps a second of processor time: half with random actions, half forwards with random rotation; resets count.
-
-    Args:
-        environment: of two actions.
-        steps: how many.
-        seed: of actions and starts.
-    """
+    """Steps a second of processor time: half with random actions, half forwards with random rotation; resets count."""
     generator = np.random.default_rng(seed)
     spent, done = 0.0, 0
     for forward in (False, True):

@@ -15,13 +15,14 @@ from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.presets import WIRE_RADIUS
 from cathsim.validation import LengthOrNone, quantity
 
 logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
-CLEARANCE = 0.45e-3  # m, the radius of a guidewire
+CLEARANCE = WIRE_RADIUS
 _Aversion = Annotated[float, Interval(ge=0, le=1e6)]  # the search needs costs no less than length
 _SNAP = 3  # lattice points between an end of the path and the lattice, at most
 _STEP = 1e-3  # m between the points of a smoothed path
@@ -74,9 +75,6 @@ class LumenPath:
 
     def clearance(self, grid: SignedDistanceGrid) -> float:
         """Least distance to the wall along the path.
-
-        Args:
-            grid: signed distance to the wall.
 
         Returns:
             m; negative where the path leaves the lumen.
@@ -245,8 +243,6 @@ def pull_taut(path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = C
     """Leaves out every point that a straight line inside the lumen can skip.
 
     Args:
-        path: a way through the lumen.
-        grid: signed distance to the wall.
         clearance: m that the straight lines keep from the wall.
 
     Returns:
@@ -280,8 +276,6 @@ def smooth_path(
     """Rounds the corners of a path by averaging neighbours, wherever the result keeps its clearance.
 
     Args:
-        path: a way through the lumen.
-        grid: signed distance to the wall.
         clearance: m to keep from the wall; where the path comes nearer already, it may stay as near as it is.
         step: m between the points of the result.
 
@@ -315,10 +309,7 @@ def picture(
     """Saves a picture of a path in the vessel, seen from the front and from the patient's left.
 
     Args:
-        path: the way.
-        grid: signed distance to the wall.
         file: where the PNG goes; its folder must exist.
-        title: over the picture.
 
     Returns:
         The file.
@@ -347,20 +338,8 @@ def picture(
         plot.set(title=name, xlabel=label, aspect="equal")
     axes[0].set_ylabel("z, superior (mm)")
     axes[0].legend(loc="lower left", frameon=False)
-    figure.suptitle(f"{title}: {points_summary(path, grid)}")
+    room = path.clearance(grid)
+    figure.suptitle(f"{title}: {path.length * 1e3:.1f} mm, at least {room * 1e3:.1f} mm from the wall")
     figure.savefig(file, dpi=120)
     logger.debug("saved the picture of a path to %s", file)
     return FilePath(file)
-
-
-def points_summary(path: LumenPath, grid: SignedDistanceGrid) -> str:
-    """Length and least distance to the wall of a path, in words.
-
-    Args:
-        path: the way.
-        grid: signed distance to the wall.
-
-    Returns:
-        For a title or a log line.
-    """
-    return f"{path.length * 1e3:.1f} mm, at least {path.clearance(grid) * 1e3:.1f} mm from the wall"

@@ -59,8 +59,6 @@ class SamplingExpert:
     Args:
         environment: to be steered; its state is only read.
         seed: of the sampling; the same seed gives the same actions, whatever the number of threads.
-        settings: of the search.
-        numerics: time stepping of the roll-outs.
         threads: by default one a core.
     """
 

@@ -36,7 +36,6 @@ def add_robot(
     """Adds the robot and the wire that runs through it to a scene.
 
     Args:
-        scene: that MuJoCo has updated.
         robot: in the state to be shown.
         entry: end of the sheath in the vessel, m. Shape (3,).
         direction: unit vector into the vessel. Shape (3,).

@@ -59,7 +59,6 @@ class View:
     """Draws a simulation from the front, the patient's head up.
 
     Args:
-        phantom: its wall is drawn translucent.
         width: px.
         height: px.
         azimuth_deg: from where it is seen; 90 is the front, 180 the patient's left.
@@ -98,7 +97,6 @@ class View:
         """The picture of the moment.
 
         Args:
-            simulation: whose wire is drawn.
             goal: target to mark, m. Shape (3,).
 
         Returns:

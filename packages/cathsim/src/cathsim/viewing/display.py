@@ -23,7 +23,6 @@ class Display:
     Args:
         mode: "rgb_array", a 3-D view; "fluoroscopy", the frontal image; "human", a window that shows the 3-D view, or
             the frontal image where OpenGL cannot draw; None: nothing.
-        fluoroscope: of the environment.
         robot: that feeds the wire, or None.
 
     Raises:

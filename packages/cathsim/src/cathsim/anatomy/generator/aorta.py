@@ -52,9 +52,6 @@ class Aorta:
     def arc_of(self, index: int) -> float:
         """Arc length of a centreline point.
 
-        Args:
-            index: which point.
-
         Returns:
             m from the descending end.
         """
@@ -66,10 +63,6 @@ def shape_aorta(parameters: ArchParameters, rng: np.random.Generator) -> Aorta:
 
     Args:
         parameters: the arch's measures.
-        rng: source of the windings' phases.
-
-    Returns:
-        The bare aorta.
 
     Raises:
         ValueError: where the measures do not fit together, with the reason.
@@ -148,7 +141,6 @@ def fusiform_widening(aneurysm: Aneurysm, points: Array, lsa_arc: float) -> Arra
     """Added radius of a spindle-shaped aneurysm.
 
     Args:
-        aneurysm: its measures.
         points: (n, 3) m, aortic centreline at steps of STEP.
         lsa_arc: m along it, where the LSA leaves.
 

@@ -153,14 +153,7 @@ def _check_range(owner: str, name: str, value: Any, low: float, high: float) -> 
 
 
 def draw_parameters(rng: np.random.Generator) -> ArchParameters:
-    """Draws one arch from the published spread; it may still be refused for its geometry.
-
-    Args:
-        rng: source of every draw.
-
-    Returns:
-        Parameters within their ranges.
-    """
+    """Draws one arch from the published spread; it may still be refused for its geometry."""
 
     def normal(mean: float, deviation: float, low: float, high: float) -> float:
         return float(np.clip(rng.normal(mean, deviation), low, high))

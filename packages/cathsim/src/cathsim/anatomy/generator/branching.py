@@ -36,7 +36,6 @@ def winding(arc: Array, amplitude: float, wavelength: float, rng: np.random.Gene
         arc: (n,) m along the vessel.
         amplitude: m of the longer wave.
         wavelength: m of the longer wave.
-        rng: source of the phases.
 
     Returns:
         (n,) m.
@@ -71,7 +70,6 @@ def grow_branch(
         parent: the parent's name.
         parent_arc: m along the parent at which it starts.
         winding_amplitude: m of the windings, which fade out towards both ends.
-        rng: source of the windings' phases.
         open_end: whether it ends in a flat opening.
 
     Returns:

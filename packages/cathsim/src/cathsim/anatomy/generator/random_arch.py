@@ -32,7 +32,6 @@ def sample_parameters(rng: np.random.Generator, *, wide: bool = False) -> ArchPa
     """Draws a plausible aortic arch: within the published spread, buildable, no vessel running into another.
 
     Args:
-        rng: source of every draw.
         wide: take-offs, type and windings are drawn evenly from all that can be built, rare ones as often as common
             ones, and a quarter has a common origin of BCA and LCCA: for training.
 
@@ -57,9 +56,6 @@ def sample_parameters(rng: np.random.Generator, *, wide: bool = False) -> ArchPa
 
 def separation(tree: VesselTree) -> float:
     """Thinnest wall between the lumens of branches away from where they join.
-
-    Args:
-        tree: the vessels.
 
     Returns:
         m; negative where lumens overlap.

@@ -23,7 +23,6 @@ def locate_origins(parameters: ArchParameters, aorta: Aorta) -> dict[str, int]:
 
     Args:
         parameters: the arch's measures.
-        aorta: the bare aorta.
 
     Returns:
         Index of the aortic point at each branch's ostium; without "lcca" for a bovine arch.
@@ -61,12 +60,6 @@ def grow_supra_aortic(
 
     Args:
         parameters: the arch's measures.
-        aorta: the bare aorta.
-        origins: of locate_origins.
-        rng: source of the windings' phases.
-
-    Returns:
-        bca, rsa, rcca, lcca, lsa.
     """
     wind = parameters.branch_tortuosity
     bca_origin, lcca_origin, lsa_origin = (

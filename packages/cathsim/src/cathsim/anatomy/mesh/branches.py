@@ -18,7 +18,7 @@ Voxels = NDArray[np.int64]
 
 
 @dataclass(eq=False)
-class Vessel:
+class RoughVessel:
     """One vessel of a lumen, before it has a name or a smooth centreline.
 
     Attributes:
@@ -33,7 +33,7 @@ class Vessel:
     points: Array
     depth: Array
     end: int | None
-    children: list[Vessel] = field(default_factory=list)
+    children: list[RoughVessel] = field(default_factory=list)
     start: float = 0.0
     from_fork: bool = False
 
@@ -72,7 +72,7 @@ class Vessel:
         return int(shrinking[0]) if len(shrinking) else len(self.points) - 1
 
 
-def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Sequence[Array], main: int) -> Vessel:
+def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Sequence[Array], main: int) -> RoughVessel:
     """Turns ways from one root into vessels.
 
     Args:
@@ -80,9 +80,6 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
         points: for each end the same places (n, 3) m.
         depths: for each end the distances (n,) m to the wall.
         main: number of the end that the main vessel leads to.
-
-    Returns:
-        The main vessel.
     """
 
     def shared(a: int, b: int) -> int:
@@ -106,7 +103,7 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
                 found.append([number])
         return found
 
-    def build(numbers: list[int], start: int) -> Vessel:
+    def build(numbers: list[int], start: int) -> RoughVessel:
         sides: list[tuple[list[int], int]] = []
         current, stop = numbers, None
         while len(current) > 1:
@@ -122,11 +119,11 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
             current = parts[-1]
         return assemble(current, start, stop, sides)
 
-    def assemble(current: list[int], start: int, stop: int | None, sides: list[tuple[list[int], int]]) -> Vessel:
+    def assemble(current: list[int], start: int, stop: int | None, sides: list[tuple[list[int], int]]) -> RoughVessel:
         first = current[0]
         last = len(points[first]) if stop is None else max(stop, start + 2)
         arc = arc_length(points[first])
-        vessel = Vessel(points[first][start:last], depths[first][start:last], first if stop is None else None)
+        vessel = RoughVessel(points[first][start:last], depths[first][start:last], first if stop is None else None)
         for part, fork in sides:
             child = build(part, max(fork - 1, 0))
             child.start = float(arc[max(fork - 1, 0)] - arc[start])
@@ -141,7 +138,7 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
 
     others = [number for number in range(len(ways)) if number != main]
     leaves = {number: shared(number, main) for number in others}
-    trunk = Vessel(points[main], depths[main], main)
+    trunk = RoughVessel(points[main], depths[main], main)
     # Ways that leave the main vessel together and part again within its lumen are branches of their own.
     families: list[list[int]] = []
     for number in sorted(others, key=lambda n: leaves[n]):
@@ -157,7 +154,7 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
     return aorta
 
 
-def _join_common_origins(aorta: Vessel) -> None:
+def _join_common_origins(aorta: RoughVessel) -> None:
     """Makes a branch that is still one lumen with a wider one where both leave the aorta a branch of that one.
 
     Ways part early in a wide trunk, since each keeps to its own side of it.
@@ -180,7 +177,7 @@ def _join_common_origins(aorta: Vessel) -> None:
     aorta.children.sort(key=lambda child: child.start)
 
 
-def _take_off_by_itself(narrow: Vessel, wide: Vessel, aorta: Vessel) -> bool:
+def _take_off_by_itself(narrow: RoughVessel, wide: RoughVessel, aorta: RoughVessel) -> bool:
     """Leads a branch's way straight to the aorta where it parts from a wider one right above the aorta's wall.
 
     A way prefers the wide mouth of its neighbour to a narrow one of its own.
@@ -204,19 +201,19 @@ def _take_off_by_itself(narrow: Vessel, wide: Vessel, aorta: Vessel) -> bool:
     return True
 
 
-def _beside(vessel: Vessel, point: Array) -> float:
+def _beside(vessel: RoughVessel, point: Array) -> float:
     """How far a point lies outside a vessel, m; negative inside."""
     distance = np.linalg.norm(vessel.points - point, axis=1)
     nearest = int(np.argmin(distance))
     return float(distance[nearest] - vessel.depth[nearest])
 
 
-def _leaving(vessel: Vessel, parent: Vessel) -> int:
+def _leaving(vessel: RoughVessel, parent: RoughVessel) -> int:
     """First point of a vessel outside its parent's lumen."""
     return next((i for i, point in enumerate(vessel.points) if _beside(parent, point) > 0), len(vessel.points) - 1)
 
 
-def continued(trunk: Vessel, onward: Vessel) -> None:
+def continued(trunk: RoughVessel, onward: RoughVessel) -> None:
     """Makes a trunk go on as one of the vessels it forks into; the others then leave it at its side.
 
     Args:
@@ -235,16 +232,12 @@ def continued(trunk: Vessel, onward: Vessel) -> None:
     trunk.children += onward.children
 
 
-def turned(vessel: Vessel, rotation: Array, offset: Array) -> Vessel:
+def turned(vessel: RoughVessel, rotation: Array, offset: Array) -> RoughVessel:
     """A vessel and what leaves it, in another frame.
 
     Args:
-        vessel: the vessel.
         rotation: (3, 3).
         offset: (3,) m, added after the rotation.
-
-    Returns:
-        A new vessel.
     """
     children = [turned(child, rotation, offset) for child in vessel.children]
     return replace(vessel, points=vessel.points @ rotation.T + offset, children=children)

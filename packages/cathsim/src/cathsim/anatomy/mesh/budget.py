@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
-from cathsim.anatomy.mesh.refusal import MeshRefusedError
+from cathsim.anatomy.mesh.report import MeshRefusedError
 
 MOST_SECONDS = 120.0  # s of processor time; whole arches take 4 to 40
 MOST_BYTES = 4e9
@@ -45,9 +45,7 @@ class Budget:
         """Refuses a lattice that would not fit.
 
         Args:
-            voxels: how many.
             spacing: m between them.
-            size: of the surface, in words.
 
         Raises:
             MeshRefusedError: in that case.
@@ -61,9 +59,6 @@ class Budget:
 
     def check_samples(self, points: float) -> None:
         """Refuses a surface whose triangles would take too many points.
-
-        Args:
-            points: how many.
 
         Raises:
             MeshRefusedError: in that case.

@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.mesh.refusal import MeshRefusedError
+from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.mesh.samples import SurfaceSamples
 
 _MARGIN = 4  # voxels of free space around the surface

@@ -30,7 +30,6 @@ def trim_cavity(cavity: Cavity, ends: Sequence[VesselEnd]) -> Mask:
 
     Args:
         cavity: the lumen as it was found.
-        ends: all its ends.
 
     Returns:
         (nx, ny, nz) voxels.
@@ -91,10 +90,7 @@ def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: S
     """The part of a surface that bounds the lumen, with patches over its gaps.
 
     Args:
-        samples: points on the whole surface.
         cavity: the lumen's lattice.
-        inside: its voxels.
-        ends: its ends.
 
     Returns:
         Samples whose triangles' corners run so that the normals point into the lumen.
@@ -170,8 +166,6 @@ def distance_grid(
     Args:
         surface: what bounds the lumen, normals into it.
         cavity: the lumen's lattice, in the frame of the surface.
-        inside: its voxels.
-        ends: its flat ends.
         rotation: (3, 3) from the surface's frame to the grid's.
         offset: (3,) m, added after the rotation.
         resolution: m between the grid's points.

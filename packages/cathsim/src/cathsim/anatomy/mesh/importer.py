@@ -16,20 +16,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import LumenPaths, Voxels
-from cathsim.anatomy.mesh.branches import Vessel, build_vessels, turned
+from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels, turned
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity
 from cathsim.anatomy.mesh.ends import VesselEnd, find_end, severs
-from cathsim.anatomy.mesh.naming import ascending_score, name_vessels, ordered_names, renamed, world_rotation
+from cathsim.anatomy.mesh.naming import (
+    ascending_score,
+    name_vessels,
+    ordered_names,
+    propose_entries,
+    propose_targets,
+    renamed,
+    world_rotation,
+)
 from cathsim.anatomy.mesh.openings import close_openings
-from cathsim.anatomy.mesh.reading import clean_triangles, read_triangles
-from cathsim.anatomy.mesh.refusal import MeshRefusedError, draw_refusal
-from cathsim.anatomy.mesh.report import ImportReport
+from cathsim.anatomy.mesh.reading import (
+    UNITS,
+    Size,
+    check_unit,
+    clean_triangles,
+    detect_unit,
+    measure_size,
+    read_triangles,
+)
+from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, draw_refusal
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
-from cathsim.anatomy.mesh.targets import propose_entries, propose_targets
 from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
-from cathsim.anatomy.mesh.unit import UNITS, Size, check_unit, detect_unit, measure_size
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
@@ -305,7 +318,9 @@ def _same(end: VesselEnd, other: VesselEnd) -> bool:
     return gap < 0.9 * max(end.radius, other.radius) and float(end.normal @ other.normal) > 0.3
 
 
-def _find_vessels(cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd]) -> tuple[Vessel, list[VesselEnd]]:
+def _find_vessels(
+    cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd]
+) -> tuple[RoughVessel, list[VesselEnd]]:
     """Vessels between the ends, from the descending end of the aorta on."""
     from scipy.ndimage import label
 
@@ -328,7 +343,7 @@ def _find_vessels(cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEn
         places.append(lumen[nearest])
     by_radius = sorted(range(len(ends)), key=lambda n: -ends[n].radius)
 
-    def vessels(first: int, last: int) -> Vessel:
+    def vessels(first: int, last: int) -> RoughVessel:
         others = [n for n in range(len(ends)) if n != first]
         ways = paths.ways(places[first], np.array([places[n] for n in others]))
         points = [

@@ -13,17 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
-from cathsim.anatomy.mesh.branches import Vessel, continued
-from cathsim.anatomy.mesh.refusal import MeshRefusedError
+from cathsim.anatomy.mesh.branches import RoughVessel, continued
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.phantom import END_CLEARANCE, ENTRY_DEPTH, TARGET_DISTANCE, Entry, Target
+from cathsim.anatomy.vessel_tree import VesselTree
 
 ARCH_YAW = 0.75  # rad between the arch's plane and the coronal plane
 SNAP_UP, SNAP_LEFT = math.radians(20), math.radians(30)  # nearer to a file's axis than this the axis is meant
 SUPRA_AORTIC = ("bca", "lcca", "lsa")
+OTHER_DISTANCE = 0.030  # m beyond the ostium, in branches that the named phantoms do not have
+ENTRY_CHORD = 0.010  # m of centreline that give an entry its direction: a cut end is often flared or aslant
+_LEAST = 3e-3  # m beyond the ostium: nearer than this a place is no target
 
 Array = NDArray[np.float64]
 
 
-def ascending_score(aorta: Vessel, first_radius: float, last_radius: float) -> float:
+def ascending_score(aorta: RoughVessel, first_radius: float, last_radius: float) -> float:
     """How much speaks for an aorta's last end being the ascending one, against its first.
 
     Args:
@@ -46,7 +51,7 @@ def ascending_score(aorta: Vessel, first_radius: float, last_radius: float) -> f
     return score
 
 
-def world_rotation(aorta: Vessel) -> tuple[Array, bool]:
+def world_rotation(aorta: RoughVessel) -> tuple[Array, bool]:
     """Rotation from the file's frame to the patient's, as far as the vessels tell it.
 
     Up is where the limbs of the arch run; the arch's plane is taken to lie 43 degrees from the coronal one, ascending
@@ -73,7 +78,7 @@ def world_rotation(aorta: Vessel) -> tuple[Array, bool]:
     return np.stack([left, np.cross(up, left), up]), snapped
 
 
-def name_vessels(aorta: Vessel) -> tuple[dict[int, str], tuple[str, ...]]:
+def name_vessels(aorta: RoughVessel) -> tuple[dict[int, str], tuple[str, ...]]:
     """Names vessels.
 
     Args:
@@ -117,7 +122,7 @@ def name_vessels(aorta: Vessel) -> tuple[dict[int, str], tuple[str, ...]]:
     return names, tuple(notes)
 
 
-def _left_carotid(trunk: Vessel, last: Vessel) -> Vessel | None:
+def _left_carotid(trunk: RoughVessel, last: RoughVessel) -> RoughVessel | None:
     """The daughter of a trunk that is the left carotid: of three the leftmost, of two one that ends by the LSA."""
     daughters = [d for d in trunk.children if len(d.ends) == 1]
     if not daughters:
@@ -132,7 +137,7 @@ def _left_carotid(trunk: Vessel, last: Vessel) -> Vessel | None:
     return leftmost if float(np.linalg.norm(leftmost.tip - last.tip)) < near else None
 
 
-def _name_trunk(trunk: Vessel, names: dict[int, str]) -> None:
+def _name_trunk(trunk: RoughVessel, names: dict[int, str]) -> None:
     """Names the subclavian and the carotid artery of the right side."""
     pair = sorted((c for c in trunk.children if len(c.ends) == 1 and id(c) not in names), key=lambda c: -c.radius)[:2]
     if len(pair) == 2:
@@ -142,7 +147,7 @@ def _name_trunk(trunk: Vessel, names: dict[int, str]) -> None:
         names[id(pair[0])] = "rcca" if _rise(pair[0]) > _rise(trunk) else "rsa"
 
 
-def _rise(vessel: Vessel) -> float:
+def _rise(vessel: RoughVessel) -> float:
     """How steeply a vessel runs up from its start to its end."""
     return float(_unit(vessel.points[-1] - vessel.points[0])[2])
 
@@ -151,11 +156,7 @@ def renamed(names: dict[int, str], own: Mapping[str, str] | None) -> dict[int, s
     """Automatic names replaced by the user's.
 
     Args:
-        names: automatic names.
         own: automatic name to the user's, or None.
-
-    Returns:
-        The names to use.
 
     Raises:
         MeshRefusedError: for a vessel that there is not, or a name used twice.
@@ -175,11 +176,10 @@ def renamed(names: dict[int, str], own: Mapping[str, str] | None) -> dict[int, s
     return result
 
 
-def ordered_names(aorta: Vessel, names: Mapping[int, str], own: list[str]) -> dict[str, str]:
+def ordered_names(aorta: RoughVessel, names: Mapping[int, str], own: list[str]) -> dict[str, str]:
     """The mapping that a list of names stands for.
 
     Args:
-        aorta: the main vessel.
         names: automatic names by `id()`.
         own: the user's names for the aorta's branches, from the heart on.
 
@@ -196,6 +196,54 @@ def ordered_names(aorta: Vessel, names: Mapping[int, str], own: list[str]) -> di
             "give as many, or a mapping."
         )
     return dict(zip(found, own, strict=True))
+
+
+def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...]]:
+    """Proposes a target in every branch.
+
+    Returns:
+        Targets by name, and notes on those that had to be moved or left out.
+    """
+    targets, notes = {}, []
+    for branch in tree.branches[1:]:
+        wanted = TARGET_DISTANCE.get(branch.name, OTHER_DISTANCE)
+        try:
+            ostium = tree.ostium_arc(branch.name)
+        except ValueError:  # it never leaves its parent's lumen
+            continue
+        clearance = END_CLEARANCE if branch.open_end else 0.0
+        distance = min(wanted, branch.length - clearance - ostium)
+        if distance < _LEAST:
+            notes.append(f"no target in {branch.name}: it is only {1e3 * (branch.length - ostium):.0f} mm long")
+            continue
+        if distance < wanted - 1e-9:
+            notes.append(
+                f"target {branch.name} lies {1e3 * distance:.0f} mm up its branch instead of {1e3 * wanted:.0f}: "
+                "the branch is short"
+            )
+        targets[branch.name] = Target(branch.name, branch.name, branch.point_at(ostium + distance), ostium + distance)
+    return targets, tuple(notes)
+
+
+def propose_entries(tree: VesselTree) -> dict[str, Entry]:
+    """Proposes entries at the two ends of the aorta.
+
+    Args:
+        tree: the vessels; the root runs from the descending end to the ascending one.
+
+    Returns:
+        Entries "descending" and "ascending".
+    """
+    aorta = tree.root
+    entries = {}
+    for name, near, far in (
+        ("descending", ENTRY_DEPTH, ENTRY_DEPTH + ENTRY_CHORD),
+        ("ascending", aorta.length - ENTRY_DEPTH, aorta.length - ENTRY_DEPTH - ENTRY_CHORD),
+    ):
+        position = aorta.point_at(near)
+        way = aorta.point_at(far) - position
+        entries[name] = Entry(name, position, way / np.linalg.norm(way))
+    return entries
 
 
 def _snap(direction: Array, angle: float, avoid: Array | None = None) -> tuple[Array, bool]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.reading import Indices, Triangles
-from cathsim.anatomy.mesh.refusal import MeshRefusedError
+from cathsim.anatomy.mesh.report import MeshRefusedError
 
 _MOST_BORDER = 0.4  # of all edges may belong to one triangle only: a coarse open tube has fewer
 _MOST_PAIRS = 20_000_000  # of border edges at one vertex that are looked at for missing triangles

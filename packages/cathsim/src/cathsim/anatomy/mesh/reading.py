@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.mesh.refusal import MeshRefusedError
+from cathsim.anatomy.mesh.budget import Budget
+from cathsim.anatomy.mesh.cavity import find_cavity
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.mesh.samples import sample_surface
 
 SUFFIXES = (".stl", ".obj", ".ply")
 MOST_BYTES = 2_000_000_000  # about forty million faces of a binary STL
@@ -16,6 +20,13 @@ MOST_FACES = 400_000  # above this a mesh is thinned out
 _STRAY, _MOST_STRAY = 0.5, 10.0  # % of vertices at either side, and how many times further than the others they may lie
 _WELD = 1e-5  # of the largest extent: vertices nearer than this are one
 _CLUSTERS = 500  # cells along the largest extent when a mesh is thinned out
+
+UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+_WIDTH, _EXTENT = 0.028, 0.22  # m: an aorta's widest place, and an arch's largest extent
+_EXTENT_WEIGHT = 0.25  # extents differ more: some models reach down to the groin
+_WORST = 1.1  # score beyond which no unit makes an aorta of the surface
+_CLOSE = 0.35  # scores nearer to each other than this leave a choice
+_VOXELS = 130  # along the largest extent
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -54,18 +65,12 @@ class Triangles:
 
         Args:
             factor: what one old unit is in new ones.
-
-        Returns:
-            New triangles.
         """
         return Triangles(self.vertices * factor, self.faces)
 
 
 def is_mesh_path(name: str) -> bool:
     """Whether a phantom's name is a path to a mesh.
-
-    Args:
-        name: what was given.
 
     Returns:
         True where it ends like one.
@@ -166,3 +171,94 @@ def _cluster(mesh: Triangles, cell: float) -> Triangles:
     first = np.ones(len(ordered), dtype=bool)
     first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     return Triangles(vertices, faces[np.sort(order[first])])
+
+
+def check_unit(unit: str | None) -> None:
+    """Refuses an unknown unit.
+
+    Args:
+        unit: one of UNITS, or None where it is to be detected.
+
+    Raises:
+        MeshRefusedError: for anything else.
+    """
+    if unit is not None and unit not in UNITS:
+        raise MeshRefusedError(f"unknown unit {unit!r}; choose from {', '.join(UNITS)}, or leave it out.")
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a lumen is.
+
+    Attributes:
+        width: of its widest ball, in the file's unit.
+        extent: longest side of the whole, in the file's unit.
+    """
+
+    width: float
+    extent: float
+
+    def score(self, unit: str) -> float:
+        """How far it is from an aorta in a unit; 0: it has an aorta's width and extent."""
+        metres = UNITS[unit]
+        width, extent = self.width * metres / _WIDTH, self.extent * metres / _EXTENT
+        return math.log(width) ** 2 + _EXTENT_WEIGHT * math.log(extent) ** 2
+
+    def in_order(self) -> list[str]:
+        """The units, the one that fits best first."""
+        return sorted(UNITS, key=self.score)
+
+    def in_words(self, unit: str) -> str:
+        """Width and extent in a unit, in words."""
+        width, extent = (1e3 * UNITS[unit] * length for length in (self.width, self.extent))
+        return f"its widest vessel is then {width:.3g} mm wide and the whole {extent:.3g} mm long"
+
+    def hint(self, unit: str) -> str:
+        """What speaks against a given unit; empty where it fits about as well as any."""
+        best = self.in_order()[0]
+        if best == unit or self.score(best) > _WORST or self.score(unit) - self.score(best) < _CLOSE:
+            return ""
+        return f"in {unit} {self.in_words(unit)}; {best} would fit ({self.width * UNITS[best] * 1e3:.3g} mm wide)"
+
+
+def measure_size(mesh: Triangles, budget: Budget) -> Size:
+    """Measures the widest ball in a lumen, and the whole, at a rough resolution.
+
+    Args:
+        mesh: with its borders closed, in the file's unit.
+
+    Returns:
+        Its size in the file's unit.
+
+    Raises:
+        MeshRefusedError: where there is no lumen.
+    """
+    spacing = mesh.extent / _VOXELS
+    samples = sample_surface(mesh.corners, 0.7 * spacing, budget)
+    return Size(2 * find_cavity(samples, spacing, in_metres=False).widest, mesh.extent)
+
+
+def detect_unit(size: Size) -> tuple[str, str, tuple[str, ...]]:
+    """Tells the unit from the width of the widest ball in the lumen, and from the extent of the whole.
+
+    Returns:
+        One of UNITS, the reason in words, and a note where it is unsure.
+
+    Raises:
+        MeshRefusedError: where in no unit it could be an aorta's.
+    """
+    best, second = size.in_order()[:2]
+    width = f"its widest vessel is then {size.width * UNITS[best] * 1e3:.3g} mm wide"
+    if size.score(best) > _WORST:
+        raise MeshRefusedError(
+            f"in no unit is this an aorta ({best} comes nearest, {width}, and the whole "
+            f"{size.extent * UNITS[best] * 1e3:.3g} mm long); if it is one, give its unit."
+        )
+    if size.score(second) - size.score(best) >= _CLOSE:
+        return best, f"detected: {width}, as an aorta is", ()
+    other = f"{second} could be meant ({size.width * UNITS[second] * 1e3:.3g} mm wide): give the unit to be sure"
+    return (
+        best,
+        f"detected: {width}, as an aorta is; but {other}",
+        (f"the unit is unsure: {best} is taken, but {other}",),
+    )

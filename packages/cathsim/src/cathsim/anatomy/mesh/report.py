@@ -1,10 +1,20 @@
-"""What was found out about an imported mesh, and what was done to it."""
+"""The account of an imported mesh, or the reason why it was refused and a picture of what came."""
 
 from __future__ import annotations
 
 import dataclasses
+import logging
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+logger = logging.getLogger(__name__)
+_MOST_POINTS = 60_000
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -47,14 +57,65 @@ class ImportReport:
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> ImportReport:
-        """From what `to_json` gave, through JSON.
-
-        Args:
-            value: the fields.
-
-        Returns:
-            The report.
-        """
+        """From what `to_json` gave, through JSON."""
         rotation = tuple((float(a), float(b), float(c)) for a, b, c in value["rotation"])
         x, y, z = value["offset"]
         return cls(**{**value, "rotation": rotation, "offset": (x, y, z), "notes": tuple(value["notes"])})
+
+
+class MeshRefusedError(ValueError):
+    """A mesh that cannot become a phantom.
+
+    Attributes:
+        picture: PNG file that shows what came, or None where there is nothing to draw.
+    """
+
+    def __init__(self, reason: str, picture: Path | None = None) -> None:
+        super().__init__(reason if picture is None else f"{reason.rstrip('.')}; see the picture {picture}.")
+        self.reason = reason
+        self.picture = picture
+
+    def __reduce__(self) -> tuple[type[MeshRefusedError], tuple[str, Path | None]]:
+        return MeshRefusedError, (self.reason, self.picture)
+
+
+def draw_refusal(surface: Array, found: Array, reason: str, path: Path) -> Path | None:
+    """Draws a refused surface from three sides along the file's axes, with whatever lumen was found in it.
+
+    Args:
+        surface: (n, 3) points on the surface, any unit.
+        found: (m, 3) points inside the lumen, in the same unit; may be empty.
+        reason: the picture's title.
+        path: PNG file to write.
+
+    Returns:
+        The path, or None where it cannot be drawn (no matplotlib, no room).
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError:
+        logger.warning("no picture of the refused mesh: install matplotlib, or cathsim[pictures].")
+        return None
+    figure = Figure(figsize=(12.0, 5.2), dpi=100, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    rng = np.random.default_rng(0)
+    shown = surface[rng.permutation(len(surface))[:_MOST_POINTS]]
+    inner = found[rng.permutation(len(found))[:_MOST_POINTS]]
+    for panel, (across, up, depth) in zip(figure.subplots(1, 3), ((0, 2, 1), (1, 2, 0), (0, 1, 2)), strict=True):
+        order = np.argsort(shown[:, depth])
+        panel.scatter(*shown[order][:, [across, up]].T, c=shown[order][:, depth], s=0.4, cmap="Greys", alpha=0.5)
+        if len(inner):
+            panel.scatter(*inner[:, [across, up]].T, s=0.6, color="#cc4438", alpha=0.3, label="lumen found")
+            panel.legend(loc="upper right", fontsize=8, markerscale=8)
+        panel.set_xlabel("xyz"[across])
+        panel.set_ylabel("xyz"[up])
+        panel.set_aspect("equal")
+    figure.suptitle(reason, fontsize=10, wrap=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path)
+    except OSError as error:
+        logger.warning("no picture of the refused mesh: %s cannot be written (%s).", path, error)
+        return None
+    return path

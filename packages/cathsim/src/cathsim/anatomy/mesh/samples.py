@@ -95,9 +95,6 @@ def sample_surface(corners: Array, spacing: float, budget: Budget | None = None)
         spacing: m.
         budget: that the points must fit; None: one of their own.
 
-    Returns:
-        The samples, corners included.
-
     Raises:
         MeshRefusedError: there would be too many.
     """

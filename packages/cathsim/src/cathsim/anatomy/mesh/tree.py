@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
 from cathsim.anatomy.cross_section import wall_distances
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.mesh.branches import Vessel
+from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.vessel_tree import Branch, VesselTree, nearest_on_branch
 
 STEP = 1e-3  # m between centreline points
@@ -38,15 +38,13 @@ class TreeSettings:
 
 
 def grow_tree(
-    aorta: Vessel, names: Mapping[int, str], grid: SignedDistanceGrid, settings: TreeSettings
+    aorta: RoughVessel, names: Mapping[int, str], grid: SignedDistanceGrid, settings: TreeSettings
 ) -> tuple[VesselTree, tuple[str, ...]]:
     """Makes a vessel tree.
 
     Args:
         aorta: the main vessel with its branches, world frame.
         names: their names, by `id()`.
-        grid: the lumen.
-        settings: what is kept.
 
     Returns:
         The tree, and notes on what was left out or cut short.
@@ -74,13 +72,13 @@ def grow_tree(
     return VesselTree(tuple(whole)), tuple(notes)
 
 
-def _main(aorta: Vessel, grid: SignedDistanceGrid) -> Branch:
+def _main(aorta: RoughVessel, grid: SignedDistanceGrid) -> Branch:
     points = _centred(smoothed(resampled(aorta.points, STEP), 3e-3), grid, 0, smoothing=3e-3, free_ends=True)
     return Branch("aorta", points, _radii(points, grid, 0))
 
 
 def _branch(
-    vessel: Vessel, name: str, parent: Branch, grid: SignedDistanceGrid, settings: TreeSettings
+    vessel: RoughVessel, name: str, parent: Branch, grid: SignedDistanceGrid, settings: TreeSettings
 ) -> tuple[Branch | None, str]:
     raw = smoothed(resampled(vessel.points, STEP), 1.5e-3)
     if vessel.from_fork:

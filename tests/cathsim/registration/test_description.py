@@ -17,10 +17,10 @@ from cathsim.anatomy.generator.arch_parameters import Aneurysm
 from cathsim.anatomy.library import build_phantom
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.hulls import Decomposition
-from cathsim.description import describe, described
 from cathsim.fluoroscopy import BiplaneFluoroscope
 from cathsim.fluoroscopy.scene import SCENES
 from cathsim.registration import MANY
+from cathsim.registration.description import describe, described
 
 COARSE = 2e-3
 

@@ -95,9 +95,6 @@ def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], K
     """An argument that is a name, an object, or an object's description.
 
     Args:
-        argument: its name.
-        value: what was given.
-        kind: of the object.
         named: gives the object of a name.
 
     Raises:
