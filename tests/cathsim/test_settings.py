@@ -32,7 +32,7 @@ RECORDS = {
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
     *("anatomy.vessel_tree:Branch", "anatomy.vessel_tree:VesselTree"),
     *("contact.hull_vessel:HullVessel", "contact.hulls:Hull", "contact.intrusion:WallFit", "contact.sdf:Vessel"),
-    *("description:Specification", "link_ladder:Ladder", "planning.path:LumenPath", "validation:Unit"),
+    *("registration.description:Specification", "link_ladder:Ladder", "planning.path:LumenPath", "validation:Unit"),
     *(
         "fluoroscopy.c_arms:XRayCamera",
         "fluoroscopy.calibration_file:Projection",
@@ -44,7 +44,9 @@ RECORDS = {
         "robot.cycle:Measured",
         "simulation:Contacts",
     ),
-    *("metrics:EpisodeMetrics", "metrics:Statistic", "metrics:Summary"),
+    *("metrics.episodes:EpisodeMetrics", "metrics.episodes:Statistic", "metrics.episodes:Summary"),
+    *("metrics.forces:ForceComparison", "physics_checks.contact:Helix", "physics_checks.rig:TheoryCheck"),
+    "physics_checks.statics:Column",
 }
 # What has no defaults.
 EXAMPLES: dict[type[Any], Any] = {

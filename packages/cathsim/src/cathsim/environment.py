@@ -110,7 +110,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         blood: None, "steady", "pulsatile", or a `BloodFlow`: its drag on the wire.
         contact: "sdf", "hulls" (convex hulls of the wall, made in minutes and cached), or a `Decomposition`.
         drive: "direct", or "robot": the follower robot feeds the wire stroke by stroke, so that a step may move it less
-            than its action says, or not at all while the clamp goes back; `info["driven"]` tells.
+            than its action says, or not at all while the clamp goes back; see `info["driven"]`.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
         task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
@@ -317,11 +317,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         }
 
     def restore(self, state: dict[str, Any]) -> Any:
-        """Goes on where an environment with the same arguments was saved.
-
-        Args:
-            state: from `state`.
-        """
+        """Goes on where an environment with the same arguments was saved by `state`; returns the observation."""
         if state["target"] != self.task.target:
             self._set_task(dataclasses.replace(self._own_task, target=state["target"]))
         self.simulation.restore(state["simulation"])
@@ -347,7 +343,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         return task.step_reward(distance, before - self._remaining, force, moved, success=success)
 
     def _way_left(self) -> float:
-        # the scan tells it, so its registration counts here, too
+        # it is read from the scan, so the registration counts here, too
         return self.task.remaining(self.phantom, self.simulation.tip + self.roadmap.offset)
 
     def observe(self) -> Any:

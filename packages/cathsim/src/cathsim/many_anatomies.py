@@ -41,10 +41,9 @@ class PhantomShelf:
         self._lock = threading.Lock()
 
     def take(self, name: AnatomyChoice, resolution: float) -> Phantom:
-        """The phantom of a name, or for a number the random arch of that seed.
+        """The phantom of a name, with its seed where it needs one, or for a number the random arch of that seed.
 
         Args:
-            name: as `load_phantom` takes it, with its seed where it needs one, or the seed of a random arch.
             resolution: m between the nodes of its grid.
         """
         key = (name, resolution)
@@ -65,7 +64,7 @@ SHELF = PhantomShelf()
 
 
 class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
-    """`NavigateEnv` in an anatomy, towards a target and with a wire that each reset draws anew.
+    """`NavigateEnv` in an anatomy, towards a target and with a wire that each reset draws again.
 
     Phantoms are built at first use and shared by every environment of the process, which keeps the last 64 of them
     (`SHELF.capacity`): about 40 MB each at 1 mm, 13 MB at 1.5 mm.
@@ -224,11 +223,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         }
 
     def restore(self, state: dict[str, Any]) -> Any:
-        """Goes on where an environment with the same arguments was saved.
-
-        Args:
-            state: from `state`.
-        """
+        """Goes on where an environment with the same arguments was saved by `state`; returns the observation."""
         self._change(state["case"])
         self.np_random.bit_generator.state = state["generator"]
         return self.current.restore(state["episode"])

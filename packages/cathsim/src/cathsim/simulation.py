@@ -164,7 +164,7 @@ class Simulation:
         self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
-        # models and native structs are made anew; MuJoCo's data go along, so that whatever is read of them stays
+        # models and native structs are made again; MuJoCo's data go along, so that every value in them stays
         arguments = {
             "entry": self.entry,
             "contact": self.contact,

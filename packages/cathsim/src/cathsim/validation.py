@@ -78,11 +78,8 @@ def settings(*, frozen: bool = True, eq: bool = True) -> Callable[[type[Kind]], 
 def settings(cls: type[Kind] | None = None, *, frozen: bool = True, eq: bool = True) -> Any:
     """Makes a frozen dataclass whose fields are checked by their annotations.
 
-    NaN and infinity are refused everywhere, ranges where an annotation has them. Numbers of NumPy are taken.
-
-    Args:
-        cls: the class, where the decorator has no arguments.
-        frozen: as of `dataclasses.dataclass`.
+    NaN and infinity are refused everywhere, ranges where an annotation has them. Numbers of NumPy are taken. `frozen`
+    and `eq` are those of `dataclasses.dataclass`.
 
     Raises:
         ValueError: on construction, one sentence that names field, range and unit.
@@ -109,7 +106,7 @@ def _checked(cls: type[Any], *, frozen: bool, eq: bool) -> type[Any]:
 
 
 def check_fields(made: Any, of: type[Any]) -> None:
-    """Checks the fields that an object has of a settings class; for its `__post_init__`.
+    """Checks the fields that an object has of the settings class `of`; for its `__post_init__`.
 
     A subclass that the standard library's decorator has made sets them without a check.
 
@@ -123,13 +120,7 @@ def check_fields(made: Any, of: type[Any]) -> None:
 
 
 def quantity(name: str, value: Any, annotation: Any) -> Any:
-    """Checks an argument of a function as `settings` checks a field.
-
-    Args:
-        annotation: one of those of this module, or another with ranges and a unit.
-
-    Returns:
-        The value, of the annotation's type.
+    """Checks an argument of a function as `settings` checks a field, and converts it to the annotation's type.
 
     Raises:
         ValueError: one sentence that names argument, range and unit.
@@ -153,7 +144,7 @@ def _refusal(cls: type[Any], error: ValidationError) -> str:
     if first["type"] == "value_error":  # of a check in the class itself, which has written its own sentence
         return str(first["ctx"]["error"])
     place = [part for part in first["loc"] if isinstance(part, int) or str(part).isidentifier()]
-    if place and isinstance(place[0], int):  # an argument told by its position
+    if place and isinstance(place[0], int):  # an argument given by its position
         place[0] = [one.name for one in dataclasses.fields(cls) if one.init][place[0]]
     name = str(place[0]) if place else cls.__name__
     if first["type"] == "missing":

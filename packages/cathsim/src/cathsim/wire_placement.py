@@ -1,4 +1,4 @@
-"""A wire laid along a way through the lumen: states beyond a branch's ostium that no steering had to reach."""
+"""Placing a wire along a way through the lumen: states beyond a branch's ostium, reached without steering."""
 
 from __future__ import annotations
 
@@ -18,15 +18,11 @@ _AT_ENTRY = 5e-4  # m from the entry at which a way may begin
 
 
 def plan_way(simulation: Simulation, place: ArrayLike) -> np.ndarray:
-    """Plans the way along which a wire can be laid to a place.
-
-    Args:
-        simulation: with the vessel and the sheath.
-        place: in the lumen, m, world frame. Shape (3,).
+    """Plans the way along which a wire can be placed up to a place (3,) m in the lumen.
 
     Returns:
-        Points from the entry to the place, m, world frame: straight on to where the tip lies at zero insertion, off the
-        walls from there on. Shape (n, 3).
+        Points (n, 3) m from the entry to the place: straight on to where the tip lies at zero insertion, off the walls
+        from there on.
 
     Raises:
         UnreachableError: no way keeps `WAY_CLEARANCE` from the walls.
@@ -40,10 +36,9 @@ def plan_way(simulation: Simulation, place: ArrayLike) -> np.ndarray:
 
 
 def lay_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, rest_steps: int = REST_STEPS) -> None:
-    """Lays the wire along a way, its tip some distance short of the way's end, and lets it come to rest.
+    """Places the wire along a way, its tip some distance short of the way's end, and lets it come to rest.
 
-    Each joint turns so that its link points along the way; twist and the pre-shaped tip are what the rest makes of
-    them. The tip may slip back out of a branch while the wire rests: look at where it is.
+    Each joint turns so that its link points along the way; twist and the pre-shaped tip settle during the rest. The tip may slip back out of a branch while the wire rests: look at where it is.
 
     Args:
         simulation: whose wire it is; it ends in the new state.
@@ -56,7 +51,7 @@ def lay_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, res
     """
     points = np.asarray(way, float)
     gap = float(np.linalg.norm(points[0] - simulation.vessel.entry))
-    if gap > _AT_ENTRY:  # else the wire would be laid that far behind the way
+    if gap > _AT_ENTRY:  # else the wire would lie that far behind the way
         raise ValueError(
             f"a way for the wire begins at the vessel's entry, this one begins {1e3 * gap:.1f} mm from it: plan it "
             "with plan_way, or put the entry before it"

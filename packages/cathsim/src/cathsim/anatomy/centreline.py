@@ -54,13 +54,10 @@ class LumenPaths:
         return self.origin + voxels * self.spacing
 
     def ends(self, openings: Voxels | None = None) -> Voxels:
-        """Where the lumen ends.
+        """Voxels (k, 3) at the far ends of the vessels, the first one furthest from the widest place.
 
         Args:
             openings: voxels (n, 3) of the lumen at openings of its surface, where even a short vessel ends.
-
-        Returns:
-            Voxels (k, 3); each lies at the far end of a vessel, the first one furthest from the widest place.
         """
         from skimage.graph import MCP_Geometric
 
@@ -102,15 +99,7 @@ class LumenPaths:
         return np.array(found)
 
     def ways(self, root: Voxels, ends: Voxels) -> list[Voxels]:
-        """Ways from one end to others along the lumen's middle; they share their voxels until they part.
-
-        Args:
-            root: (3,) voxel.
-            ends: (k, 3) voxels.
-
-        Returns:
-            For each end the voxels (n, 3) from the root to it.
-        """
+        """Ways (n, 3) of voxels along the lumen's middle from a root (3,) to ends (k, 3), shared until they part."""
         ways = self._ways(tuple(root))
         return [np.array(ways.traceback(tuple(end))) for end in ends]
 
@@ -138,15 +127,7 @@ class LumenPaths:
 
 
 def resampled(points: Array, step: float) -> Array:
-    """A polyline at even steps, its ends kept.
-
-    Args:
-        points: (n, 3) m.
-        step: m.
-
-    Returns:
-        (m, 3) m, at least four points.
-    """
+    """A polyline (n, 3) m at even steps (m), at least four points, its ends kept."""
     keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9])
     points = points[keep]
     arc = arc_length(points)
@@ -155,15 +136,7 @@ def resampled(points: Array, step: float) -> Array:
 
 
 def smoothed(points: Array, width: float) -> Array:
-    """A polyline of even steps, smoothed by a Gaussian along it, its ends kept.
-
-    Args:
-        points: (n, 3) m, at even steps.
-        width: m, standard deviation.
-
-    Returns:
-        (n, 3) m.
-    """
+    """A polyline (n, 3) m of even steps, smoothed by a Gaussian of deviation `width` (m) along it, its ends kept."""
     from scipy.ndimage import gaussian_filter1d
 
     if len(points) < 3:

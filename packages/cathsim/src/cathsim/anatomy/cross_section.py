@@ -29,12 +29,12 @@ def wall_distances(
     """Distances to the wall along rays within the planes across a vessel.
 
     Args:
-        points: (n, 3) m, inside it.
+        points: (n, 3) m, inside the lumen.
         tangents: (n, 3) unit vectors along the vessel.
-        reach: m at which a ray ends though it met no wall.
+        reach: m at which a ray ends that met no wall.
 
     Returns:
-        Distances (rays, n) m, and the rays' unit vectors (rays, n, 3).
+        Distances (rays, n) m, and the rays' unit vectors (rays, n, 3), evenly around the vessel.
     """
     first, second = across_frames(tangents)
     angles = np.arange(rays) * 2 * math.pi / rays

@@ -47,36 +47,15 @@ class SignedDistanceGrid:
         return np.stack([self.origin, self.origin + (np.array(self.shape) - 1) * self.spacing])
 
     def coordinates(self, indices: ArrayLike) -> NDArray[np.float64]:
-        """World position of lattice points.
-
-        Args:
-            indices: (..., 3) lattice indices, fractions allowed.
-
-        Returns:
-            (..., 3) m, world frame.
-        """
+        """World position (..., 3) m of lattice indices (..., 3), fractions allowed."""
         return self.origin + np.asarray(indices, dtype=np.float64) * self.spacing
 
     def sample(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Signed distance at points, trilinear; outside the grid its border's value counts.
-
-        Args:
-            points: (..., 3) m, world frame.
-
-        Returns:
-            (...,) m, positive inside the lumen.
-        """
+        """Signed distance (...,) m at points (..., 3) m, trilinear, positive inside; clamped to the grid's border."""
         return sample_trilinear(self.values, self.origin, self.spacing, points)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Gradient of the signed distance, by central differences of the trilinear field; points inwards at the wall.
-
-        Args:
-            points: (..., 3) m, world frame.
-
-        Returns:
-            (..., 3), dimensionless, of about unit length near the wall.
-        """
+        """Gradient (..., 3) of the signed distance at points (..., 3) m; at the wall about a unit vector inwards."""
         points = np.asarray(points, dtype=np.float64)
         half = 0.5 * self.spacing
         offsets = np.eye(3) * half
@@ -89,16 +68,13 @@ def sample_trilinear(
     """Trilinear interpolation on a lattice; points outside take the border's value.
 
     Args:
-        values: (nx, ny, nz).
+        values: (nx, ny, nz), in any unit.
         origin: (3,) m, position of values[0, 0, 0].
         spacing: m.
         points: (..., 3) m.
 
-    Returns:
-        (...,) in the unit of values.
-
     Raises:
-        ValueError: where points do not end in three coordinates.
+        ValueError: points do not end in three coordinates.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-1:] != (3,):

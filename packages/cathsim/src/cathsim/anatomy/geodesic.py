@@ -15,17 +15,14 @@ _SEED_RADIUS = 2e-3  # m: within this ball about the target the distance is the 
 
 
 def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> NDArray[np.float32]:
-    """Shortest distance to a target inside the lumen, by fast marching.
-
-    Args:
-        target: (3,) m, world frame, inside the lumen.
+    """Shortest distance to a target (3,) m inside the lumen, by fast marching.
 
     Returns:
         (nx, ny, nz) float32 m, finite everywhere. Up to MARGIN outside the wall it continues the nearest inside values;
         further out, and where the target cannot be reached, it holds its largest value.
 
     Raises:
-        ValueError: where the target lies outside the lumen.
+        ValueError: the target lies outside the lumen.
     """
     target = np.asarray(target, dtype=np.float64)
     depth = float(grid.sample(target))
@@ -91,15 +88,11 @@ def _continue_outwards(field: NDArray[np.float32], farthest: float, grid: Signed
 
 
 def graph_distance(tree: VesselTree, start: str, start_arc: ArrayLike, branch: str, arc: float) -> NDArray[np.float64]:
-    """Arc length of the only way through the centreline graph between two places.
+    """Arc length (...,) m of the only way through the centreline graph between two places.
 
     Args:
-        start: branch of the first place.
-        start_arc: (...,) m along it.
-        arc: m along it.
-
-    Returns:
-        (...,) m.
+        start, start_arc: branch of the first places, and (...,) m along it.
+        branch, arc: branch of the second place, and m along it.
     """
     start_arc = np.asarray(start_arc, dtype=np.float64)
     if start == branch:
@@ -114,15 +107,7 @@ def graph_distance(tree: VesselTree, start: str, start_arc: ArrayLike, branch: s
 
 
 def centreline_path(tree: VesselTree, start: tuple[str, float], end: tuple[str, float]) -> NDArray[np.float64]:
-    """Points of the centreline graph from one place to another.
-
-    Args:
-        start: branch and arc length (m) of the first place.
-        end: branch and arc length (m) of the second place.
-
-    Returns:
-        (n, 3) m, world frame, about 1 mm apart, both places included.
-    """
+    """Points (n, 3) m of the centreline graph, about 1 mm apart, between two places: branch and arc length (m) each."""
     first, last = tree.ancestry(start[0]), tree.ancestry(end[0])
     shared = max(i for i in range(min(len(first), len(last))) if first[i] == last[i])
 

@@ -77,11 +77,12 @@ def load_phantom(
     cache_dir: Path | None = None,
     parameters: ArchParameters | None = None,
 ) -> Phantom:
-    """Loads a phantom, from memory, from the disk cache, or by building it.
+    """Loads a phantom, from the process, from the disk cache, or by building it.
 
     Args:
         name: one of PHANTOMS; "random" or "random_wide" (rare shapes as often as common ones), which need a seed; the
             path of a mesh (STL, OBJ, PLY); or with `parameters` any name of your own.
+        seed: of the random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
         parameters: measures of an arch of your own.
@@ -116,14 +117,11 @@ def _load_arch(name: str, parameters: ArchParameters, resolution: float, cache_d
 def phantom_description(phantom: Phantom) -> dict[str, Any]:
     """What a phantom was built from, as JSON holds it.
 
-    Args:
-        phantom: of this library, of `build_phantom`, or from a mesh's file.
-
     Returns:
         For `phantom_described`: name, hash, resolution (m), and measures or the arguments of the import.
 
     Raises:
-        ValueError: it was put together by hand.
+        ValueError: it is neither of this library, nor of `build_phantom`, nor from a mesh's file.
     """
     description = {"name": phantom.name, "hash": phantom.hash, "resolution": phantom.grid.spacing}
     if phantom.source is not None:
@@ -142,16 +140,10 @@ def phantom_description(phantom: Phantom) -> dict[str, Any]:
 
 
 def phantom_described(description: Mapping[str, Any]) -> Phantom:
-    """The phantom of a description.
-
-    Args:
-        description: from `phantom_description`.
-
-    Returns:
-        The phantom, loaded or built again.
+    """Loads or builds the phantom of a description.
 
     Raises:
-        ValueError: it is another by now: a mesh's file, or the generator, has changed.
+        ValueError: the mesh's file or the generator has changed since.
     """
     name, resolution = description["name"], description["resolution"]
     if "mesh" in description:
@@ -187,15 +179,7 @@ def _require_same(description: Mapping[str, Any], digest: str) -> None:
 
 
 def phantom_hash(parameters: ArchParameters, resolution: float) -> str:
-    """Digest of everything that determines a phantom's geometry.
-
-    Args:
-        parameters: the arch's measures.
-        resolution: m between lattice points.
-
-    Returns:
-        32 hexadecimal digits.
-    """
+    """Digest of everything that determines a phantom's geometry, 32 hexadecimal digits; the resolution is in m."""
     content = {
         "generator": GENERATOR_VERSION,
         "parameters": dataclasses.asdict(parameters),
@@ -205,15 +189,7 @@ def phantom_hash(parameters: ArchParameters, resolution: float) -> str:
 
 
 def build_phantom(name: str, parameters: ArchParameters, *, resolution: float = 1e-3) -> Phantom:
-    """Builds a phantom without any cache.
-
-    Args:
-        parameters: the arch's measures.
-        resolution: m between lattice points.
-
-    Returns:
-        The phantom; its geodesic fields are computed at first use.
-    """
+    """Builds a phantom without any cache, at a resolution in m; its geodesic fields are computed at first use."""
     tree = build_arch(parameters)
     grid = build_lumen(tree, resolution=resolution, fillet_radius=parameters.fillet_radius)
     return Phantom(

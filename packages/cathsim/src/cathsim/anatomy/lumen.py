@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 def build_lumen(tree: VesselTree, *, resolution: float, fillet_radius: float) -> SignedDistanceGrid:
     """Signed distance grid of a vessel tree's lumen.
 
-    Every branch is a tube about its centreline; tubes are joined by a smooth maximum that rounds the edges of
-    the ostia, and the result is rescaled to unit slope near the wall. Open ends are closed by flat caps.
+    Every branch is a tube about its centreline. A smooth maximum joins the tubes and rounds the edges of the ostia; the
+    result is rescaled to unit slope near the wall. Flat caps close open ends.
 
     Args:
         resolution: m between lattice points.
@@ -35,7 +35,7 @@ def build_lumen(tree: VesselTree, *, resolution: float, fillet_radius: float) ->
         Grid with at least six lattice points of padding; exact to first order near the wall, clamped far outside.
 
     Raises:
-        ValueError: for a resolution too coarse for the narrowest vessel, or not positive.
+        ValueError: the resolution is too coarse for the narrowest vessel, or not positive.
     """
     narrowest = min(float(branch.radius.min()) for branch in tree)
     if not 3e-4 <= resolution <= 0.8 * narrowest:

@@ -25,7 +25,7 @@ class LumenReport:
         components: separate chambers in which the wire's axis can lie.
         reachable: per target, whether it lies in the chamber of the entries.
         least_radius: per target, m from the centreline to the wall where the way from the default entry is narrowest.
-        required_radius: m, what least_radius is held against.
+        required_radius: m, the least that least_radius should be.
     """
 
     open_ends: dict[str, bool]
@@ -61,7 +61,7 @@ def check_lumen(phantom: Phantom, *, required_radius: float = 2e-3, wire_radius:
 
     Args:
         required_radius: m, the least distance from centreline to wall on the way to any target.
-        wire_radius: m, clearance at which the lumen must hang together.
+        wire_radius: m, clearance at which the lumen must be connected.
     """
     from scipy.ndimage import label
 

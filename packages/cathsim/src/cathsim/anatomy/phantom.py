@@ -137,10 +137,7 @@ class Phantom:
         return np.array(low), np.array(high)
 
     def target(self, wanted: TargetLike) -> Target:
-        """The target of a name, or a point as a target.
-
-        Args:
-            wanted: one of `targets`, or (3,) m, world frame, inside the lumen.
+        """The target of a name, or of a point (3,) m in the lumen, world frame.
 
         Raises:
             ValueError: for an unknown name, listing the valid ones; for a point outside the lumen.
@@ -158,9 +155,6 @@ class Phantom:
     def entry(self, name: str = "descending") -> Entry:
         """The entry of a name.
 
-        Args:
-            name: one of `entries`.
-
         Raises:
             ValueError: for an unknown name, listing the valid ones.
         """
@@ -173,8 +167,8 @@ class Phantom:
         """In-lumen distance to a target on the grid's lattice; read from the cache or computed at first use.
 
         Args:
-            target: one of `targets`, or a point in the lumen, (3,) m: computed in about a second at 1 mm, kept
-                while it is used, and then only with the last few points.
+            target: one of `targets`, or a point in the lumen, (3,) m: computed in about a second at 1 mm, kept while it
+                is used, and then only with the last few points.
 
         Returns:
             (nx, ny, nz) float32 m, finite everywhere, read-only.
@@ -193,27 +187,14 @@ class Phantom:
             return self._fields[name]
 
     def geodesic_distance(self, points: ArrayLike, target: TargetLike) -> NDArray[np.float64]:
-        """In-lumen distance from points to a target, trilinear in the geodesic field.
+        """In-lumen distance (...,) m from points (..., 3) m to a target, trilinear in the geodesic field.
 
-        Args:
-            points: (..., 3) m, world frame; a little outside the lumen the nearest inside value counts.
-            target: one of `targets`, or a point in the lumen, (3,) m.
-
-        Returns:
-            (...,) m.
+        A little outside the lumen the nearest inside value counts.
         """
         return sample_trilinear(self.geodesic_field(target), self.grid.origin, self.grid.spacing, points)
 
     def way_length(self, target: TargetLike, entry: str = "descending") -> float:
-        """Arc length from an entry to a target along the centrelines, and from there to the target itself.
-
-        Args:
-            target: one of `targets`, or a point in the lumen, (3,) m.
-            entry: one of `entries`.
-
-        Returns:
-            m.
-        """
+        """Arc length (m) from an entry to a target along the centrelines, and from there to the target itself."""
         place, start = self.target(target), self.entry(entry).position
         nearest = [int(np.argmin(((branch.points - start) ** 2).sum(axis=1))) for branch in self.tree]
         gaps = [float(np.linalg.norm(b.points[i] - start)) for b, i in zip(self.tree, nearest, strict=True)]
@@ -230,25 +211,14 @@ class Phantom:
         return lumen_surface(self.grid)
 
     def wall_mesh(self, thickness: float = 1.5e-3) -> trimesh.Trimesh:
-        """The vessel wall as a solid, cut open at the ends.
-
-        Args:
-            thickness: m.
-
-        Returns:
-            Surface in m, world frame.
-        """
+        """The vessel wall of a thickness (m) as a solid, cut open at the ends, m, world frame."""
         from cathsim.anatomy.surface import wall_surface
 
         return wall_surface(self.grid, self.tree, thickness)
 
 
 def locate_targets(tree: VesselTree) -> dict[str, Target]:
-    """Targets of an aortic arch, on the centrelines, at the distances of TARGET_DISTANCE.
-
-    Returns:
-        Targets by name; those whose branch is missing or too short are left out.
-    """
+    """Targets of an aortic arch on the centrelines, at TARGET_DISTANCE; none where a branch is missing or too short."""
     targets = {}
     for name, distance in TARGET_DISTANCE.items():
         if name in tree:
@@ -260,13 +230,9 @@ def locate_targets(tree: VesselTree) -> dict[str, Target]:
 
 
 def locate_end_targets(tree: VesselTree) -> dict[str, Target]:
-    """Targets at the open ends of the branches, END_DISTANCE before them, on the centrelines.
+    """Targets by name, e.g. "lcca_end", END_DISTANCE before the open ends of branches that are long enough.
 
-    Args:
-        tree: the vessels; the root's own ends are where wires come in, and no targets.
-
-    Returns:
-        Targets by name, e.g. "lcca_end"; a branch that is too short for one has none.
+    The root's own ends are where wires come in, and no targets.
     """
     targets = {}
     for branch in tree.branches[1:]:
@@ -280,14 +246,7 @@ def locate_end_targets(tree: VesselTree) -> dict[str, Target]:
 
 
 def locate_entries(tree: VesselTree) -> dict[str, Entry]:
-    """Entries at the two ends of the aorta.
-
-    Args:
-        tree: the vessels; the root runs from the descending end to the aortic root.
-
-    Returns:
-        Entries "descending" and "ascending".
-    """
+    """Entries "descending" and "ascending" at the first and at the last end of the aorta."""
     aorta = tree.root
     end = aorta.length - ENTRY_DEPTH
     return {

@@ -32,11 +32,7 @@ DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexE
 
 
 def default_cache_directory() -> Path:
-    """Where phantoms are cached: $CATHSIM_CACHE, else `cathsim` in the user's cache directory.
-
-    Returns:
-        The directory, which need not exist yet.
-    """
+    """Where phantoms are cached, made when needed: $CATHSIM_CACHE, else `cathsim` in the user's cache directory."""
     chosen = os.environ.get("CATHSIM_CACHE")
     if chosen:
         return Path(chosen).expanduser()
@@ -70,29 +66,20 @@ def write_archive(path: Path, arrays: dict[str, NDArray], what: str, *, compress
 
 @dataclass(frozen=True)
 class PhantomCache:
-    """Reads and writes built phantoms below a directory.
-
-    Attributes:
-        directory: the cache's directory; made when first written to.
-    """
+    """Reads and writes built phantoms below a directory, which is made when first written to."""
 
     directory: Path
 
     def path(self, digest: str) -> Path:
-        """File of a phantom.
-
-        Args:
-            digest: the phantom's hash.
-
-        Returns:
-            Its path, whether it exists or not.
-        """
+        """File of a phantom of a hash, whether it exists or not."""
         return self.directory / "phantoms" / f"{digest}.npz"
 
     def read(self, name: str, digest: str, parameters: ArchParameters | None) -> Phantom | None:
         """Reads a phantom; its geodesic fields are read at first use.
 
         Args:
+            name: given to the phantom.
+            digest: its hash.
             parameters: its measures, None for a mesh's.
 
         Returns:
@@ -112,7 +99,7 @@ class PhantomCache:
                 grid = SignedDistanceGrid(values, np.array(meta["origin"]), meta["spacing"])
                 points, radius = file["points"], file["radius"]
         except DAMAGE as error:
-            logger.warning("cached phantom %s is damaged (%s) and is built anew.", path, error)
+            logger.warning("cached phantom %s is damaged (%s) and is built again.", path, error)
             return None
         branches, start = [], 0
         for b in meta["branches"]:
@@ -138,10 +125,7 @@ class PhantomCache:
         )
 
     def write(self, phantom: Phantom) -> None:
-        """Writes a phantom with its geodesic fields; a directory that cannot be written to only costs a warning.
-
-        Fields of targets at open ends are left out: they are computed at first use.
-        """
+        """Writes a phantom with its geodesic fields, except those of targets at open ends (computed at first use)."""
         grid = phantom.grid
         outside = float(grid.values.min())
         near = grid.values > outside
@@ -204,7 +188,7 @@ class _FieldReader:
                 values = np.full(self.grid.shape, file[f"farthest_{target}"], dtype=np.float32)
                 values[_marched(self.grid)] = file[f"geodesic_{target}"]
         except DAMAGE as error:
-            logger.warning("geodesic field %s in %s is damaged (%s) and is computed anew.", target, self.path, error)
+            logger.warning("geodesic field %s in %s is damaged (%s) and is computed again.", target, self.path, error)
             return None
         return values
 

@@ -1,4 +1,4 @@
-"""Targets that are points: anywhere in the lumen, told in metres instead of by a name."""
+"""Targets that are points: anywhere in the lumen, given in metres instead of by a name."""
 
 from __future__ import annotations
 
@@ -46,14 +46,7 @@ def target_name(target: str | Point) -> str:
 
 
 def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str) -> None:
-    """Refuses a point outside the lumen.
-
-    Args:
-        point: m, world frame.
-
-    Raises:
-        ValueError: says where the nearest place inside the lumen is.
-    """
+    """Raises ValueError for a point outside the lumen, with the nearest place inside it."""
     if (grid.bounds[0] <= point).all() and (point <= grid.bounds[1]).all() and grid.sample(point) > 0:
         return
     inside = grid.coordinates(np.argwhere(grid.values > 0))
@@ -70,15 +63,7 @@ def _written(point: Sequence[float] | NDArray[np.float64]) -> str:
 
 
 def nearest_branch(point: Point, tree: VesselTree) -> tuple[str, float, float]:
-    """The vessel in which a point lies.
-
-    Args:
-        point: m, world frame.
-
-    Returns:
-        The branch, nearness measured in the vessels' radii; the arc length along it, m; the distance from its
-        centreline, m.
-    """
+    """The branch of which a point is fewest radii away; arc length along it, m; distance from its centreline, m."""
     found = []
     for branch in tree:
         _, arc, distance = (values[0] for values in nearest_on_branch(branch, np.array([point])))

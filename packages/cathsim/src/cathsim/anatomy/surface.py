@@ -19,13 +19,10 @@ Array = NDArray[np.float64]
 
 
 def lumen_surface(grid: SignedDistanceGrid, *, level: float = 0.0) -> trimesh.Trimesh:
-    """Surface at a distance from the wall, by marching cubes.
+    """Watertight surface by marching cubes, m, world frame, normals out of the lumen.
 
     Args:
-        level: m, positive inside the lumen; 0 is the wall itself.
-
-    Returns:
-        Watertight mesh in m, world frame, normals pointing out of the lumen.
+        level: distance from the wall, m, positive inside the lumen; 0 is the wall itself.
     """
     import trimesh
     from skimage.measure import marching_cubes
@@ -41,11 +38,7 @@ def lumen_surface(grid: SignedDistanceGrid, *, level: float = 0.0) -> trimesh.Tr
 
 
 def open_ends(tree: VesselTree) -> list[tuple[Array, Array, float]]:
-    """Flat openings of a vessel tree.
-
-    Returns:
-        For each opening its centre (3,) m, unit normal (3,) out of the vessel, and radius m.
-    """
+    """Flat openings of a vessel tree: centre (3,) m, unit normal (3,) out of the vessel, and radius m each."""
     root = tree.root
     ends = [(root.points[0], -root.tangents[0], float(root.radius[0]))]
     ends += [(b.points[-1], b.tangents[-1], float(b.radius[-1])) for b in tree if b.open_end]
@@ -53,17 +46,10 @@ def open_ends(tree: VesselTree) -> list[tuple[Array, Array, float]]:
 
 
 def wall_surface(grid: SignedDistanceGrid, tree: VesselTree, thickness: float) -> trimesh.Trimesh:
-    """The vessel wall as a solid of even thickness, cut open at the ends.
-
-    Args:
-        tree: the vessels, which tell where the ends are.
-        thickness: m.
-
-    Returns:
-        Mesh in m, world frame: the outer surface, the inner one turned round, and flat rims between them.
+    """The vessel wall as a solid of even thickness (m), cut open at the ends; m, world frame.
 
     Raises:
-        ValueError: for a thickness that is not positive or larger than the grid's padding.
+        ValueError: the thickness is not positive, or larger than the grid's padding.
     """
     if not 0 < thickness <= MAXIMUM_WALL:
         raise ValueError(f"wall thickness must lie in (0, {MAXIMUM_WALL:g}] m, got {thickness!r}.")

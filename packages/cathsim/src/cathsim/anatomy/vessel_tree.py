@@ -72,37 +72,16 @@ class Branch:
         return tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
 
     def point_at(self, arc: ArrayLike) -> Array:
-        """Centreline points at given arc lengths.
-
-        Args:
-            arc: (...,) m; values outside the branch are clamped to its ends.
-
-        Returns:
-            (..., 3) m, world frame.
-        """
+        """Centreline points (..., 3) m at arc lengths (...,) m, which are clamped to the branch."""
         return self._interpolate(arc, self.points)
 
     def tangent_at(self, arc: ArrayLike) -> Array:
-        """Unit tangents at given arc lengths.
-
-        Args:
-            arc: (...,) m; values outside the branch are clamped to its ends.
-
-        Returns:
-            (..., 3) unit vectors, world frame.
-        """
+        """Unit tangents (..., 3) at arc lengths (...,) m, which are clamped to the branch."""
         tangents = self._interpolate(arc, self.tangents)
         return tangents / np.linalg.norm(tangents, axis=-1, keepdims=True)
 
     def radius_at(self, arc: ArrayLike) -> Array:
-        """Lumen radii at given arc lengths.
-
-        Args:
-            arc: (...,) m; values outside the branch are clamped to its ends.
-
-        Returns:
-            (...,) m.
-        """
+        """Lumen radii (...,) m at arc lengths (...,) m, which are clamped to the branch."""
         return np.interp(np.asarray(arc, dtype=np.float64), self.arc, self.radius)
 
     def _interpolate(self, arc: ArrayLike, values: Array) -> Array:
@@ -112,11 +91,7 @@ class Branch:
 
 @dataclass(frozen=True, eq=False)
 class VesselTree:
-    """Branches joined into one tree; the first is the root.
-
-    Attributes:
-        branches: the root first, every parent before its children.
-    """
+    """Branches joined into one tree: the root first, every parent before its children."""
 
     branches: tuple[Branch, ...]
 
@@ -170,22 +145,14 @@ class VesselTree:
         return tuple(branch.name for branch in self.branches)
 
     def ancestry(self, name: str) -> tuple[str, ...]:
-        """Names from the root down to a branch, both included.
-
-        Returns:
-            Names, root first.
-        """
+        """Names from the root down to a branch, both included."""
         chain = [name]
         while (parent := self[chain[-1]].parent) is not None:
             chain.append(parent)
         return tuple(reversed(chain))
 
     def translated(self, offset: ArrayLike) -> VesselTree:
-        """The same tree, moved.
-
-        Args:
-            offset: (3,) m, world frame.
-        """
+        """The same tree, moved by (3,) m."""
         offset = np.asarray(offset, dtype=np.float64)
         return VesselTree(
             tuple(
@@ -194,12 +161,9 @@ class VesselTree:
         )
 
     def ostium_arc(self, name: str) -> float:
-        """Arc length at which a branch leaves the lumen of its parent.
+        """Arc length (m) along a branch at which it leaves the lumen of its parent; zero for the root.
 
         A branch that continues its parent's end (a bifurcation) leaves it at zero.
-
-        Returns:
-            Arc length along that branch, m; zero for the root.
         """
         branch = self[name]
         if branch.parent is None:
@@ -215,19 +179,12 @@ class VesselTree:
         return float(arc[outside[0]])
 
     def ostium(self, name: str) -> Array:
-        """Centre of a branch's ostium, where its centreline leaves the parent's lumen.
-
-        Returns:
-            (3,) m, world frame.
-        """
+        """Centre (3,) m of a branch's ostium, where its centreline leaves the parent's lumen."""
         return self[name].point_at(self.ostium_arc(name))
 
 
 def nearest_on_branch(branch: Branch, points: ArrayLike) -> tuple[Array, Array, Array]:
-    """Nearest centreline point of one branch, by projection onto its segments.
-
-    Args:
-        points: (m, 3) m, world frame.
+    """Nearest centreline points of one branch to points (m, 3) m, by projection onto its segments.
 
     Returns:
         Nearest points (m, 3) m, their arc lengths (m,) m, and the distances (m,) m.

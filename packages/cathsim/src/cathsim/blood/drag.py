@@ -54,16 +54,13 @@ class Drag:
         return ctypes.addressof(self.struct)
 
     def force(self, velocity: ArrayLike, axis: ArrayLike, *, most: float = math.inf) -> Array:
-        """Force on a metre of the wire.
+        """Force (3,) N/m on a metre of the wire.
 
         Args:
             velocity: of the blood relative to the wire, m/s. Shape (3,).
             axis: unit vector along the wire. Shape (3,).
             most: largest coefficient of the velocity, N s/m^2; in a simulation it is the mass of a metre over a
                 substep, beyond which an explicit step would throw the wire back.
-
-        Returns:
-            N/m. Shape (3,).
         """
         relative, direction = (np.ascontiguousarray(one, dtype=np.float64) for one in (velocity, axis))
         if relative.shape != (3,) or direction.shape != (3,):

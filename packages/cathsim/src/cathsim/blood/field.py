@@ -93,14 +93,7 @@ class BloodField:
         return table[:, :-1], table[:, -1]
 
     def carried(self, branch: str, arc: ArrayLike) -> Array:
-        """Share of the root's flow that a vessel carries at a place.
-
-        Args:
-            arc: (...,) m along it.
-
-        Returns:
-            (...,) 1. Over the width of an ostium the share changes linearly.
-        """
+        """Share (...,) of the root's flow in a branch at arc lengths (...,) m; linear over the width of an ostium."""
         tree, arc = self.phantom.tree, np.asarray(arc, dtype=np.float64)
         vessel, is_root = tree[branch], branch == tree.root.name
         carried = np.full(arc.shape, self.shares[branch] if is_root else self._carried[branch])
@@ -169,15 +162,7 @@ class BloodField:
         return grid, origin
 
     def velocity(self, points: ArrayLike, time: float = 0.0) -> Array:
-        """Velocity of the blood.
-
-        Args:
-            points: (..., 3) m, world frame.
-            time: s.
-
-        Returns:
-            (..., 3) m/s, world frame; zero outside the vessels.
-        """
+        """Velocity (..., 3) m/s of the blood at points (..., 3) m and a time (s); zero outside the vessels."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         if points.shape[-1:] != (3,):
             raise ValueError(f"points must have shape (..., 3), got {points.shape}")
@@ -192,14 +177,7 @@ class BloodField:
         return velocities
 
     def flow_rate(self, time: ArrayLike) -> Array:
-        """Flow at the aortic root.
-
-        Args:
-            time: (...,) s.
-
-        Returns:
-            (...,) m^3/s; positive out of the heart.
-        """
+        """Flow (...,) m^3/s at the aortic root at times (...,) s; positive out of the heart."""
         table = self._arrays[2][:, 0]
         flows = np.asarray(np.trapezoid(table, np.linspace(0.0, 1.0, COLUMNS), axis=1))
         turns = self.struct.start + self.struct.frequency * np.asarray(time, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Blood: what the heart drives through the vessels of a phantom, and how the open ends share it."""
+"""Blood flow through the vessels of a phantom, and its shares at the open ends."""
 
 from __future__ import annotations
 

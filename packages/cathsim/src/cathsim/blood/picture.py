@@ -24,11 +24,7 @@ Array = NDArray[np.float64]
 
 
 def draw_flow(field: BloodField, time: float) -> Figure:
-    """Draws a flow.
-
-    Args:
-        time: of the field's picture, s.
-    """
+    """Draws a flow; the field is that of a time, s."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -43,10 +39,7 @@ def draw_flow(field: BloodField, time: float) -> Figure:
 
 
 def frontal_field(field: BloodField, time: float) -> tuple[Array, Array, Array]:
-    """The velocity seen from the front: along each line of sight that of the fastest point.
-
-    Args:
-        time: s.
+    """The velocity seen from the front at a time (s): along each line of sight that of the fastest point.
 
     Returns:
         x (nx,) and z (nz,) m of the picture's points, velocity (nz, nx, 3) m/s, NaN where there is no lumen.

@@ -15,15 +15,12 @@ ComplexArray = NDArray[np.complex128]
 
 
 def ejection(phase: ArrayLike) -> Array:
-    """Flow out of the left ventricle, as a share of its peak: a steep rise, a slower fall, a short backflow, rest.
+    """Flow out of the left ventricle over its peak: a steep rise, a slower fall, a short backflow, rest.
+
+    The shape is an idealisation of aortic flow curves, not a measured one.
 
     Args:
         phase: (...,) of the heartbeat; 0 is the opening of the aortic valve, 1 the next one.
-
-    Returns:
-        (...,) 1; the peak is 1.
-
-    The shape is an idealisation of aortic flow curves, not a measured one.
     """
     phase = np.mod(np.asarray(phase, dtype=np.float64), 1.0)
     forward = np.sin(np.pi * np.clip(phase / SYSTOLE, 0.0, 1.0) ** 0.8) ** 2
@@ -32,14 +29,7 @@ def ejection(phase: ArrayLike) -> Array:
 
 
 def heartbeat_coefficients(count: int = HARMONICS) -> ComplexArray:
-    """Fourier coefficients of `ejection`: flow(phase) = Re(sum of c_k exp(2 pi i k phase)).
-
-    Args:
-        count: harmonics beside the mean.
-
-    Returns:
-        (count + 1,), the mean first.
-    """
+    """Fourier coefficients (count + 1,) of `ejection`, the mean first: flow = Re(sum of c_k exp(2 pi i k phase))."""
     samples = 1024
     spectrum = np.fft.rfft(ejection(np.arange(samples) / samples)) / samples
     coefficients = spectrum[: count + 1].copy()
@@ -50,16 +40,12 @@ def heartbeat_coefficients(count: int = HARMONICS) -> ComplexArray:
 def womersley_number(
     radius: ArrayLike, frequency: float, *, density: float = 1060.0, viscosity: float = 0.004
 ) -> Array:
-    """Radius over the thickness of the oscillating boundary layer, R sqrt(omega rho / mu).
+    """Radius (...,) m over the thickness of the oscillating boundary layer, R sqrt(omega rho / mu).
 
     Args:
-        radius: (...,) m.
         frequency: Hz.
         density: kg/m^3.
         viscosity: Pa s.
-
-    Returns:
-        (...,) 1.
 
     Source: Womersley (1955), Journal of Physiology 127, 553-563.
     """
@@ -67,14 +53,11 @@ def womersley_number(
 
 
 def velocity_profile(alpha: float, squared_radius: ArrayLike) -> ComplexArray:
-    """Complex amplitude of the axial velocity in a tube whose mean velocity oscillates with amplitude 1.
+    """Complex amplitude (n,) of the axial velocity in a tube whose mean velocity oscillates with amplitude 1.
 
     Args:
         alpha: Womersley number; 0 gives the parabola of Poiseuille.
         squared_radius: (n,) square of the distance from the axis over the tube's radius, 0 to 1.
-
-    Returns:
-        (n,) 1; its mean over the section, the integral over the squared radius, is 1.
 
     Raises:
         ValueError: for a negative Womersley number.

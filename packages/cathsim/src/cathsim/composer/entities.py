@@ -72,16 +72,12 @@ class VesselArena(composer.Entity):
 
 
 def set_controls(physics: mjcf.Physics, actuators: list[mjcf.Element], values: np.ndarray) -> None:
-    """Sets controls without marking the physics as changed: that would cost a forward pass at the next look.
-
-    Args:
-        values: shape (n,), in the unit of each actuator's control.
-    """
+    """Sets controls (n,), without marking the physics as changed: that would cost a forward pass at the next look."""
     physics.data.ctrl[physics.bind(actuators).element_id] = values
 
 
 class FeederObservables(composer.Observables):
-    """What an encoder in the feeder tells."""
+    """Measurements of an encoder in the feeder."""
 
     @observable
     def position(self) -> MJCFFeature:
@@ -120,13 +116,7 @@ class Feeder(composer.Entity):
         return self._model
 
     def place(self, physics: mjcf.Physics, insertion: float, rotation: float) -> None:
-        """Moves the wire there at once.
-
-        Args:
-            physics: just reset.
-            insertion: m.
-            rotation: rad.
-        """
+        """Moves the wire at once to an insertion (m) and a rotation (rad); the physics is just reset."""
         physics.bind(self.joints).qpos = insertion, rotation
         self._from[:] = self._to[:] = insertion, rotation
 
@@ -190,11 +180,7 @@ class GuidewireEntity(composer.Entity):
         return self._model
 
     def bend(self, physics: mjcf.Physics, shares: np.ndarray) -> None:
-        """Sets the tip's motors.
-
-        Args:
-            shares: of the motors' range, -1 to 1. Shape (motors,).
-        """
+        """Sets the tip's motors to shares (motors,) of their range, -1 to 1."""
         set_controls(physics, self.motors, shares * np.asarray(physics.bind(self.motors).ctrlrange)[:, 1])
 
     def nodes(self, physics: mjcf.Physics) -> np.ndarray:

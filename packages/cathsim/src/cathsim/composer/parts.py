@@ -32,9 +32,7 @@ class Parts:
 def model_parts(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motors: bool = False) -> Parts:
     """Parts of the model that `cathsim.arena.model_spec` describes, so that both environments share one description.
 
-    Args:
-        vessel: lumen and sheath; must outlive every Physics made of the parts.
-        tip_motors: with motors in the tip's joints.
+    The vessel must outlive every Physics made of the parts.
     """
     spec = model_spec(vessel, wire, numerics, tip_motors=tip_motors)
     spec.compile()  # MuJoCo writes XML of compiled specifications only

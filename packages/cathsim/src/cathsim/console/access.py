@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host name means this machine alone."""
+    """Whether a host name or an address means this machine alone."""
     if host == "localhost":
         return True
     try:
@@ -30,13 +30,10 @@ class Access:
     token: str | None = None
 
     def refusal(self, headers: Mapping[str, str], token: str) -> str:
-        """Why a request is refused.
+        """One sentence that says why a request is refused; "" lets it in.
 
         Args:
             headers: of the request, names in lower case.
-
-        Returns:
-            One sentence; "" lets it in.
         """
         host = headers.get("host", "")
         # without this check any web page that the operator has open could steer the wire through a websocket

@@ -1,4 +1,4 @@
-"""What the operator presses at the moment: two axes, held until they are released or the operator falls silent."""
+"""The operator's controls: two axes, held until they are released or no message comes any more."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Controls:
 
     Attributes:
         advance: share of the full speed; positive inserts.
-        rotate: likewise; positive about the direction of insertion.
-        sequence: number that the page gave to this reading, so that it can tell when a picture shows its effect.
+        rotate: share of the full speed; positive about the direction of insertion.
+        sequence: number that the page gave to this reading: it says which picture shows the reading's effect.
     """
 
     advance: float = 0.0
@@ -44,9 +44,6 @@ class ControlPanel:
     """Takes the page's readings and gives them to the simulation, between threads.
 
     A key that was pressed and released between two control steps still counts for one of them: a tap moves the wire.
-
-    Args:
-        clock: gives the time, s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -57,7 +54,7 @@ class ControlPanel:
         self._heard = -math.inf
 
     def set(self, controls: Controls) -> None:
-        """Takes a reading."""
+        """Takes what is pressed now."""
         with self._lock:
             if controls.pressed:
                 self._tapped = controls

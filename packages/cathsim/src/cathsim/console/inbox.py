@@ -1,4 +1,4 @@
-"""The loop's inbox: what other threads ask it to do; of each kind only the latest, so that no flood fills memory."""
+"""The loop's inbox: requests of other threads, of each kind only the latest, so that no flood fills memory."""
 
 from __future__ import annotations
 
@@ -21,26 +21,14 @@ class Inbox:
         self._waiting: OrderedDict[str, Work | None] = OrderedDict()
 
     def put(self, kind: str, work: Work | None = None) -> None:
-        """Asks for something.
-
-        Args:
-            kind: a newer one replaces an older one of the same kind.
-            work: to be done by the loop; None only wakes it up.
-        """
+        """Asks the loop for work (None only wakes it up); a newer one replaces an older one of the same kind."""
         with self._filled:
             self._waiting.pop(kind, None)
             self._waiting[kind] = work
             self._filled.notify()
 
     def get(self, timeout_s: float) -> tuple[str, Work | None] | None:
-        """Waits for something to do.
-
-        Args:
-            timeout_s: at most so long.
-
-        Returns:
-            The kind and the work that waits for longest; None when there was nothing.
-        """
+        """The kind and the work that waits for longest, after at most `timeout_s`; None when there was nothing."""
         with self._filled:
             if not self._waiting:
                 self._filled.wait(max(timeout_s, 0.0))

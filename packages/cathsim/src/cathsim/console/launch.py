@@ -26,11 +26,7 @@ class LaunchError(Exception):
 
 
 def parser(prog: str, *, folder: Path | None) -> argparse.ArgumentParser:
-    """The command line.
-
-    Args:
-        folder: where episodes go by default; None where the program chooses it by other means.
-    """
+    """The command line; `folder` is where episodes go by default, None where the program chooses it by other means."""
     arguments = argparse.ArgumentParser(
         prog=prog, description="Steer the guidewire in the browser: keyboard, gamepad or touch."
     )
@@ -50,10 +46,7 @@ def parser(prog: str, *, folder: Path | None) -> argparse.ArgumentParser:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Takes a port before anything slow is done.
-
-    Args:
-        port: 0 takes a free one.
+    """Takes a port before anything slow is done; 0 takes a free one. Returns the bound socket.
 
     Raises:
         LaunchError: it is in use, not allowed, or the address is not this machine's.
@@ -85,24 +78,13 @@ def missing_extra() -> list[str]:
 
 
 def address_of(host: str, port: int, token: str | None) -> str:
-    """What the operator opens.
-
-    Args:
-        token: or None.
-    """
+    """The address that the operator opens."""
     shown = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
     return f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/{f'?token={token}' if token else ''}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the console until Ctrl-C.
-
-    Args:
-        arguments: of the command line; the process's own when None.
-
-    Returns:
-        The exit code.
-    """
+    """Runs the console until Ctrl-C; returns the exit code."""
     factory = find_recorder()
     options = parser("python -m cathsim.console", folder=factory.default_folder).parse_args(arguments)
     return start(options, factory, options.record)
@@ -114,6 +96,7 @@ def start(options: argparse.Namespace, factory: Any, folder: Path) -> int:
     Args:
         options: as `parser` gives them.
         factory: makes a recorder of a folder.
+        folder: where episodes go.
 
     Returns:
         The exit code: 0, or 1 with one sentence on the standard error.

@@ -1,4 +1,4 @@
-"""What goes over the websocket to the page in binary: pictures and surfaces.
+"""Binary messages to the page over the websocket: pictures and surfaces.
 
 A picture is `FRME`, the length of a JSON header (uint32), the header padded with spaces to a multiple of 4, the wire's
 points (float32, n x 3, m) and a JPEG. A surface is `MESH`, the numbers of vertices and faces (uint32), vertices and
@@ -18,24 +18,14 @@ FRAME_MAGIC, SURFACE_MAGIC = b"FRME", b"MESH"
 
 
 def frame_message(header: Mapping[str, Any], points: np.ndarray, jpeg: bytes) -> bytes:
-    """Packs a picture.
-
-    Args:
-        points: the wire's, m, world frame. Shape (n, 3).
-    """
+    """Packs a picture: header, the wire's points (n, 3) m in the world frame, and the fluoroscopic image."""
     text = json.dumps({**header, "points": len(points)}).encode()
     text += b" " * (-len(text) % 4)
     return b"".join((FRAME_MAGIC, struct.pack("<I", len(text)), text, points.astype("<f4").tobytes(), jpeg))
 
 
 def surface_message(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> bytes:
-    """Packs a surface.
-
-    Args:
-        vertices: m, world frame. Shape (v, 3).
-        normals: out of the lumen. Shape (v, 3).
-        faces: indices of vertices. Shape (f, 3).
-    """
+    """Packs a surface: vertices (v, 3) m in the world frame, normals (v, 3) out of the lumen, faces (f, 3)."""
     head = SURFACE_MAGIC + struct.pack("<II", len(vertices), len(faces))
     return b"".join(
         (head, vertices.astype("<f4").tobytes(), normals.astype("<f4").tobytes(), faces.astype("<u4").tobytes())

@@ -34,22 +34,14 @@ class FluoroscopyMonitor:
         self._image = np.empty((size, size), np.uint8)
 
     def jpeg(self, points: np.ndarray) -> bytes:
-        """The image of a wire.
-
-        Args:
-            points: ends of its links from the tip to the proximal end, m, world frame. Shape (n, 3).
-        """
+        """The image of a wire as a grey JPEG, from the ends of its links (n, 3) m, from the tip on, world frame."""
         self._renderer.render_into(outside_sheath(points, self._vessel), self._image, None)
         stream = io.BytesIO()
         Image.fromarray(self._image).save(stream, "JPEG", quality=QUALITY)
         return stream.getvalue()
 
     def mark(self, task: NavigationTask) -> dict[str, Any]:
-        """Where the target lies in the image.
-
-        Returns:
-            `pixel` [u, v] and `radius` of the sphere of success, px.
-        """
+        """Where the target lies in the image: `pixel` [u, v] and `radius` of the sphere of success, px."""
         projector = self._renderer.projector
         goal = task.goal(self._phantom)
         u, v = projector.project(goal[None])[0].tolist()

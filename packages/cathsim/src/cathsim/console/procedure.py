@@ -66,7 +66,7 @@ class Procedure:
         self.samples: list[Sample] = []
         self._tips.append(info["tip"])
         self._sample(info)
-        self._tell(lambda keeper: keeper.start(environment, info, seed=seed))
+        self._record(lambda keeper: keeper.start(environment, info, seed=seed))
 
     def _sample(self, info: Mapping[str, Any]) -> None:
         self.samples.append(
@@ -80,7 +80,7 @@ class Procedure:
             )
         )
 
-    def _tell(self, act: Any) -> Any:
+    def _record(self, act: Any) -> Any:
         """Lets the recorder act; one that fails is given up, and the procedure goes on without it."""
         if self._recorder is None:
             return None
@@ -103,11 +103,7 @@ class Procedure:
         return self.steps * CONTROL_STEP
 
     def step(self, advance: float, rotate: float) -> None:
-        """One control step of 0.1 s; the first one starts the procedure.
-
-        Args:
-            advance: -1 to 1, share of the full translation.
-            rotate: -1 to 1, share of the full rotation.
+        """One control step of 0.1 s, by shares (-1 to 1) of the full speeds; the first one starts the procedure.
 
         Raises:
             RuntimeError: the procedure has ended.
@@ -121,7 +117,7 @@ class Procedure:
         self._forces.append(info["force"])
         self._rewards.append(reward)
         self._sample(info)
-        self._tell(
+        self._record(
             lambda keeper: keeper.step(
                 self.environment, action, reward, info, terminated=terminated, truncated=truncated
             )
@@ -151,33 +147,19 @@ class Procedure:
 
     def _end(self, metrics: EpisodeMetrics | None) -> None:
         self.state = ENDED
-        self.path = self._tell(lambda keeper: keeper.finish(metrics))
+        self.path = self._record(lambda keeper: keeper.finish(metrics))
 
     def answer(self, answers: Mapping[str, Any]) -> Path | None:
-        """Keeps a questionnaire with the recorded episode.
-
-        Args:
-            answers: as `check_answers` gave them.
-
-        Returns:
-            The file, or None when nothing was recorded.
-        """
+        """Keeps a questionnaire of `check_answers` with the recorded episode; None when nothing was recorded."""
         if self.path is None:
             return None
         episode = self.path
-        kept: Path | None = self._tell(lambda keeper: keeper.answer(episode, answers))
+        kept: Path | None = self._record(lambda keeper: keeper.answer(episode, answers))
         return kept
 
 
 def between(earlier: Sample, later: Sample, share: float) -> np.ndarray:
-    """The wire between two samples, for display only: a control step is shown in several pictures.
-
-    Args:
-        share: 0 gives the earlier, 1 the later one.
-
-    Returns:
-        Shape (links + 1, 3), m.
-    """
+    """The wire (links + 1, 3) m between two samples (share 0 to 1): a control step is shown in several pictures."""
     if share >= 1.0:
         return later.points
     return earlier.points + share * (later.points - earlier.points)

@@ -1,4 +1,4 @@
-"""The questionnaire after a procedure: seven criteria, each judged on a five-point Likert scale."""
+"""The questionnaire after a procedure: seven criteria, each rated on a five-point Likert scale."""
 
 from __future__ import annotations
 

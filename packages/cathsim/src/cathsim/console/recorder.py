@@ -58,16 +58,7 @@ class Recorder(Protocol):
 
 
 def episode_path(folder: Path, phantom: str, target: str, suffix: str) -> Path:
-    """The next free file of a task: `<folder>/<phantom>/<target>/<NNN><suffix>`.
-
-    Args:
-        phantom: the task's.
-        target: the task's.
-        suffix: with its dot, e.g. ".npz".
-
-    Returns:
-        A path whose number is above all that are there, unfinished ones included.
-    """
+    """The next free file of a task, `<folder>/<phantom>/<target>/<NNN><suffix>`, unfinished ones counted."""
     place = folder / phantom / target
     there = place.iterdir() if place.is_dir() else ()
     numbers = [int(match.group()) for path in there if (match := re.match(r"\d+", path.name))]
@@ -75,15 +66,7 @@ def episode_path(folder: Path, phantom: str, target: str, suffix: str) -> Path:
 
 
 def write_answers(episode: Path, answers: Mapping[str, Any]) -> Path:
-    """Writes a questionnaire beside its episode.
-
-    Args:
-        episode: the episode's file.
-        answers: as `check_answers` gave them.
-
-    Returns:
-        The JSON file.
-    """
+    """Writes a questionnaire, as `check_answers` gave it, beside its episode; returns the JSON file."""
     path = episode.with_name(episode.stem + QUESTIONNAIRE_SUFFIX)
     temporary = path.with_name(f".writing-{path.name}")
     content = {"episode": episode.name, "operator": OPERATOR, "answers": dict(answers)}
@@ -163,11 +146,7 @@ class NpzRecorder:
 
 
 def find_recorder() -> Any:
-    """The recorder class that an installed distribution offers under `cathsim.recorders`, else `NpzRecorder`.
-
-    Returns:
-        A class that is made with a folder and has a `default_folder`.
-    """
+    """The recorder class that an installed distribution offers under `cathsim.recorders`, else `NpzRecorder`."""
     for entry in entry_points(group=ENTRY_POINTS):
         try:
             return entry.load()

@@ -1,4 +1,4 @@
-"""What the page asks for over the websocket: JSON of a few kinds, checked before anything is done about it."""
+"""Requests of the page over the websocket: JSON of a few kinds, checked before use."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 LONGEST_REQUEST = 16_384  # characters
-_LONGEST_VALUE = 60  # characters of a wrong value that are told
+_LONGEST_VALUE = 60  # characters of a wrong value that are shown
 _LARGEST_SEQUENCE = 2**53  # the whole numbers that JavaScript counts exactly
 
 _Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -48,13 +48,7 @@ _REQUESTS: TypeAdapter[Any] = TypeAdapter(
 
 
 def read_request(text: str) -> dict[str, Any]:
-    """Reads what the page asks for.
-
-    Args:
-        text: JSON.
-
-    Returns:
-        The request, with exactly the fields that its type has, each of its kind.
+    """Reads what the page asks for, in JSON; the request has exactly the fields that its type has, each of its kind.
 
     Raises:
         ValueError: it is no request; one sentence says why.
@@ -69,7 +63,7 @@ def read_request(text: str) -> dict[str, Any]:
 
 
 def check_request(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Checks a request that did not come as JSON.
+    """Checks a request that did not come as JSON, and returns it.
 
     Raises:
         ValueError: it is no request; one sentence says why.

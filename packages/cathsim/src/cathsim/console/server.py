@@ -40,8 +40,8 @@ _LOGGER = logging.getLogger(__name__)
 class Desk:
     """Between the loop's thread and the operator's websocket: the latest picture, and the latest message of each kind.
 
-    A page that does not read lets nothing pile up: what tells a state is replaced by what tells a newer one, and of
-    notices the last few are kept.
+    For a page that does not read nothing piles up: a newer state replaces an older one, and the last few notices are
+    kept.
     """
 
     def __init__(self) -> None:
@@ -137,15 +137,7 @@ class Pace:
 
 
 def create_app(loop: RealTimeLoop, desk: Desk, access: Access) -> FastAPI:
-    """The web application of a console.
-
-    Args:
-        loop: started and stopped with the application.
-        desk: the loop's page.
-
-    Returns:
-        The application; `/` is the page, `/ws` the websocket.
-    """
+    """The web application of a console: `/` is the page, `/ws` the websocket. It starts and stops the loop."""
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:

@@ -137,7 +137,7 @@ class RealTimeLoop(threading.Thread):
             self._inbox.put(kind, self._replay)
 
     def operator_came(self) -> None:
-        """A page has opened: it is told everything."""
+        """A page has opened: everything is sent to it."""
         self._inbox.put("came", self._introduce)
 
     def operator_left(self) -> None:
@@ -165,14 +165,14 @@ class RealTimeLoop(threading.Thread):
                 self._next_picture()
             except Exception:  # one that ended the thread would leave a page that never moves again
                 _LOGGER.exception("a picture failed")
-                self._start_anew()
+                self._start_again()
             due += FRAME
         self._procedure.break_off()
 
-    def _start_anew(self) -> None:
+    def _start_again(self) -> None:
         """After a failure; where that fails, too, it is tried again a second later."""
         try:
-            self._say(type="notice", kind="error", text="the simulation failed: it starts anew")
+            self._say(type="notice", kind="error", text="the simulation failed: it starts again")
             self._restart()
         except Exception:
             _LOGGER.exception("a new start failed")
@@ -214,9 +214,9 @@ class RealTimeLoop(threading.Thread):
 
     def _introduce(self) -> None:
         self._page.say(self._surface)
-        self._tell_task()
+        self._send_task()
 
-    def _tell_task(self) -> None:
+    def _send_task(self) -> None:
         environment, task = self._environment, self._environment.task
         low, high = environment.phantom.bounds
         self._say(
@@ -250,7 +250,7 @@ class RealTimeLoop(threading.Thread):
         else:
             self._open(loaded, target)
             self._page.say(self._surface)
-        self._tell_task()
+        self._send_task()
 
     def _restart(self) -> None:
         self.panel.release()
@@ -294,7 +294,7 @@ class RealTimeLoop(threading.Thread):
             return
         self._show(procedure.state, samples[-2], samples[-1], (self._frame % PICTURES + 1) / PICTURES, procedure.steps)
         if procedure.state == ENDED and self._frame % PICTURES == 0:
-            self._tell_end()
+            self._send_end()
             self._frame = PICTURES - 1  # from here on the last state stands still
         elif procedure.state == RUNNING:
             self._frame += 1
@@ -327,7 +327,7 @@ class RealTimeLoop(threading.Thread):
         }
         self._page.show(frame_message(header, points, drawn[3]))
 
-    def _tell_end(self) -> None:
+    def _send_end(self) -> None:
         procedure = self._finished = self._procedure
         metrics = None if procedure.invalid else asdict(procedure.metrics())
         self._say(

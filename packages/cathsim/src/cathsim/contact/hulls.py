@@ -94,12 +94,6 @@ def decomposition(contact: str | Decomposition) -> Decomposition:
 def wall_hulls(phantom: Phantom, settings: Decomposition | None = None, *, cache_dir: Path | None = None) -> list[Hull]:
     """The convex hulls of a phantom's wall, from the disk cache or by decomposing it, which takes minutes.
 
-    Args:
-        cache_dir: by default that of phantoms.
-
-    Returns:
-        The hulls, m, world frame.
-
     Raises:
         ImportError: CoACD is not installed and the cache has no such hulls.
     """
@@ -196,7 +190,7 @@ def _read(path: Path) -> list[Hull] | None:
         if not hulls:
             raise ValueError("it is empty")
     except DAMAGE as error:
-        logger.warning("cached hulls %s are damaged (%s) and are built anew.", path, error)
+        logger.warning("cached hulls %s are damaged (%s) and are built again.", path, error)
         return None
     return hulls
 

@@ -49,17 +49,14 @@ class _GridStruct(ctypes.Structure):
 def lumen_path_length(
     grid: DistanceGrid, projector: Projector, *, level: float = 0.0, samples: int | None = None
 ) -> NDArray[np.float32]:
-    """Length of every pixel's ray inside the lumen.
+    """Length (height, width) m of every pixel's ray inside the lumen.
 
     Args:
         level: m; where the distance exceeds it counts as inside, so a negative one adds a wall of that thickness.
         samples: rays along each side of a pixel, averaged; by default enough for smooth edges.
 
-    Returns:
-        (height, width) m.
-
     Raises:
-        ValueError: for a grid that is not a lattice of finite values.
+        ValueError: the grid is no lattice of finite values.
     """
     from cathsim.contact.native import library
 
@@ -116,16 +113,12 @@ def background_image(
     body: tuple[Solid, ...] = THORAX,
     key: str | None = None,
 ) -> NDArray[np.float32]:
-    """Fluoroscopic image of the anatomy without a wire.
+    """Fluoroscopic image of the anatomy without a wire: (height, width) grey levels 0 to 255, float32, read-only.
 
     Args:
-        grid: signed distance to the vessel's wall.
         contrast: 1/m, what the contrast agent adds to the lumen's attenuation.
         body: solids around the vessels, placed about the grid's centre.
         key: content hash of the phantom; images of the same key, camera and settings are computed once a process.
-
-    Returns:
-        (height, width) grey levels 0 to 255, float32, read-only.
     """
     if key is None:
         return _background(grid, projector, contrast, body)

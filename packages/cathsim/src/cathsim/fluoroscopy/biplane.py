@@ -131,17 +131,14 @@ class BiplaneFluoroscope:
         filling: str = "fluid",
         material: WireMaterial | None = None,
     ) -> BiplaneFluoroscope:
-        """The fluoroscope of a phantom.
+        """The fluoroscope of a phantom; what does not depend on the wire is computed once a process.
 
         Args:
             geometry: "guide3d" (the public data set's) or "clinical" (frontal and lateral).
             size: px, side of the square images, 16 to 4,096.
-            surroundings: "bath", "patient", "empty", or a `XRayScene`.
-            filling: of the lumen, "fluid", "contrast" or "air"; a `XRayScene` brings its own.
+            surroundings: "bath", "patient", "empty", or an `XRayScene`.
+            filling: of the lumen, "fluid", "contrast" or "air"; an `XRayScene` brings its own.
             material: of the wire; by default nitinol in a tungsten-filled jacket.
-
-        Returns:
-            The fluoroscope; what does not depend on the wire is computed once a process.
 
         Raises:
             ValueError: for an unknown geometry, scene, filling or an impossible size.
@@ -167,15 +164,12 @@ class BiplaneFluoroscope:
     def render(
         self, points: ArrayLike, seed: int | np.random.Generator | None = None, *, only: Sequence[str] | None = None
     ) -> dict[str, Frame]:
-        """Images and masks of a wire.
+        """Images and masks of a wire by camera, new arrays.
 
         Args:
             points: (n, 3) m, the wire's nodes from the tip, world frame; fewer than two draw nothing.
             seed: of the noise, or a generator to draw it from; None gives the expected image, without noise.
             only: names of the cameras wanted; all by default. The noise of a camera does not depend on it.
-
-        Returns:
-            Camera to image and mask, new arrays.
 
         Raises:
             ValueError: for points of another shape, not finite, or behind a source, or an unknown camera.

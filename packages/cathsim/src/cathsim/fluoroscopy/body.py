@@ -1,4 +1,4 @@
-"""What surrounds the vessels: tissue, lungs and spine, or a water bath, as solids with an attenuation each."""
+"""The surroundings of the vessels: tissue, lungs and spine, or a water bath, as solids with an attenuation each."""
 
 from __future__ import annotations
 
@@ -31,14 +31,11 @@ class Ellipsoid:
     attenuation: _Attenuation
 
     def chord(self, source: Array, directions: Array) -> Array:
-        """Length of rays inside.
+        """Length (...) m of rays inside.
 
         Args:
             source: (3,) m, where the rays start, from the phantom's centre; outside the solid.
             directions: (..., 3) unit vectors.
-
-        Returns:
-            (...) m.
         """
         # in the space where the solid is the unit sphere, a ray start + s * direction is a quadratic in s
         axes = np.asarray(self.semi_axes)
@@ -113,14 +110,7 @@ WATER_BATH: tuple[Solid, ...] = (
 
 
 def body_depth(projector: Projector, body: tuple[Solid, ...], origin: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Optical depth of a body along the ray of every pixel.
-
-    Args:
-        origin: (3,) m, where the body's own origin stands in the world.
-
-    Returns:
-        (height, width), dimensionless.
-    """
+    """Optical depth (height, width) of a body, whose origin is at (3,) m in the world, along every pixel's ray."""
     u, v = np.meshgrid(np.arange(projector.width, dtype=np.float64), np.arange(projector.height, dtype=np.float64))
     directions = np.stack([u, v, np.ones_like(u)], axis=-1) @ projector.rays.T
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)

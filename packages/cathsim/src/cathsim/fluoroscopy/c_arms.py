@@ -53,23 +53,12 @@ class XRayCamera:
         return self.projector.name
 
     def resized(self, size: int) -> XRayCamera:
-        """The same camera with another number of pixels over the same field.
-
-        Args:
-            size: px, new shorter side.
-        """
+        """The same camera with another number of pixels (the shorter side) over the same field."""
         projector = self.projector.resized(size)
         return replace(self, projector=projector, distortion=self.distortion.resized(projector.width, projector.height))
 
     def pixels(self, points: ArrayLike) -> np.ndarray:
-        """Where world points are shown.
-
-        Args:
-            points: (n, 3) m, world frame.
-
-        Returns:
-            (n, 2) px, distorted.
-        """
+        """Where world points (n, 3) m are shown, (n, 2) px, distorted."""
         return self.distortion.distort(self.projector.project(points))
 
     def to_json(self) -> dict[str, Any]:
@@ -88,7 +77,7 @@ class XRayCamera:
 
 
 def guide3d_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRayCamera]:
-    """The geometry of the public biplane data set: both axes in the plane of the patient's front and long axis.
+    """Cameras "a" and "b" of the public biplane data set, both axes in the plane of the patient's front and long axis.
 
     Sources 1.32 m apart, axes 91 degrees apart through one point, focal lengths of 5,150 (a) and 4,450 px (b), the same
     scale of 0.192 mm/px in both there; the patient's head is to the right of both images, half turned to the cameras.
@@ -96,9 +85,6 @@ def guide3d_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRay
     Args:
         centre: (3,) m, where the axes meet.
         size: px, side of the square images.
-
-    Returns:
-        Cameras "a" and "b".
     """
     # one scale p at the crossing makes both distances p f; the law of cosines over the baseline gives p
     a, b = FOCAL_PX["a"], FOCAL_PX["b"]
@@ -164,9 +150,6 @@ def clinical_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRa
     Args:
         centre: (3,) m, isocentre.
         size: px, side of the square images.
-
-    Returns:
-        Cameras "a" and "b".
     """
     panel = Detector(field_radius=None, glare=0.0, screen_blur=0.8, photons=1200.0, equalisation=0.7)
     a, b = (

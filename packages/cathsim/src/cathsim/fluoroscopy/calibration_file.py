@@ -81,16 +81,10 @@ def write_calibration(cameras: Mapping[str, XRayCamera], folder: Path, *, unit: 
 
 
 def read_projection(path: Path) -> Projection:
-    """Reads a camera from the text layout.
-
-    Args:
-        path: of the file.
-
-    Returns:
-        The camera, in the file's own unit.
+    """Reads a camera from the text layout, in the file's own unit.
 
     Raises:
-        ValueError: for a file of another layout, saying which part is wrong.
+        ValueError: the file has another layout; the message says which part is wrong.
     """
     blocks: dict[str, list[list[float]]] = {}
     heading = ""

@@ -59,15 +59,7 @@ class Detector:
         return self.photons / self.scale(width, height) ** 2
 
     def illumination(self, width: int, height: int) -> NDArray[np.float32]:
-        """Light on the detector without an object.
-
-        Args:
-            width: px.
-            height: px.
-
-        Returns:
-            (height, width), 1 in the middle of the field, 0 outside the collimator.
-        """
+        """Light (height, width) on the detector without an object: 1 in the middle, 0 outside the collimator."""
         half = min(width, height) / 2
         x = (np.arange(width) - (width - 1) / 2) / half
         y = (np.arange(height) - (height - 1) / 2) / half
@@ -84,18 +76,14 @@ class Detector:
 def quantum_noise(
     image: NDArray[np.uint8], photons: float, generator: np.random.Generator, *, gamma: float = GAMMA
 ) -> NDArray[np.uint8]:
-    """An image as a detector that counts photons would have seen it.
+    """An image (height, width) of grey levels, as a detector that counts photons would have seen it, uint8.
 
     Args:
-        image: (height, width) grey levels without noise.
         photons: mean count of a white pixel.
         gamma: exponent of the display that the grey levels went through.
 
-    Returns:
-        (height, width) uint8.
-
     Raises:
-        ValueError: for a count that is not positive.
+        ValueError: the count is not positive.
     """
     if not photons > 0:
         raise ValueError(f"a noisy image needs a positive number of photons a pixel, got {photons!r}.")

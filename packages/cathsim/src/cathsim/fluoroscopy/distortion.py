@@ -74,12 +74,7 @@ class DetectorDistortion:
         return not any((self.pincushion, self.barrel, self.twist, *self.tilt))
 
     def resized(self, width: int, height: int) -> DetectorDistortion:
-        """The same map over an image of another size.
-
-        Args:
-            width: px.
-            height: px; of the same shape as before, else the map is another.
-        """
+        """The same map over an image of another size (px) and the same shape."""
         return DetectorDistortion(width, height, self.pincushion, self.barrel, self.twist, self.tilt, self.centre)
 
     @property
@@ -111,10 +106,7 @@ class DetectorDistortion:
         return out, jacobian
 
     def distort(self, points: ArrayLike) -> Array:
-        """Where the detector shows ideal points.
-
-        Args:
-            points: (n, 2) px, as a pinhole camera gives them.
+        """Where the detector shows ideal points (n, 2) px, as a pinhole camera gives them.
 
         Returns:
             (n, 2) px in the image; exact where the map is: within 1.6 half image sides of the image's middle. What lies
@@ -137,24 +129,11 @@ class DetectorDistortion:
         return held - self.centre, (square - held) * self._half
 
     def jacobian(self, points: ArrayLike) -> Array:
-        """Local stretch of the map at ideal points.
-
-        Args:
-            points: (n, 2) px, as a pinhole camera gives them.
-
-        Returns:
-            (n, 2, 2), change of the distorted (u, v) by that of the ideal (u, v).
-        """
+        """Change (n, 2, 2) of the distorted (u, v) by that of the ideal (u, v) at ideal points (n, 2) px."""
         return self._map(self._normalised(_pixels(points))[0])[1]
 
     def undistort(self, points: ArrayLike) -> Array:
-        """Where a pinhole camera would have seen what the detector shows: the inverse of `distort`.
-
-        Args:
-            points: (n, 2) px in the image.
-
-        Returns:
-            (n, 2) px; `distort` gives the argument back to 1e-6 px within the image.
+        """Where a pinhole camera would have seen points (n, 2) px of the image: the inverse of `distort`, to 1e-6 px.
 
         Raises:
             ValueError: for another shape, or points so far outside the image that the map does not reach them.

@@ -1,4 +1,4 @@
-"""What a wire is made of, as X-rays see it: attenuation coefficients, and sections of nested cylinders."""
+"""Materials of a wire under X-rays: attenuation coefficients, and sections of nested cylinders."""
 
 from __future__ import annotations
 
@@ -59,14 +59,7 @@ class Section:
         return self.layers[-1][0]
 
     def depth(self, distance: ArrayLike) -> Array:
-        """Optical depth of a ray across the section.
-
-        Args:
-            distance: of the ray from the axis, m.
-
-        Returns:
-            Dimensionless, of the same shape.
-        """
+        """Optical depth of rays across the section at distances (m) from the axis, of any shape."""
         x2 = np.square(np.asarray(distance, dtype=np.float64))
         total, inner = np.zeros_like(x2), np.zeros_like(x2)
         for radius, attenuation in self.layers:
@@ -102,13 +95,9 @@ class WireMaterial:
 
 
 def jacketed_wire(radius: float) -> WireMaterial:
-    """A nitinol core in a tungsten-filled polymer jacket, tapered at the tip (the kind of the Radifocus).
+    """A nitinol core in a tungsten-filled polymer jacket of a radius (m) (the kind of the Radifocus).
 
-    Args:
-        radius: outer, m.
-
-    Returns:
-        The wire; core of two thirds of the diameter, thinning over the distal 30 mm.
+    The core has two thirds of the diameter and thins over the distal 30 mm.
     """
     core, jacket = ATTENUATION["nitinol"], ATTENUATION["tungsten_polyurethane"]
     shares = ((0.010, 0.22), (0.010, 0.35), (0.010, 0.50), (1.0, 0.67))
@@ -116,24 +105,12 @@ def jacketed_wire(radius: float) -> WireMaterial:
 
 
 def coil_tipped_wire(radius: float) -> WireMaterial:
-    """A nitinol shaft with a radiopaque tungsten coil over a thin core at its tip (the kind of the Nitrex).
-
-    Args:
-        radius: outer, m.
-
-    Returns:
-        The wire; the coil takes the distal 30 mm.
-    """
+    """A nitinol shaft of a radius (m) with a tungsten coil over the distal 30 mm (the kind of the Nitrex)."""
     core, coil = ATTENUATION["nitinol"], ATTENUATION["tungsten"]
     tip = Section(0.030, ((0.3 * radius, core), (0.8 * radius, 0.0), (radius, 0.7 * coil)))  # wound with gaps
     return WireMaterial((tip, Section(1.0, ((radius, core),))))
 
 
 def wire_material(name: str, radius: float) -> WireMaterial:
-    """What a guidewire preset is made of.
-
-    Args:
-        name: of the preset; those that have no material of their own are jacketed wires.
-        radius: outer, m.
-    """
+    """Material of a guidewire preset of an outer radius (m): the jacketed wire unless the preset has its own."""
     return coil_tipped_wire(radius) if name == "nitrex_straight" else jacketed_wire(radius)

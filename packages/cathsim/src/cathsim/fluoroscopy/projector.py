@@ -98,6 +98,7 @@ class Projector:
             roll_deg: degrees by which the image is turned clockwise; 90 puts the head on its right.
             source_detector_distance: m.
             source_object_distance: m, from the source to the isocentre.
+            name: of the view.
 
         Raises:
             ValueError: for distances that are not 0 < source to object < source to detector, an empty field or image,
@@ -161,12 +162,7 @@ class Projector:
 
     @classmethod
     def frontal(cls, bounds: ArrayLike, size: int | tuple[int, int]) -> Projector:
-        """Frontal view of a phantom: `view("frontal", bounds, size)`.
-
-        Args:
-            bounds: (2, 3) m, lowest and highest corner in the world frame.
-            size: px, the side of a square image or (width, height).
-        """
+        """Frontal view of a phantom: `view("frontal", bounds, size)`."""
         return cls.view("frontal", bounds, size)
 
     @property
@@ -191,13 +187,7 @@ class Projector:
         return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
     def project(self, points: ArrayLike) -> Array:
-        """Pixels of world points.
-
-        Args:
-            points: (n, 3) m, world frame, in front of the source.
-
-        Returns:
-            (n, 2) px, u right and v down from the centre of the top-left pixel; outside the image is allowed.
+        """Pixels (n, 2) of world points (n, 3) m, u right and v down; outside the image is allowed.
 
         Raises:
             ValueError: for another shape or a point that is not in front of the source.
@@ -212,25 +202,14 @@ class Projector:
         return pixels[:, :2] / pixels[:, 2:]
 
     def pixels_per_metre(self, point: ArrayLike) -> float:
-        """Image scale at a point, parallel to the detector.
-
-        Args:
-            point: (3,) m, world frame.
-
-        Returns:
-            px/m.
-        """
+        """Image scale (px/m) at a point (3,) m, parallel to the detector."""
         depth = float(self.R[2] @ np.asarray(point, dtype=np.float64) + self.t[2])
         return float(self.K[0, 0]) / depth
 
     def resized(self, size: int) -> Projector:
-        """The same view with another number of pixels over the same field.
+        """The same view with another number of pixels (the shorter side) over the same field.
 
-        Args:
-            size: px, new shorter side.
-
-        Returns:
-            The camera; pixel centres move by the half pixel that the change of scale asks for.
+        Pixel centres move by the half pixel that the change of scale asks for.
         """
         scale = size / min(self.width, self.height)
         shift = np.array([[scale, 0, (scale - 1) / 2], [0, scale, (scale - 1) / 2], [0, 0, 1]])
@@ -239,15 +218,9 @@ class Projector:
 
 
 def view_rotation(primary_deg: float, secondary_deg: float, roll_deg: float = 0.0) -> Array:
-    """Rotation from the world to the camera of a C-arm.
+    """Rotation (3, 3) from the world to the camera of a C-arm; angles as `Projector.c_arm` has them.
 
-    Args:
-        primary_deg: degrees towards the patient's left.
-        secondary_deg: degrees towards the head.
-        roll_deg: degrees by which the image is turned clockwise.
-
-    Returns:
-        (3, 3); its rows are the image's right, its down, and the direction from source to detector.
+    Its rows are the image's right, its down, and the direction from source to detector.
     """
     primary, secondary = np.radians(primary_deg), np.radians(secondary_deg)
     right = np.array([np.cos(primary), np.sin(primary), 0.0])

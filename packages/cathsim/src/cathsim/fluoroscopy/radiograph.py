@@ -42,14 +42,7 @@ class Radiograph:
 
 
 def optical_depth(grid: DistanceGrid, projector: Projector, scene: XRayScene) -> NDArray[np.float32]:
-    """Optical depth of a scene for every pixel of a pinhole camera.
-
-    Args:
-        grid: signed distance to the vessel's wall.
-
-    Returns:
-        (height, width), dimensionless.
-    """
+    """Optical depth (height, width) of a scene for every pixel of a pinhole camera."""
     from scipy import ndimage  # here, as only bi-planar views need it
 
     depth = np.zeros((projector.height, projector.width), np.float32)
@@ -69,10 +62,9 @@ def optical_depth(grid: DistanceGrid, projector: Projector, scene: XRayScene) ->
 
 
 def radiograph(grid: DistanceGrid, camera: XRayCamera, scene: XRayScene, *, key: str | None = None) -> Radiograph:
-    """What a camera's detector expects of a scene.
+    """Photons that a camera's detector expects of a scene.
 
     Args:
-        grid: signed distance to the vessel's wall.
         key: content hash of the phantom; radiographs of the same key, camera and scene are computed once a process.
     """
     if key is None:

@@ -114,7 +114,7 @@ class FluoroscopyRenderer:
         self._draw = _native_draw()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return functools.partial(type(self), **self._options), self._arguments  # native structs are made anew
+        return functools.partial(type(self), **self._options), self._arguments  # native structs are made again
 
     def __deepcopy__(self, memo: dict[int, object]) -> FluoroscopyRenderer:
         return self  # never changes
@@ -125,14 +125,11 @@ class FluoroscopyRenderer:
         return self._empty
 
     def render(self, points: ArrayLike, *, generator: np.random.Generator | None = None) -> NDArray[np.uint8]:
-        """Image of the wire.
+        """Image (height, width) uint8 of the wire, a new array.
 
         Args:
             points: (n, 3) m, the wire's nodes in order, world frame; only the part outside the sheath.
             generator: source of the quantum noise; needed where `photons` is set.
-
-        Returns:
-            (height, width) uint8, a new array.
 
         Raises:
             ValueError: for points of another shape, not finite, or behind the source.
@@ -146,13 +143,9 @@ class FluoroscopyRenderer:
         return quantum_noise(image, self.photons, generator, gamma=self._gamma)
 
     def mask(self, points: ArrayLike) -> NDArray[np.uint8]:
-        """Pixels that show the wire.
+        """Pixels that show the wire's nodes (n, 3) m: (height, width) uint8, 1 on the wire.
 
-        Args:
-            points: (n, 3) m, the wire's nodes in order, world frame.
-
-        Returns:
-            (height, width) uint8, 1 on the wire; connected, at least every pixel that the wire's axis enters.
+        It is connected, and has at least every pixel that the wire's axis enters.
 
         Raises:
             ValueError: for points of another shape, not finite, or behind the source.
@@ -164,12 +157,11 @@ class FluoroscopyRenderer:
     def render_into(
         self, points: ArrayLike, image_out: NDArray[np.uint8] | None, mask_out: NDArray[np.uint8] | None
     ) -> None:
-        """Image without noise and mask, written into the caller's arrays in one pass.
+        """Writes image without noise and mask into the caller's arrays in one pass.
 
         Args:
             points: (n, 3) m, the wire's nodes in order, world frame; fewer than two draw nothing.
-            image_out: (height, width) uint8, C order; None where it is not wanted.
-            mask_out: (height, width) uint8, C order; None where it is not wanted.
+            image_out, mask_out: (height, width) uint8, C order; None where it is not wanted.
 
         Raises:
             ValueError: for points of another shape, not finite, or behind the source, or outputs that do not fit.

@@ -1,4 +1,4 @@
-"""What lies between source and detector: the body, the vessel's wall and what fills the lumen."""
+"""X-ray scenes between source and detector: the body, the vessel's wall and the filling of the lumen."""
 
 from __future__ import annotations
 

@@ -33,11 +33,10 @@ class _WindowStruct(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class ShadowWindow:
-    """What a wire takes away from an image, in the window that it touches.
+    """A wire's shadow in the window of an image that it touches.
 
     Attributes:
-        left: px, the window's first column.
-        top: px, its first row.
+        left, top: px, the window's first column and row.
         transmission: (height, width) float32.
         mask: (height, width) uint8, 1 on the wire.
     """
@@ -89,10 +88,7 @@ class WireShadow:
         self._draw = draw
 
     def centreline(self, nodes: ArrayLike) -> tuple[Array, Array, Array]:
-        """The wire's smooth axis as the detector shows it.
-
-        Args:
-            nodes: (n, 3) m, from the tip, world frame.
+        """The smooth axis, as the detector shows it, of a wire's nodes (n, 3) m from the tip.
 
         Returns:
             (m, 2) px, distorted; (m,) m, the arc length of each from the tip; (m,) px, the wire's radius there.
@@ -117,13 +113,7 @@ class WireShadow:
         return distortion.distort(ideal), arc, radius
 
     def shadow(self, nodes: ArrayLike) -> ShadowWindow | None:
-        """Transmission and mask of a wire.
-
-        Args:
-            nodes: (n, 3) m, from the tip, world frame.
-
-        Returns:
-            The shadow, or None where the wire does not touch the image.
+        """Transmission and mask of a wire's nodes (n, 3) m from the tip; None where it does not touch the image.
 
         Raises:
             ValueError: for nodes of another shape, not finite, or behind the source.

@@ -14,13 +14,7 @@ FORCE_LIMIT = 2.0  # N, at which a step counts as unsafe
 
 
 def force_magnitudes(forces: ArrayLike) -> Array:
-    """Force magnitude of each step, f_t.
-
-    Args:
-        forces: (T,) N magnitudes, or (T, 3) N resultant vectors in any one frame.
-
-    Returns:
-        (T,) N.
+    """Force magnitude (T,) N of each step from magnitudes (T,) N, or from vectors (T, 3) N in any one frame.
 
     Raises:
         ValueError: for another shape, or a force that is negative or not finite.
@@ -38,13 +32,7 @@ def force_magnitudes(forces: ArrayLike) -> Array:
 
 
 def path_length(tips: ArrayLike) -> float:
-    """Length of the way the tip went.
-
-    Args:
-        tips: (T + 1, 3) m, tip positions from the reset on.
-
-    Returns:
-        m.
+    """Length (m) of the way the tip went, from its positions (T + 1, 3) m from the reset on.
 
     Raises:
         ValueError: for another shape or positions that are not finite.
@@ -58,14 +46,11 @@ def path_length(tips: ArrayLike) -> float:
 
 
 def safety(forces: ArrayLike, *, limit: float = FORCE_LIMIT) -> float:
-    """Share of the steps whose force stays below the limit.
+    """Share (0 to 1) of the steps whose force stays below the limit; 1 for an episode without steps.
 
     Args:
         forces: (T,) N magnitudes, or (T, 3) N vectors.
         limit: N; a force that equals it is unsafe.
-
-    Returns:
-        0 to 1; 1 for an episode without steps.
 
     Source: thesis, section Evaluation Metrics, Safety.
     """
@@ -74,15 +59,12 @@ def safety(forces: ArrayLike, *, limit: float = FORCE_LIMIT) -> float:
 
 
 def spl(success: ArrayLike, paths: ArrayLike, shortest: ArrayLike) -> float:
-    """Success weighted by path length.
+    """Success weighted by path length, 0 to 1.
 
     Args:
         success: (N,) whether each episode reached its target.
         paths: (N,) m, length of each episode's way.
         shortest: (N,) or one number, m, the optimal length of each episode; ignored where the episode failed.
-
-    Returns:
-        0 to 1.
 
     Raises:
         ValueError: for no episodes, lengths that do not match, or a successful episode without an optimal length.
@@ -150,6 +132,7 @@ class EpisodeMetrics:
             forces: (T,) N magnitudes, or (T, 3) N resultant vectors.
             rewards: (T,).
             success: whether the target was reached in time.
+            target: the vessel aimed at.
             force_limit: N, at which a step counts as unsafe.
 
         Raises:
@@ -188,14 +171,7 @@ class Statistic:
 
     @classmethod
     def of(cls, values: ArrayLike) -> Statistic:
-        """Mean and standard deviation of a sample.
-
-        Args:
-            values: (N,), N >= 1.
-
-        Returns:
-            In the unit of the values.
-        """
+        """Mean and standard deviation of a sample (N,), N >= 1, in its unit."""
         array = np.asarray(values, dtype=np.float64)
         return cls(float(array.mean()), float(array.std()))
 
@@ -232,11 +208,7 @@ class Summary:
     reward: Statistic
 
     def as_dict(self) -> dict[str, list[float] | float | int]:
-        """Columns by name, [mean, sd] each, ready for JSON.
-
-        Returns:
-            Plain numbers.
-        """
+        """Columns by name, [mean, sd] each, as plain numbers for JSON."""
         return {
             name: [value.mean, value.sd] if isinstance(value, Statistic) else value
             for name, value in vars(self).items()
@@ -244,14 +216,7 @@ class Summary:
 
 
 def shortest_successful_paths(episodes: Sequence[EpisodeMetrics]) -> dict[str, float]:
-    """Shortest path length among the successful episodes of each target.
-
-    Args:
-        episodes: of one or more targets, of every policy that is compared.
-
-    Returns:
-        m by target; targets that no episode reached are absent.
-    """
+    """Shortest path length (m) by target among the successful episodes, of every policy that is compared."""
     shortest: dict[str, float] = {}
     for episode in episodes:
         if episode.success:

@@ -1,4 +1,4 @@
-"""What an agent sees: named observables of a simulation, each with its space."""
+"""Named observables of a simulation, each with its space."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Fluoroscope:
         self.renderer = camera(self.simulation.phantom, self.shape[0], self.simulation.wire.radius)
 
     def update(self, *, restart: bool = False) -> None:
-        """Says that the simulation has moved on (or restarted): the next look draws anew."""
+        """Says that the simulation has moved on (or restarted): the next look draws again."""
         self._drawn = self._kept = False
         if restart:
             self.frames = []
@@ -146,14 +146,7 @@ def shown_points(simulation: Simulation) -> np.ndarray:
 
 
 def outside_sheath(points: np.ndarray, vessel: Vessel) -> np.ndarray:
-    """Drops the nodes that lie deep inside the sheath and closes the wire there.
-
-    Args:
-        points: nodes from the tip to the proximal end, m, world frame. Shape (k, 3).
-
-    Returns:
-        Shape (n, 3).
-    """
+    """Drops the nodes (k, 3) m, from the tip on, that lie deep inside the sheath, and closes the wire there."""
     end = vessel.entry - SHOWN_SHEATH * vessel.direction
     # the nodes in the sheath are the last ones
     shown = int(np.count_nonzero(points @ vessel.direction > end @ vessel.direction))

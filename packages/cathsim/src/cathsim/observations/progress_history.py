@@ -1,4 +1,4 @@
-"""The history of an episode: what was tried lately, and how long it has led no nearer to the target."""
+"""The history of an episode: recent moves, and the time since the tip last came nearer to the target."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ HISTORY_SIZE = 3 * len(TIME_CONSTANTS) + 5
 
 
 class History:
-    """What an episode has tried so far, in a few numbers.
+    """Recent moves and progress of an episode, in a few numbers.
 
-    What is seen at one moment does not tell a first try at an ostium from the tenth: a policy that is given this can
-    try something else.
+    One moment alone does not distinguish the first try at an ostium from the tenth: a policy with this history can try
+    something else.
 
     Args:
         remaining: gives the way that remains from the tip to the target, m.
@@ -32,18 +32,14 @@ class History:
         self.begin()
 
     def begin(self) -> None:
-        """Starts anew at the moment."""
+        """Starts with the present moment."""
         self._moves, self._gain = np.zeros((len(TIME_CONSTANTS), 2)), np.zeros(len(TIME_CONSTANTS))
         self._remaining = self._best = self._remaining_way()
         self._waited = 0.0
         self._insertion, self._rotation = self.simulation.insertion, self.simulation.rotation
 
     def advance(self, translation: float, rotation: float) -> None:
-        """Takes note of a control step that was made.
-
-        Args:
-            translation: of the feeder, as a share of the largest in a step, -1 to 1.
-        """
+        """Records a control step: the feeder's translation and rotation as shares of the largest, -1 to 1."""
         keep, now = self._forget, self._remaining_way()
         self._moves = keep[:, None] * self._moves + (1 - keep)[:, None] * (translation, rotation)
         self._gain = keep * self._gain + (1 - keep) * (self._remaining - now) / CONTROL_STEP
@@ -54,15 +50,12 @@ class History:
             self._insertion, self._rotation = self.simulation.insertion, self.simulation.rotation
 
     def read(self) -> np.ndarray:
-        """The history so far, all of the order of 1.
+        """The history so far (11,), float32, all of the order of 1.
 
         Running means over 1 and 4 s of the feeder's translation and rotation as shares of the largest (4) and of the
         gain g on the target over 10 mm/s + |g| (2); then, since the tip was nearest to the target along the lumen: the
         time t over 8 s + t, the hyperbolic tangent of the way lost over 20 mm, that of the insertion since over
         30 mm, cosine and sine of the feeder's rotation since (5).
-
-        Returns:
-            Shape (11,), float32.
         """
         turned = self.simulation.rotation - self._rotation
         fed = self.simulation.insertion - self._insertion

@@ -1,4 +1,4 @@
-"""The local roadmap: what a scan taken before the procedure shows at the tip, in the tip's own frame."""
+"""The local roadmap: a scan taken before the procedure, at the tip and in the tip's own frame."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Roadmap:
         self._lengths = np.empty(len(RAYS))
 
     def __getstate__(self) -> dict[str, Any]:
-        native = ("_struct", "_fields", "_follow", "_cast")  # made anew where they are wanted
+        native = ("_struct", "_fields", "_follow", "_cast")  # made again where they are wanted
         return {name: value for name, value in self.__dict__.items() if name not in native}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -110,14 +110,7 @@ class Roadmap:
         return data.site_xmat[model.site(TIP_SITE).id].reshape(3, 3)
 
     def way(self, start: np.ndarray) -> tuple[np.ndarray, float]:
-        """The way from a place to the target.
-
-        Args:
-            start: m, world frame. Shape (3,).
-
-        Returns:
-            The next 50 mm of it, a point a millimetre, m, world frame, shape (50, 3); its whole length, m.
-        """
+        """The way from a place (3,) m to the target: the next 50 mm of it, (50, 3) m, and its whole length, m."""
         start = np.ascontiguousarray(start, float)
         remaining = self._follow_from(start)
         return self._path.copy(), remaining
@@ -129,14 +122,9 @@ class Roadmap:
         return float(length)
 
     def walls(self, start: np.ndarray, axes: np.ndarray) -> np.ndarray:
-        """Distances to the wall along RAYS, 30 mm at most.
+        """Distances (9,) m from a place (3,) m to the wall along RAYS, 30 mm at most.
 
-        Args:
-            start: m, world frame. Shape (3,).
-            axes: of the frame that the rays are given in, as columns. Shape (3, 3).
-
-        Returns:
-            m. Shape (9,).
+        The columns of `axes` (3, 3) are the axes of the frame in which the rays are given.
         """
         start, directions = np.ascontiguousarray(start, float), RAYS @ axes.T
         struct, limit = ctypes.byref(self._native()), ctypes.c_double(RAY_LIMIT)
@@ -150,7 +138,7 @@ class Roadmap:
         way over 0.2 m, and the hyperbolic tangent of it over 20 mm (2); distances to the wall ahead, askew and across
         over 15 mm (9); points of the wire 4, 8, 12, 20, 30, 45, 60 mm behind the tip, each over its distance along the
         wire (21); insertion over 0.2 m, cosine and sine of the rotation (3); how far the feeder's drive is ahead of the
-        wire, as a share of what its force limit allows: what a hand feels (2); velocity v of the tip over 20 mm/s + |v|
+        wire, as a share of what its force limit allows: as a hand feels it (2); velocity v of the tip over 20 mm/s + |v|
         (3); contact force f over 0.05 N + |f| (3).
 
         Returns:
@@ -183,14 +171,12 @@ class Roadmap:
 
 
 def target_image(pixel: np.ndarray, size: int, radius_px: float) -> np.ndarray:
-    """An image of the target's dot alone.
+    """An image (size, size) uint8 of the target's dot alone: 255 on the dot, with a soft edge, 0 elsewhere.
 
     Args:
         pixel: where the target is seen, px, column and row. Shape (2,).
         size: side of the image, px.
-
-    Returns:
-        255 on the dot, with a soft edge, 0 elsewhere. Shape (size, size), uint8.
+        radius_px: of the dot.
     """
     column, row = np.arange(size), np.arange(size)[:, None]
     distance = np.hypot(column - pixel[0], row - pixel[1])

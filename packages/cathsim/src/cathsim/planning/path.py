@@ -61,24 +61,13 @@ class LumenPath:
         return float(self.arc[-1])
 
     def resampled(self, step: float) -> LumenPath:
-        """The same path with evenly spaced points.
-
-        Args:
-            step: m between points, about.
-
-        Returns:
-            A path with both ends kept.
-        """
+        """The same path with points about `step` (m) apart, both ends kept."""
         arc = self.arc
         even = np.linspace(0.0, arc[-1], max(2, round(arc[-1] / step) + 1))
         return LumenPath(np.column_stack([np.interp(even, arc, self.points[:, k]) for k in range(3)]))
 
     def clearance(self, grid: SignedDistanceGrid) -> float:
-        """Least distance to the wall along the path.
-
-        Returns:
-            m; negative where the path leaves the lumen.
-        """
+        """Least distance (m) to the wall along the path; negative where it leaves the lumen."""
         return float(grid.sample(self.resampled(0.25 * grid.spacing).points).min())
 
 
@@ -92,23 +81,19 @@ def plan_path(
     aversion: float = 4.0,
     smooth: bool = True,
 ) -> LumenPath:
-    """A smooth short way through the lumen.
+    """A smooth short way through the lumen, from start to target themselves.
 
     Args:
         grid: signed distance to the wall, positive inside.
-        start: (3,) m, world frame, inside the lumen.
-        target: (3,) m, world frame, inside the lumen.
+        start, target: (3,) m, world frame, inside the lumen.
         clearance: m that the path keeps from the wall.
         preferred_clearance: m below which nearness to the wall costs; 0 gives the shortest way.
         aversion: how many times longer a way along the wall may count, on top of its length.
         smooth: round the corners of the taut path.
 
-    Returns:
-        The path, from start to target themselves.
-
     Raises:
         ValueError: for an end outside the lumen.
-        UnreachableError: where no way keeps the clearance.
+        UnreachableError: no way keeps the clearance.
     """
     path = shortest_lattice_path(
         grid, start, target, clearance=clearance, preferred_clearance=preferred_clearance, aversion=aversion
@@ -130,20 +115,12 @@ def shortest_lattice_path(
 ) -> LumenPath:
     """Cheapest way over the lattice, by A* with 26 neighbours and the straight distance as its bound.
 
-    Args:
-        grid: signed distance to the wall, positive inside.
-        start: (3,) m, world frame, inside the lumen.
-        target: (3,) m, world frame, inside the lumen.
-        clearance: m that every lattice point of the path keeps from the wall.
-        preferred_clearance: m below which nearness to the wall costs.
-        aversion: extra cost per length at the wall, falling linearly to none at the preferred clearance.
-
-    Returns:
-        start, the lattice points between, target.
+    Arguments and errors are those of `plan_path`; the aversion falls linearly to none at the preferred clearance.
+    Points are the start, the lattice points between, and the target.
 
     Raises:
         ValueError: for an end outside the lumen, or a clearance or aversion that cannot be meant.
-        UnreachableError: where no way keeps the clearance.
+        UnreachableError: no way keeps the clearance.
     """
     clearance = quantity("clearance", clearance, LengthOrNone)
     preferred_clearance = quantity("preferred_clearance", preferred_clearance, LengthOrNone)
@@ -240,14 +217,7 @@ def _text(point: Array) -> str:
 
 
 def pull_taut(path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = CLEARANCE) -> LumenPath:
-    """Leaves out every point that a straight line inside the lumen can skip.
-
-    Args:
-        clearance: m that the straight lines keep from the wall.
-
-    Returns:
-        A path no longer than before, with the same ends.
-    """
+    """Leaves out every point that a straight line can skip that keeps its clearance (m); both ends stay."""
     points = path.points
     kept, here = [0], 0
     while here < len(points) - 1:
@@ -273,14 +243,11 @@ def _line_is_free(a: Array, b: Array, grid: SignedDistanceGrid, clearance: float
 def smooth_path(
     path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = CLEARANCE, step: float = _STEP
 ) -> LumenPath:
-    """Rounds the corners of a path by averaging neighbours, wherever the result keeps its clearance.
+    """Rounds the corners of a path by averaging neighbours, wherever the result keeps its clearance; both ends stay.
 
     Args:
         clearance: m to keep from the wall; where the path comes nearer already, it may stay as near as it is.
         step: m between the points of the result.
-
-    Returns:
-        Evenly sampled path with the same ends.
     """
     points = np.array(path.resampled(step).points)
     if len(points) < 3:
@@ -298,7 +265,7 @@ def smooth_path(
             bad &= (moved != points).any(axis=1)
             if not bad.any():
                 break
-            moved[bad] = points[bad]  # back to where it was good; its neighbours are judged again
+            moved[bad] = points[bad]  # back to where it was good; its neighbours are tested again
         points = moved
     return LumenPath(points).resampled(step)
 
@@ -306,13 +273,11 @@ def smooth_path(
 def picture(
     path: LumenPath, grid: SignedDistanceGrid, file: str | FilePath, *, title: str = "Shortest path in the lumen"
 ) -> FilePath:
-    """Saves a picture of a path in the vessel, seen from the front and from the patient's left.
+    """Saves a picture of a path in the vessel, seen from the front and from the patient's left; returns the file.
 
     Args:
         file: where the PNG goes; its folder must exist.
-
-    Returns:
-        The file.
+        title: over the picture.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

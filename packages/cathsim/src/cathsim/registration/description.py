@@ -24,13 +24,7 @@ CLASS = "class"  # the key of a described object's class; its other keys are fie
 
 
 def describe(value: Any) -> Any:
-    """A value as JSON holds it.
-
-    Args:
-        value: an environment's argument, or a list or mapping of such.
-
-    Returns:
-        What `described` takes.
+    """An environment's argument, or a list or mapping of such, as JSON holds it; for `described`.
 
     Raises:
         ValueError: it cannot be made again from a description.
@@ -95,6 +89,7 @@ def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], K
     """An argument that is a name, an object, or an object's description.
 
     Args:
+        argument: its name.
         named: gives the object of a name.
 
     Raises:

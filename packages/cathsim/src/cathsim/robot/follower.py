@@ -90,12 +90,11 @@ class FollowerRobot:
         return self._measure().driven
 
     def advance(self, translation: float, rotation: float, duration: float = 0.1) -> tuple[float, float]:
-        """Moves the robot on for a while.
+        """Moves the robot on for a while (s).
 
         Args:
-            translation: that is commanded on top of what is pending, m; positive inserts.
-            rotation: likewise, rad; positive about the direction of insertion.
-            duration: s.
+            translation: commanded on top of what is pending, m; positive inserts.
+            rotation: commanded on top of what is pending, rad; positive about the direction of insertion.
 
         Returns:
             Translation (m) and rotation (rad) of the wire; zero while the driving clamp does not hold it.
@@ -165,11 +164,7 @@ class Leader:
     engaged: bool = True
 
     def move(self, translation: float, rotation: float) -> tuple[float, float]:
-        """Moves the handle.
-
-        Args:
-            translation: m; what the handle's stroke does not allow is not done.
-            rotation: rad.
+        """Moves the handle by a translation (m), as far as its stroke allows, and a rotation (rad).
 
         Returns:
             The follower's command: translation (m) and rotation (rad), zero with the clutch open.

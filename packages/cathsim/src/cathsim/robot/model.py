@@ -81,9 +81,8 @@ class RobotSettings:
 def robot_spec(settings: RobotSettings) -> mujoco.MjSpec:
     """Describes the robot: a slide for each platform and jaw, a hinge for each wheel, a position servo for every joint.
 
-    Returns:
-        The specification. Platforms: 0 is the rear end of their travel, m, positive towards the patient. Jaws: 0 is
-        closed, m. Wheels: rad, positive about +z.
+    Platforms: 0 is the rear end of their travel, m, positive towards the patient. Jaws: 0 is closed, m. Wheels: rad,
+    positive about +z.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "follower_robot"

@@ -11,11 +11,7 @@ GAP = 0.012  # between the sheath's hub and the robot's front, m
 
 
 def robot_pose(entry: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the robot stands in the world.
-
-    Args:
-        entry: end of the sheath in the vessel, m. Shape (3,).
-        direction: unit vector into the vessel. Shape (3,).
+    """Where the robot stands in the world, for a sheath that ends at (3,) m and opens in a unit direction (3,).
 
     Returns:
         Origin of the robot's frame, m, shape (3,), and rotation from that frame to the world, shape (3, 3); the rail
@@ -33,10 +29,9 @@ def robot_pose(entry: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np
 def add_robot(
     scene: mujoco.MjvScene, robot: FollowerRobot, entry: np.ndarray, direction: np.ndarray, colour: tuple[float, ...]
 ) -> None:
-    """Adds the robot and the wire that runs through it to a scene.
+    """Adds the robot and the wire that runs through it to a scene that MuJoCo has updated.
 
     Args:
-        robot: in the state to be shown.
         entry: end of the sheath in the vessel, m. Shape (3,).
         direction: unit vector into the vessel. Shape (3,).
         colour: of the wire, red, green, blue and opacity.

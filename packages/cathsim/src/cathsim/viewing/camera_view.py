@@ -94,14 +94,7 @@ class View:
         self._viewport = mujoco.MjrRect(0, 0, width, height)
 
     def render(self, simulation: Simulation, goal: np.ndarray | None = None) -> np.ndarray:
-        """The picture of the moment.
-
-        Args:
-            goal: target to mark, m. Shape (3,).
-
-        Returns:
-            Shape (height, width, 3), uint8.
-        """
+        """The picture of the moment, (height, width, 3) uint8, with the target (3,) m marked."""
         self._context.make_current()
         option, scene = mujoco.MjvOption(), self._scene
         mujoco.mjv_updateScene(

@@ -42,13 +42,10 @@ class Display:
         return {**self.__dict__, "_view": None, "_window": None}  # what OpenGL and the screen hold stays where it is
 
     def picture(self, goal: np.ndarray) -> np.ndarray | None:
-        """The picture of the moment, also in the mode "human".
+        """The picture of the moment, (height, width, 3) uint8, also in the mode "human"; None in no mode.
 
         Args:
             goal: target to mark in the 3-D view, m. Shape (3,).
-
-        Returns:
-            Shape (height, width, 3), uint8; None in no mode.
         """
         if self.mode is None:
             return None
@@ -101,11 +98,7 @@ class Window:
         self._clock = pygame.time.Clock()
 
     def show(self, picture: np.ndarray) -> None:
-        """Shows a picture, and waits until the last one has been seen for a control step (0.1 s).
-
-        Args:
-            picture: shape (height, width, 3), uint8.
-        """
+        """Shows a picture (height, width, 3) uint8, after the last one has been seen for a control step (0.1 s)."""
         pygame, factor = self._pygame, max(1, -(-LEAST_HEIGHT // len(picture)))
         if self._surface is None:
             pygame.display.init()

@@ -50,22 +50,15 @@ class Aorta:
         return float(np.max(self.points[:, 2] + self.radius * np.sqrt(1 - self.tangents[:, 2] ** 2)))
 
     def arc_of(self, index: int) -> float:
-        """Arc length of a centreline point.
-
-        Returns:
-            m from the descending end.
-        """
+        """Arc length (m) from the descending end to a centreline point."""
         return float(np.linalg.norm(np.diff(self.points[: index + 1], axis=0), axis=1).sum())
 
 
 def shape_aorta(parameters: ArchParameters, rng: np.random.Generator) -> Aorta:
     """Shapes the aorta from the descending end over the arch to the root, its apex at about height zero.
 
-    Args:
-        parameters: the arch's measures.
-
     Raises:
-        ValueError: where the measures do not fit together, with the reason.
+        ValueError: the measures do not fit together; the message says why.
     """
     from scipy.optimize import brentq
 
@@ -138,14 +131,11 @@ def shape_aorta(parameters: ArchParameters, rng: np.random.Generator) -> Aorta:
 
 
 def fusiform_widening(aneurysm: Aneurysm, points: Array, lsa_arc: float) -> Array:
-    """Added radius of a spindle-shaped aneurysm.
+    """Radius (n,) m that a spindle-shaped aneurysm adds.
 
     Args:
         points: (n, 3) m, aortic centreline at steps of STEP.
         lsa_arc: m along it, where the LSA leaves.
-
-    Returns:
-        (n,) m.
     """
     t = (np.arange(len(points)) * STEP - (lsa_arc - aneurysm.distance)) / (aneurysm.length / 2)
     return aneurysm.bulge * np.where(np.abs(t) < 1, np.cos(0.5 * math.pi * np.clip(t, -1, 1)) ** 2, 0.0)

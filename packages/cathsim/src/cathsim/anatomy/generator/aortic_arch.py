@@ -14,17 +14,14 @@ from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 
 def build_arch(parameters: ArchParameters) -> VesselTree:
-    """Builds the vessel tree of an aortic arch.
-
-    Args:
-        parameters: the arch's measures.
+    """Builds the vessel tree of an aortic arch, centred on the origin.
 
     Returns:
-        Tree with branches aorta, bca, rsa, rcca, lcca, lsa (and sac, the pouch of a saccular aneurysm), centred on the
-        origin; the aorta runs from the descending end over the arch down to the root.
+        Branches aorta (from the descending end over the arch to the root), bca, rsa, rcca, lcca, lsa, and sac, the
+        pouch of a saccular aneurysm.
 
     Raises:
-        ValueError: where the measures cannot be joined to an arch, with the reason.
+        ValueError: the measures cannot be joined to an arch; the message says why.
     """
     rng = np.random.default_rng(parameters.winding_seed)
     aorta = shape_aorta(parameters, rng)

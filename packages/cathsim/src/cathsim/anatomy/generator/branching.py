@@ -17,28 +17,16 @@ Array = NDArray[np.float64]
 
 
 def smoothstep(t: Array) -> Array:
-    """Smooth transition from 0 to 1 with two continuous derivatives, so that vessels bend without a kink.
-
-    Args:
-        t: any shape; the transition spans 0 to 1.
-
-    Returns:
-        The same shape, within [0, 1].
-    """
+    """Smooth transition from 0 at t <= 0 to 1 at t >= 1 with two continuous derivatives, so without a kink."""
     t = np.clip(t, 0.0, 1.0)
     return t * t * t * (t * (6 * t - 15) + 10)
 
 
 def winding(arc: Array, amplitude: float, wavelength: float, rng: np.random.Generator) -> Array:
-    """Displacement of a tortuous vessel: two waves of random phase.
+    """Displacement (n,) m of a tortuous vessel at arc lengths (n,) m: two waves of random phase.
 
     Args:
-        arc: (n,) m along the vessel.
-        amplitude: m of the longer wave.
-        wavelength: m of the longer wave.
-
-    Returns:
-        (n,) m.
+        amplitude, wavelength: m, of the longer wave.
     """
     phases = rng.uniform(0, 2 * math.pi, 2)
     longer = np.sin(2 * math.pi * arc / wavelength + phases[0])
@@ -62,12 +50,10 @@ def grow_branch(
     """Grows a branch whose direction passes smoothly through key directions.
 
     Args:
-        name: the branch's name.
         start: (3,) m, on the parent's centreline.
         directions: (arc m, unit vector (3,)) keys, arcs increasing from 0.
         radii: (arc m, radius m) keys, arcs increasing from 0.
         length: m of centreline from the start.
-        parent: the parent's name.
         parent_arc: m along the parent at which it starts.
         winding_amplitude: m of the windings, which fade out towards both ends.
         open_end: whether it ends in a flat opening.

@@ -32,11 +32,8 @@ def sample_parameters(rng: np.random.Generator, *, wide: bool = False) -> ArchPa
     """Draws a plausible aortic arch: within the published spread, buildable, no vessel running into another.
 
     Args:
-        wide: take-offs, type and windings are drawn evenly from all that can be built, rare ones as often as common
-            ones, and a quarter has a common origin of BCA and LCCA: for training.
-
-    Returns:
-        Parameters of an arch that can be built.
+        wide: for training: take-offs, type and windings are drawn evenly from all that can be built, and a quarter of
+            the arches has a common origin of BCA and LCCA.
     """
     for _ in range(_ATTEMPTS):
         parameters = draw_parameters(rng)
@@ -55,11 +52,7 @@ def sample_parameters(rng: np.random.Generator, *, wide: bool = False) -> ArchPa
 
 
 def separation(tree: VesselTree) -> float:
-    """Thinnest wall between the lumens of branches away from where they join.
-
-    Returns:
-        m; negative where lumens overlap.
-    """
+    """Thinnest wall (m) between lumens of branches away from where they join; negative where lumens overlap."""
     thinnest = np.inf
     for branch in tree:
         if branch.parent is None or branch.name == "sac":

@@ -21,14 +21,11 @@ _UP = np.array([0.0, 0.0, 1.0])
 def locate_origins(parameters: ArchParameters, aorta: Aorta) -> dict[str, int]:
     """Finds where BCA, LCCA and LSA leave the aorta; the height of the BCA's origin makes the arch's type.
 
-    Args:
-        parameters: the arch's measures.
-
     Returns:
         Index of the aortic point at each branch's ostium; without "lcca" for a bovine arch.
 
     Raises:
-        ValueError: where the BCA would leave at or below the root.
+        ValueError: the BCA would leave at or below the root.
     """
     wall = aorta.outer_wall
     apex = int(np.argmax(wall[:, 2]))
@@ -56,11 +53,7 @@ def locate_origins(parameters: ArchParameters, aorta: Aorta) -> dict[str, int]:
 def grow_supra_aortic(
     parameters: ArchParameters, aorta: Aorta, origins: dict[str, int], rng: np.random.Generator
 ) -> list[Branch]:
-    """Grows the branches to head and arms, each along key directions to the left (x), back (y) and up (z).
-
-    Args:
-        parameters: the arch's measures.
-    """
+    """Grows bca, rsa, rcca, lcca and lsa, each along key directions to the left (x), back (y) and up (z)."""
     wind = parameters.branch_tortuosity
     bca_origin, lcca_origin, lsa_origin = (
         diameter / 2 for diameter in (parameters.bca_diameter, parameters.lcca_diameter, parameters.lsa_diameter)

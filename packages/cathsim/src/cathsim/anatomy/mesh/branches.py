@@ -73,7 +73,7 @@ class RoughVessel:
 
 
 def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Sequence[Array], main: int) -> RoughVessel:
-    """Turns ways from one root into vessels.
+    """Turns ways from one root into vessels; returns the main one.
 
     Args:
         ways: for each end the voxels (n, 3) of its way; ways share voxels until they part.
@@ -180,10 +180,8 @@ def _join_common_origins(aorta: RoughVessel) -> None:
 def _take_off_by_itself(narrow: RoughVessel, wide: RoughVessel, aorta: RoughVessel) -> bool:
     """Leads a branch's way straight to the aorta where it parts from a wider one right above the aorta's wall.
 
-    A way prefers the wide mouth of its neighbour to a narrow one of its own.
-
-    Returns:
-        False, and nothing is changed, where the two have a trunk of more than its radius in common.
+    A way prefers the wide mouth of its neighbour to a narrow one of its own. Returns False, and changes nothing, where
+    the two have a trunk of more than its radius in common.
     """
     here = next((i for i, point in enumerate(narrow.points) if _beside(wide, point) > 0), None)
     if here is None:
@@ -214,12 +212,7 @@ def _leaving(vessel: RoughVessel, parent: RoughVessel) -> int:
 
 
 def continued(trunk: RoughVessel, onward: RoughVessel) -> None:
-    """Makes a trunk go on as one of the vessels it forks into; the others then leave it at its side.
-
-    Args:
-        trunk: changed.
-        onward: one of its children at its fork.
-    """
+    """Makes a trunk go on as `onward`, one of the vessels it forks into; the others then leave it at its side."""
     length = trunk.length
     trunk.children.remove(onward)
     for child in trunk.children:
@@ -233,11 +226,6 @@ def continued(trunk: RoughVessel, onward: RoughVessel) -> None:
 
 
 def turned(vessel: RoughVessel, rotation: Array, offset: Array) -> RoughVessel:
-    """A vessel and what leaves it, in another frame.
-
-    Args:
-        rotation: (3, 3).
-        offset: (3,) m, added after the rotation.
-    """
+    """A vessel and its children in another frame, by a rotation (3, 3) and an offset (3,) m added after it."""
     children = [turned(child, rotation, offset) for child in vessel.children]
     return replace(vessel, points=vessel.points @ rotation.T + offset, children=children)

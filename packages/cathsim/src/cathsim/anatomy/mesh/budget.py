@@ -1,4 +1,4 @@
-"""What one import of a mesh may cost: a time and a memory that no surface makes it exceed."""
+"""The cost limits of one import of a mesh: processor time and memory."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Budget:
     """The budget of one import; its clock runs from its making.
 
     Attributes:
-        seconds: s of processor time, asked for between steps.
-        memory: bytes; what lattices and points would take is told before they are made.
+        seconds: s of processor time, checked between steps.
+        memory: bytes; checked before lattices and points are made.
     """
 
     seconds: float = MOST_SECONDS
@@ -27,14 +27,7 @@ class Budget:
     _began: float = field(default_factory=time.thread_time, init=False)
 
     def check_time(self, step: str) -> None:
-        """Refuses to go on with a step once the time is spent.
-
-        Args:
-            step: what comes next, such as "finding its ends".
-
-        Raises:
-            MeshRefusedError: in that case.
-        """
+        """Raises `MeshRefusedError` once the time is spent, before a step such as "finding its ends"."""
         if time.thread_time() - self._began > self.seconds:
             raise MeshRefusedError(
                 f"the import has taken the {self.seconds:g} s of processor time it may take, before {step}; repair the "
@@ -42,14 +35,7 @@ class Budget:
             )
 
     def check_lattice(self, voxels: float, spacing: float, size: str) -> None:
-        """Refuses a lattice that would not fit.
-
-        Args:
-            spacing: m between them.
-
-        Raises:
-            MeshRefusedError: in that case.
-        """
+        """Raises `MeshRefusedError` for too many voxels, `spacing` (m) apart, over a surface of a `size` in words."""
         if not voxels * VOXEL_BYTES <= self.memory:
             raise MeshRefusedError(
                 f"at {2e3 * spacing:g} mm this surface is too large ({size}): the import would take "
@@ -58,11 +44,7 @@ class Budget:
             )
 
     def check_samples(self, points: float) -> None:
-        """Refuses a surface whose triangles would take too many points.
-
-        Raises:
-            MeshRefusedError: in that case.
-        """
+        """Raises `MeshRefusedError` for a surface whose triangles would take too many points."""
         if not points * SAMPLE_BYTES <= self.memory:
             raise MeshRefusedError(
                 f"the surface's triangles are too many and too large for a vessel's wall: the import would take "

@@ -85,18 +85,15 @@ class _Room:
 
 
 def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = True) -> Cavity:
-    """Finds the lumen of a surface whose borders are closed.
+    """Finds the lumen of a surface whose borders are closed; at a tunnel's ends it stops somewhat before the opening.
 
     Args:
         samples: points on the surface, at most 0.7 voxels apart.
         spacing: m between voxels.
-        in_metres: False where all lengths are in another unit, so that a refusal must not tell them.
-
-    Returns:
-        The lumen; at a tunnel's ends it stops somewhat before the opening.
+        in_metres: False where all lengths are in another unit, so that an error must not name them.
 
     Raises:
-        MeshRefusedError: where there is no lumen, or several that hang together nowhere.
+        MeshRefusedError: there is no lumen, or several that are not connected.
     """
     from scipy.ndimage import binary_dilation, label
 
@@ -176,7 +173,7 @@ def _why_none(rooms: list[_Room], span: float, spacing: float, *, in_metres: boo
 
 
 def _enclosed_voxels(wall: Mask) -> Mask:
-    """Voxels, not quite up to the wall, that see walls in most directions; judged at half the fineness."""
+    """Voxels, not quite up to the wall, that see walls in most directions; found at half the resolution."""
     from scipy.ndimage import binary_dilation
 
     even = np.pad(wall, [(0, n % 2) for n in wall.shape])

@@ -26,14 +26,7 @@ Mask = NDArray[np.bool_]
 
 
 def trim_cavity(cavity: Cavity, ends: Sequence[VesselEnd]) -> Mask:
-    """The lumen's voxels up to its flat ends: a tunnel is filled up to them, what lies beyond them is dropped.
-
-    Args:
-        cavity: the lumen as it was found.
-
-    Returns:
-        (nx, ny, nz) voxels.
-    """
+    """The lumen's voxels (nx, ny, nz) up to its flat ends: a tunnel is filled up to them, the rest is dropped."""
     from scipy.ndimage import binary_closing, generate_binary_structure, label
 
     free = ~cavity.wall
@@ -90,10 +83,11 @@ def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: S
     """The part of a surface that bounds the lumen, with patches over its gaps.
 
     Args:
-        cavity: the lumen's lattice.
+        samples: points on the whole surface.
+        inside: (nx, ny, nz) voxels of the lumen.
 
     Returns:
-        Samples whose triangles' corners run so that the normals point into the lumen.
+        Samples of triangles whose normals point into the lumen.
     """
     from scipy.ndimage import binary_dilation, distance_transform_edt
 
@@ -161,17 +155,15 @@ def distance_grid(
     offset: Array,
     resolution: float,
 ) -> SignedDistanceGrid:
-    """Signed distance grid of a lumen, in a turned frame.
+    """Signed distance grid of a lumen, in a turned frame: positive inside, clamped far outside, with padding.
 
     Args:
-        surface: what bounds the lumen, normals into it.
+        surface: bounds the lumen, normals into it.
         cavity: the lumen's lattice, in the frame of the surface.
+        inside: (nx, ny, nz) its voxels.
         rotation: (3, 3) from the surface's frame to the grid's.
         offset: (3,) m, added after the rotation.
         resolution: m between the grid's points.
-
-    Returns:
-        The grid, positive inside, clamped far outside, with padding.
     """
     from scipy.ndimage import distance_transform_edt, label
 
@@ -193,7 +185,7 @@ def distance_grid(
     exact, place, face = surface.nearest(points[close])
     distance[close] = exact
     side = np.einsum("ij,ij->i", points[close] - place, surface.normals[face])
-    # Within the wall's own voxels only the triangle itself tells the side.
+    # Within the wall's own voxels only the triangle itself decides the side.
     unsure = (exact < _LOOSE * cavity.spacing) & cavity.holds(away <= _FACING + 1, points[close])
     sign[close[unsure]] = np.where(side[unsure] >= 0, 1.0, -1.0)
     distance *= sign

@@ -45,15 +45,13 @@ class VesselEnd:
 
 
 def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
-    """Follows a vessel to its end.
+    """Follows a vessel to its end; None where its wall surrounds it nowhere.
 
     Args:
-        wall: the wall's voxels, thickened so that no ray slips through.
+        cavity: the lumen.
+        wall: (nx, ny, nz) the wall's voxels, thickened so that no ray slips through.
         way: (n, 3) m along the vessel's middle, to somewhere at its end.
         depth: (n,) m, distance to the wall along it.
-
-    Returns:
-        The end, or None where the vessel's wall surrounds it nowhere.
     """
     from_end = arc_length(way[::-1])[::-1]
     start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
@@ -74,14 +72,9 @@ def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) 
 
 
 def severs(end: VesselEnd, way: Array) -> bool:
-    """Whether a cut at an end would sever a way that leads on beyond it: then it is no end.
+    """Whether a cut at an end would sever a way (n, 3) m between two ends of the lumen: then it is no end.
 
-    Args:
-        end: where the lumen would be cut.
-        way: (n, 3) m, from one end of the lumen to another.
-
-    Returns:
-        True where the way passes through the end and goes on for longer than from an end to its corner.
+    The way must pass through the end and go on for longer than from an end to its corner.
     """
     height = (way - end.centre) @ end.normal
     aside = np.linalg.norm(way - end.centre - height[:, None] * end.normal, axis=1)

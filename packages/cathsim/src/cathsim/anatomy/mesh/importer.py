@@ -78,8 +78,8 @@ def import_mesh(
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
 
     Returns:
-        The phantom; `phantom.imported` is the account of what was found. Its frame is the patient's as far as the
-        vessels tell it.
+        The phantom, in the patient's frame as far as the vessels show it; `phantom.imported` is the account of the
+        import.
 
     Raises:
         MeshRefusedError: a ValueError with the reason, and where there is something to see a picture.

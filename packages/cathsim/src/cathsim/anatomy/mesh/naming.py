@@ -1,6 +1,6 @@
-"""Anatomy of a bare vessel tree: which end of the aorta is which, where up and left are, what the branches are called.
+"""Anatomy of a bare vessel tree: ends of the aorta, directions, names of the branches, targets and entries.
 
-The aorta is the widest tube. Its branches to head and arms are told by their order along the arch, the two that a
+The aorta is the widest tube. Its branches to head and arms are distinguished by their order along the arch, the two that a
 trunk forks into by which of them runs up.
 """
 
@@ -29,16 +29,7 @@ Array = NDArray[np.float64]
 
 
 def ascending_score(aorta: RoughVessel, first_radius: float, last_radius: float) -> float:
-    """How much speaks for an aorta's last end being the ascending one, against its first.
-
-    Args:
-        aorta: the main vessel with its branches.
-        first_radius: m, at its first end.
-        last_radius: m, at its last end.
-
-    Returns:
-        Positive where the last end is the ascending one.
-    """
+    """How much speaks for an aorta's last end being the ascending one (positive), against its first; end radii in m."""
     score = 2.0 * math.log(last_radius / first_radius)
     if aorta.children:
         length = aorta.length
@@ -52,13 +43,10 @@ def ascending_score(aorta: RoughVessel, first_radius: float, last_radius: float)
 
 
 def world_rotation(aorta: RoughVessel) -> tuple[Array, bool]:
-    """Rotation from the file's frame to the patient's, as far as the vessels tell it.
+    """Rotation from the file's frame to the patient's, as far as the vessels show it.
 
     Up is where the limbs of the arch run; the arch's plane is taken to lie 43 degrees from the coronal one, ascending
     limb to the right and to the front. Where that comes near to the file's axes, those are meant.
-
-    Args:
-        aorta: the main vessel, from the descending end, in the file's frame.
 
     Returns:
         Rotation (3, 3) whose rows are left, posterior and superior, and whether it only exchanges axes.
@@ -79,14 +67,7 @@ def world_rotation(aorta: RoughVessel) -> tuple[Array, bool]:
 
 
 def name_vessels(aorta: RoughVessel) -> tuple[dict[int, str], tuple[str, ...]]:
-    """Names vessels.
-
-    Args:
-        aorta: the main vessel, from the descending end, in the patient's frame.
-
-    Returns:
-        Names by the vessel's `id()`, and notes on what could be otherwise.
-    """
+    """Names vessels, by their `id()`, and notes what could be otherwise; the aorta is in the patient's frame."""
     names = {id(aorta): "aorta"}
     notes = []
     candidates = sorted(aorta.children, key=lambda child: -child.radius)
@@ -153,10 +134,7 @@ def _rise(vessel: RoughVessel) -> float:
 
 
 def renamed(names: dict[int, str], own: Mapping[str, str] | None) -> dict[int, str]:
-    """Automatic names replaced by the user's.
-
-    Args:
-        own: automatic name to the user's, or None.
+    """Automatic names replaced by the user's (automatic name to own name, or None).
 
     Raises:
         MeshRefusedError: for a vessel that there is not, or a name used twice.
@@ -177,17 +155,10 @@ def renamed(names: dict[int, str], own: Mapping[str, str] | None) -> dict[int, s
 
 
 def ordered_names(aorta: RoughVessel, names: Mapping[int, str], own: list[str]) -> dict[str, str]:
-    """The mapping that a list of names stands for.
-
-    Args:
-        names: automatic names by `id()`.
-        own: the user's names for the aorta's branches, from the heart on.
-
-    Returns:
-        Automatic name to the user's.
+    """The mapping from automatic names that a list of own names stands for, the aorta's branches from the heart on.
 
     Raises:
-        MeshRefusedError: where there are not as many branches.
+        MeshRefusedError: there are not as many branches.
     """
     found = [names[id(child)] for child in sorted(aorta.children, key=lambda child: -child.start)]
     if len(own) != len(found):
@@ -199,11 +170,7 @@ def ordered_names(aorta: RoughVessel, names: Mapping[int, str], own: list[str]) 
 
 
 def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...]]:
-    """Proposes a target in every branch.
-
-    Returns:
-        Targets by name, and notes on those that had to be moved or left out.
-    """
+    """Targets by name, one in every branch, and notes on those that were moved or left out."""
     targets, notes = {}, []
     for branch in tree.branches[1:]:
         wanted = TARGET_DISTANCE.get(branch.name, OTHER_DISTANCE)
@@ -226,14 +193,7 @@ def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...
 
 
 def propose_entries(tree: VesselTree) -> dict[str, Entry]:
-    """Proposes entries at the two ends of the aorta.
-
-    Args:
-        tree: the vessels; the root runs from the descending end to the ascending one.
-
-    Returns:
-        Entries "descending" and "ascending".
-    """
+    """Entries "descending" and "ascending" at the two ends of the aorta."""
     aorta = tree.root
     entries = {}
     for name, near, far in (

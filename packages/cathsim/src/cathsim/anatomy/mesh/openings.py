@@ -15,20 +15,17 @@ Array = NDArray[np.float64]
 
 
 def close_openings(mesh: Triangles) -> tuple[Triangles, Array, int]:
-    """Closes every border of a surface.
+    """Closes every border of a welded surface.
 
     Three border edges in a ring stand for a missing triangle. All other border edges are taken apart into rings, and
     each is closed by a cone from its edges to its middle.
 
-    Args:
-        mesh: welded triangles.
-
     Returns:
-        The triangles with those added; the middles (k, 3) of the rings that were closed by cones; and the number of
-        triangles that were put back.
+        The triangles with those added; the middles (k, 3) of the rings closed by cones; the number of triangles put
+        back.
 
     Raises:
-        MeshRefusedError: where the surface is full of holes.
+        MeshRefusedError: the surface is full of holes.
     """
     border, edges = _border(mesh)
     missing = _missing_triangles(mesh, border)

@@ -1,4 +1,4 @@
-"""A surface file as clean triangles: read, welded, thinned out where it is too fine."""
+"""A surface file as clean triangles (read, welded, thinned out where it is too fine), and its unit of length."""
 
 from __future__ import annotations
 
@@ -61,31 +61,17 @@ class Triangles:
         return float(np.ptp(self.bounds, axis=0).max())
 
     def scaled(self, factor: float) -> Triangles:
-        """The same triangles in another unit.
-
-        Args:
-            factor: what one old unit is in new ones.
-        """
+        """The same triangles in another unit, by the factor of an old unit in new ones."""
         return Triangles(self.vertices * factor, self.faces)
 
 
 def is_mesh_path(name: str) -> bool:
-    """Whether a phantom's name is a path to a mesh.
-
-    Returns:
-        True where it ends like one.
-    """
+    """Whether a phantom's name is a path to a mesh: it ends like one."""
     return name.lower().endswith(SUFFIXES)
 
 
 def read_triangles(path: Path) -> Triangles:
-    """Reads the triangles of an STL, OBJ or PLY file.
-
-    Args:
-        path: the file.
-
-    Returns:
-        Its triangles as they are, in the file's unit.
+    """Reads the triangles of an STL, OBJ or PLY file, as they are, in the file's unit.
 
     Raises:
         MeshRefusedError: for a file that is missing, empty, too large or no such mesh.
@@ -132,14 +118,10 @@ def read_triangles(path: Path) -> Triangles:
 
 
 def clean_triangles(mesh: Triangles, *, most_faces: int = MOST_FACES) -> tuple[Triangles, tuple[str, ...]]:
-    """Welds vertices, drops degenerate and repeated faces, and thins out what is too fine.
+    """Welds vertices, drops degenerate and repeated faces, and thins out what is too fine; notes what was done.
 
     Args:
-        mesh: as read.
         most_faces: above so many faces vertices are gathered in cells of a five-hundredth of the extent.
-
-    Returns:
-        Clean triangles, and a note on each thing that was done.
     """
     notes = []
     count = len(mesh.faces)
@@ -174,26 +156,14 @@ def _cluster(mesh: Triangles, cell: float) -> Triangles:
 
 
 def check_unit(unit: str | None) -> None:
-    """Refuses an unknown unit.
-
-    Args:
-        unit: one of UNITS, or None where it is to be detected.
-
-    Raises:
-        MeshRefusedError: for anything else.
-    """
+    """Raises `MeshRefusedError` for an unknown unit; None: to be detected."""
     if unit is not None and unit not in UNITS:
         raise MeshRefusedError(f"unknown unit {unit!r}; choose from {', '.join(UNITS)}, or leave it out.")
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large a lumen is.
-
-    Attributes:
-        width: of its widest ball, in the file's unit.
-        extent: longest side of the whole, in the file's unit.
-    """
+    """How large a lumen is, in the file's unit: width of its widest ball, longest side of the whole."""
 
     width: float
     extent: float
@@ -222,16 +192,10 @@ class Size:
 
 
 def measure_size(mesh: Triangles, budget: Budget) -> Size:
-    """Measures the widest ball in a lumen, and the whole, at a rough resolution.
-
-    Args:
-        mesh: with its borders closed, in the file's unit.
-
-    Returns:
-        Its size in the file's unit.
+    """Measures the widest ball in a lumen, and the whole, at a rough resolution, in the file's unit.
 
     Raises:
-        MeshRefusedError: where there is no lumen.
+        MeshRefusedError: there is no lumen.
     """
     spacing = mesh.extent / _VOXELS
     samples = sample_surface(mesh.corners, 0.7 * spacing, budget)
@@ -239,13 +203,13 @@ def measure_size(mesh: Triangles, budget: Budget) -> Size:
 
 
 def detect_unit(size: Size) -> tuple[str, str, tuple[str, ...]]:
-    """Tells the unit from the width of the widest ball in the lumen, and from the extent of the whole.
+    """Finds the unit from the width of the widest ball in the lumen, and from the extent of the whole.
 
     Returns:
         One of UNITS, the reason in words, and a note where it is unsure.
 
     Raises:
-        MeshRefusedError: where in no unit it could be an aorta's.
+        MeshRefusedError: in no unit it could be an aorta's.
     """
     best, second = size.in_order()[:2]
     width = f"its widest vessel is then {size.width * UNITS[best] * 1e3:.3g} mm wide"

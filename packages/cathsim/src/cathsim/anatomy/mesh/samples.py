@@ -48,14 +48,7 @@ class SurfaceSamples:
         return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
     def chosen(self, keep: NDArray[np.bool_]) -> SurfaceSamples:
-        """Some of the points.
-
-        Args:
-            keep: (n,) which.
-
-        Returns:
-            New samples of the same triangles.
-        """
+        """Some of the points, by a mask (n,), of the same triangles."""
         return SurfaceSamples(self.points[keep], self.face[keep], self.corners)
 
     def nearest(self, points: Array, neighbours: int = 6) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -80,7 +73,7 @@ class SurfaceSamples:
                 foot = nearest_on_triangles(some, self.corners[candidate])
                 away = np.linalg.norm(some - foot, axis=1)
                 ahead = np.abs(np.einsum("ij,ij->i", some - foot, self.normals[candidate]))
-                # At an edge two triangles are equally near: the one that faces the point tells its side.
+                # At an edge two triangles are equally near: the one that faces the point decides the side.
                 better = (away < distance[part] - 1e-9) | ((away < distance[part] + 1e-9) & (ahead > facing))
                 distance[part][better], place[part][better] = away[better], foot[better]
                 face[part][better], facing[better] = candidate[better], ahead[better]
@@ -88,15 +81,10 @@ class SurfaceSamples:
 
 
 def sample_surface(corners: Array, spacing: float, budget: Budget | None = None) -> SurfaceSamples:
-    """Points on triangles at a distance of at most `spacing` along their edges.
-
-    Args:
-        corners: (m, 3, 3) m.
-        spacing: m.
-        budget: that the points must fit; None: one of their own.
+    """Points on triangles (m, 3, 3) m at a distance of at most `spacing` (m) along their edges.
 
     Raises:
-        MeshRefusedError: there would be too many.
+        MeshRefusedError: there would be more points than the budget has room for.
     """
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     ratio = np.maximum(np.ceil(edges / spacing), 1.0)
@@ -115,15 +103,7 @@ def sample_surface(corners: Array, spacing: float, budget: Budget | None = None)
 
 
 def nearest_on_triangles(points: Array, corners: Array) -> Array:
-    """Nearest place on a triangle each.
-
-    Args:
-        points: (k, 3) m.
-        corners: (k, 3, 3) m.
-
-    Returns:
-        (k, 3) m.
-    """
+    """Nearest place (k, 3) m on a triangle (k, 3, 3) m each to points (k, 3) m."""
     a, b, c = corners.transpose(1, 0, 2)
     ab, ac, ap = b - a, c - a, points - a
     d00, d01, d11 = (np.einsum("ij,ij->i", x, y) for x, y in ((ab, ab), (ab, ac), (ac, ac)))

@@ -40,14 +40,11 @@ class TreeSettings:
 def grow_tree(
     aorta: RoughVessel, names: Mapping[int, str], grid: SignedDistanceGrid, settings: TreeSettings
 ) -> tuple[VesselTree, tuple[str, ...]]:
-    """Makes a vessel tree.
+    """Makes a vessel tree, and notes on what was left out or cut short.
 
     Args:
         aorta: the main vessel with its branches, world frame.
-        names: their names, by `id()`.
-
-    Returns:
-        The tree, and notes on what was left out or cut short.
+        names: of the vessels, by `id()`.
     """
     notes: list[str] = []
     root = _main(aorta, grid)
