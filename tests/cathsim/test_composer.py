@@ -184,7 +184,7 @@ def test_running_out_of_steps_truncates(make_composer: MakeComposer, type_1: Pha
     env = make_composer(max_steps=3, reward="geodesic")
     env.reset()
     env.step(FORWARD)
-    start = env.reset().observation[TIP]  # counts anew
+    start = env.reset().observation[TIP]  # counts from zero
     timesteps = [env.step(FORWARD) for _ in range(3)]
     assert [timestep.last() for timestep in timesteps] == [False, False, True]
     assert timesteps[-1].discount == 1.0

@@ -104,7 +104,7 @@ def test_geodesic_rewards_add_up_to_the_potential(make_env: MakeEnv, type_1: Pha
     env.reset(seed=0)
     again = env.step(FORWARD)[1]
     env.reset(seed=0)
-    assert env.step(FORWARD)[1] == again, "the potential starts anew with the episode"
+    assert env.step(FORWARD)[1] == again, "the potential starts again with the episode"
 
 
 def test_force_penalty_costs_what_it_says(make_env: MakeEnv) -> None:

@@ -137,7 +137,7 @@ def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
     loop.request({"type": "choose", "phantom": "type_1", "target": "lcca"})
     wait_until(lambda: [n for n in page.told("notice") if "'choose' failed (KeyError" in n["text"]])
     monkeypatch.setattr(loop, "_next_picture", broken)
-    wait_until(lambda: [n for n in page.told("notice") if "it starts anew" in n["text"]])
+    wait_until(lambda: [n for n in page.told("notice") if "it starts again" in n["text"]])
     monkeypatch.setattr(loop, "_restart", broken)
     time.sleep(0.1)
     monkeypatch.undo()

@@ -38,7 +38,8 @@ def plan_way(simulation: Simulation, place: ArrayLike) -> np.ndarray:
 def lay_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, rest_steps: int = REST_STEPS) -> None:
     """Places the wire along a way, its tip some distance short of the way's end, and lets it come to rest.
 
-    Each joint turns so that its link points along the way; twist and the pre-shaped tip settle during the rest. The tip may slip back out of a branch while the wire rests: look at where it is.
+    Each joint turns so that its link points along the way; twist and the pre-shaped tip settle during the
+    rest. The tip may slip back out of a branch meanwhile: look at where it is.
 
     Args:
         simulation: whose wire it is; it ends in the new state.

@@ -166,7 +166,7 @@ def test_it_is_cached_with_its_report(plain: tuple[Path, Phantom], cache: Path, 
     assert import_mesh(path, resolution=COARSE, cache_dir=cache) is found
     assert load_phantom(str(path), resolution=COARSE, cache_dir=cache) is found
     importer._load.cache_clear()
-    monkeypatch.setattr(importer, "_Import", None)  # building anew would fail
+    monkeypatch.setattr(importer, "_Import", None)  # building again would fail
     again = import_mesh(path, resolution=COARSE, cache_dir=cache)
     assert again is not found
     assert again.imported == found.imported

@@ -138,7 +138,7 @@ class Roadmap:
         way over 0.2 m, and the hyperbolic tangent of it over 20 mm (2); distances to the wall ahead, askew and across
         over 15 mm (9); points of the wire 4, 8, 12, 20, 30, 45, 60 mm behind the tip, each over its distance along the
         wire (21); insertion over 0.2 m, cosine and sine of the rotation (3); how far the feeder's drive is ahead of the
-        wire, as a share of what its force limit allows: as a hand feels it (2); velocity v of the tip over 20 mm/s + |v|
+        wire, as a share of what its force limit allows, as felt by hand (2); velocity v of the tip over 20 mm/s + |v|
         (3); contact force f over 0.05 N + |f| (3).
 
         Returns:

@@ -1,6 +1,6 @@
 """Anatomy of a bare vessel tree: ends of the aorta, directions, names of the branches, targets and entries.
 
-The aorta is the widest tube. Its branches to head and arms are distinguished by their order along the arch, the two that a
+The aorta is the widest tube. Its branches to head and arms are known by their order along the arch, the two that a
 trunk forks into by which of them runs up.
 """
 
