@@ -139,7 +139,7 @@ def askew_pair(centre: ArrayLike, size: int = _SIZE, *, distorted: bool = True) 
     for camera in pair:
         projector, R = camera.projector, camera.projector.R @ turn.T
         source = np.asarray(centre) + turn @ (projector.source - np.asarray(centre))
-        distortion = camera.distortion if distorted else Distortion.none(size, size)
+        distortion = camera.distortion if distorted else DetectorDistortion.none(size, size)
         turned[camera.name] = replace(camera, projector=replace(projector, R=R, t=-R @ source), distortion=distortion)
     return turned
 
