@@ -156,15 +156,24 @@ def test_settings_exist(document: Path) -> None:
         assert name in stages[stage], f"stage@{stage}.{name}"
 
 
+def require_imports(source: str) -> None:
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module and DOTTED.match(f"{node.module}.x"):
+            assert all(resolves(f"{node.module}.{alias.name}") for alias in node.names), ast.unparse(node)
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names if DOTTED.match(f"{alias.name}.x")]
+            assert all(resolves(name) for name in names), ast.unparse(node)
+
+
 @documents
 def test_python_blocks_import_what_exists(document: Path) -> None:
     for block in code_blocks(read(document), "python"):
-        for node in ast.walk(ast.parse(block)):
-            if isinstance(node, ast.ImportFrom) and node.module and DOTTED.match(f"{node.module}."):
-                assert all(resolves(f"{node.module}.{alias.name}") for alias in node.names), ast.unparse(node)
-            elif isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names if DOTTED.match(f"{alias.name}.x")]
-                assert all(resolves(name) for name in names), ast.unparse(node)
+        require_imports(block)
+
+
+@pytest.mark.parametrize("script", sorted((DOCS / "pictures").glob("*.py")), ids=relative)
+def test_scripts_of_the_pictures_import_what_exists(script: Path) -> None:
+    require_imports(read(script))
 
 
 @documents

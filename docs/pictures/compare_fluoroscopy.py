@@ -1,6 +1,6 @@
-"""Measures real calibration images and their simulated counterparts alike, and puts them side by side.
+"""Measures real calibration images and their simulated counterparts in the same way, and shows them side by side.
 
-    python docs/compare_fluoroscopy.py REAL OUT
+    python docs/pictures/compare_fluoroscopy.py REAL OUT
 
 REAL holds calibration1_16710.jpg, calibration1_16709.jpg (the bead cube) and undistort_16710.jpg, undistort_16709.jpg
 (the perforated sheet), 1,024 px. OUT gets one picture an object and camera, the real image on the left.
@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from make_fluoroscopy_pictures import bead_cube, perforated_sheet
+from fluoroscopy_pictures import bead_cube, perforated_sheet
 from PIL import Image
 from scipy import ndimage, optimize, special
 

@@ -1,4 +1,4 @@
-"""Makes the fluoroscopy page's pictures: python docs/make_fluoroscopy_pictures.py."""
+"""Makes the fluoroscopy page's pictures: python docs/pictures/fluoroscopy_pictures.py."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cathsim.fluoroscopy.scene import XRayScene
 from cathsim.observations.observables import points_to_border
 from cathsim.planning.sampling import SamplingExpert
 
-FOLDER = Path(__file__).parent / "pictures"
+FOLDER = Path(__file__).parent
 SHOWN = 380  # px, side of an image on the page
 BEAD_PITCH, BEAD_RADIUS = 0.065, 0.00145  # m
 BEAD_ATTENUATION = 2060.0  # 1/m, steel at 45 keV: nothing thick is in the beam

@@ -1,4 +1,4 @@
-"""Makes the pictures of the documentation: python docs/make_pictures.py."""
+"""Makes the pictures of the documentation: python docs/pictures/simulator_pictures.py."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cathsim.observations.observables import Fluoroscope
 from cathsim.planning.sampling import SamplingExpert
 from cathsim.viewing.camera_view import View
 
-FOLDER = Path(__file__).parent / "pictures"
+FOLDER = Path(__file__).parent
 SIZE = 360
 
 

@@ -1,6 +1,6 @@
-"""Takes the picture of docs/viewers.md: an episode in Rerun's web viewer, photographed by a browser without a screen.
+"""Takes the picture of docs/pipeline/viewers.md: an episode in Rerun's web viewer, in a browser without a screen.
 
-    python docs/make_viewer_picture.py [LOG.mcap]
+    python docs/pictures/viewer_picture.py [LOG.mcap]
 
 Needs the extra rerun, the package websockets, and Chromium.
 """
@@ -34,7 +34,7 @@ from cathsim.planning.sampling import SamplingExpert
 from pipeline.episodes.rerun import save_recording
 from pipeline.recording.record import record_episode
 
-PICTURE = Path(__file__).parent / "pictures" / "rerun.png"
+PICTURE = Path(__file__).parent / "rerun.png"
 SIZE = (1400, 860)
 DRAWING_S = 25.0  # the scene is drawn by the processor
 

@@ -1,6 +1,6 @@
 """Draw the picture of the calibration page: a synthetic cube, its beads found, numbered and reprojected.
 
-python docs/make_calibration_picture.py
+python docs/pictures/calibration_picture.py
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks" / "guide3d"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "guide3d"))
 
 from calibration import draw_folder
 
@@ -31,6 +31,6 @@ with tempfile.TemporaryDirectory() as folder:
     picture = Image.new("RGB", (2 * SIDE + 10, SIDE), "white")
     for place, part in ((0, left), (SIDE + 10, right)):
         picture.paste(part, (place, 0))
-    path = Path(__file__).parent / "pictures" / "guide3d_calibration.png"
+    path = Path(__file__).parent / "guide3d_calibration.png"
     picture.save(path, optimize=True)
     print(path)
