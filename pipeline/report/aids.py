@@ -15,7 +15,7 @@ from pipeline.task import Task, number_of_actions
 if TYPE_CHECKING:
     from pipeline.stages.learning.force import ForceJob
     from pipeline.stages.learning.imitation import ImitationJob
-    from pipeline.stages.learning.training import TrainingJob
+    from pipeline.stages.learning.training import PolicyTrainingJob
     from pipeline.stages.navigation.jobs import NavigatorJob
 
 _PICTURES = ("image", "mask", "sequential")
@@ -37,12 +37,12 @@ def note_of(rows: Mapping[str, Sequence[str]]) -> str:
     return " ".join(told)
 
 
-def training_note(jobs: Iterable[TrainingJob]) -> str:
+def training_note(jobs: Iterable[PolicyTrainingJob]) -> str:
     """The note of trainings by reinforcement learning."""
     return note_of({job.origin.row: of_training(job) for job in jobs})
 
 
-def of_training(job: TrainingJob) -> list[str]:
+def of_training(job: PolicyTrainingJob) -> list[str]:
     """What a policy was trained with."""
     settings, task, told = job.settings, job.task, []
     if task.reward != REWARD_OF_EVALUATION:
@@ -60,7 +60,7 @@ def of_training(job: TrainingJob) -> list[str]:
         told.append("an encoder fitted beforehand and frozen")
     if settings.action_repeat > 1:
         told.append(f"actions held for {settings.action_repeat} steps")
-    told += _of_task(task.task, job.observation)
+    told += _of_task(task.task, job.keys)
     return [*told, f"{settings.decisions:,} decisions"]
 
 
@@ -72,15 +72,16 @@ def imitation_note(jobs: Iterable[ImitationJob]) -> str:
 def of_imitation(job: ImitationJob) -> list[str]:
     """What a student was fitted with."""
     told = [
-        f"{job.variant} network, from {job.episodes} episodes of the expert, which had the aids of its own table",
-        *_of_task(job.task.task, job.observations),
+        f"{job.origin.variant} network, from {job.episodes} episodes of the expert, which had the aids of its own "
+        "table",
+        *_of_task(job.task.task, job.settings.network.keys),
     ]
-    if job.feature_matching:
-        told.append(f"the expert's features matched with weight {job.feature_matching:g}, which is ours")
+    if job.settings.feature_matching:
+        told.append(f"the expert's features matched with weight {job.settings.feature_matching:g}, which is ours")
     if job.disturbed_episodes:
         told.append(f"{job.disturbed_episodes} more episodes with disturbed actions")
-    if job.dagger_rounds:
-        told.append(f"{job.dagger_rounds} rounds of {job.dagger_episodes} own episodes with the expert's advice")
+    if job.rounds is not None:
+        told.append(f"{job.rounds.rounds} rounds of {job.rounds.episodes} own episodes with the expert's advice")
     return told
 
 
@@ -88,7 +89,8 @@ def force_note(jobs: Iterable[ForceJob], task: Task) -> str:
     """The note of networks that tell forces, with the task of their episodes."""
     text = {
         f"{job.inputs}, {job.samples:,} samples": [
-            f"{job.variant} network on disturbed episodes of the expert, which had the aids of its own table",
+            f"{job.settings.network.variant} network on disturbed episodes of the expert, which had the aids of its "
+            "own table",
             *_of_task(task, _PICTURES),
         ]
         for job in jobs

@@ -15,58 +15,46 @@ from pipeline.stages.learning.expert_episodes import require_demonstrations
 from pipeline.stages.learning.path_following import ROW, PathJob, follow
 from pipeline.stages.learning.plan import (
     THESIS,
-    Cell,
     check_learning,
     demonstrations,
-    run_cells,
+    planned_training,
+    run_trainings,
     sized,
     task_of,
     training_seeds,
 )
 from pipeline.stages.learning.settings import BaselinesSettings
+from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.task import FEEDER
 
 if TYPE_CHECKING:
-    from enn.reinforcement.training import TrainingSettings
+    from enn.reinforcement import TrainingSettings
 
 SECONDS_AN_EPISODE = 0.3  # of the path follower's; only for the estimate of the end
 
 
 def run_baselines(settings: BaselinesSettings, context: StageContext) -> None:
-    """Trains and evaluates every cell of the table and sums them up.
-
-    Args:
-        settings: of the stage.
-        context: where to write.
-    """
-    cells = plan(settings, context.seed)
+    """Trains and evaluates every row of the table and sums them up."""
     followers = path_followers(settings, context) if settings.path_follower else []
-    run_cells(cells, settings, context, stage="baselines", beside=followers)
+    run_trainings(plan(settings, context), settings, context, beside=followers)
     tables = tables_from_logs(context.path)
     tables["task"] = {"episode_limit_rl": {"value": settings.task.max_steps}}
     write_results(context.path, tables)
 
 
-def plan(settings: BaselinesSettings, run_seed: int) -> list[Cell]:
-    """The trainings of the table: each algorithm with each observation on each task.
-
-    Args:
-        settings: of the stage.
-        run_seed: of the run.
-
-    Returns:
-        A cell each.
-    """
+def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrainingJob]:
+    """The trainings of the table: each algorithm with each observation on each task."""
     return [
-        Cell(
-            task=task_of(settings, phantom, target),
-            row=f"{algorithm}_{observation}",
-            seed=seed,
-            keys=(observation,),
-            settings=training_settings(settings, algorithm, observation),
-            encoded=settings.variant != THESIS,
+        planned_training(
+            settings,
+            context,
+            task_of(settings, phantom, target),
+            f"{algorithm}_{observation}",
+            seed,
+            (observation,),
+            training_settings(settings, algorithm, observation),
         )
-        for seed in training_seeds(run_seed, settings.seeds, settings.seeds)
+        for seed in training_seeds(context.seed, settings.seeds, settings.seeds)
         for observation in settings.observations
         for algorithm in settings.algorithms
         for phantom in settings.phantoms
@@ -75,14 +63,8 @@ def plan(settings: BaselinesSettings, run_seed: int) -> list[Cell]:
 
 
 def training_settings(settings: BaselinesSettings, algorithm: str, observation: str) -> TrainingSettings:
-    """Hyper-parameters of a cell.
-
-    Args:
-        settings: of the stage.
-        algorithm: "ppo" or "sac".
-        observation: "internal", "image" or "sequential".
-    """
-    from enn.reinforcement.training import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC
+    """Hyper-parameters of a row of the table: "ppo" or "sac" on "internal", "image" or "sequential"."""
+    from enn.reinforcement import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC
 
     thesis = settings.variant == THESIS
     presets = {("sac", True): THESIS_SAC, ("ppo", True): THESIS_PPO, ("sac", False): DESK_SAC, ("ppo", False): DESK_PPO}
@@ -100,37 +82,22 @@ def training_settings(settings: BaselinesSettings, algorithm: str, observation: 
 
 
 def path_followers(settings: BaselinesSettings, context: StageContext) -> list[Job]:
-    """The jobs of the path follower, one a task and seed; it steers the feeder's two actions.
-
-    Args:
-        settings: of the stage.
-        context: of the stage.
-
-    Returns:
-        The jobs.
-    """
+    """The jobs of the path follower, one a task and seed; it steers the feeder's two actions."""
     jobs = []
     for seed in training_seeds(context.seed, settings.seeds, settings.seeds):
         for phantom in settings.phantoms:
             for target in settings.targets:
                 task = task_of(settings, phantom, target)
                 task = replace(task, task=replace(task.task, actions=FEEDER))
-                shown = demonstrations(task, context)
-                require_demonstrations("baselines", task, shown)
+                logs = demonstrations(task, context)
+                require_demonstrations(settings.name, task, logs)
                 name = f"{task.name}/{ROW}/seed{seed}"
-                job = PathJob(
-                    folder=context.path / name,
-                    task=task,
-                    seed=seed,
-                    origin=Origin("baselines", ROW, seed, settings.variant, {"force_weight": 0.0}),
-                    demonstrations=shown,
-                    evaluation_episodes=settings.evaluation_episodes,
-                )
+                origin = Origin(settings.name, ROW, seed, settings.variant, {"force_weight": 0.0})
                 jobs.append(
                     Job(
                         name,
                         follow,
-                        job,
+                        PathJob(context.path / name, origin, task, logs, settings.evaluation_episodes),
                         weight=settings.evaluation_episodes * SECONDS_AN_EPISODE,
                         gpu_gb=policy_gb(settings.task.image_size_px, 0),
                     )

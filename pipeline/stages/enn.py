@@ -1,4 +1,4 @@
-"""The enn stage: the Expert Navigation Network, its ablation over modality sets, and policies that spare the wall."""
+"""The enn stage: the Expert Navigation Network, its ablation over modality sets, and policies with a force penalty."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.plan import (
     THESIS,
-    Cell,
     check_learning,
-    run_cells,
+    planned_training,
+    run_trainings,
     sized,
     task_of,
     training_seeds,
 )
 from pipeline.stages.learning.settings import EnnSettings
+from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.task import number_of_actions
 
 # The thesis's table of training times has names of its own for the sets.
@@ -30,63 +31,45 @@ _SECONDS_AN_HOUR = 3600.0
 
 
 def check_enn(settings: EnnSettings) -> None:
-    """Refuses unknown phantoms, targets, wires and modality sets.
-
-    Args:
-        settings: of the stage.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms, targets, wires and modality sets with a ConfigurationError."""
     check_learning(settings)
     require_modalities(settings.expert, *settings.modalities)
 
 
 def run_enn(settings: EnnSettings, context: StageContext) -> None:
-    """Trains and evaluates every policy and sums them up.
-
-    Args:
-        settings: of the stage.
-        context: where to write.
-    """
-    cells = plan(settings, context.seed)
-    outcomes = run_cells(cells, settings, context, stage="enn")
+    """Trains and evaluates every policy and sums them up."""
+    trainings = plan(settings, context)
+    outcomes = run_trainings(trainings, settings, context)
     tables = tables_from_logs(context.path)
-    tables["training_time_h"] = training_times(cells, outcomes)
+    tables["training_time_h"] = training_times(trainings, outcomes)
     tables["architecture_params"] = architecture()
     tables["sac_hyperparameters"] = hyperparameters(settings)
     tables["task"] = {"training_steps": {"value": settings.decisions}}
     write_results(context.path, tables)
 
 
-def plan(settings: EnnSettings, run_seed: int) -> list[Cell]:
-    """The trainings: those of the expert row first, as later stages wait for them.
-
-    Args:
-        settings: of the stage.
-        run_seed: of the run.
-
-    Returns:
-        A cell each.
-    """
+def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob]:
+    """The trainings: those of the expert row first, as later stages wait for them."""
     from enn.networks.features import modality_keys
-    from enn.reinforcement.training import DESK_SAC, THESIS_SAC
+    from enn.reinforcement import DESK_SAC, THESIS_SAC
 
     thesis = settings.variant == THESIS
     preset = THESIS_SAC if thesis else DESK_SAC
     most = max(settings.seeds, settings.ablation_seeds)
-    cells: list[Cell] = []
+    trainings: list[PolicyTrainingJob] = []
 
     def add(phantoms: Sequence[str], row: str, modalities: str, count: int, *, weight: float = 0.0) -> None:
         keys = modality_keys(modalities)
         trained = sized(preset, settings.decisions, settings, keys=keys if thesis else ())
-        for seed in training_seeds(run_seed, count, most):
-            first = row == settings.expert and seed == run_seed * most
+        for seed in training_seeds(context.seed, count, most):
+            first = row == settings.expert and seed == context.seed * most
             for phantom in phantoms:
                 for target in settings.targets:
                     task = task_of(settings, phantom, target, force_penalty=weight)
                     episodes = settings.expert_episodes if first else 0
-                    cells.append(Cell(task, row, seed, keys, trained, encoded=not thesis, expert_episodes=episodes))
+                    trainings.append(
+                        planned_training(settings, context, task, row, seed, keys, trained, expert_episodes=episodes)
+                    )
 
     chosen = settings.modality  # from a sweep: this row alone
     if chosen is None or chosen == settings.expert:
@@ -97,15 +80,15 @@ def plan(settings: EnnSettings, run_seed: int) -> list[Cell]:
     for weight in settings.safe_weights:
         row = f"{settings.expert} {SAFE} {weight:g}"
         add(settings.ablation_phantoms, row, settings.expert, settings.ablation_seeds, weight=weight)
-    return cells
+    return trainings
 
 
-def training_times(cells: Sequence[Cell], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Hours that the trainings on the Type I arch took, with the fit of the encoder that each sees through.
 
     Args:
-        cells: of the stage.
-        outcomes: a cell's name to what its training told.
+        trainings: of the stage.
+        outcomes: a training's name to what `run_trainings` returned.
 
     Returns:
         Row to target to mean and standard deviation over seeds.
@@ -113,12 +96,12 @@ def training_times(cells: Sequence[Cell], outcomes: dict[str, Any]) -> dict[str,
     import numpy as np
 
     hours: dict[tuple[str, str], list[float]] = {}
-    for cell in cells:
-        row = TRAINING_TIME_ROWS.get(cell.row)
-        if row is not None and cell.task.phantom == TRAINING_TIME_PHANTOM:
-            told = outcomes[cell.name]
-            spent = (told["training_s"] + told["encoder_s"]) / _SECONDS_AN_HOUR
-            hours.setdefault((row, cell.task.target), []).append(spent)
+    for training in trainings:
+        row = TRAINING_TIME_ROWS.get(training.origin.row)
+        if row is not None and training.task.phantom == TRAINING_TIME_PHANTOM:
+            outcome = outcomes[training.name]
+            spent = (outcome["training_s"] + outcome["encoder_s"]) / _SECONDS_AN_HOUR
+            hours.setdefault((row, training.task.target), []).append(spent)
     table: dict[str, dict[str, Any]] = {}
     for (row, target), values in hours.items():
         table.setdefault(row, {})[target] = [float(np.mean(values)), float(np.std(values))]
@@ -155,7 +138,7 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     Returns:
         Row to column to cell of the thesis's table.
     """
-    from enn.reinforcement.training import DESK_SAC, THESIS_SAC
+    from enn.reinforcement import DESK_SAC, THESIS_SAC
 
     used = sized(THESIS_SAC if settings.variant == THESIS else DESK_SAC, settings.decisions, settings)
     values = {

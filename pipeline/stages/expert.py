@@ -18,12 +18,10 @@ from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import CountOrNone, Episodes, Processes, SomeFolderNames
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.store.atomic_files import write_json
-from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, number_of_actions, require_feeder, require_known_task
 
-TARGETS = ("bca", "lcca", "lsa")
 OPERATOR, EVALUATION = "sampling_expert", "evaluation"
 
 
@@ -74,29 +72,15 @@ class Trial:
 
 
 def check_expert(settings: ExpertSettings) -> None:
-    """Refuses unknown phantoms, targets and wires.
-
-    Args:
-        settings: the stage's settings.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms, targets and wires with a ConfigurationError that lists the valid names."""
     require_known_phantoms(settings.phantoms)
-    unknown = [name for name in settings.targets if name not in TARGETS]
-    if unknown:
-        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
+    require_known_targets(settings.targets)
     require_known_task(settings.task)
     require_feeder(settings.task, "expert")
 
 
 def run_expert(settings: ExpertSettings, context: StageContext) -> None:
-    """Records every episode and sums them up.
-
-    Args:
-        settings: which tasks, how many episodes.
-        context: where to write.
-    """
+    """Records every episode and sums them up."""
     seeds = {
         False: demonstration_seeds(context.seed, settings.episodes),
         True: held_out_seeds(context.seed, settings.evaluation_episodes),
@@ -117,17 +101,7 @@ def run_expert(settings: ExpertSettings, context: StageContext) -> None:
 
 
 def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: int) -> dict[str, Any]:
-    """Records one episode with its log and, if wanted, its film.
-
-    Args:
-        trial: which.
-        settings: of the stage.
-        folder: of the stage.
-        seed: of start and search.
-
-    Returns:
-        Its metrics.
-    """
+    """Records one episode with its log and, if wanted, its film; `seed` is that of start and search."""
     from cathsim.planning.sampling import SamplingExpert
     from pipeline.recording.film import Film
     from pipeline.recording.record import record_episode
@@ -174,15 +148,7 @@ def tables(results: dict[Trial, dict[str, Any]]) -> dict[str, Any]:
 
 
 def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
-    """What was asked of the expert, beside the thesis's settings.
-
-    Args:
-        settings: of the stage.
-        seed: of the run.
-
-    Returns:
-        Row to column to cell.
-    """
+    """The expert's task, beside the thesis's settings: row to column to cell."""
     values = {
         "episode_limit_enn": settings.task.max_steps,
         "evaluation_episodes": settings.evaluation_episodes,
@@ -197,16 +163,7 @@ def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
 
 
 def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list[Figure]:
-    """Draws paths and forces of every task and lists them with the films.
-
-    Args:
-        trials: all of them, recorded.
-        settings: of the stage.
-        folder: of the stage.
-
-    Returns:
-        What the report shows.
-    """
+    """Draws paths and forces of every task and lists them with the films."""
     from cathsim import load_phantom
     from pipeline.episodes import EpisodeReader
     from pipeline.report.plots.episodes import draw_planned_path, draw_task

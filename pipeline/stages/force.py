@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +41,7 @@ def check_force(settings: ForceSettings) -> None:
 
 
 def run_force(settings: ForceSettings, context: StageContext) -> None:
-    """Records disturbed episodes, fits every network and sums them up.
-
-    Args:
-        settings: of the stage.
-        context: where the expert lies and where to write.
-    """
+    """Records disturbed episodes, fits every network and sums them up."""
     recordings, fits = plan(settings, context)
     outcomes = run_jobs(
         context.folder,
@@ -63,36 +59,25 @@ def run_force(settings: ForceSettings, context: StageContext) -> None:
 def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], list[Job]]:
     """The recordings, a target each, and the fits that wait for them.
 
-    Args:
-        settings: of the stage.
-        context: likewise.
-
     Raises:
         StageError: the stage enn left no expert or no episodes of a task.
     """
+    from enn.force import force_preset
+    from enn.imitation.dagger import DisturbanceSettings
+
     steps = int(max(settings.samples[-1] * _MORE_STEPS, settings.test_samples * TEST_EVERY)) // len(settings.targets)
-    recordings, logs, experts = [], [], []
+    recordings: list[Job] = []
     gpu_gb = policy_gb(settings.task.image_size_px, FRAMES, LEARNT_BATCH)
+    disturbance = DisturbanceSettings(noise=settings.noise, spell_chance=settings.spell_chance)
     for target in settings.targets:
-        steered = LearningTask(settings.phantom, target, settings.task)
-        task = steered.name
-        expert = expert_folder(context.inputs["enn"], task, settings.expert)
-        require_expert("force", steered, expert)
-        folder = context.path / task / "episodes"
-        given = RecordingJob(
-            folder=folder,
-            task=steered,
-            expert=expert,
-            steps=steps + 1,
-            noise=settings.noise,
-            spell_chance=settings.spell_chance,
-            seed=context.seed,
-        )
-        recordings.append(
-            Job(f"{task}/episodes", record_disturbed, given, weight=steps * _SECONDS_A_STEP, gpu_gb=gpu_gb)
-        )
-        logs.append(folder)
-        experts.append(expert)
+        task = LearningTask(settings.phantom, target, settings.task)
+        expert = expert_folder(context.inputs["enn"], task.name, settings.expert)
+        require_expert(settings.name, task, expert)
+        key = f"{task.name}/episodes"
+        recording = RecordingJob(context.path / key, disturbance, task, expert, steps + 1, context.seed)
+        recordings.append(Job(key, record_disturbed, recording, weight=steps * _SECONDS_A_STEP, gpu_gb=gpu_gb))
+    preset = force_preset(settings.variant)
+    preset = replace(preset, fit=replace(preset.fit, epochs=settings.epochs or preset.fit.epochs))
     fits = []
     wanted = [(THESIS_INPUTS, count) for count in settings.samples]
     wanted += [(inputs, settings.samples[-1]) for inputs in settings.inputs if inputs != THESIS_INPUTS]
@@ -100,25 +85,16 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
         key = f"{inputs}/{count}"
         fit = ForceJob(
             folder=context.path / key,
-            logs=tuple(logs),
-            expert=experts[0],
+            settings=preset,
+            logs=tuple(job.given.folder for job in recordings),
+            expert=recordings[0].given.expert,
             inputs=inputs,
             samples=count,
             test_samples=settings.test_samples,
-            variant=settings.variant,
-            epochs=settings.epochs,
             seed=context.seed,
         )
-        fits.append(
-            Job(
-                key,
-                learn_force,
-                fit,
-                after=tuple(job.key for job in recordings),
-                weight=count * _SECONDS_A_SAMPLE,
-                gpu_gb=gpu_gb,
-            )
-        )
+        after = tuple(job.key for job in recordings)
+        fits.append(Job(key, learn_force, fit, after=after, weight=count * _SECONDS_A_SAMPLE, gpu_gb=gpu_gb))
     return recordings, fits
 
 
@@ -128,11 +104,7 @@ def row_of(samples: int) -> str:
 
 
 def tables(fits: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, Any]:
-    """The thesis's table, the errors as a share of the variance, and what forces there were.
-
-    Args:
-        fits: of the stage.
-        outcomes: of the jobs.
+    """The thesis's table, the errors as a share of the variance, and the distribution of the forces.
 
     Returns:
         Table to row to column to cell.
@@ -150,13 +122,13 @@ def tables(fits: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, Any]:
         }
     }
     for job in fits:
-        told = outcomes[job.key]
+        outcome = outcomes[job.key]
         thesis = job.given.inputs == THESIS_INPUTS
         row = row_of(job.given.samples) + ("" if thesis else f" {job.given.inputs}")
         if thesis:
-            mse[row] = {"mse_n2": told["mse_n2"], "n": told["test_samples"]}
-        cells = {key: told[key] for key in ("mse_n2", "variance_n2", "share_pct", "correlation", "cpu_s")}
-        share[row] = {**cells, "n": told["test_samples"]}
+            mse[row] = {"mse_n2": outcome["mse_n2"], "n": outcome["test_samples"]}
+        cells = {key: outcome[key] for key in ("mse_n2", "variance_n2", "share_pct", "correlation", "cpu_s")}
+        share[row] = {**cells, "n": outcome["test_samples"]}
     forces = {
         "test": {key: last[key] for key in ("force_mean_n", "variance_n2", "force_p95_n", "force_max_n")}
         | {"n": last["test_samples"]}
@@ -165,16 +137,10 @@ def tables(fits: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, Any]:
 
 
 def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list[Figure]:
-    """Draws calibration and error against number of samples.
-
-    Args:
-        fits: of the stage.
-        outcomes: of the jobs.
-        folder: of the stage.
-    """
+    """Draws calibration and error against number of samples into the stage's folder."""
     draw_calibration({job.key: outcomes[job.key]["calibration"] for job in fits}, folder / "calibration.png")
-    told = {job.given.samples: outcomes[job.key]["share_pct"] for job in fits if job.given.inputs == THESIS_INPUTS}
-    shares = {samples: share for samples, share in told.items() if share is not None}
+    thesis = {job.given.samples: outcomes[job.key]["share_pct"] for job in fits if job.given.inputs == THESIS_INPUTS}
+    shares = {samples: share for samples, share in thesis.items() if share is not None}
     last = outcomes[fits[-1].key]
     spread = (
         f"mean {last['force_mean_n']:.3f} N, variance {last['variance_n2']:.2g} N², largest {last['force_max_n']:.2f} N"

@@ -16,7 +16,7 @@ from pipeline.report.results import Figure, write_figures, write_notes, write_re
 from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
-from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, imitate
+from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, cloning_settings, imitate
 from pipeline.stages.learning.settings import ImitationSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms
@@ -38,18 +38,13 @@ def check_imitation(settings: ImitationSettings) -> None:
 
 
 def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
-    """Fits and evaluates every student and sums them up.
-
-    Args:
-        settings: of the stage.
-        context: where the expert's episodes lie and where to write.
-    """
+    """Fits and evaluates every student and sums them up."""
     jobs = plan(settings, context)
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label="students", preload=PRELOAD, device=settings.device
     )
     tables: dict[str, Any] = tables_from_logs(context.path)
-    tables["bc_architecture"] = architecture(settings)
+    tables["bc_architecture"] = architecture()
     tables["bc_hyperparameters"] = hyperparameters(settings)
     tables["imitation_episodes"] = by_episodes(jobs, outcomes)
     tables["dagger_rounds"] = by_round(jobs, outcomes)
@@ -61,49 +56,46 @@ def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
 def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
     """The students: a task and number of episodes each, then those with disturbed episodes and by DAgger.
 
-    Args:
-        settings: of the stage.
-        context: likewise.
-
     Raises:
         StageError: the stage enn left no expert or no episodes of a task, or episodes of several kinds.
     """
+    from enn.imitation.dagger import DaggerSettings
+
     jobs = []
+    cloning = cloning_settings(
+        settings.variant, tuple(settings.observations), settings.feature_matching, settings.epochs
+    )
+    gpu_gb = policy_gb(settings.task.image_size_px, len(settings.observations), LEARNT_BATCH)
     for phantom in settings.phantoms:
         for target in settings.targets:
-            learnt = LearningTask(phantom, target, settings.task)
-            task = learnt.name
-            expert = expert_folder(context.inputs["enn"], task, settings.expert)
+            task = LearningTask(phantom, target, settings.task)
+            expert = expert_folder(context.inputs["enn"], task.name, settings.expert)
             logs = expert_logs(expert)
-            read_episodes(logs, 1)  # an empty folder is told before any work
-            require_expert("imitation", learnt, expert)
+            read_episodes(logs, 1)  # an empty folder is refused before any work
+            require_expert(settings.name, task, expert)
             most = min(settings.episodes[-1], len(logs))
             counts = sorted({min(count, most) for count in settings.episodes})
-            rows: list[tuple[str, int, dict[str, int]]] = [(_row(count, most), count, {}) for count in counts]
+            rows: list[tuple[str, int, int, DaggerSettings | None]] = [
+                (_row(count, most), count, 0, None) for count in counts
+            ]
             if settings.disturbed_episodes:
-                rows.append((DISTURBED, most, {"disturbed_episodes": settings.disturbed_episodes}))
+                rows.append((DISTURBED, most, settings.disturbed_episodes, None))
             if settings.dagger_rounds:
-                rounds = {"dagger_rounds": settings.dagger_rounds, "dagger_episodes": settings.dagger_episodes}
-                rows.append((DAGGER, counts[0], rounds))
-            gpu_gb = policy_gb(settings.task.image_size_px, len(settings.observations), LEARNT_BATCH)
-            for row, count, further in rows:
-                folder = context.path / task / row / f"seed{context.seed}"
+                rows.append((DAGGER, counts[0], 0, DaggerSettings(settings.dagger_rounds, settings.dagger_episodes)))
+            for row, count, disturbed, rounds in rows:
                 given = ImitationJob(
-                    folder=folder,
-                    task=learnt,
+                    folder=context.path / task.name / row / f"seed{context.seed}",
+                    origin=Origin(settings.name, row, context.seed, settings.variant),
+                    settings=cloning,
+                    task=task,
                     expert=expert,
-                    seed=context.seed,
-                    origin=Origin("imitation", row, context.seed, settings.variant),
-                    observations=tuple(settings.observations),
                     episodes=count,
-                    variant=settings.variant,
-                    feature_matching=settings.feature_matching,
-                    epochs=settings.epochs,
+                    disturbed_episodes=disturbed,
+                    rounds=rounds,
                     evaluation_episodes=settings.evaluation_episodes,
-                    **further,
                 )
-                weight = count + 3.0 * sum(further.values())
-                jobs.append(Job(f"{task}/{row}", imitate, given, weight=weight, gpu_gb=gpu_gb))
+                weight = count + 3.0 * (disturbed + (rounds.rounds + rounds.episodes if rounds else 0))
+                jobs.append(Job(f"{task.name}/{row}", imitate, given, weight=weight, gpu_gb=gpu_gb))
     return jobs
 
 
@@ -111,12 +103,8 @@ def _row(count: int, most: int) -> str:
     return CLONED if count == most else f"{CLONED}_{count}"
 
 
-def architecture(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
-    """The layers of the thesis's network as it is built here, in the thesis's table.
-
-    Args:
-        settings: of the stage.
-    """
+def architecture() -> dict[str, dict[str, Any]]:
+    """The layers of the thesis's network as it is built here, in the thesis's table."""
     from enn.imitation.cloned_policy import CloningNetwork, CloningNetworkSettings
     from enn.networks.features import LAYER_COLUMNS, layer_table
 
@@ -127,11 +115,7 @@ def architecture(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
 
 
 def hyperparameters(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
-    """What the students were fitted with.
-
-    Args:
-        settings: of the stage.
-    """
+    """What the students were fitted with."""
     from enn.imitation.behaviour_cloning import cloning_preset
 
     used = cloning_preset(settings.variant)
@@ -149,57 +133,43 @@ def hyperparameters(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
 def by_episodes(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Success against number of episodes.
 
-    Args:
-        jobs: of the stage.
-        outcomes: of the jobs.
-
     Returns:
         Row ``phantom/target/episodes`` to success in % of the deterministic episodes.
     """
     table = {}
     for job in jobs:
-        if job.given.disturbed_episodes or job.given.dagger_rounds:
+        if job.given.disturbed_episodes or job.given.rounds:
             continue
-        task, told = job.key.rpartition("/")[0], outcomes[job.key]
-        row = f"{task}/{told['episodes']} episodes"
-        table[row] = {"success_pct": told["deterministic"]["success_pct"], "n": told["deterministic"]["n"]}
+        task, outcome = job.key.rpartition("/")[0], outcomes[job.key]
+        row = f"{task}/{outcome['episodes']} episodes"
+        table[row] = {"success_pct": outcome["deterministic"]["success_pct"], "n": outcome["deterministic"]["n"]}
     return table
 
 
 def by_round(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """What DAgger's rounds came to.
-
-    Args:
-        jobs: of the stage.
-        outcomes: of the jobs.
+    """The result of each round of DAgger.
 
     Returns:
         Row ``phantom/target/round k`` to success of the student's roll-outs and distance to the expert's actions.
     """
     table = {}
     for job in jobs:
-        for index, told in enumerate(outcomes[job.key]["rounds"]):
-            table[f"{job.key.rpartition('/')[0]}/round {index + 1}"] = dict(told)
+        for index, done in enumerate(outcomes[job.key]["rounds"]):
+            table[f"{job.key.rpartition('/')[0]}/round {index + 1}"] = dict(done)
     return table
 
 
 def figures(jobs: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list[Figure]:
-    """Draws success against number of episodes.
-
-    Args:
-        jobs: of the stage.
-        outcomes: of the jobs.
-        folder: of the stage.
-    """
+    """Draws success against number of episodes into the stage's folder."""
     curves: dict[str, list[tuple[int, float, int]]] = {}
     beside: dict[str, list[tuple[str, float]]] = {}
     for job in jobs:
-        task, told = job.key.rpartition("/")[0], outcomes[job.key]
-        share = told["deterministic"]["success_pct"]
-        if job.given.disturbed_episodes or job.given.dagger_rounds:
+        task, outcome = job.key.rpartition("/")[0], outcomes[job.key]
+        share = outcome["deterministic"]["success_pct"]
+        if job.given.disturbed_episodes or job.given.rounds:
             beside.setdefault(task, []).append((job.given.origin.row, share))
         else:
-            curves.setdefault(task, []).append((told["episodes"], share, told["deterministic"]["n"]))
+            curves.setdefault(task, []).append((outcome["episodes"], share, outcome["deterministic"]["n"]))
     draw_success(curves, beside, folder / "success.png")
     return [
         Figure(

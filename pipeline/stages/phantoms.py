@@ -21,9 +21,8 @@ from pipeline.store.provenance import hash_file
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
+TARGETS = ("bca", "lcca", "lsa")  # that stages navigate to
 _MM = 1e3
-
-
 COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
 
 
@@ -101,6 +100,13 @@ def require_known_phantoms(names: list[str], *, hint: str = "") -> None:
         raise ConfigurationError(
             f"unknown phantom {', '.join(map(repr, unknown))}: choose from {', '.join(PHANTOMS)}{hint}"
         )
+
+
+def require_known_targets(names: list[str]) -> None:
+    """Refuses names that are no target's with a ConfigurationError that lists the valid ones."""
+    unknown = [name for name in names if name not in TARGETS]
+    if unknown:
+        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
 
 
 def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:

@@ -124,9 +124,7 @@ def test_cloning_and_dagger(tmp_path: Path) -> None:
         student.save(tmp_path / "student.pt")
         read = ClonedPolicy.load(tmp_path / "student.pt", device)
         assert device_of(read.network) == torch.device(device)
-        taught, _, _ = dagger(
-            DrawnPoint, expert, episodes, DaggerSettings(1, 1, cloning=settings), student=read, device=device
-        )
+        taught, _, _ = dagger(DrawnPoint, expert, episodes, DaggerSettings(1, 1), settings, student=read, device=device)
         assert device_of(taught.network) == torch.device(device)
     for here, there in zip(*told.values(), strict=True):
         np.testing.assert_allclose(here, there, atol=1e-5)

@@ -13,7 +13,7 @@ from enn.fitting import FitSettings
 from enn.force.prediction import ForceNetworkSettings, ForcePredictionSettings
 from enn.imitation.behaviour_cloning import BehaviourCloningSettings
 from enn.imitation.cloned_policy import CloningNetworkSettings
-from enn.imitation.dagger import DaggerSettings
+from enn.imitation.dagger import DaggerSettings, DisturbanceSettings
 from enn.imitation.path_following import PathFollowerSettings
 from enn.imitation.recurrent_policy import StudentSettings
 from enn.networks.encoder_network import EncoderSettings
@@ -33,6 +33,7 @@ EVERYTHING: dict[Any, str] = {
     FitSettings(): "checkpoint_seconds=0 patience=0 validation_share=0 weight_decay=0",
     PathFollowerSettings(): "",
     DaggerSettings(): "expert_share=0",
+    DisturbanceSettings(): "noise=0 push=-1 push=0 spell_chance=0",
     CloningNetworkSettings(): "expert_features=0",
     BehaviourCloningSettings(): "entropy=0 feature_matching=0 l2=0 noise=0 shift_px=0",
     ImageSettings(): "",

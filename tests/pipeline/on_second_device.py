@@ -46,12 +46,11 @@ def devices_of(monkeypatch: pytest.MonkeyPatch, module: Any, name: str) -> list[
 
 
 def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import enn.imitation.behaviour_cloning
-    import enn.imitation.dagger
+    import enn.imitation.distillation
 
     write_expert(tmp_path / "enn")
-    cloned = devices_of(monkeypatch, enn.imitation.behaviour_cloning, "clone")
-    refined = devices_of(monkeypatch, enn.imitation.dagger, "dagger")
+    cloned = devices_of(monkeypatch, enn.imitation.distillation, "clone")
+    refined = devices_of(monkeypatch, enn.imitation.distillation, "dagger")
     place = context(tmp_path, "imitation")
     imitation.run_imitation(imitation_tests.settings(), place)
     assert set(cloned) == set(refined) == {there}

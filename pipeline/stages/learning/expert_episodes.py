@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +14,8 @@ import numpy as np
 
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
-from pipeline.recording.replay import recorded_wire
+from pipeline.recording.replay import ReplayError, recorded_wire
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import EXPERT, POLICY
 from pipeline.store.errors import StageError
 from pipeline.task import FEEDER, MOTION, TASK, TIP_MOTORS, Task, require_same_task, task_from
 
@@ -24,20 +24,23 @@ if TYPE_CHECKING:
     from enn.policy import Policy
     from enn.trajectory import Trajectory
 
+POLICY, EXPERT = "policy.pt", "expert"  # of a training: its policy, and the folder of its logs with images
 CAMERA = "frontal"
 _MM = 1e3
 
 _LOGGER = logging.getLogger(__name__)
 
 
-def read_episode(log: Path) -> Trajectory:
-    """Reads an episode with its images, as a learner sees it.
+def read_episode(log: Path, *, pictures: bool = True) -> Trajectory:
+    """Reads an episode as a learner sees it.
 
     Args:
-        log: of an episode that was logged with images.
+        log: of an episode.
+        pictures: whether its images are wanted, which must have been logged then.
 
     Returns:
-        Observations `image` and `mask` (T + 1, 1, H, W), `joints`, `feeder` and `shape`, as the environment gives them.
+        Observations `joints`, `feeder` and `shape` as the environment gives them; with pictures also `image` and `mask`
+        (T + 1, 1, H, W).
 
     Raises:
         EpisodeReadError: the log is damaged or unfinished.
@@ -48,20 +51,22 @@ def read_episode(log: Path) -> Trajectory:
 
     with EpisodeReader(log) as reader:
         info, outcome = reader.info, reader.outcome
-        if CAMERA not in reader.cameras or not reader.has(CAMERA, "image"):
+        if pictures and (CAMERA not in reader.cameras or not reader.has(CAMERA, "image")):
             raise StageError(f"{log} was logged without images: nothing can be learnt to see from it")
-        arrays = reader.load_arrays()
+        arrays = reader.load_arrays(pictures=pictures)
         wire = recorded_wire(info)
     feeder = np.column_stack((arrays["insertion"], np.cos(arrays["rotation"]), np.sin(arrays["rotation"])))
     joints = np.concatenate((arrays["joint_positions"], arrays["joint_velocities"]), axis=1)
+    observations: dict[str, np.ndarray[Any, Any]] = {
+        "joints": joints.astype(np.float32),
+        "feeder": feeder.astype(np.float32),
+        "shape": arrays["wire_points"].astype(np.float32),
+    }
+    if pictures:
+        observations["image"] = arrays[f"image/{CAMERA}"][:, None]
+        observations["mask"] = arrays[f"mask/{CAMERA}"][:, None] * np.uint8(255)
     return Trajectory(
-        observations={
-            "image": arrays[f"image/{CAMERA}"][:, None],
-            "mask": arrays[f"mask/{CAMERA}"][:, None] * np.uint8(255),
-            "joints": joints.astype(np.float32),
-            "feeder": feeder.astype(np.float32),
-            "shape": arrays["wire_points"].astype(np.float32),
-        },
+        observations=observations,
         actions=arrays["action"][1:].astype(np.float32),
         rewards=arrays["reward"][1:],
         terminated=bool(outcome.success),
@@ -71,34 +76,45 @@ def read_episode(log: Path) -> Trajectory:
     )
 
 
+def readable(logs: Iterable[Path], read: Callable[[Path], Trajectory]) -> Iterator[Trajectory]:
+    """Reads logs; one that cannot be read is left out with a warning.
+
+    Args:
+        logs: in the order in which they are to be taken.
+        read: reads one of them.
+    """
+    for log in logs:
+        try:
+            episode = read(log)
+        except (EpisodeReadError, ReplayError, ValueError) as error:
+            _LOGGER.warning("%s is left out: %s", log, error)
+        else:
+            yield episode
+
+
 def read_episodes(logs: Sequence[Path], wanted: int | None = None) -> list[Trajectory]:
-    """Reads episodes that are to be learnt from together; a damaged one is left out with a warning.
+    """Reads episodes with images that are to be learnt from together.
 
     Args:
         logs: in the order in which they are to be taken.
         wanted: how many; None: all.
 
-    Returns:
-        The episodes.
-
     Raises:
         StageError: there are no logs, none can be read, or one is of another wire or image size than the rest.
     """
-    episodes: list[Trajectory] = []
-    for log in logs:
-        if wanted is not None and len(episodes) == wanted:
-            break
-        try:
-            episodes.append(read_episode(log))
-        except (EpisodeReadError, ValueError) as error:
-            _LOGGER.warning("%s is left out: %s", log, error)
+    episodes = list(itertools.islice(readable(logs, read_episode), wanted))
     if not episodes:
-        place = f" of {len(logs)} in {logs[0].parent}" if logs else ""
-        raise StageError(f"there is no expert episode to learn from{place}: run stage=enn with stage.expert_episodes>0")
+        raise StageError(
+            f"there is no expert episode to learn from{_of(logs)}: run stage=enn with stage.expert_episodes>0"
+        )
     require_alike(episodes)
     if wanted is not None and len(episodes) < wanted:
         _LOGGER.warning("%d expert episodes were asked for, there are %d", wanted, len(episodes))
     return episodes
+
+
+def _of(logs: Sequence[Path]) -> str:
+    return f" of {len(logs)} in {logs[0].parent}" if logs else ""
 
 
 def require_alike(episodes: Sequence[Trajectory]) -> None:
@@ -148,21 +164,12 @@ def expert_logs(folder: Path) -> list[Path]:
 
 
 def load_expert(folder: Path, device: str = "cpu") -> Policy:
-    """The policy of a training of the stage enn, on a device.
-
-    Raises:
-        StageError: it cannot be read.
-    """
+    """The policy of a training of the stage enn; errors are those of `load_policy`."""
     return load_policy(folder / POLICY, "enn", device)
 
 
 def load_policy(file: Path, maker: str, device: str = "cpu") -> Policy:
-    """A policy of an earlier stage.
-
-    Args:
-        file: of the policy.
-        maker: the stage that trained it.
-        device: where it goes.
+    """Reads the policy that stage `maker` trained onto a device.
 
     Raises:
         StageError: it cannot be read.
@@ -186,9 +193,9 @@ def require_expert(stage: str, asked: LearningTask, folder: Path) -> None:
     Raises:
         StageError: names every difference; or there is no episode, or the policy cannot be read.
     """
-    told = task_from(load_expert(folder).metadata.get(TASK))
-    if told is not None:
-        require_same_task(stage, asked.task, told, f"the expert policy of {asked.name}", "enn")
+    trained = task_from(load_expert(folder).metadata.get(TASK))
+    if trained is not None:
+        require_same_task(stage, asked.task, trained, f"the expert policy of {asked.name}", "enn")
     logs = expert_logs(folder) or sorted(folder.glob("evaluation/*/*.mcap"))
     require_same_task(stage, asked.task, task_of_logs(logs).task, f"the expert's first episode of {asked.name}", "enn")
 
@@ -196,12 +203,12 @@ def require_expert(stage: str, asked: LearningTask, folder: Path) -> None:
 def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]) -> None:
     """Refuses episodes of the sampling expert with another wire or other actions than a stage learns with.
 
-    Where they started and when they were cut off does not matter: they show the way.
+    Where they started and when they were cut off does not matter.
 
     Args:
         stage: that learns from them.
         asked: its task.
-        logs: of the stage expert; those that cannot be read are left out elsewhere.
+        logs: of the stage expert; those that cannot be read are passed over.
 
     Raises:
         StageError: names every difference.
@@ -224,8 +231,7 @@ def task_of_logs(logs: Sequence[Path]) -> LearningTask:
     for log in logs:
         with contextlib.suppress(EpisodeReadError):
             return task_of_log(log)
-    place = f" of {len(logs)} in {logs[0].parent}" if logs else ""
-    raise StageError(f"there is no episode that can be read{place}: run stage=enn again")
+    raise StageError(f"there is no episode that can be read{_of(logs)}: run stage=enn again")
 
 
 def task_of_log(log: Path) -> LearningTask:
@@ -242,17 +248,17 @@ def task_of_log(log: Path) -> LearningTask:
         info, wire = reader.info, recorded_wire(reader.info)
         size = reader.camera(CAMERA).width if CAMERA in reader.cameras else 80
         actions = len(reader.step(0).action)
-    told: dict[str, Any] = dict(info.configuration)
+    recorded: dict[str, Any] = dict(info.configuration)
     name, length_mm = _named(wire, log)
     task = Task(
         wire=name,
         wire_length_mm=length_mm,
         actions=FEEDER if actions == 2 else TIP_MOTORS,
-        image_size_px=told.get("image_size", size),
-        max_steps=told["max_steps"],
-        success_radius_mm=_MM * told["success_radius"],
-        start_jitter_mm=_MM * told["start_jitter"],
-        start_rotation_deg=math.degrees(told["start_rotation"]),
+        image_size_px=recorded.get("image_size", size),
+        max_steps=recorded["max_steps"],
+        success_radius_mm=_MM * recorded["success_radius"],
+        start_jitter_mm=_MM * recorded["start_jitter"],
+        start_rotation_deg=math.degrees(recorded["start_rotation"]),
     )
     return LearningTask(info.phantom, info.target, task)
 
@@ -268,4 +274,4 @@ def _named(wire: Guidewire, log: Path) -> tuple[str, float]:
     for name, preset in presets.items():
         if preset.scaled(wire.length) == wire:
             return name, _MM * wire.length
-    raise StageError(f"{log} was recorded with a wire that this version does not have: record it anew")
+    raise StageError(f"{log} was recorded with a wire that this version does not have: record it again")

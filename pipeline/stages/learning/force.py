@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,25 +20,14 @@ from pipeline.stages.learning.task import LearningTask
 from pipeline.store.atomic_files import write_json
 
 if TYPE_CHECKING:
-    from enn.force.samples import ForceSamples
+    from enn.force import ForcePredictionSettings, ForceSamples
+    from enn.imitation.dagger import DisturbanceSettings
     from enn.trajectory import Trajectory
 
-PRELOAD = ("cathsim", "enn.force.prediction", "enn.policy", "enn.imitation.dagger", "pipeline.recording.record")
+PRELOAD = ("cathsim", "enn.force.evaluation", "enn.policy", "enn.imitation.dagger", "pipeline.recording.record")
 OPERATOR = "disturbed_policy"
 RECORD, PREDICTOR = "force.json", "predictor.pt"
-SHAPE_COMPONENTS = 24  # principal components of the wire's shape that are matched beside the expert's features
 TEST_EVERY = 4  # of the episodes, one in so many is not learnt from
-
-# What a network sees: image observations, number observations, frames, the action, and whether features are matched.
-INPUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], int, bool, bool]] = {
-    "V": (("image",), (), 1, False, True),
-    "V_plain": (("image",), (), 1, False, False),
-    "V3": (("image",), (), 3, False, True),
-    "V+M": (("image", "mask"), (), 1, False, True),
-    "I+V": (("image",), ("joints",), 1, False, True),
-    "I+V_action": (("image",), ("joints",), 1, True, True),
-    "I": ((), ("joints",), 1, False, False),
-}
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -50,20 +38,18 @@ class RecordingJob:
 
     Attributes:
         folder: gets ``000.mcap``, ``001.mcap``, …
+        settings: of the disturbance.
         task: that they run in.
         expert: folder of the policy that steers.
         steps: to be recorded at least.
-        noise: standard deviation added to its actions.
-        spell_chance: that a spell of random, forward actions begins at a step.
         seed: of starts and disturbance.
     """
 
     folder: Path
+    settings: DisturbanceSettings
     task: LearningTask
     expert: Path
     steps: int
-    noise: float
-    spell_chance: float
     seed: int
 
 
@@ -73,33 +59,27 @@ class ForceJob:
 
     Attributes:
         folder: of the network.
+        settings: of network and fit.
         logs: folders of the disturbed episodes.
         expert: folder of the policy whose features are matched, in the episodes of every target.
-        inputs: a key of `INPUTS`.
+        inputs: a key of `enn.force.FORCE_INPUTS`.
         samples: to learn from.
         test_samples: to test with, at most.
-        variant: "desk" or "thesis".
-        epochs: 0: the variant's own.
         seed: of the fit and of the choice of samples.
     """
 
     folder: Path
+    settings: ForcePredictionSettings
     logs: tuple[Path, ...]
     expert: Path
     inputs: str
     samples: int
     test_samples: int
-    variant: str
-    epochs: int
     seed: int
 
 
 def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
     """Records disturbed episodes until there are enough steps; those that are there are kept.
-
-    Args:
-        job: what to record.
-        report: takes the progress.
 
     Returns:
         ``steps`` and ``episodes``.
@@ -108,27 +88,16 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
 
     expert = load_expert(job.expert, report.device)
     environment = job.task.environment(expert.keys)
+    configuration = {"stage": "force", "mode": "demonstration", "noise": job.settings.noise,
+                     "spell_chance": job.settings.spell_chance}  # fmt: skip
     steps = episode = 0
     while steps < job.steps:
-        path = job.folder / f"{episode:03d}.mcap"
-        seed = force_seed(job.seed, episode)
-        metrics = recorded(path, seed)
-        if metrics is None:
-            actor = Disturbed(
-                lambda observation, info: expert.act(observation),
-                np.random.default_rng((job.seed, episode)),
-                noise=job.noise,
-                spell_chance=job.spell_chance,
-            )
-            metrics = record_episode(
-                environment,
-                actor,
-                path,
-                seed=seed,
-                operator=OPERATOR,
-                configuration={"stage": "force", "mode": "demonstration", "noise": job.noise,
-                               "spell_chance": job.spell_chance},
-            )  # fmt: skip
+        path, seed = job.folder / f"{episode:03d}.mcap", force_seed(job.seed, episode)
+        generator = np.random.default_rng((job.seed, episode))
+        actor = Disturbed(lambda observation, info: expert.act(observation), generator, job.settings)
+        metrics = recorded(path, seed) or record_episode(
+            environment, actor, path, seed=seed, operator=OPERATOR, configuration=configuration
+        )
         steps += metrics.steps
         episode += 1
         report(steps / job.steps, f"{steps} steps")
@@ -139,118 +108,59 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
 def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
     """Fits a network and tests it on episodes that it has not learnt from.
 
-    Args:
-        job: what to fit.
-        report: takes the progress.
-
     Returns:
-        Errors, variances, the calibration, and the errors of what it is compared with.
+        What `enn.force.evaluate_predictor` measures, with ``samples``, ``cpu_s``, ``wall_s`` and the last ``loss``.
     """
-    import torch
+    from enn.force import evaluate_predictor, fit_force
 
-    from enn.force.prediction import ForceNetwork, ForcePredictor, calibration, fit_force, force_preset, score
-
-    told = job.folder / RECORD
-    if told.is_file() and (job.folder / PREDICTOR).is_file():
-        return dict(json.loads(told.read_text(encoding="utf-8")))
+    record = job.folder / RECORD
+    if record.is_file() and (job.folder / PREDICTOR).is_file():
+        return dict(json.loads(record.read_text(encoding="utf-8")))
     began, worked = time.monotonic(), time.process_time()
-    learnt, tested = held_apart(job)
-    training, test = (
-        samples_of(job, learnt, seen_features=True, device=report.device),
-        samples_of(job, tested, seen_features=False),
-    )
-    chosen = training.drawn(min(job.samples, len(training)), job.seed)
-    if len(chosen) < job.samples:
-        _LOGGER.warning("%d samples were asked for, the episodes have %d", job.samples, len(chosen))
-    test = test.drawn(min(job.test_samples, len(test)), job.seed)
-    preset = force_preset(job.variant)
-    if job.epochs:
-        preset = replace(preset, fit=replace(preset.fit, epochs=job.epochs))
+    training, test = samples_of(job, report.device)
     predictor, fitted = fit_force(
-        chosen,
-        preset,
+        training,
+        job.settings,
         seed=job.seed,
         folder=job.folder / "fit",
         device=report.device,
         progress=lambda now: report(now.epoch / (now.epochs + 1), f"epoch {now.epoch}, loss {now.loss:.3f}"),
     )
-    predicted = predictor.predict(test.images, test.vectors)
-    result = score(predicted, test.forces)
-    mean = np.full(len(test), float(chosen.forces.astype(np.float64).mean()))
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(job.seed)
-        fresh = ForceNetwork(predictor.network.settings)  # its scales are those of no data: newtons
-    untrained = ForcePredictor(fresh.to(report.device)).predict(test.images, test.vectors)
-    forces = test.forces.astype(np.float64)
     outcome = {
-        "samples": len(chosen),
-        "test_samples": result.samples,
-        "mse_n2": result.mse_n2,
-        "variance_n2": result.variance_n2,
-        # forces that are all the same have none, e.g. where no episode touches the wall
-        "share_pct": 100.0 * result.share_of_variance if result.variance_n2 > 0 else None,
-        "correlation": result.correlation,
-        "mean_mse_n2": score(mean, test.forces).mse_n2,
-        "untrained_mse_n2": score(untrained, test.forces).mse_n2,
-        "force_mean_n": float(forces.mean()),
-        "force_p95_n": float(np.percentile(forces, 95)),
-        "force_max_n": float(forces.max()),
-        "calibration": {name: values.tolist() for name, values in calibration(predicted, forces).items()},
+        "samples": len(training),
+        **evaluate_predictor(predictor, training, test, seed=job.seed),
         "cpu_s": time.process_time() - worked,
         "wall_s": time.monotonic() - began,
         "loss": fitted.rows[-1]["loss"],
     }
-    predictor.metadata |= {"inputs": job.inputs, "samples": len(chosen)}
+    predictor.metadata |= {"inputs": job.inputs, "samples": len(training)}
     predictor.save(job.folder / PREDICTOR)
-    write_json(told, outcome)
+    write_json(record, outcome)
     return outcome
 
 
-def held_apart(job: ForceJob) -> tuple[list[list[Trajectory]], list[list[Trajectory]]]:
-    """The disturbed episodes of each task, learnt from and not.
+def samples_of(job: ForceJob, device: str = "cpu") -> tuple[ForceSamples, ForceSamples]:
+    """The samples of a fit to learn from, with the features to match, and those to test on.
 
     Args:
         job: of the fit.
-
-    Returns:
-        Training and test episodes, a list a task.
+        device: where the expert computes the features.
     """
-    learnt, tested = [], []
+    from enn.force import FORCE_INPUTS, force_samples
+    from enn.force.samples import matched_features, split_episodes
+
+    learnt: list[Trajectory] = []
+    tested: list[Trajectory] = []
     for folder in job.logs:
-        episodes = read_episodes(sorted(folder.glob("*.mcap")))
-        apart = [index % TEST_EVERY == TEST_EVERY - 1 for index in range(len(episodes))]
-        if len(episodes) == 1:  # a budget this small tests on what it has learnt
-            learnt.append(episodes)
-            tested.append(episodes)
-            continue
-        if not any(apart):
-            apart[-1] = True
-        learnt.append([one for one, out in zip(episodes, apart, strict=True) if not out])
-        tested.append([one for one, out in zip(episodes, apart, strict=True) if out])
-    return learnt, tested
-
-
-def samples_of(
-    job: ForceJob, episodes: Sequence[list[Trajectory]], *, seen_features: bool, device: str = "cpu"
-) -> ForceSamples:
-    """Samples with what a network sees, and where wanted with what it is to match.
-
-    Args:
-        job: of the fit.
-        episodes: a list a task.
-        seen_features: whether the features to match are computed.
-        device: where the expert computes them.
-    """
-    from enn.force.samples import force_samples, principal_components
-
-    images, vectors, frames, actions, matched = INPUTS[job.inputs]
-    features: list[np.ndarray] | None = None
-    everything = [episode for of_task in episodes for episode in of_task]
-    if matched and seen_features:
-        shapes = principal_components([one.observations["shape"] for one in everything], SHAPE_COMPONENTS)
-        expert = load_expert(job.expert, device)
-        features = [
-            np.concatenate((expert.features({key: one.observations[key] for key in expert.keys}), shape), axis=1)
-            for one, shape in zip(everything, shapes, strict=True)
-        ]
-    return force_samples(everything, images=images, vectors=vectors, frames=frames, actions=actions, features=features)
+        parts = split_episodes(read_episodes(sorted(folder.glob("*.mcap"))), TEST_EVERY)
+        learnt += parts[0]
+        tested += parts[1]
+    inputs = FORCE_INPUTS[job.inputs]
+    features = matched_features(learnt, load_expert(job.expert, device)) if inputs.matched else None
+    training, test = force_samples(learnt, inputs, features), force_samples(tested, inputs)
+    if len(training) < job.samples:
+        _LOGGER.warning("%d samples were asked for, the episodes have %d", job.samples, len(training))
+    return (
+        training.drawn(min(job.samples, len(training)), job.seed),
+        test.drawn(min(job.test_samples, len(test)), job.seed),
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,13 +18,18 @@ from pipeline.stages import StageContext
 from pipeline.stages.learning.expert_episodes import require_demonstrations
 from pipeline.stages.learning.settings import LearningSettings
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import PRELOAD, EncoderJob, TrainingJob, fit, train_and_evaluate
-from pipeline.stages.phantoms import require_known_phantoms
-from pipeline.store.errors import ConfigurationError
+from pipeline.stages.learning.training import (
+    PRELOAD,
+    EncoderJob,
+    PolicyTrainingJob,
+    fit_encoder_of,
+    train_and_evaluate,
+)
+from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.task import FEEDER, require_known_task
 
 if TYPE_CHECKING:
-    from enn.reinforcement.training import TrainingSettings
+    from enn.reinforcement import TrainingSettings
 
 ENCODERS = "encoders"
 THESIS = "thesis"
@@ -35,49 +40,14 @@ _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decis
 _LOGGER = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Cell:
-    """One training of a stage's table.
-
-    Attributes:
-        task: what is trained for.
-        row: of the table.
-        seed: of the training.
-        keys: observations that the policy sees.
-        settings: of the training.
-        encoded: whether the policy sees them through an encoder.
-        expert_episodes: to record of it.
-    """
-
-    task: LearningTask
-    row: str
-    seed: int
-    keys: tuple[str, ...]
-    settings: TrainingSettings
-    encoded: bool
-    expert_episodes: int = 0
-
-    @property
-    def name(self) -> str:
-        """Its folder below the stage's, and its job's key."""
-        return f"{self.task.name}/{self.row}/seed{self.seed}"
-
-
 def check_learning(settings: LearningSettings) -> None:
     """Refuses unknown phantoms, targets and wires.
-
-    Args:
-        settings: of the stage.
 
     Raises:
         ConfigurationError: listing the valid names.
     """
-    from pipeline.stages.expert import TARGETS
-
     require_known_phantoms(settings.phantoms)
-    unknown = [name for name in settings.targets if name not in TARGETS]
-    if unknown:
-        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
+    require_known_targets(settings.targets)
     require_known_task(settings.task)
 
 
@@ -92,15 +62,48 @@ def training_seeds(run_seed: int, count: int, most: int) -> range:
     return range(run_seed * most, run_seed * most + count)
 
 
-def task_of(settings: LearningSettings, phantom: str, target: str, *, force_penalty: float = 0.0) -> LearningTask:
-    """The task of a cell.
+def planned_training(
+    settings: LearningSettings,
+    context: StageContext,
+    task: LearningTask,
+    row: str,
+    seed: int,
+    keys: tuple[str, ...],
+    training: TrainingSettings,
+    *,
+    expert_episodes: int = 0,
+) -> PolicyTrainingJob:
+    """The job of one training of a stage's table.
 
     Args:
-        settings: of the stage.
-        phantom: name of the anatomy.
-        target: name of the target.
-        force_penalty: of the training's reward, 1/N.
+        settings: of the stage; its variant "desk" sees through an encoder.
+        context: of the stage.
+        task: that is trained for.
+        row: of the table.
+        seed: of the training.
+        keys: observations that the policy sees.
+        training: settings of the training.
+        expert_episodes: to record of it.
     """
+    held_out_seeds(seed, settings.evaluation_episodes)  # refuses too many, or too large a seed, before any work
+    expert_seeds(seed, expert_episodes)
+    encoder = context.path / ENCODERS / task.phantom / f"{'+'.join(keys)}.pt"
+    further = {"force_weight": task.force_penalty}
+    return PolicyTrainingJob(
+        folder=context.path / task.name / row / f"seed{seed}",
+        origin=Origin(settings.name, row, seed, settings.variant, further),
+        settings=training,
+        task=task,
+        keys=keys,
+        encoder=None if settings.variant == THESIS else encoder,
+        demonstrations=demonstrations(task, context) if settings.demonstrations else (),
+        evaluation_episodes=settings.evaluation_episodes,
+        expert_episodes=expert_episodes,
+    )
+
+
+def task_of(settings: LearningSettings, phantom: str, target: str, *, force_penalty: float = 0.0) -> LearningTask:
+    """The task of a training; `force_penalty` is that of its reward, 1/N."""
     return LearningTask(
         phantom=phantom,
         target=target,
@@ -112,14 +115,7 @@ def task_of(settings: LearningSettings, phantom: str, target: str, *, force_pena
 
 
 def sized(preset: TrainingSettings, decisions: int, settings: LearningSettings, **changed: Any) -> TrainingSettings:
-    """A preset with a budget of its own.
-
-    Args:
-        preset: of the library.
-        decisions: the budget.
-        settings: of the stage.
-        changed: further fields.
-    """
+    """A preset of the library with another budget in decisions, and further fields changed."""
     if preset.algorithm == "ppo":
         changed["n_steps"] = min(preset.n_steps, max(decisions // (2 * preset.n_envs), 16))
     else:
@@ -136,112 +132,104 @@ def sized(preset: TrainingSettings, decisions: int, settings: LearningSettings, 
     )
 
 
-def run_cells(
-    cells: Sequence[Cell], settings: LearningSettings, context: StageContext, *, stage: str, beside: Sequence[Job] = ()
+def run_trainings(
+    trainings: Sequence[PolicyTrainingJob],
+    settings: LearningSettings,
+    context: StageContext,
+    *,
+    beside: Sequence[Job] = (),
 ) -> dict[str, Any]:
     """Runs a stage's trainings and the encoders that they need.
 
     Args:
-        cells: of its table.
+        trainings: of its table.
         settings: of the stage.
         context: of the stage.
-        stage: its name.
         beside: further jobs, which run last.
 
     Returns:
-        A cell's name to what its training told.
+        A training's name to what `train_and_evaluate` returned, with ``encoder_s``.
     """
-    _check_demonstrations(stage, cells, settings, context)
+    _check_demonstrations(trainings, settings)
     size_px = settings.task.image_size_px
-    encoders = _encoders([cell for cell in cells if cell.encoded], settings, context)
+    encoders = {
+        _encoder_key(training): _encoder_job(training, settings, context)
+        for training in trainings
+        if training.encoder is not None
+    }
     jobs = [
-        Job(key, fit, job, weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE, gpu_gb=training_gpu_gb(size_px, job.keys))
+        Job(
+            key,
+            fit_encoder_of,
+            job,
+            weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE,
+            gpu_gb=training_gpu_gb(size_px, job.keys),
+        )
         for key, job in encoders.items()
     ]
-    for cell in cells:
-        held_out_seeds(cell.seed, settings.evaluation_episodes)  # too many, or too large a seed: told before any work
-        expert_seeds(cell.seed, cell.expert_episodes)
-        encoder = _encoder_key(cell) if cell.encoded else None
-        given = TrainingJob(
-            folder=context.path / cell.name,
-            task=cell.task,
-            settings=cell.settings,
-            observation=cell.keys,
-            seed=cell.seed,
-            origin=Origin(stage, cell.row, cell.seed, settings.variant, {"force_weight": cell.task.force_penalty}),
-            encoder=None if encoder is None else encoders[encoder].file,
-            demonstrations=demonstrations(cell.task, context) if settings.demonstrations else (),
-            evaluation_episodes=settings.evaluation_episodes,
-            expert_episodes=cell.expert_episodes,
-        )
+    for training in trainings:
+        encoded = training.encoder is not None
         jobs.append(
             Job(
-                cell.name,
+                training.name,
                 train_and_evaluate,
-                given,
-                after=() if encoder is None else (encoder,),
-                weight=given.weight,
-                memory_gb=training_gb(cell.task, cell.keys, cell.settings, encoded=cell.encoded),
-                gpu_gb=training_gpu_gb(size_px, cell.keys, 0 if cell.encoded else cell.settings.batch_size),
+                training,
+                after=(_encoder_key(training),) if encoded else (),
+                weight=training.weight,
+                memory_gb=training_gb(training.task, training.keys, training.settings, encoded=encoded),
+                gpu_gb=training_gpu_gb(size_px, training.keys, 0 if encoded else training.settings.batch_size),
             )
         )
-    jobs += beside
     results = run_jobs(
         context.folder,
-        jobs,
+        [*jobs, *beside],
         workers=settings.workers,
-        label=f"{stage} trainings",
+        label=f"{settings.name} trainings",
         preload=PRELOAD,
         device=settings.device,
     )
-    note = training_note(job.given for job in jobs if isinstance(job.given, TrainingJob))
-    write_notes(context.path, dict.fromkeys(THESIS_TABLES[stage], note))
+    write_notes(context.path, dict.fromkeys(THESIS_TABLES[settings.name], training_note(trainings)))
+    encoder_s = {key: results[key]["wall_s"] for key in encoders}
     return {
-        cell.name: {**results[cell.name], "encoder_s": results[_encoder_key(cell)]["wall_s"] if cell.encoded else 0.0}
-        for cell in cells
+        training.name: {**results[training.name], "encoder_s": encoder_s.get(_encoder_key(training), 0.0)}
+        for training in trainings
     }
 
 
-def _check_demonstrations(stage: str, cells: Sequence[Cell], settings: LearningSettings, context: StageContext) -> None:
+def _check_demonstrations(trainings: Sequence[PolicyTrainingJob], settings: LearningSettings) -> None:
     """Warns of tasks without demonstrations, and refuses those of another wire; tip motors have none."""
-    tasks = {cell.task.name: cell.task for cell in cells if cell.settings.reset_bank_share > 0}
-    for name, task in tasks.items():
-        if not settings.demonstrations or task.task.actions != FEEDER:
-            continue
-        logs = demonstrations(task, context)
-        require_demonstrations(stage, task, logs)
-        if not logs:
+    if not settings.demonstrations or settings.task.actions != FEEDER:
+        return
+    for training in {one.task.name: one for one in trainings if one.settings.reset_bank_share > 0}.values():
+        require_demonstrations(settings.name, training.task, training.demonstrations)
+        if not training.demonstrations:
             _LOGGER.warning(
                 "there are no expert episodes of %s, so it is learnt without demonstrations: run stage expert with "
                 "this phantom and target first",
-                name,
+                training.task.name,
             )
 
 
-def _encoder_key(cell: Cell) -> str:
-    return f"{ENCODERS}/{cell.task.phantom}/{'+'.join(cell.keys)}"
+def _encoder_key(training: PolicyTrainingJob) -> str:
+    return f"{ENCODERS}/{training.task.phantom}/{'+'.join(training.keys)}"
 
 
-def _encoders(cells: Sequence[Cell], settings: LearningSettings, context: StageContext) -> dict[str, EncoderJob]:
-    """One encoder a phantom and set of observations: it knows nothing of targets, and seeds share it."""
-    return {
-        _encoder_key(cell): EncoderJob(
-            file=context.path / f"{_encoder_key(cell)}.pt",
-            task=cell.task,
-            keys=cell.keys,
-            demonstrations=_of_every_target(cell.task, settings, context),
-            samples=settings.encoder_samples,
-            epochs=settings.encoder_epochs,
-            seed=context.seed,
-        )
-        for cell in cells
-    }
+def _encoder_job(training: PolicyTrainingJob, settings: LearningSettings, context: StageContext) -> EncoderJob:
+    """The encoder of a phantom and set of observations: it knows nothing of targets, and seeds share it."""
+    from enn.encoder import EncoderSettings
 
-
-def _of_every_target(task: LearningTask, settings: LearningSettings, context: StageContext) -> tuple[Path, ...]:
-    if not settings.demonstrations:
-        return ()
-    return tuple(log for target in settings.targets for log in demonstrations(replace(task, target=target), context))
+    assert training.encoder is not None
+    targets = settings.targets if settings.demonstrations else ()
+    return EncoderJob(
+        file=training.encoder,
+        task=training.task,
+        keys=training.keys,
+        settings=EncoderSettings(epochs=settings.encoder_epochs, seed=context.seed),
+        samples=settings.encoder_samples,
+        demonstrations=tuple(
+            log for target in targets for log in demonstrations(replace(training.task, target=target), context)
+        ),
+    )
 
 
 def demonstrations(task: LearningTask, context: StageContext) -> tuple[Path, ...]:

@@ -48,6 +48,7 @@ _SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], UNIQUE]
 class LearningSettings:
     """What the stages that train policies have in common: the task, the trainings' sizes, and how they are run."""
 
+    name: str = ""  # of the stage
     phantoms: FolderNames = field(default_factory=list)
     targets: FolderNames = field(default_factory=list)
     seeds: Trainings = 1  # trainings a row and task; run seed k trains with seeds k * seeds, k * seeds + 1, ...

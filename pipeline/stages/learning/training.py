@@ -1,6 +1,6 @@
-"""Training jobs: one policy of a learning stage from nothing to its logged episodes, and the encoder it sees through.
+"""Training jobs: one policy of a learning stage up to its logged episodes, and the encoder that it sees through.
 
-A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, draws as::
+A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, holds::
 
     policy.pt  training.csv  training.json        what was trained, and how it went
     tensorboard/                                  event files, if asked for
@@ -11,8 +11,8 @@ A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, draws as::
 
 from __future__ import annotations
 
+import functools
 import json
-import logging
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -22,22 +22,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.episodes import EpisodeReader
-from pipeline.episodes.errors import EpisodeReadError
 from pipeline.jobs.worker import Report
 from pipeline.recording.replay import ReplayError, recorded_wire, replay
-from pipeline.recording.trials import MODES, Origin, controllers, run_trials, summary
-from pipeline.seeds import expert_seeds, held_out_seeds
+from pipeline.recording.trials import MODES, Origin, controllers, run_trials
+from pipeline.seeds import expert_seeds
+from pipeline.stages.learning.evaluation import evaluate
+from pipeline.stages.learning.expert_episodes import EXPERT, readable
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.atomic_files import write_json
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import FEEDER, TASK
 
 if TYPE_CHECKING:
-    from enn.reinforcement.training import Progress, TrainingSettings
+    from enn.encoder import EncoderSettings
+    from enn.reinforcement import Progress, TrainingSettings
     from enn.trajectory import Trajectory
 
-POLICY, RECORD, CURVE = "policy.pt", "training.json", "training.csv"
-EVALUATION, EXPERT = "evaluation", "expert"
+RECORD, CURVE = "training.json", "training.csv"
 # What every job imports: once, before the jobs' processes are forked.
 PRELOAD = ("cathsim", "enn.reinforcement.training", "enn.encoder", "pipeline.recording.record")
 _SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
@@ -46,8 +47,6 @@ _SAMPLES_SHARE = 0.4  # of the time that an encoder takes
 _NOWHERE_MM = 1e-3  # a radius that no tip comes into
 _ACCURACY_OF_SAMPLES = "fast"  # an encoder learns shapes, and these it sees twice as fast
 _NEVER = 100_000  # steps that no roll-out takes
-
-_LOGGER = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -58,32 +57,29 @@ class EncoderJob:
         file: where it goes, with its report beside it as JSON.
         task: whose anatomy it is to see; the target does not matter.
         keys: observations that it encodes.
-        demonstrations: logs of an expert's episodes, along which some of the roll-outs start.
+        settings: of the fit; their seed is that of the roll-outs, too.
         samples: of scripted roll-outs to fit it to.
-        epochs: over the samples; 0: as the library's default has it.
-        seed: of roll-outs and fit.
+        demonstrations: logs of an expert's episodes, along which some of the roll-outs start.
     """
 
     file: Path
     task: LearningTask
     keys: tuple[str, ...]
-    demonstrations: tuple[Path, ...]
+    settings: EncoderSettings
     samples: int
-    epochs: int
-    seed: int
+    demonstrations: tuple[Path, ...]
 
 
 @dataclass(frozen=True)
-class TrainingJob:
+class PolicyTrainingJob:
     """A policy to train and to evaluate.
 
     Attributes:
         folder: of the training.
-        task: that it is trained for and evaluated on.
+        origin: row, seed and variant of the training; kept in the logs.
         settings: of the training.
-        observation: names that the environment gives.
-        seed: of the training.
-        origin: kept in the logs.
+        task: that it is trained for and evaluated on.
+        keys: observations that the policy sees.
         encoder: file of a fitted encoder; None: the policy sees the observations themselves.
         demonstrations: logs of an expert's episodes of the task.
         evaluation_episodes: deterministic ones, and as many stochastic ones.
@@ -91,15 +87,19 @@ class TrainingJob:
     """
 
     folder: Path
-    task: LearningTask
-    settings: TrainingSettings
-    observation: tuple[str, ...]
-    seed: int
     origin: Origin
+    settings: TrainingSettings
+    task: LearningTask
+    keys: tuple[str, ...]
     encoder: Path | None = None
     demonstrations: tuple[Path, ...] = ()
     evaluation_episodes: int = 30
     expert_episodes: int = 0
+
+    @property
+    def name(self) -> str:
+        """Its folder below the stage's: ``type_1/bca/I+V+M/seed0``."""
+        return f"{self.task.name}/{self.origin.row}/seed{self.origin.training_seed}"
 
     @property
     def weight(self) -> float:
@@ -108,17 +108,13 @@ class TrainingJob:
         return self.settings.decisions * _SECONDS_A_DECISION + steps * _SECONDS_A_STEP
 
 
-def fit(job: EncoderJob, report: Report) -> dict[str, Any]:
+def fit_encoder_of(job: EncoderJob, report: Report) -> dict[str, Any]:
     """Fits an encoder; one that is there already is kept.
 
-    Args:
-        job: what to fit.
-        report: takes the progress.
-
     Returns:
-        What the fit says of itself, with ``wall_s``.
+        The report of the fit, with ``wall_s``.
     """
-    from enn.encoder import EncoderSettings, fit_encoder, scripted_samples
+    from enn.encoder import fit_encoder, scripted_samples
     from enn.exploration import TRUTH
 
     record = job.file.with_suffix(".json")
@@ -132,47 +128,40 @@ def fit(job: EncoderJob, report: Report) -> dict[str, Any]:
     samples = scripted_samples(
         task.factory((*job.keys, *TRUTH)),
         job.samples,
-        job.seed,
+        job.settings.seed,
         starts=np.concatenate([one for one in states if one is not None]) if states else None,
         progress=lambda done, count: report(_SAMPLES_SHARE * done / count, "samples"),
     )
-    settings = EncoderSettings(seed=job.seed)
-    settings = replace(settings, epochs=job.epochs or settings.epochs)
-    fitted, told = fit_encoder(
+    encoder, fitted = fit_encoder(
         samples,
         job.keys,
-        settings,
+        job.settings,
         lambda done, errors: report.part(_SAMPLES_SHARE, 1.0, "fit")(done, ""),
         device=report.device,
     )
-    fitted.save(job.file)
-    said = {**told, "wall_s": time.monotonic() - began}
-    write_json(record, said)
-    return said
+    encoder.save(job.file)
+    outcome = {**fitted, "wall_s": time.monotonic() - began}
+    write_json(record, outcome)
+    return outcome
 
 
-def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
+def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]:
     """Trains a policy, evaluates it on held-out seeds, and records expert episodes; each part only where it lacks.
-
-    Args:
-        job: what to train.
-        report: takes the progress.
 
     Returns:
         ``training_s`` and ``decisions``, ``deterministic`` and ``stochastic`` summaries.
     """
     from enn.encoder import Encoder
-    from enn.reinforcement.checkpoint import CheckpointError
-    from enn.reinforcement.training import Training
+    from enn.reinforcement import CheckpointError, Training
 
     for leftover in job.folder.glob(".*.tmp"):  # of a killed training
         leftover.unlink()
-    trained = _training_share(job)
+    trained = job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)  # share of the job, by time
     training = Training(
         replace(job.settings, device=report.device),
-        job.task.factory(job.observation),
+        job.task.factory(job.keys),
         job.folder,
-        seed=job.seed,
+        seed=job.origin.training_seed,
         demonstrations=[] if (job.folder / RECORD).is_file() else _demonstrations(job),
         encoder=None if job.encoder is None else Encoder.load(job.encoder),
         metadata={
@@ -185,38 +174,26 @@ def train_and_evaluate(job: TrainingJob, report: Report) -> dict[str, Any]:
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
-    done, rest = trained, (1.0 - trained) / (2 * job.evaluation_episodes + job.expert_episodes)
+    episodes = len(MODES) * job.evaluation_episodes
+    evaluated = trained + (1.0 - trained) * episodes / (episodes + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)
-    for mode in MODES:
-        after = done + rest * job.evaluation_episodes
-        metrics = run_trials(
-            environment,
-            controllers(result.policy, mode),
-            job.folder / EVALUATION / mode,
-            seeds=held_out_seeds(job.seed, job.evaluation_episodes),
-            mode=mode,
-            origin=job.origin,
-            report=report.part(done, after, mode),
-        )
-        outcome[mode], done = summary(metrics), after
+    policies = functools.partial(controllers, result.policy)
+    outcome |= evaluate(
+        environment, policies, job.folder, job.origin, job.evaluation_episodes, report.part(trained, evaluated)
+    )
     if job.expert_episodes:
         run_trials(
             environment,
-            controllers(result.policy, MODES[0]),
+            policies(MODES[0]),
             job.folder / EXPERT,
-            seeds=expert_seeds(job.seed, job.expert_episodes),
+            seeds=expert_seeds(job.origin.training_seed, job.expert_episodes),
             mode=MODES[0],
             origin=job.origin,
             pictures=True,
-            report=report.part(done, 1.0, "expert episodes"),
+            report=report.part(evaluated, 1.0, "expert episodes"),
         )
     environment.close()
     return outcome
-
-
-def _training_share(job: TrainingJob) -> float:
-    """Share of the job that is training, by time."""
-    return job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)
 
 
 def _words(progress: Progress) -> str:
@@ -225,11 +202,11 @@ def _words(progress: Progress) -> str:
     return f"{now}{best}".strip(", ")
 
 
-def _demonstrations(job: TrainingJob) -> list[Trajectory]:
+def _demonstrations(job: PolicyTrainingJob) -> list[Trajectory]:
     """The expert's episodes, as far as the training uses them."""
     if not (job.settings.reset_bank_share or job.settings.demonstrations_in_replay):
         return []
-    return repeat(job.demonstrations, job.task, job.observation if job.settings.demonstrations_in_replay else ())
+    return repeat(job.demonstrations, job.task, job.keys if job.settings.demonstrations_in_replay else ())
 
 
 def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...] = ()) -> list[Trajectory]:
@@ -245,22 +222,18 @@ def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...
     """
     if task.task.actions != FEEDER:
         return []
-    found = []
-    for log in logs:
-        try:
-            with EpisodeReader(log) as reader:
-                if recorded_wire(reader.info) != task.task.guidewire():
-                    raise ReplayError(f"it was recorded with another wire than {task.task.wire}")
-            found.append(
-                replay(
-                    log,
-                    observation,
-                    image_size=task.task.image_size_px,
-                    reward=task.reward,
-                    force_penalty=task.force_penalty,
-                    path_penalty=task.path_penalty,
-                )
-            )
-        except (EpisodeReadError, ReplayError, ValueError) as error:
-            _LOGGER.warning("%s is left out: %s", log, error)
-    return found
+
+    def again(log: Path) -> Trajectory:
+        with EpisodeReader(log) as reader:
+            if recorded_wire(reader.info) != task.task.guidewire():
+                raise ReplayError(f"it was recorded with another wire than {task.task.wire}")
+        return replay(
+            log,
+            observation,
+            image_size=task.task.image_size_px,
+            reward=task.reward,
+            force_penalty=task.force_penalty,
+            path_penalty=task.path_penalty,
+        )
+
+    return list(readable(logs, again))

@@ -16,15 +16,15 @@ from pipeline.report.results import write_figures, write_notes, write_results
 from pipeline.seeds import reader_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.expert_episodes import (
+    POLICY,
     expert_folder,
     expert_logs,
     load_policy,
     read_episodes,
     require_expert,
 )
-from pipeline.stages.learning.imitation import ImitationJob, imitate
+from pipeline.stages.learning.imitation import ImitationJob, cloning_settings, imitate
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import POLICY
 from pipeline.stages.navigation.film import FilmJob, film_trials
 from pipeline.stages.navigation.jobs import PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
 from pipeline.stages.navigation.perception import ReaderJob, train_reader
@@ -33,9 +33,9 @@ from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.stages.navigation.tables import ARCHES, DAGGER, FILMS, LOGS, PIXELS, READER, figures, row_of, tables
 from pipeline.stages.navigation.task import Anatomy, Rules, TrialSet
 from pipeline.stages.networks.training import PREDICTOR
-from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
-from pipeline.store.errors import ConfigurationError, StageError
+from pipeline.store.errors import StageError
 from pipeline.store.provenance import hash_file
 from pipeline.task import TASK, require_feeder, require_known_task, require_same_task, task_from
 
@@ -52,9 +52,7 @@ def check_navigation(settings: NavigationSettings) -> None:
         ConfigurationError: listing the valid names.
     """
     require_known_phantoms([*settings.phantoms, *settings.transfer_phantoms])
-    unknown = [name for name in settings.targets if name not in ("bca", "lcca", "lsa")]
-    if unknown:
-        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from bca, lcca, lsa")
+    require_known_targets(settings.targets)
     for task in (settings.task, settings.arch_task):
         require_known_task(task)
         require_feeder(task, "navigation")
@@ -202,14 +200,11 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
     """Behaviour cloning from pixels, from as many expert trials as the first navigator has."""
     given = ImitationJob(
         folder=context.path / PIXELS / task.name,
+        origin=Origin("navigation", PIXELS, context.seed, RIVAL_VARIANT),
+        settings=cloning_settings(RIVAL_VARIANT, ("image",), feature_matching=0.0),
         task=task,
         expert=expert,
-        seed=context.seed,
-        origin=Origin("navigation", PIXELS, context.seed, RIVAL_VARIANT),
-        observations=("image",),
         episodes=settings.episodes[0],
-        variant=RIVAL_VARIANT,
-        feature_matching=0.0,
         evaluation_episodes=settings.trials,
     )
     return Job(

@@ -15,8 +15,8 @@ from pipeline.report.plots.imitation import draw_success
 from pipeline.report.plots.navigation import draw_failures
 from pipeline.report.results import Figure
 from pipeline.stages import StageContext
+from pipeline.stages.learning.evaluation import EVALUATION
 from pipeline.stages.learning.expert_episodes import expert_folder
-from pipeline.stages.learning.training import EVALUATION
 from pipeline.stages.navigation.failures import MODES as FAILURES
 from pipeline.stages.navigation.film import FAILURE, SUCCESS
 from pipeline.stages.navigation.settings import NavigationSettings

@@ -68,7 +68,7 @@ def compare(job: ComparisonJob, report: Report) -> dict[str, Any]:
         report: takes the progress.
 
     Returns:
-        Disturbance to reader to means and standard deviations, and the errors of single images.
+        DisturbanceSettings to reader to means and standard deviations, and the errors of single images.
     """
     data = open_dataset(job.guide3d)
     readers = _readers(job, data, report.device)

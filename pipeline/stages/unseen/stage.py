@@ -21,7 +21,7 @@ from pipeline.report.learning.tables import tables_from_logs
 from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.phantoms import require_known_phantoms
+from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.stages.unseen.demonstrations import DemonstrationsJob, record_demonstrations
 from pipeline.stages.unseen.image_policy import StudentJob, train_student
 from pipeline.stages.unseen.jobs import (
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 DEMONSTRATIONS, STARTS = "demonstrations", "starts"
 ROADMAP_TESTS = "roadmap tests"
 REAL_MESH = "real_mesh"
-TARGETS = ("bca", "lcca", "lsa")
 ACTION_REPEAT = 3  # steps of a decision
 STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
 _ANATOMIES_A_JOB = 16
@@ -73,9 +72,7 @@ def check_unseen(settings: UnseenSettings) -> None:
 
     if settings.phantoms:
         require_known_phantoms(settings.phantoms)
-    unknown = [name for name in settings.targets if name not in TARGETS]
-    if unknown:
-        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
+    require_known_targets(settings.targets)
     wires = (*GUIDEWIRES, "softer", "stiffer")
     unknown = [name for name in settings.wires if name not in wires]
     if unknown:

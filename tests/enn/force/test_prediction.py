@@ -9,60 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from enn.fitting import FitSettings
-from enn.force.prediction import (
-    DESK_FORCE,
-    ForceNetwork,
-    ForceNetworkSettings,
-    ForcePredictor,
-    calibration,
-    fit_force,
-    score,
-)
-from enn.force.samples import ForceSamples, force_samples, principal_components
+from enn.force.evaluation import score
+from enn.force.prediction import DESK_FORCE, ForceNetwork, ForceNetworkSettings, ForcePredictor, fit_force
+from enn.force.samples import ForceSamples
 from enn.model_file import decoded, write_model
-from enn.trajectory import Trajectory
-from tests.enn.imitation.drawn_point import DrawnPoint, expert
-
-QUICK = replace(DESK_FORCE, fit=FitSettings(epochs=12, batch_size=32, learning_rate=3e-3, validation_share=0.0))
-
-
-@pytest.fixture(scope="module")
-def episodes() -> list[Trajectory]:
-    from enn.imitation.dagger import Disturbed, record
-
-    steers = [Disturbed(expert, np.random.default_rng(k), noise=0.4, spell_chance=0.3) for k in range(50)]
-    return [record(DrawnPoint(), one, seed=k, keys=("image", "place")) for k, one in enumerate(steers)]
-
-
-@pytest.fixture(scope="module")
-def halves(episodes: list[Trajectory]) -> tuple[ForceSamples, ForceSamples]:
-    features = [episode.observations["place"] for episode in episodes]
-    return force_samples(episodes[:40], features=features[:40]), force_samples(episodes[40:])
-
-
-@pytest.fixture(scope="module")
-def predictor(halves: tuple[ForceSamples, ForceSamples]) -> ForcePredictor:
-    return fit_force(halves[0], QUICK)[0]
-
-
-def test_a_sample_is_the_end_of_a_step_and_its_force(episodes: list[Trajectory]) -> None:
-    samples = force_samples(episodes[:2], images=("image",), vectors=("place",), frames=3, actions=True)
-    first = episodes[0]
-    images = first.observations["image"]
-    np.testing.assert_array_equal(samples.images[0], np.concatenate((images[0], images[0], images[1])))
-    np.testing.assert_array_equal(samples.images[2], np.concatenate((images[1], images[2], images[3])))
-    np.testing.assert_allclose(samples.vectors[0], np.append(first.observations["place"][1], first.actions[0]))
-    np.testing.assert_allclose(samples.forces[: len(first)], first.forces, rtol=1e-6)
-    assert (samples.episodes == np.repeat([0, 1], [len(e) for e in episodes[:2]])).all()
-
-
-def test_draws_are_nested_and_bounded(halves: tuple[ForceSamples, ForceSamples]) -> None:
-    samples = halves[0]
-    few, more = samples.drawn(10, seed=1), samples.drawn(20, seed=1)
-    np.testing.assert_array_equal(few.forces, more.forces[:10])
-    with pytest.raises(ValueError, match="record more episodes"):
-        samples.drawn(len(samples) + 1, seed=1)
+from tests.enn.force.conftest import QUICK
 
 
 def test_predicts_far_better_than_the_mean(
@@ -83,32 +34,6 @@ def test_the_loss_on_features_makes_the_network_predict_them(halves: tuple[Force
     assert np.square(features.numpy() - wanted).mean() < 0.3
     plain = fit_force(replace(samples, features=None), replace(QUICK, fit=replace(QUICK.fit, epochs=1)))[0]
     assert plain.network.features is None
-
-
-def test_score_of_known_numbers() -> None:
-    result = score(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 6.0]))
-    assert result.mse_n2 == pytest.approx(3.0)
-    assert result.variance_n2 == pytest.approx(14 / 3)
-    assert result.share_of_variance == pytest.approx(9 / 14)
-    assert score(np.zeros(4), np.arange(4.0)).correlation == 0.0
-    with pytest.raises(ValueError, match="as many predicted as true"):
-        score(np.zeros(2), np.zeros(3))
-
-
-def test_calibration_bins_by_predicted_force() -> None:
-    bins = calibration(np.array([3.0, 1.0, 2.0, 4.0]), np.array([30.0, 10.0, 20.0, 50.0]), bins=2)
-    assert bins["predicted"].tolist() == [1.5, 3.5]
-    assert bins["true"].tolist() == [15.0, 40.0]
-    assert bins["true_sd"].tolist() == [5.0, 10.0]
-
-
-def test_principal_components_are_uncorrelated_and_of_unit_size() -> None:
-    generator = np.random.default_rng(0)
-    hidden = generator.normal(size=(300, 2))
-    points = (hidden @ generator.normal(size=(2, 12))).reshape(300, 4, 3).astype(np.float32)
-    parts = principal_components([points[:100], points[100:]], 6)
-    assert [part.shape for part in parts] == [(100, 2), (200, 2)]
-    np.testing.assert_allclose(np.cov(np.concatenate(parts).T, bias=True), np.eye(2), atol=1e-3)
 
 
 def test_saved_predictor_predicts_the_same(

@@ -9,7 +9,7 @@ import pytest
 
 from enn.fitting import FitSettings
 from enn.imitation.behaviour_cloning import DESK_CLONING
-from enn.imitation.dagger import DaggerSettings, Disturbed, dagger, record
+from enn.imitation.dagger import DaggerSettings, DisturbanceSettings, Disturbed, dagger, record
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
 
 QUICK = replace(DESK_CLONING, fit=FitSettings(epochs=6, batch_size=32, learning_rate=3e-3))
@@ -25,8 +25,8 @@ def test_labels_are_the_experts_and_the_way_is_the_students() -> None:
 def test_rounds_aggregate_and_the_student_improves() -> None:
     environment = DrawnPoint()
     first = [record(environment, expert, seed=seed, keys=("image",)) for seed in range(4)]
-    settings = DaggerSettings(rounds=3, episodes=12, expert_share=0.5, cloning=QUICK)
-    student, rounds, everything = dagger(DrawnPoint, expert, first, settings)
+    settings = DaggerSettings(rounds=3, episodes=12, expert_share=0.5)
+    student, rounds, everything = dagger(DrawnPoint, expert, first, settings, QUICK)
     assert [told.episodes for told in rounds] == [16, 28, 40]
     assert len(everything) == 40
     assert rounds[-1].disagreement < rounds[0].disagreement
@@ -36,25 +36,26 @@ def test_rounds_aggregate_and_the_student_improves() -> None:
 
 def test_same_seed_gives_the_same_student() -> None:
     first = [record(DrawnPoint(), expert, seed=seed, keys=("image",)) for seed in range(3)]
-    settings = DaggerSettings(rounds=1, episodes=2, cloning=replace(QUICK, fit=replace(QUICK.fit, epochs=1)))
+    settings, cloning = DaggerSettings(rounds=1, episodes=2), replace(QUICK, fit=replace(QUICK.fit, epochs=1))
     seen = {"image": first[0].observations["image"]}
-    one, two = (dagger(DrawnPoint, expert, first, settings, seed=7)[0].act_batch(seen) for _ in range(2))
+    one, two = (dagger(DrawnPoint, expert, first, settings, cloning, seed=7)[0].act_batch(seen) for _ in range(2))
     np.testing.assert_array_equal(one, two)
 
 
 def test_disturbance_is_seeded_and_spells_push() -> None:
     def ways(seed: int) -> np.ndarray:
-        disturbed = Disturbed(expert, np.random.default_rng(seed), noise=0.1, spell_chance=0.3, push=5.0)
+        size = DisturbanceSettings(noise=0.1, spell_chance=0.3, push=5.0)
+        disturbed = Disturbed(expert, np.random.default_rng(seed), size)
         return record(DrawnPoint(), disturbed, seed=2, keys=(), labels=expert).tips
 
     np.testing.assert_array_equal(ways(1), ways(1))
     assert ways(1).shape != ways(2).shape or not np.array_equal(ways(1), ways(2))
-    always = Disturbed(expert, np.random.default_rng(0), spell_chance=1.0, spell_steps=1, push=5.0)
+    always = Disturbed(expert, np.random.default_rng(0), DisturbanceSettings(spell_chance=1.0, spell_steps=1, push=5.0))
     assert always({"place": np.array([9.0, 9.0])}, {})[0] == 1.0  # the expert would go the other way
 
 
 def test_refuses_nothing_to_start_from() -> None:
     with pytest.raises(ValueError, match="no episodes to learn from"):
-        dagger(DrawnPoint, expert, [], DaggerSettings(cloning=QUICK))
+        dagger(DrawnPoint, expert, [], cloning=QUICK)
     with pytest.raises(ValueError, match="rounds must be greater than or equal to 1, got 0"):
         DaggerSettings(rounds=0)

@@ -5,22 +5,22 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from enn.reinforcement.training import DESK_SAC, THESIS_SAC
+from enn.imitation.dagger import DaggerSettings
+from enn.reinforcement import DESK_SAC, THESIS_SAC
 from pipeline.recording.trials import Origin
 from pipeline.report.aids import imitation_note, note_of, training_note
 from pipeline.report.results import write_notes
-from pipeline.stages.learning.imitation import ImitationJob
+from pipeline.stages.learning.imitation import ImitationJob, cloning_settings
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import TrainingJob
+from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.stages.report import notes_of
 from pipeline.task import Task
 
-DESK = TrainingJob(
+DESK = PolicyTrainingJob(
     folder=Path("desk"),
     task=LearningTask("type_1", "bca", path_penalty=40.0),
     settings=replace(DESK_SAC, demonstrations_in_replay=0.25),
-    observation=("image", "mask", "joints"),
-    seed=0,
+    keys=("image", "mask", "joints"),
     origin=Origin("enn", "I+V+M", 0, "desk"),
     encoder=Path("encoder.pt"),
     demonstrations=(Path("000.mcap"), Path("001.mcap"), Path("002.mcap")),
@@ -54,7 +54,7 @@ def test_a_desk_training_names_every_aid() -> None:
 def test_what_a_training_does_not_have_is_not_named() -> None:
     told = training_note([THESIS])
     assert told == f"How the measured rows were made: 2 actions; images of 80 px; {THESIS_SAC.decisions:,} decisions."
-    alone = training_note([replace(DESK, demonstrations=(), observation=("joints",))])
+    alone = training_note([replace(DESK, demonstrations=(), keys=("joints",))])
     assert "planner" not in alone
     assert "demonstrations" not in alone
     assert "px" not in alone
@@ -62,7 +62,7 @@ def test_what_a_training_does_not_have_is_not_named() -> None:
 
 def test_rows_that_were_made_alike_are_named_together() -> None:
     other = replace(DESK, origin=Origin("enn", "V", 0, "desk"))
-    odd = replace(DESK, origin=Origin("enn", "I", 0, "desk"), observation=("joints",))
+    odd = replace(DESK, origin=Origin("enn", "I", 0, "desk"), keys=("joints",))
     told = training_note([DESK, other, odd])
     assert told.count("shaped reward") == 1
     assert told.endswith("I+V+M, V: images of 80 px.")
@@ -73,13 +73,14 @@ def test_rows_that_were_made_alike_are_named_together() -> None:
 
 
 def test_imitation_says_whose_weight_matches_features() -> None:
-    job = ImitationJob(Path("s"), LearningTask("type_1", "bca"), Path("e"), 0, Origin("imitation", "dagger", 0, "desk"),
-                       ("image",), 10, "thesis", 0.1, dagger_rounds=3)  # fmt: skip
+    cloning = cloning_settings("thesis", ("image",), feature_matching=0.1)
+    job = ImitationJob(Path("s"), Origin("imitation", "dagger", 0, "thesis"), cloning, LearningTask("type_1", "bca"),
+                       Path("e"), episodes=10, rounds=DaggerSettings(rounds=3))  # fmt: skip
     told = imitation_note([job])
     assert "thesis network, from 10 episodes" in told
     assert "features matched with weight 0.1, which is ours" in told
     assert "3 rounds of 10 own episodes" in told
-    assert "features" not in imitation_note([replace(job, feature_matching=0.0)])
+    assert "features" not in imitation_note([replace(job, settings=replace(cloning, feature_matching=0.0))])
 
 
 def test_the_report_gathers_notes_of_a_sweep_once(tmp_path: Path) -> None:

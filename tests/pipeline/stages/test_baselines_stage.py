@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import gymnasium
@@ -13,11 +14,13 @@ import torch
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.stages.baselines import plan, training_settings
-from pipeline.stages.learning.path_following import PathJob, demonstrated, follow
+from pipeline.stages.learning.expert_episodes import read_episode, readable
+from pipeline.stages.learning.path_following import PathJob, follow
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
+from tests.pipeline.stages.small_expert import context
 from tests.pipeline.stages.test_enn_stage import expert_run  # noqa: F401 - a fixture
 
 
@@ -25,27 +28,27 @@ def settings(**changed) -> BaselinesSettings:
     return BaselinesSettings(**{"phantoms": ["type_1", "type_2"], "targets": ["bca", "lcca"], **changed})
 
 
-def test_plan_is_the_table_of_the_thesis() -> None:
-    cells = plan(settings(), run_seed=0)
-    assert len({cell.name for cell in cells}) == 24
-    assert {cell.row for cell in cells} == {
+def test_plan_is_the_table_of_the_thesis(tmp_path: Path) -> None:
+    jobs = plan(settings(), context(tmp_path, "baselines", ("expert",)))
+    assert len({job.name for job in jobs}) == 24
+    assert {job.origin.row for job in jobs} == {
         f"{a}_{o}" for a in ("ppo", "sac") for o in ("internal", "image", "sequential")
     }
-    budgets = {(cell.settings.algorithm, cell.settings.decisions) for cell in cells}
+    budgets = {(job.settings.algorithm, job.settings.decisions) for job in jobs}
     assert budgets == {("ppo", 60_000), ("sac", 6_000)}
-    assert all(cell.encoded for cell in cells)
+    assert {job.encoder.name for job in jobs} == {"internal.pt", "image.pt", "sequential.pt"}
 
 
-def test_thesis_has_its_own_networks_and_actions() -> None:
+def test_thesis_has_its_own_networks_and_actions(tmp_path: Path) -> None:
     thesis = settings(variant="thesis", task=Task(actions="tip_motors"), decisions=600_000, ppo_decisions=600_000)
-    cells = {cell.row: cell for cell in plan(thesis, run_seed=0)}
-    internal, image = cells["sac_internal"].settings, cells["ppo_sequential"].settings
+    jobs = {job.origin.row: job for job in plan(thesis, context(tmp_path, "baselines", ("expert",)))}
+    internal, image = jobs["sac_internal"].settings, jobs["ppo_sequential"].settings
     assert (internal.variant, internal.hidden, internal.activation) == ("baselines", (64, 64), "tanh")
     assert (image.variant, image.hidden, image.keys) == ("baselines", (), ("sequential",))
     assert image.learning_rate == internal.learning_rate == 3e-4
     assert internal.target_entropy is None
-    assert cells["sac_internal"].task.environment("internal").action_space.shape == (21,)
-    assert not cells["sac_internal"].encoded
+    assert jobs["sac_internal"].task.environment("internal").action_space.shape == (21,)
+    assert jobs["sac_internal"].encoder is None
 
 
 @pytest.mark.parametrize("observation", ["internal", "image", "sequential"])
@@ -85,7 +88,7 @@ def test_unknown_observations_are_one_sentence() -> None:
 
 
 def path_job(folder: Path, logs: tuple[Path, ...]) -> PathJob:
-    return PathJob(folder, LearningTask("type_1", "bca"), 0, Origin("baselines", "path_follower", 0, "desk"), logs, 1)
+    return PathJob(folder, Origin("baselines", "path_follower", 0, "desk"), LearningTask("type_1", "bca"), logs, 1)
 
 
 def test_a_path_follower_without_episodes_says_what_to_do(tmp_path) -> None:
@@ -97,7 +100,8 @@ def test_a_path_follower_leaves_damaged_logs_out_by_name(expert_run, tmp_path, c
     intact = min((expert_run / "expert/type_1/bca").glob("*.mcap"))
     broken = tmp_path / "001.mcap"
     broken.write_bytes(intact.read_bytes()[:2000])
-    assert [episode.label for episode in demonstrated([broken, intact])] == [str(intact)]
+    read = partial(read_episode, pictures=False)
+    assert [episode.label for episode in readable([broken, intact], read)] == [str(intact)]
     assert "001.mcap is left out" in caplog.text
     with pytest.raises(StageError, match="has no expert episodes: run stage expert"):
         follow(path_job(tmp_path, (broken,)), Report())

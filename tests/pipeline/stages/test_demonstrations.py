@@ -50,9 +50,9 @@ def test_an_empty_folder_of_the_expert_is_told(
 
     monkeypatch.setattr(training_plan, "run_jobs", no_work)
     settings = EnnSettings(phantoms=["type_1"], targets=["bca", "lcca"])
-    place = context(tmp_path, "enn", ("expert",))
     record(tmp_path / "expert/type_1/lcca/000.mcap")
-    training_plan.run_cells(plan(settings, 0), settings, place, stage="enn")
+    place = context(tmp_path, "enn", ("expert",))
+    training_plan.run_trainings(plan(settings, place), settings, place)
     assert "type_1/bca/I+V+M/seed0" in ran
     (warning,) = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert warning.startswith("there are no expert episodes of type_1/bca, so it is learnt without demonstrations")

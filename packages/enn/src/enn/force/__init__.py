@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from enn.force.evaluation import ForceScore, calibration, evaluate_predictor, score
     from enn.force.prediction import (
         DESK_FORCE,
         THESIS_FORCE,
@@ -13,34 +14,36 @@ if TYPE_CHECKING:
         ForceNetworkSettings,
         ForcePredictionSettings,
         ForcePredictor,
-        ForceScore,
-        calibration,
         fit_force,
         force_preset,
-        score,
     )
-    from enn.force.samples import ForceSamples, force_samples, principal_components
+    from enn.force.samples import FORCE_INPUTS, ForceInputs, ForceSamples, force_samples, principal_components
 
 _HOME = {
     "DESK_FORCE": "prediction",
+    "FORCE_INPUTS": "samples",
     "THESIS_FORCE": "prediction",
+    "ForceInputs": "samples",
     "ForceNetwork": "prediction",
     "ForceNetworkSettings": "prediction",
     "ForcePredictionSettings": "prediction",
     "ForcePredictor": "prediction",
     "ForceSamples": "samples",
-    "ForceScore": "prediction",
-    "calibration": "prediction",
+    "ForceScore": "evaluation",
+    "calibration": "evaluation",
+    "evaluate_predictor": "evaluation",
     "fit_force": "prediction",
     "force_preset": "prediction",
     "force_samples": "samples",
     "principal_components": "samples",
-    "score": "prediction",
+    "score": "evaluation",
 }
 
 __all__ = [
     "DESK_FORCE",
+    "FORCE_INPUTS",
     "THESIS_FORCE",
+    "ForceInputs",
     "ForceNetwork",
     "ForceNetworkSettings",
     "ForcePredictionSettings",
@@ -48,6 +51,7 @@ __all__ = [
     "ForceSamples",
     "ForceScore",
     "calibration",
+    "evaluate_predictor",
     "fit_force",
     "force_preset",
     "force_samples",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -261,63 +261,3 @@ class ForcePredictor:
                 device=device,
             )
         )
-
-
-@dataclass(frozen=True)
-class ForceScore:
-    """How well forces are predicted.
-
-    Attributes:
-        mse_n2: mean squared error, N².
-        variance_n2: of the true forces, N²: the error of always predicting their own mean.
-        correlation: of predicted and true forces; 0 where one of them is constant.
-        samples: number of them.
-    """
-
-    mse_n2: float
-    variance_n2: float
-    correlation: float
-    samples: int
-
-    @property
-    def share_of_variance(self) -> float:
-        """Mean squared error as a share of the variance; NaN where all forces are the same."""
-        return self.mse_n2 / self.variance_n2 if self.variance_n2 > 0 else float("nan")
-
-
-def score(predicted: NDArray[Any], true: NDArray[Any]) -> ForceScore:
-    """Compares predicted with true forces.
-
-    Args:
-        predicted: (N,) N.
-        true: (N,) N.
-
-    Raises:
-        ValueError: another shape, or no sample.
-    """
-    a, b = np.asarray(predicted, np.float64), np.asarray(true, np.float64)
-    if a.shape != b.shape or a.ndim != 1 or len(a) == 0:
-        raise ValueError(f"expected as many predicted as true forces, one at least, got {a.shape} and {b.shape}")
-    spread = float(a.std() * b.std())
-    correlation = float(((a - a.mean()) * (b - b.mean())).mean() / spread) if spread > 0 else 0.0
-    return ForceScore(float(np.square(a - b).mean()), float(b.var()), correlation, len(a))
-
-
-def calibration(predicted: NDArray[Any], true: NDArray[Any], bins: int = 10) -> Mapping[str, NDArray[np.float64]]:
-    """Predicted against true forces in bins of equally many samples, by predicted force.
-
-    Args:
-        predicted: (N,) N.
-        true: (N,) N.
-        bins: how many, at most one a sample.
-
-    Returns:
-        `predicted` and `true`, means in N, and `true_sd`, N, an entry a bin.
-    """
-    order = np.argsort(predicted, kind="stable")
-    parts: Sequence[NDArray[np.int64]] = np.array_split(order, min(bins, len(order)))
-    return {
-        "predicted": np.array([float(np.mean(predicted[part])) for part in parts]),
-        "true": np.array([float(np.mean(true[part])) for part in parts]),
-        "true_sd": np.array([float(np.std(true[part])) for part in parts]),
-    }

@@ -4,12 +4,54 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from enn.trajectory import Trajectory, episode_numbers, require_same_shapes
+
+SHAPE_COMPONENTS = 24  # principal components of the wire's shape that are matched beside the expert's features
+
+
+@dataclass(frozen=True)
+class ForceInputs:
+    """What a force network sees of a step.
+
+    Attributes:
+        images: names of image observations, of the end of the step.
+        vectors: names of further observations of that moment.
+        frames: images of that moment and of so many less one before it; an episode's first image stands in for those
+            before the start.
+        actions: whether the action of the step is seen, too.
+        matched: whether the expert's features are predicted, too.
+    """
+
+    images: tuple[str, ...] = ("image",)
+    vectors: tuple[str, ...] = ()
+    frames: int = 1
+    actions: bool = False
+    matched: bool = True
+
+
+FORCE_INPUTS = {
+    "V": ForceInputs(),
+    "V_plain": ForceInputs(matched=False),
+    "V3": ForceInputs(frames=3),
+    "V+M": ForceInputs(("image", "mask")),
+    "I+V": ForceInputs(vectors=("joints",)),
+    "I+V_action": ForceInputs(vectors=("joints",), actions=True),
+    "I": ForceInputs((), ("joints",), matched=False),
+}
+
+
+class FeatureSource(Protocol):
+    """An expert whose features are matched; `enn.policy.Policy` is one."""
+
+    keys: tuple[str, ...]
+
+    def features(self, observations: dict[str, NDArray[Any]], /) -> NDArray[np.float32]:
+        """Features of observations with a leading N. Shape (N, features)."""
 
 
 @dataclass(frozen=True)
@@ -78,30 +120,20 @@ class ForceSamples:
 
 def force_samples(
     trajectories: Sequence[Trajectory],
-    *,
-    images: Sequence[str] = ("image",),
-    vectors: Sequence[str] = (),
-    frames: int = 1,
-    actions: bool = False,
+    inputs: ForceInputs = FORCE_INPUTS["V"],
     features: Sequence[NDArray[np.float32]] | None = None,
 ) -> ForceSamples:
     """Samples of episodes: a step each.
 
     Args:
         trajectories: of one kind.
-        images: image observations, of the end of the step.
-        vectors: further observations of that moment, (T + 1, ...).
-        frames: images of that moment and of so many less one before it; an episode's first image stands in for those
-            before the start.
-        actions: whether the action of the step is seen, too.
+        inputs: what is seen of each step.
         features: the expert's Z of each episode's moments, (T + 1, z), or None.
-
-    Returns:
-        A sample a step.
 
     Raises:
         ValueError: no episodes, episodes of different kinds, or features of another length.
     """
+    images, vectors, frames = inputs.images, inputs.vectors, inputs.frames
     if frames < 1:
         raise ValueError(f"frames must be at least 1, got {frames}")
     shapes = require_same_shapes(trajectories, (*images, *vectors))
@@ -116,7 +148,7 @@ def force_samples(
         else:
             seen.append(np.zeros((len(trajectory), 0, *side), np.uint8))
         parts = [trajectory.observations[key][1:].reshape(len(trajectory), -1) for key in vectors]
-        if actions:
+        if inputs.actions:
             parts.append(trajectory.actions)
         parts.append(np.zeros((len(trajectory), 0)))
         numbers.append(np.concatenate(parts, axis=1).astype(np.float32))
@@ -132,6 +164,43 @@ def force_samples(
         forces=np.concatenate([trajectory.forces for trajectory in trajectories]).astype(np.float32),
         episodes=episode_numbers(trajectories),
         features=np.concatenate(matched) if features is not None else None,
+    )
+
+
+def matched_features(trajectories: Sequence[Trajectory], expert: FeatureSource) -> list[NDArray[np.float32]]:
+    """What a force network predicts beside the force: the expert's features and the wire's shape.
+
+    Args:
+        trajectories: with the expert's observations, and `shape`.
+        expert: whose features are taken.
+
+    Returns:
+        (T + 1, z) an episode.
+    """
+    shapes = principal_components([one.observations["shape"] for one in trajectories], SHAPE_COMPONENTS)
+    return [
+        np.concatenate((expert.features({key: one.observations[key] for key in expert.keys}), shape), axis=1)
+        for one, shape in zip(trajectories, shapes, strict=True)
+    ]
+
+
+def split_episodes(episodes: Sequence[Trajectory], test_every: int) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Holds every so many-th episode out for the test, one at least.
+
+    Args:
+        episodes: at least one; a single one is learnt from and tested on.
+        test_every: of so many episodes, the last is held out.
+
+    Returns:
+        Episodes to learn from, and episodes to test on.
+    """
+    if len(episodes) == 1:
+        return list(episodes), list(episodes)
+    held_out = [index % test_every == test_every - 1 for index in range(len(episodes))]
+    held_out[-1] |= not any(held_out)
+    return (
+        [one for one, out in zip(episodes, held_out, strict=True) if not out],
+        [one for one, out in zip(episodes, held_out, strict=True) if out],
     )
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
 import torch
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from enn.fitting import FitProgress, FitReport
@@ -35,14 +36,29 @@ class DaggerSettings:
         expert_share: chance that the expert steers a step of the first round, beside the student; it falls by half
             from round to round.
         warm_start: fits go on from the student of the round before.
-        cloning: of each fit.
     """
 
     rounds: Count = 3
     episodes: Count = 10
     expert_share: Share = 0.0
     warm_start: bool = True
-    cloning: BehaviourCloningSettings = DESK_CLONING
+
+
+@settings
+class DisturbanceSettings:
+    """How the actions of an actor are disturbed.
+
+    Attributes:
+        noise: standard deviation added to each action.
+        spell_chance: that a spell of a random action begins at a step.
+        spell_steps: longest length of a spell.
+        push: mean of the first action in a spell; above zero, spells press the tip forwards, into whatever is there.
+    """
+
+    noise: Annotated[float, Interval(ge=0, le=10)] = 0.3
+    spell_chance: Share = 0.05
+    spell_steps: Count = 8
+    push: Annotated[float, Interval(ge=-10, le=10)] = 0.2
 
 
 @dataclass(frozen=True)
@@ -115,26 +131,15 @@ class Disturbed:
     Args:
         actor: to be disturbed.
         generator: of the disturbance.
-        noise: standard deviation added to each action.
-        spell_chance: that a spell begins at a step.
-        spell_steps: longest length of a spell.
-        push: mean of the first action in a spell; above zero, spells press the tip forwards, into whatever is there.
+        disturbance: its size.
 
     Source: M. Laskey et al., DART: Noise injection for robust imitation learning, CoRL 2017, for the idea.
     """
 
     def __init__(
-        self,
-        actor: Act,
-        generator: np.random.Generator,
-        *,
-        noise: float = 0.3,
-        spell_chance: float = 0.05,
-        spell_steps: int = 8,
-        push: float = 0.2,
+        self, actor: Act, generator: np.random.Generator, disturbance: DisturbanceSettings | None = None
     ) -> None:
-        self.actor, self.generator = actor, generator
-        self.noise, self.spell_chance, self.spell_steps, self.push = noise, spell_chance, spell_steps, push
+        self.actor, self.generator, self.disturbance = actor, generator, disturbance or DisturbanceSettings()
         self._left, self._spell = 0, np.zeros(0, np.float32)
 
     def reset(self) -> None:
@@ -145,15 +150,15 @@ class Disturbed:
 
     def __call__(self, observation: Mapping[str, NDArray[Any]], info: Mapping[str, Any]) -> NDArray[np.float32]:
         """The action that is carried out. Shape (actions,)."""
-        wanted = np.asarray(self.actor(observation, info), np.float32)
-        if self._left == 0 and self.generator.random() < self.spell_chance:
-            self._left = int(self.generator.integers(1, self.spell_steps + 1))
+        wanted, size = np.asarray(self.actor(observation, info), np.float32), self.disturbance
+        if self._left == 0 and self.generator.random() < size.spell_chance:
+            self._left = int(self.generator.integers(1, size.spell_steps + 1))
             self._spell = self.generator.uniform(-1.0, 1.0, wanted.shape).astype(np.float32)
-            self._spell[0] = np.clip(self._spell[0] + self.push, -1.0, 1.0)
+            self._spell[0] = np.clip(self._spell[0] + size.push, -1.0, 1.0)
         if self._left > 0:
             self._left -= 1
             return self._spell
-        noisy: NDArray[np.float32] = np.clip(wanted + self.generator.normal(0.0, self.noise, wanted.shape), -1.0, 1.0)
+        noisy: NDArray[np.float32] = np.clip(wanted + self.generator.normal(0.0, size.noise, wanted.shape), -1.0, 1.0)
         return noisy.astype(np.float32)
 
 
@@ -162,6 +167,7 @@ def dagger(
     expert: Act,
     trajectories: Sequence[Trajectory],
     settings: DaggerSettings | None = None,
+    cloning: BehaviourCloningSettings = DESK_CLONING,
     *,
     student: ClonedPolicy | None = None,
     seed: int = 0,
@@ -175,7 +181,8 @@ def dagger(
         make_environment: makes an environment with the observations of both expert and student.
         expert: says what to do at an observation.
         trajectories: the expert's own episodes; may be none.
-        settings: of rounds and fits.
+        settings: of the rounds.
+        cloning: of each fit.
         student: to start from; None: it is cloned from `trajectories`, of which there must be some then.
         seed: of roll-outs and fits.
         folder: for checkpoints of the fits, one each.
@@ -194,7 +201,7 @@ def dagger(
     def refit(index: int, initial: ClonedPolicy | None) -> tuple[ClonedPolicy, FitReport]:
         return clone(
             everything,
-            settings.cloning,
+            cloning,
             initial=initial if settings.warm_start else None,
             seed=seed + index,
             folder=None if folder is None else Path(folder) / f"round{index}",
