@@ -46,7 +46,7 @@ RECORDS = {
     ),
     *("metrics.episodes:EpisodeMetrics", "metrics.episodes:Statistic", "metrics.episodes:Summary"),
     *("metrics.forces:ForceComparison", "physics_checks.contact:Helix", "physics_checks.rig:TheoryCheck"),
-    "physics_checks.statics:Column",
+    *("physics_checks.statics:Column", "planning.scripted_motions:Script"),
 }
 # What has no defaults.
 EXAMPLES: dict[type[Any], Any] = {
