@@ -9,11 +9,11 @@ from typing import Any
 
 from mcap.records import ChunkIndex, MetadataIndex
 
-from pipeline.episodes.encoding.container import McapFile
+from pipeline.episodes.encoding.container import McapFile, replacing
 from pipeline.episodes.encoding.scan import messages, read_chunk, read_metadata, read_summary
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError, damaged
-from pipeline.episodes.metadata import open_annotation, seal_annotation
+from pipeline.episodes.metadata import seal, unseal
 from pipeline.episodes.reader import EpisodeReader
 
 
@@ -43,18 +43,10 @@ def annotate(path: str | os.PathLike[str], key: str, values: Mapping[str, Any]) 
     path, name = Path(path), annotation_name(key)
     with EpisodeReader(path):
         pass  # an episode log, whole and not newer than this software
-    temporary = path.with_name(f"{path.name}.annotating")
     try:
-        temporary.unlink(missing_ok=True)
-        out = McapFile(temporary, PROFILE)
-        try:
+        with replacing(path, PROFILE, ".annotating") as out:
             _copy(path, out, leave_out=name)
-            out.add_metadata(name, seal_annotation(values))
-            out.close_with_index()
-            os.replace(temporary, path)
-        finally:
-            out.close()
-            temporary.unlink(missing_ok=True)
+            out.add_metadata(name, seal(values))
     except OSError as error:
         raise EpisodeWriteError(f"cannot add to {path}: {error.strerror}; the log is as it was") from error
     except ContainerError as error:
@@ -112,7 +104,7 @@ def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | 
         raise EpisodeReadError(f"cannot open {path}: {error.strerror}; check the path") from error
     try:
         found = [index for index in read_summary(fd).metadata_indexes if index.name == name]
-        return open_annotation(read_metadata(fd, found[-1]).metadata) if found else None
+        return unseal(read_metadata(fd, found[-1]).metadata) if found else None
     except ContainerError as error:
         raise damaged(Path(path), error) from error
     finally:

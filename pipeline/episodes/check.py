@@ -12,7 +12,7 @@ from mcap.records import DataEnd
 
 from pipeline.episodes.encoding.scan import check_magic, messages, open_chunk, parse_record, walk
 from pipeline.episodes.encoding.schema import STEP_FIELDS, STEP_TOPIC
-from pipeline.episodes.encoding.step_codec import decode_resultant_force_norm, decode_step
+from pipeline.episodes.encoding.step_codec import decode_with_norm
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import mapped
@@ -91,8 +91,7 @@ def _check_steps(log: EpisodeReader, report: CheckReport) -> None:
     expected, shapes = 0, None
     for time_ns, payload in log.payloads(STEP_TOPIC):
         try:
-            record = decode_step(payload)
-            norm = decode_resultant_force_norm(payload)
+            record, norm = decode_with_norm(payload)
         except ValueError as error:
             _add(report, f"the record after step {expected - 1} cannot be decoded: {error}")
             expected += 1

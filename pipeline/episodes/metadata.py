@@ -26,12 +26,19 @@ def _checksum(schema_version: str, text: str) -> str:
     return f"{zlib.crc32(f'{schema_version} {text}'.encode()):08x}"
 
 
-def _seal(values: Mapping[str, Any]) -> dict[str, str]:
+def seal(values: Mapping[str, Any]) -> dict[str, str]:
+    """Make the content of a metadata record of plain values: JSON with its checksum and the schema version."""
     text, schema_version = as_json(values), str(SCHEMA_VERSION)
     return {"schema_version": schema_version, "json": text, "crc32": _checksum(schema_version, text)}
 
 
-def _open(record: Mapping[str, str]) -> dict[str, Any]:
+def unseal(record: Mapping[str, str]) -> dict[str, Any]:
+    """Read the values of a metadata record.
+
+    Raises:
+        ContainerError: it is damaged.
+        VersionError: its schema version is missing or too new.
+    """
     if "schema_version" not in record:
         raise VersionError("it has no schema version, so it was not written as an episode log")
     schema_version = record["schema_version"]
@@ -56,20 +63,16 @@ def _open(record: Mapping[str, str]) -> dict[str, Any]:
 def seal_episode(info: EpisodeInfo, cameras: Mapping[str, Camera]) -> dict[str, str]:
     """Make the content of the record `endonav.episode`."""
     ordered = [{"name": name, **camera.to_json()} for name, camera in cameras.items()]
-    return _seal({"info": info.to_json(), "cameras": ordered})
+    return seal({"info": info.to_json(), "cameras": ordered})
 
 
 def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Camera]]:
     """Read the content of the record `endonav.episode`.
 
     Returns:
-        The information, and the cameras by name in the order in which they were declared.
-
-    Raises:
-        ContainerError: it is damaged.
-        VersionError: its schema version is missing or too new.
+        The information, and the cameras by name in the order in which they were declared; raises as `unseal` does.
     """
-    values = _open(record)
+    values = unseal(record)
     try:
         cameras = {_name(camera): Camera.from_json(camera) for camera in values["cameras"]}
         return EpisodeInfo(**values["info"]), cameras
@@ -91,33 +94,13 @@ def _reason(error: Exception) -> str:
 
 def seal_outcome(outcome: EpisodeOutcome) -> dict[str, str]:
     """Make the content of the record `endonav.outcome`."""
-    return _seal(outcome.to_json())
+    return seal(outcome.to_json())
 
 
 def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
-    """Read the content of the record `endonav.outcome`.
-
-    Raises:
-        ContainerError: it is damaged.
-        VersionError: its schema version is missing or too new.
-    """
-    values = _open(record)
+    """Read the content of the record `endonav.outcome`; raises as `unseal` does."""
+    values = unseal(record)
     try:
         return EpisodeOutcome(**values)
     except (TypeError, ValueError, OverflowError) as error:
         raise ContainerError(f"the episode's outcome cannot be used ({_reason(error)})") from error
-
-
-def seal_annotation(values: Mapping[str, Any]) -> dict[str, str]:
-    """Make the content of a record that was added to a finished log."""
-    return _seal(values)
-
-
-def open_annotation(record: Mapping[str, str]) -> dict[str, Any]:
-    """Read the content of a record that was added to a finished log.
-
-    Raises:
-        ContainerError: it is damaged.
-        VersionError: its schema version is missing or too new.
-    """
-    return _open(record)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from pipeline.episodes.camera import Camera
 from pipeline.episodes.encoding.png import decode_image, decode_mask
-from pipeline.episodes.encoding.protobuf_wire import DELIMITED, fields
 from pipeline.episodes.encoding.scan import MessageSpan, Summary, messages, read_chunk, read_metadata, read_summary
 from pipeline.episodes.encoding.scene import PhantomMesh, decode_phantom
 from pipeline.episodes.encoding.schema import (
@@ -33,7 +32,6 @@ from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.metadata import VersionError, open_episode, open_outcome
 from pipeline.episodes.records import MOST_STEPS, EpisodeOutcome, StepRecord
 
-_IMAGE_DATA = CompressedImage.DESCRIPTOR.fields_by_name["data"].number
 _Decoded = TypeVar("_Decoded")
 _MOST_POINTS = 1 << 26  # of a ragged field stacked over an episode: 1.5 GB
 _RAGGED = {"wire_points": "wire", "contact_positions": "contact", "contact_forces": "contact"}
@@ -195,10 +193,7 @@ class EpisodeReader:
         return tuple(self._cameras)
 
     def camera(self, name: str) -> Camera:
-        """Give a camera's calibration.
-
-        Returns:
-            Its matrices, every bit as written.
+        """Give a camera's calibration, every bit as written.
 
         Raises:
             EpisodeReadError: there is no such camera.
@@ -209,54 +204,33 @@ class EpisodeReader:
         return self._cameras[name]
 
     def image(self, camera: str, step: int) -> NDArray[np.uint8]:
-        """Read one image at random.
-
-        Returns:
-            (H, W) uint8.
+        """Read one image at random, (H, W) uint8.
 
         Raises:
             EpisodeReadError: there is no such image, or its chunk is damaged.
         """
-        self.camera(camera)
-        return self._decode(_picture(decode_image), self._payload(camera_topic(camera, "image"), step))
+        return self._decode(_image, self._payload(self._stream(camera, "image"), step))
 
     def mask(self, camera: str, step: int) -> NDArray[np.bool_]:
-        """Read one mask at random.
-
-        Returns:
-            (H, W) bool.
+        """Read one mask at random, (H, W) bool.
 
         Raises:
             EpisodeReadError: there is no such mask, or its chunk is damaged.
         """
-        self.camera(camera)
-        return self._decode(_picture(decode_mask), self._payload(camera_topic(camera, "mask"), step))
+        return self._decode(_mask, self._payload(self._stream(camera, "mask"), step))
 
     def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
-        """Stream the images of a camera, one a step.
-
-        Yields:
-            (H, W) uint8.
-
-        Raises:
-            EpisodeReadError: there are no such images, or the log is damaged.
-        """
-        self.camera(camera)
-        for _, payload in self.payloads(camera_topic(camera, "image")):
-            yield self._decode(_picture(decode_image), payload)
+        """Stream the images of a camera, (H, W) uint8, one a step; raises as `image` does."""
+        return (self._decode(_image, payload) for _, payload in self.payloads(self._stream(camera, "image")))
 
     def masks(self, camera: str) -> Iterator[NDArray[np.bool_]]:
-        """Stream the masks of a camera, one a step.
+        """Stream the masks of a camera, (H, W) bool, one a step; raises as `mask` does."""
+        return (self._decode(_mask, payload) for _, payload in self.payloads(self._stream(camera, "mask")))
 
-        Yields:
-            (H, W) bool.
-
-        Raises:
-            EpisodeReadError: there are no such masks, or the log is damaged.
-        """
+    def _stream(self, camera: str, stream: str) -> str:
+        """Name the topic of a camera's stream; refuse a camera that there is not."""
         self.camera(camera)
-        for _, payload in self.payloads(camera_topic(camera, "mask")):
-            yield self._decode(_picture(decode_mask), payload)
+        return camera_topic(camera, stream)
 
     def has(self, camera: str, stream: str) -> bool:
         """Say whether a camera's stream holds pictures.
@@ -267,10 +241,7 @@ class EpisodeReader:
         return bool(self._chunks.get(self._topics.get(camera_topic(camera, stream), 0)))
 
     def phantom_mesh(self) -> PhantomMesh | None:
-        """Read the phantom's wall, target and entry.
-
-        Returns:
-            The mesh, or None if the log was written without.
+        """Read the phantom's wall, target and entry; None if the log was written without.
 
         Raises:
             EpisodeReadError: the log is damaged.
@@ -320,10 +291,9 @@ class EpisodeReader:
         for key in dict.fromkeys(key for record in records for key in record.extra):
             arrays[f"extra/{key}"] = np.array([record.extra.get(key, np.nan) for record in records])
         for camera in self._cameras if pictures else ():
-            if self.has(camera, "image"):
-                arrays[f"image/{camera}"] = self._stack(f"image of camera {camera}", list(self.images(camera)))
-            if self.has(camera, "mask"):
-                arrays[f"mask/{camera}"] = self._stack(f"mask of camera {camera}", list(self.masks(camera)))
+            for stream, pictures_of in (("image", self.images), ("mask", self.masks)):
+                if self.has(camera, stream):
+                    arrays[f"{stream}/{camera}"] = self._stack(f"{stream} of camera {camera}", [*pictures_of(camera)])
         return arrays
 
     def _stack(self, name: str, values: list[NDArray[Any]]) -> NDArray[Any]:
@@ -350,13 +320,9 @@ class EpisodeReader:
         self.close()
 
 
-def _picture(decode: Callable[[bytes], _Decoded]) -> Callable[[bytes], _Decoded]:
-    """Take the PNG out of a `foxglove.CompressedImage` and decode it."""
+def _image(message: bytes) -> NDArray[np.uint8]:
+    return decode_image(CompressedImage.FromString(message).data)
 
-    def read(message: bytes) -> _Decoded:
-        for number, wire_type, start, end in fields(message):
-            if number == _IMAGE_DATA and wire_type == DELIMITED:
-                return decode(message[start:end])
-        raise ValueError("an image message holds no picture")
 
-    return read
+def _mask(message: bytes) -> NDArray[np.bool_]:
+    return decode_mask(CompressedImage.FromString(message).data)

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from pipeline.episodes.camera import Camera
-from pipeline.episodes.encoding.container import McapFile
+from pipeline.episodes.encoding.container import McapFile, replacing
 from pipeline.episodes.encoding.scan import find_record, messages, open_chunk, parse_record, read_summary, walk
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError
@@ -178,28 +178,17 @@ def recover(
             reason = findings.refusal or f"it holds no intact {EPISODE_METADATA} record"
             raise EpisodeReadError(f"{source} cannot be recovered: {reason}")
         info, cameras = findings.episode
-        temporary = destination.with_name(destination.name + ".recovering")
         try:
-            destination.parent.mkdir(parents=True, exist_ok=True)
-            temporary.unlink(missing_ok=True)
-            out = McapFile(temporary, PROFILE)
-        except OSError as error:
-            raise EpisodeWriteError(f"cannot write {temporary}: {error.strerror}; choose another folder") from error
-        try:
-            steps = _copy(data, findings, out, info, cameras)
-            if not steps:
-                raise EpisodeReadError(f"{source} cannot be recovered: it holds no intact step")
-            outcome = _outcome(findings.outcome, steps)
-            out.add_metadata(OUTCOME_METADATA, seal_outcome(outcome))
-            out.close_with_index()
-            os.replace(temporary, destination)
+            with replacing(destination, PROFILE, ".recovering") as out:
+                steps = _copy(data, findings, out, info, cameras)
+                if not steps:
+                    raise EpisodeReadError(f"{source} cannot be recovered: it holds no intact step")
+                outcome = _outcome(findings.outcome, steps)
+                out.add_metadata(OUTCOME_METADATA, seal_outcome(outcome))
         except OSError as error:
             raise EpisodeWriteError(
                 f"cannot write {destination}: {error.strerror}; {source} is unharmed: free space and try again"
             ) from error
-        finally:
-            out.close()
-            temporary.unlink(missing_ok=True)
     return RecoveryReport(
         source=source,
         destination=destination,

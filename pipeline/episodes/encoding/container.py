@@ -12,7 +12,7 @@ import os
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
@@ -42,8 +42,6 @@ _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _MESSAGE_FIXED = _MESSAGE_HEAD.size - 9  # the record's length does not count opcode and length
 _CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
 _INDEX_HEAD = struct.Struct("<BQHI")
-_CHUNK_INDEX_HEAD = struct.Struct("<BQQQQQI")
-_CHUNK_INDEX_TAIL = struct.Struct("<QI4sQQ")
 _LIBRARY = f"endonav episodes, mcap {version('mcap')}"
 
 
@@ -52,25 +50,6 @@ def record_bytes(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
-
-
-def _chunk_index_bytes(index: ChunkIndex) -> bytes:
-    """Serialise a chunk's index in one go: a long episode has hundreds."""
-    offsets = b"".join(struct.pack("<HQ", *item) for item in index.message_index_offsets.items())
-    length = _CHUNK_INDEX_HEAD.size - 9 + len(offsets) + _CHUNK_INDEX_TAIL.size
-    head = _CHUNK_INDEX_HEAD.pack(
-        Opcode.CHUNK_INDEX,
-        length,
-        index.message_start_time,
-        index.message_end_time,
-        index.chunk_start_offset,
-        index.chunk_length,
-        len(offsets),
-    )
-    tail = _CHUNK_INDEX_TAIL.pack(
-        index.message_index_length, 4, b"zstd", index.compressed_size, index.uncompressed_size
-    )
-    return head + offsets + tail
 
 
 class McapFile:
@@ -239,10 +218,7 @@ class McapFile:
         )
         summary, offsets = b"", b""
         for opcode, records in groups:
-            group = b"".join(
-                _chunk_index_bytes(record) if isinstance(record, ChunkIndex) else record_bytes(record)
-                for record in records
-            )
+            group = b"".join(map(record_bytes, records))
             if group:
                 offset = SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
                 offsets += record_bytes(offset)
@@ -275,3 +251,26 @@ class McapFile:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+
+@contextlib.contextmanager
+def replacing(destination: Path, profile: str, suffix: str) -> Iterator[McapFile]:
+    """Lend a file beside the destination, which takes its place in one instant when the body has written it.
+
+    Args:
+        suffix: of the file until then.
+
+    Raises:
+        OSError: it could not be written; the destination is as it was.
+    """
+    temporary = destination.with_name(destination.name + suffix)
+    destination.parent.mkdir(parents=True, exist_ok=True)
+    temporary.unlink(missing_ok=True)
+    out = McapFile(temporary, profile)
+    try:
+        yield out
+        out.close_with_index()
+        os.replace(temporary, destination)
+    finally:
+        out.close()
+        temporary.unlink(missing_ok=True)

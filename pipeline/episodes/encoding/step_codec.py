@@ -1,17 +1,18 @@
-"""The codec of `endonav.Step`: numpy arrays straight to protobuf bytes and back."""
+"""The codec of `endonav.Step`: numpy arrays straight to protobuf bytes, and back by the protobuf library."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from google.protobuf.message import DecodeError
+from google.protobuf.unknown_fields import UnknownFieldSet
 from numpy.typing import NDArray
 
-from pipeline.episodes.encoding.protobuf_wire import DELIMITED, FIXED64, VARINT, delimited, fields, tag, varint
-from pipeline.episodes.encoding.schema import EXTRA_FIELD_NUMBER, STEP_FIELDS, StepField
+from pipeline.episodes.encoding.protobuf_wire import DELIMITED, FIXED64, VARINT, delimited, tag, varint
+from pipeline.episodes.encoding.schema import EXTRA_FIELD_NUMBER, STEP_FIELDS, Step
 from pipeline.episodes.records import StepRecord
 
 _DOUBLE = struct.Struct("<d")
@@ -81,19 +82,7 @@ def encode_step(record: StepRecord) -> bytes:
     return b"".join(parts)
 
 
-_BY_NUMBER: dict[int, tuple[str, StepField]] = {field.number: (name, field) for name, field in STEP_FIELDS.items()}
-_WHOLE = ("step", "terminated", "truncated")
-_NO_DOUBLES = np.zeros(0)
-
-
-def _decode_extra(data: bytes) -> tuple[str, float]:
-    key, value = "", 0.0
-    for number, wire_type, start, end in fields(data):
-        if number == 1 and wire_type == DELIMITED:
-            key = data[start:end].decode()
-        elif number == 2 and wire_type == FIXED64:
-            value = _DOUBLE.unpack_from(data, start)[0]
-    return key, value
+_NAMES = {field.number: name for name, field in STEP_FIELDS.items()}
 
 
 def decode_step(data: bytes) -> StepRecord:
@@ -108,58 +97,29 @@ def decode_step(data: bytes) -> StepRecord:
     Raises:
         ValueError: the bytes are no such message, or an array's length does not fit its shape.
     """
-    values, _ = _decode_fields(data)
-    return StepRecord(**values)
+    return decode_with_norm(data)[0]
 
 
-def decode_resultant_force_norm(data: bytes) -> float:
-    """Read the norm as it stands in a message, to compare it with the vector.
-
-    Returns:
-        The norm in newtons.
-
-    Raises:
-        ValueError: the bytes are no such message.
-    """
-    return _decode_fields(data)[1]
-
-
-def _decode_fields(data: bytes) -> tuple[Mapping[str, Any], float]:
-    scalars: dict[str, float] = {}
-    arrays: dict[str, NDArray[np.float64]] = {}
-    extra: dict[str, float] = {}
-    for number, wire_type, start, end in fields(data):
-        if number == EXTRA_FIELD_NUMBER and wire_type == DELIMITED:
-            key, value = _decode_extra(data[start:end])
-            extra[key] = value
-            continue
-        name, field = _BY_NUMBER.get(number, ("", StepField(0, 0)))
-        if not name:
-            continue
-        if wire_type == VARINT and name in _WHOLE:
-            scalars[name] = start
-        elif wire_type == FIXED64 and not field.shape and name not in _WHOLE:
-            scalars[name] = _DOUBLE.unpack_from(data, start)[0]
-        elif field.shape and wire_type in (DELIMITED, FIXED64):
-            # An unpacked repeated field, or one in pieces, is legal too: its parts are joined.
-            if (end - start) % 8:
-                raise ValueError(f"{name} is no list of doubles: it has {end - start} bytes")
-            part = np.frombuffer(data, _LITTLE_ENDIAN, (end - start) // 8, start).astype(np.float64)
-            arrays[name] = np.concatenate((arrays[name], part)) if name in arrays else part
-        else:
-            raise ValueError(f"{name} has wire type {wire_type}, which its type forbids")
+def decode_with_norm(data: bytes) -> tuple[StepRecord, float]:
+    """Read a message, and the force's norm in newtons as it stands there, to compare it with the vector."""
+    try:
+        message = Step.FromString(data)
+    except DecodeError as error:
+        raise ValueError(f"the bytes are no message of a step: {error}") from error
+    unknown_fields: Any = UnknownFieldSet(message)
+    for unknown in unknown_fields:
+        if unknown.field_number in _NAMES:
+            name = _NAMES[unknown.field_number]
+            raise ValueError(f"{name} has wire type {unknown.wire_type}, which its type forbids")
     values: dict[str, Any] = {}
     for name, field in STEP_FIELDS.items():
+        value = getattr(message, name)
         if field.shape:
-            array = arrays.get(name, _NO_DOUBLES)
+            value = np.array(value, dtype=np.float64)
             width = field.shape[-1]
-            if width > 0 and array.size % width:
-                raise ValueError(f"{name} must hold a multiple of {width} numbers, got {array.size}")
-            values[name] = array.reshape(field.shape) if len(field.shape) > 1 else array
-        else:
-            values[name] = scalars.get(name, 0.0)
+            if width > 0 and value.size % width:
+                raise ValueError(f"{name} must hold a multiple of {width} numbers, got {value.size}")
+            value = value.reshape(field.shape) if len(field.shape) > 1 else value
+        values[name] = value
     norm = values.pop("resultant_force_norm")
-    values["step"] = int(values["step"])
-    values["terminated"] = bool(values["terminated"])
-    values["truncated"] = bool(values["truncated"])
-    return {**values, "extra": extra}, norm
+    return StepRecord(**values, extra=dict(message.extra)), norm
