@@ -66,12 +66,7 @@ def replay(
     if outcome.missing_steps:
         raise ReplayError(f"{log} lacks step {outcome.missing_steps[0]} and cannot be repeated: leave it out")
     env = environment or replay_environment(
-        log,
-        observation,
-        image_size=image_size,
-        reward=reward,
-        force_penalty=force_penalty,
-        path_penalty=path_penalty,
+        log, observation, image_size=image_size, reward=reward, force_penalty=force_penalty, path_penalty=path_penalty
     )
     _require_same(log, info, env)
     actions = arrays["action"][1:].astype(np.float32)
