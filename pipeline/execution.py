@@ -38,9 +38,6 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     Args:
         overrides: that it was composed with, of the command line or of the sweep's job.
         in_sweep: whether it is a job of a sweep, which gets a folder named after its overrides.
-
-    Raises:
-        PipelineError: when a setting, an input or the folder stands in the way; the message is one sentence.
     """
     stage = load_stage(config.stage.name)
     stage.check(config.stage)

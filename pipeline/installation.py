@@ -89,9 +89,6 @@ def main(arguments: list[str]) -> int:
 
     Args:
         arguments: ``before`` or ``after``; ``--gpu`` accepts CUDA.
-
-    Returns:
-        0 when all is well, 1 otherwise.
     """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(

@@ -93,9 +93,6 @@ def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | 
 
     Returns:
         Its values, or None when the log has none of that key.
-
-    Raises:
-        EpisodeReadError: there is no such log, or it is damaged.
     """
     name = annotation_name(key)
     try:

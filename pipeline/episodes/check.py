@@ -35,11 +35,7 @@ class CheckReport:
 
 
 def check(path: Path) -> CheckReport:
-    """Check a log from its first byte to its last.
-
-    Returns:
-        What was found; it never raises for damage.
-    """
+    """Check a log from its first byte to its last; damage is reported, never raised."""
     report = CheckReport(path)
     try:
         _check_data_section(path)

@@ -40,6 +40,8 @@ _RAGGED = {"wire_points": "wire", "contact_positions": "contact", "contact_force
 class EpisodeReader:
     """Reads one finished episode; memory is bounded by a chunk, never by the file.
 
+    What reads raises an `EpisodeReadError` where the log is damaged or holds no such step, topic or camera.
+
     with EpisodeReader("episode.mcap") as log:
         for record in log:
             ...
@@ -125,9 +127,6 @@ class EpisodeReader:
 
         Yields:
             Log time in nanoseconds, and the serialised message.
-
-        Raises:
-            EpisodeReadError: the log holds nothing on the topic, or is damaged.
         """
         channel_id = self._channel(topic)
         for index in self._chunks[channel_id]:
@@ -169,20 +168,12 @@ class EpisodeReader:
         return self.last_step + 1 - sum(step <= self.last_step for step in self.outcome.missing_steps)
 
     def __iter__(self) -> Iterator[StepRecord]:
-        """Stream the records in order.
-
-        Raises:
-            EpisodeReadError: the log is damaged.
-        """
+        """Stream the records in order."""
         for _, payload in self.payloads(STEP_TOPIC):
             yield self._decode(decode_step, payload)
 
     def step(self, step: int) -> StepRecord:
-        """Read one step at random.
-
-        Raises:
-            EpisodeReadError: there is no such step, or its chunk is damaged.
-        """
+        """Read one step at random."""
         return self._decode(decode_step, self._payload(STEP_TOPIC, step))
 
     # -- cameras and scene --------------------------------------------------------------------------------------------
@@ -193,30 +184,18 @@ class EpisodeReader:
         return tuple(self._cameras)
 
     def camera(self, name: str) -> Camera:
-        """Give a camera's calibration, every bit as written.
-
-        Raises:
-            EpisodeReadError: there is no such camera.
-        """
+        """Give a camera's calibration, every bit as written."""
         if name not in self._cameras:
             known = ", ".join(self._cameras) or "none"
             raise EpisodeReadError(f"{self.path} has no camera {name!r}; its cameras are: {known}")
         return self._cameras[name]
 
     def image(self, camera: str, step: int) -> NDArray[np.uint8]:
-        """Read one image at random, (H, W) uint8.
-
-        Raises:
-            EpisodeReadError: there is no such image, or its chunk is damaged.
-        """
+        """Read one image at random, (H, W) uint8."""
         return self._decode(_image, self._payload(self._stream(camera, "image"), step))
 
     def mask(self, camera: str, step: int) -> NDArray[np.bool_]:
-        """Read one mask at random, (H, W) bool.
-
-        Raises:
-            EpisodeReadError: there is no such mask, or its chunk is damaged.
-        """
+        """Read one mask at random, (H, W) bool."""
         return self._decode(_mask, self._payload(self._stream(camera, "mask"), step))
 
     def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
@@ -241,11 +220,7 @@ class EpisodeReader:
         return bool(self._chunks.get(self._topics.get(camera_topic(camera, stream), 0)))
 
     def phantom_mesh(self) -> PhantomMesh | None:
-        """Read the phantom's wall, target and entry; None if the log was written without.
-
-        Raises:
-            EpisodeReadError: the log is damaged.
-        """
+        """Read the phantom's wall, target and entry; None if the log was written without."""
         if not self._chunks.get(self._topics.get(PHANTOM_TOPIC, 0)):
             return None
         _, payload = next(self.payloads(PHANTOM_TOPIC))
@@ -264,9 +239,6 @@ class EpisodeReader:
             `contact_positions` and `contact_forces` are padded with NaN to the largest count, the counts being
             `wire_count` and `contact_count` (T,); extra scalars as `extra/<key>` (NaN where absent); pictures as
             `image/<camera>` (T, H, W) uint8 and `mask/<camera>` (T, H, W) bool.
-
-        Raises:
-            EpisodeReadError: the log is damaged, or holds no step.
         """
         records = list(self)
         if not records:

@@ -127,9 +127,6 @@ def as_json(value: Any) -> str:
 
     Args:
         value: numbers, strings, sequences and mappings; numpy values become lists, non-finite numbers null.
-
-    Returns:
-        The JSON text, keys sorted.
     """
     plain = json.loads(json.dumps(value, default=_plain))
     return json.dumps(_finite(plain), sort_keys=True, allow_nan=False)

@@ -1,4 +1,8 @@
-"""Episodes in Rerun: a log's scene, pictures and curves as a recording, saved to a file or shown in the viewer."""
+"""Episodes in Rerun: a log's scene, pictures and curves as a recording, saved to a file or shown in the viewer.
+
+Every function raises a `ViewerError` where Rerun is not installed; what reads a log, an `EpisodeReadError` where that is
+damaged.
+"""
 
 from __future__ import annotations
 
@@ -68,10 +72,6 @@ def log_episode(log: EpisodeReader, recording: RecordingStream) -> None:
     | episode                     | what the log says of itself                                             |
 
     Timelines are `step` and `time`, the seconds since the reset. Lengths are metres in the world frame of the log.
-
-    Raises:
-        EpisodeReadError: the log is damaged.
-        ViewerError: Rerun is not installed.
     """
     rr = rerun_module()
     _log_static(rr, log, recording)
@@ -176,11 +176,7 @@ def _set_step(log: EpisodeReader, recording: RecordingStream, step: int) -> None
 
 
 def layout(cameras: tuple[str, ...]) -> Any:
-    """The arrangement of views: the scene, the cameras' pictures, and the curves.
-
-    Raises:
-        ViewerError: Rerun is not installed.
-    """
+    """The arrangement of views: the scene, the cameras' pictures, and the curves."""
     rerun_module()
     import rerun.blueprint as rrb
 
@@ -201,7 +197,6 @@ def save_recording(path: Path, destination: Path) -> Path:
         destination: the .rrd file; one that is there is replaced.
 
     Raises:
-        EpisodeReadError: the log is damaged.
         ViewerError: Rerun is not installed, or the destination cannot be written.
     """
     rr = rerun_module()
@@ -235,7 +230,6 @@ def show_episode(path: Path) -> None:
     """Opens an episode in the Rerun viewer and waits until it is closed.
 
     Raises:
-        EpisodeReadError: the log is damaged.
         ViewerError: Rerun is not installed, or its viewer cannot open a window.
     """
     rerun_module()

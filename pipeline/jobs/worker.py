@@ -79,9 +79,6 @@ class Report:
         Args:
             start: what of the job is done before the part, 0 to 1.
             end: what is done after it.
-
-        Returns:
-            Takes the fraction of the part, and words.
         """
 
         def report(fraction: float, text: str = "") -> None:

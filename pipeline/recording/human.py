@@ -31,7 +31,8 @@ def recordings(runs_dir: Path, run: str) -> Path:
 class McapRecorder:
     """Writes each episode step by step, `<folder>/<phantom>/<target>/<NNN>.mcap`; a kill loses less than a second.
 
-    An episode that is broken off is kept with the status "interrupted" and an unknown success.
+    An episode that is broken off is kept with the status "interrupted" and an unknown success. Every method raises an
+    `EpisodeWriteError` where the log cannot be written.
     """
 
     default_folder = recordings(Path("runs"), "desk")
@@ -77,9 +78,6 @@ class McapRecorder:
 
         Args:
             action: shape (2,).
-
-        Raises:
-            EpisodeWriteError: the log cannot be written.
         """
         if self._begin is None:
             raise RuntimeError("no episode was started: call start() before step()")
@@ -101,9 +99,6 @@ class McapRecorder:
 
         Returns:
             The log, or None when there was no step.
-
-        Raises:
-            EpisodeWriteError: the log cannot be written.
         """
         log, self._log, self._begin = self._log, None, None
         if log is None:
@@ -117,9 +112,6 @@ class McapRecorder:
 
         Args:
             answers: as `cathsim.console.check_answers` gives them.
-
-        Returns:
-            The JSON file.
         """
         beside = write_answers(episode, answers)
         annotate(episode, QUESTIONNAIRE, answers)

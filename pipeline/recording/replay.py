@@ -56,7 +56,6 @@ def replay(
 
     Raises:
         ReplayError: the tip goes another way: the log is of another version, anatomy or set of settings.
-        EpisodeReadError: the log cannot be read.
     """
     from enn.trajectory import Trajectory
 

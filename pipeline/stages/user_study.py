@@ -110,11 +110,7 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
 
 
 def tables(study: Study) -> dict[str, Any]:
-    """The measured cells; none for what nobody did.
-
-    Returns:
-        Table to row to column to cell.
-    """
+    """The measured cells; none for what nobody did."""
     from pipeline.report.episode_tables import episode_tables
 
     measured: dict[str, Any] = episode_tables(study.counted, own="human", operator=ROW)

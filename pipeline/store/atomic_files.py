@@ -75,9 +75,6 @@ def remove_unfinished(folder: Path) -> int:
 
     Args:
         folder: searched with everything below it; call it only while holding the folder's lock.
-
-    Returns:
-        How many temporary files were removed.
     """
     leftovers = list(folder.rglob(f"{TEMPORARY_PREFIX}*"))
     for leftover in leftovers:

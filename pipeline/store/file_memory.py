@@ -47,9 +47,6 @@ class FileMemory:
 
         Returns:
             None: nothing is remembered, or the file has changed since.
-
-        Raises:
-            OSError: the file cannot be looked at.
         """
         entry = self._known.get(self._name(file))
         return entry[1] if entry is not None and entry[0] == _stamp(file.stat()) else None

@@ -23,9 +23,6 @@ def references(text: str, module: str, *, is_package: bool) -> dict[str, Any]:
         - ``strings``: constants that could be a module's dotted name, as ``importlib.import_module`` takes them.
         - ``lazy``: name to module of what a module-level ``__getattr__`` imports at first use.
         - ``files``: constants that could name a file, where the module looks beside its own (``__file__``).
-
-    Raises:
-        SyntaxError: the source is no Python.
     """
     tree = ast.parse(text)
     package = module if is_package else module.rpartition(".")[0]

@@ -187,11 +187,7 @@ class McapFile:
         self._start_chunk()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record now, after what is in memory.
-
-        Raises:
-            OSError: it could not be written; may be tried again.
-        """
+        """Write a metadata record now, after what is in memory."""
         self.flush()
         record = record_bytes(Metadata(name=name, metadata=dict(values)))
         self._metadata_indexes.append(MetadataIndex(offset=self._append(record), length=len(record), name=name))

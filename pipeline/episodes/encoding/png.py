@@ -1,4 +1,7 @@
-"""PNG pictures of grey images and masks, written uncompressed, since the log's chunks are compressed."""
+"""PNG pictures of grey images and masks, written uncompressed, since the log's chunks are compressed.
+
+Every function raises a ValueError for an array of another kind, or for what is no PNG that can be read.
+"""
 
 from __future__ import annotations
 
@@ -61,9 +64,6 @@ def encode_image(image: NDArray[np.uint8]) -> bytes:
 
     Args:
         image: (H, W) uint8.
-
-    Raises:
-        ValueError: not a two-dimensional uint8 array.
     """
     if image.ndim != 2 or image.dtype != np.uint8 or 0 in image.shape:
         raise ValueError(f"an image must be (H, W) uint8, got {image.shape} {image.dtype}")
@@ -75,9 +75,6 @@ def encode_mask(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> bytes:
 
     Args:
         mask: (H, W) bool, or uint8 where anything but 0 is set.
-
-    Raises:
-        ValueError: not a two-dimensional bool or uint8 array.
     """
     if mask.ndim != 2 or mask.dtype not in (np.uint8, np.bool_) or 0 in mask.shape:
         raise ValueError(f"a mask must be (H, W) bool or uint8, got {mask.shape} {mask.dtype}")
@@ -85,26 +82,12 @@ def encode_mask(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> bytes:
 
 
 def decode_image(data: bytes) -> NDArray[np.uint8]:
-    """Read a grey PNG.
-
-    Returns:
-        (H, W) uint8.
-
-    Raises:
-        ValueError: not a PNG that can be read.
-    """
+    """Read a grey PNG, (H, W) uint8."""
     return np.array(_open(data).convert("L"), dtype=np.uint8)
 
 
 def decode_mask(data: bytes) -> NDArray[np.bool_]:
-    """Read a mask.
-
-    Returns:
-        (H, W) bool.
-
-    Raises:
-        ValueError: not a PNG that can be read.
-    """
+    """Read a mask, (H, W) bool."""
     return np.array(_open(data).convert("L"), dtype=np.uint8) > 0
 
 

@@ -1,4 +1,7 @@
-"""The MCAP container, read with every checksum verified: summary, chunks, messages, and a walk that survives damage."""
+"""The MCAP container, read with every checksum verified: summary, chunks, messages, and a walk that survives damage.
+
+Every function raises a `ContainerError` where what it reads is damaged, cut off or not there.
+"""
 
 from __future__ import annotations
 
@@ -55,9 +58,6 @@ def parse_record(kind: Any, content: bytes) -> Any:
 
     Args:
         content: the record's bytes after opcode and length.
-
-    Raises:
-        ContainerError: the content is no such record.
     """
     try:
         return kind.read(ReadDataStream(BytesIO(content)))
@@ -70,9 +70,6 @@ def check_magic(fd: int) -> int:
 
     Returns:
         The file's size in bytes.
-
-    Raises:
-        ContainerError: it is empty or begins differently.
     """
     size = os.fstat(fd).st_size
     if size == 0:
@@ -87,9 +84,6 @@ def read_summary(fd: int) -> Summary:
 
     Returns:
         The index, its checksum verified.
-
-    Raises:
-        ContainerError: there is no index, or it is damaged.
     """
     size = check_magic(fd)
     tail = _FOOTER.size + len(MCAP0_MAGIC)
@@ -125,11 +119,7 @@ def _read(fd: int, length: int, offset: int) -> bytes:
 
 
 def read_metadata(fd: int, index: MetadataIndex) -> Metadata:
-    """Read the metadata record that an index names.
-
-    Raises:
-        ContainerError: it is damaged.
-    """
+    """Read the metadata record that an index names."""
     data = _read(fd, index.length, index.offset)
     if data[:1] != bytes((Opcode.METADATA,)):
         raise ContainerError(f"the metadata record {index.name} is not where the index says")
@@ -142,9 +132,6 @@ def read_chunk(fd: int, index: ChunkIndex) -> bytes:
 
     Returns:
         The chunk's records, checksum verified.
-
-    Raises:
-        ContainerError: it is damaged.
     """
     data = _read(fd, index.chunk_length, index.chunk_start_offset)
     if data[:1] != bytes((Opcode.CHUNK,)):
@@ -160,9 +147,6 @@ def open_chunk(content: bytes, offset: int) -> bytes:
 
     Returns:
         The chunk's records.
-
-    Raises:
-        ContainerError: it is damaged.
     """
     where = f"the chunk at byte {offset}"
     try:
@@ -192,9 +176,6 @@ def messages(chunk: bytes) -> Iterator[MessageSpan]:
 
     Yields:
         Channel, time, and where the payload lies in `chunk`.
-
-    Raises:
-        ContainerError: the records do not fill the chunk.
     """
     position, size, count = 0, len(chunk), 0
     unpack, head = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size
@@ -219,9 +200,6 @@ def walk(data: Any, start: int = 0) -> Iterator[tuple[int, int, int]]:
 
     Yields:
         Opcode, and where the record's content begins and ends.
-
-    Raises:
-        ContainerError: a record reaches beyond the end.
     """
     position, size = start, len(data)
     while position < size:

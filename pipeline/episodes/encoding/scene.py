@@ -110,9 +110,6 @@ class PhantomMesh:
 def decode_phantom(data: bytes) -> PhantomMesh:
     """Read what `PhantomMesh.scene` gave.
 
-    Returns:
-        The mesh, every bit as written.
-
     Raises:
         ValueError: an entity is missing.
     """

@@ -130,11 +130,7 @@ def camera_topic(name: str, stream: str) -> str:
 
 
 def topic_messages(cameras: tuple[str, ...]) -> dict[str, Any]:
-    """List the topics of a log with their protobuf classes, in the order of their channel ids (1, 2, ...).
-
-    Returns:
-        Topic -> message class.
-    """
+    """List the topics of a log with their protobuf classes, in the order of their channel ids (1, 2, ...)."""
     topics: dict[str, Any] = {
         STEP_TOPIC: Step,
         WIRE_TOPIC: SceneUpdate,
