@@ -1,7 +1,7 @@
 """Episodes in Rerun: a log's scene, pictures and curves as a recording, saved to a file or shown in the viewer.
 
-Every function raises a `ViewerError` where Rerun is not installed; what reads a log, an `EpisodeReadError` where that is
-damaged.
+Every function raises a `ViewerError` where Rerun is not installed; what reads a log, an `EpisodeReadError` where that
+is damaged.
 """
 
 from __future__ import annotations

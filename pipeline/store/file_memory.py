@@ -7,7 +7,7 @@ import json
 import os
 import stat
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -73,18 +73,25 @@ class FileMemory:
         known = self.recall(file)
         return str(known if known is not None else self.compute(file, hash_file))
 
-    def holds(self, file: Path, sha256: str, size: int) -> bool:
-        """Tells whether a file is there with a content.
+    def entry(self, file: Path) -> dict[str, Any]:
+        """What a manifest keeps of a file: SHA-256 in hex, and size in bytes."""
+        return {"sha256": self.digest(file), "bytes": file.stat().st_size}
+
+    def first_changed(self, folder: Path, files: Mapping[str, Mapping[str, Any]]) -> str | None:
+        """The first of some files that is missing or is not as its entry says; None when all are right.
 
         Args:
-            sha256: of the content, hex.
-            size: of the content, bytes.
+            folder: that the files' names are relative to.
+            files: name to entry.
         """
+        changed = (n for n, entry in files.items() if not self.holds(folder / n, entry["sha256"], entry["bytes"]))
+        return next(changed, None)
+
+    def holds(self, file: Path, sha256: str, size: int) -> bool:
+        """Tells whether a file is there with a content of this digest, in hex, and size in bytes."""
         try:
             status = file.stat()
-            if status.st_size != size or not stat.S_ISREG(status.st_mode):
-                return False
-            return self.digest(file) == sha256
+            return status.st_size == size and stat.S_ISREG(status.st_mode) and self.digest(file) == sha256
         except (FileNotFoundError, NotADirectoryError):
             return False
 

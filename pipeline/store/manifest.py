@@ -53,6 +53,10 @@ def _relative(name: str) -> str:
     return name
 
 
+# Path below the stage's folder to what is known of the file: {"sha256": hex, "bytes": int}.
+Files = dict[Annotated[str, AfterValidator(_relative)], Annotated[dict[str, Any], AfterValidator(_entry)]]
+
+
 @dataclass(frozen=True)
 class Manifest:
     """The record of a finished stage."""
@@ -63,7 +67,7 @@ class Manifest:
     seed: int
     config: dict[str, Any]
     identity: Identity
-    outputs: dict[Annotated[str, AfterValidator(_relative)], Annotated[dict[str, Any], AfterValidator(_entry)]]
+    outputs: Files
     wall_time_s: float
     finished: str  # ISO 8601, UTC
     overrides: list[str] = field(default_factory=list)  # that it was run with, e.g. ["seed=1", "stage.episodes=5"]
@@ -84,10 +88,8 @@ class Manifest:
         Returns:
             Its path and what is wrong, e.g. ``runs/desk/expert/results.json is missing``; None when all are right.
         """
-        for name, entry in self.outputs.items():
-            if not memory.holds(folder / name, entry["sha256"], entry["bytes"]):
-                return f"{folder / name} {'was changed' if (folder / name).exists() else 'is missing'}"
-        return None
+        name = memory.first_changed(folder, self.outputs)
+        return name and f"{folder / name} {'was changed' if (folder / name).exists() else 'is missing'}"
 
     def foreign_file(self, folder: Path) -> Path | None:
         """Finds a file that the stage did not write but that readers of its folder would take for its own.

@@ -4,7 +4,7 @@
 In it:
 
 - ``manifest.json``, written last: a folder without it is unfinished, whatever else lies there.
-- ``.progress/``: marks of finished items, so that an interrupted stage goes on where it stopped; see `item_marks`.
+- ``.progress/``: finished items, so that an interrupted stage goes on where it stopped; see `finished_items`.
 - ``.lock``: held while a process works here. The kernel frees it when the process dies, so it never goes stale.
 - other names that begin with a dot: what the stage's parts hand to each other. All of it is gone at the end.
 
@@ -28,9 +28,8 @@ from typing import Any, TypeVar
 from pipeline.jobs.costs import kept_costs
 from pipeline.store.atomic_files import remove_unfinished, write_json
 from pipeline.store.errors import FolderBusyError, StageError
-from pipeline.store.file_memory import digests_of
+from pipeline.store.finished_items import FinishedItems
 from pipeline.store.interruption import stop_if_asked
-from pipeline.store.item_marks import Marks
 from pipeline.store.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
 from pipeline.store.progress import progress
 
@@ -41,17 +40,12 @@ _LOCK = ".lock"
 _LOGGER = logging.getLogger(__name__)
 
 
-class RunFolder:
-    """The folder one stage writes to, while it is being worked on."""
+class RunFolder(FinishedItems):
+    """The folder one stage writes to, while it is being worked on; it is made when missing."""
 
     def __init__(self, path: Path, identity: Identity) -> None:
-        """Args:
-        path: the folder; it is made when missing.
-        """
-        self.path = path
+        super().__init__(path)
         self.identity = identity
-        self._memory = digests_of(path)
-        self._marks = Marks(path, self._memory)
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -107,27 +101,19 @@ class RunFolder:
             How many finished items are kept.
         """
         manifest = self.path / MANIFEST
-        if not force and not manifest.exists() and self._marks.belong_to(self.identity.fingerprint):
+        if not force and not manifest.exists() and self._belong_to(self.identity.fingerprint):
             remove_unfinished(self.path)
-            kept = self._marks.verify()
+            kept = self._verify()
             self._memory.save()
             return kept
-        # In this order a kill at any point leaves a folder that the next run clears: no mark, no manifest to trust.
-        self._marks.revoke()
+        # In this order a kill at any point leaves a folder that the next run clears: no item, no manifest to trust.
+        self._revoke()
         manifest.unlink(missing_ok=True)
         for entry in self.path.iterdir():
             if entry.name != _LOCK:
                 shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
-        self._marks.begin(self.identity.fingerprint)
+        write_json(self._identity_path, self.identity.fingerprint)
         return 0
-
-    def result_of(self, key: str) -> Any | None:
-        """What a finished item left for the stage's summary.
-
-        Returns:
-            The value given to ``mark_done`` ({} when none was), or None while the item is not done.
-        """
-        return self._marks.result(key)
 
     def pending(self, items: Sequence[Item], *, key: Callable[[Item], str] = str) -> list[Item]:
         """Lists the items that are not done yet, for stages that hand them to worker processes themselves.
@@ -139,26 +125,6 @@ class RunFolder:
         if len(set(keys)) != len(keys):
             raise ValueError(f"items must have different keys, got {keys}")
         return [item for item, name in zip(items, keys, strict=True) if self.result_of(name) is None]
-
-    def noted(self, key: str) -> contextlib.AbstractContextManager[None]:
-        """Notes the files that this process writes while the body runs as an item's."""
-        return self._marks.noted(key)
-
-    def journal(self, key: str) -> Path:
-        """Where another process that works on an item notes its files: see `pipeline.store.written_files.noted`."""
-        return self._marks.journal(key)
-
-    def mark_done(self, key: str, result: Any = None) -> None:
-        """Records that an item is finished, with the files noted for it; call it after they are written.
-
-        Args:
-            result: JSON value that the stage wants back in its summary, also after an interruption.
-        """
-        self._marks.mark(key, {} if result is None else result)
-
-    def forget(self, key: str) -> None:
-        """Has an item done again from nothing."""
-        self._marks.forget(key)
 
     def resumable(
         self, items: Sequence[Item], *, key: Callable[[Item], str] = str, label: str = "items"
@@ -189,8 +155,8 @@ class RunFolder:
         remove_unfinished(self.path)
         manifest = Manifest(
             stage=stage, run=run, budget=budget, seed=seed, config=config, identity=self.identity,
-            overrides=list(overrides), variant=list(variant), outputs=self._outputs(),
-            jobs=kept_costs(self.path),
+            overrides=list(overrides), variant=list(variant), jobs=kept_costs(self.path),
+            outputs={n: self._memory.entry(self.path / n) for n in files_below(self.path) if n != MANIFEST},
             wall_time_s=round(time.monotonic() - started, 3), finished=datetime.now(UTC).isoformat(timespec="seconds"),
         )  # fmt: skip
         write_json(self.path / MANIFEST, asdict(manifest))
@@ -199,10 +165,3 @@ class RunFolder:
             if entry.name.startswith(".") and entry.name != _LOCK and entry.is_dir():
                 shutil.rmtree(entry, ignore_errors=True)
         return manifest
-
-    def _outputs(self) -> dict[str, dict[str, Any]]:
-        return {
-            name: {"sha256": self._memory.digest(self.path / name), "bytes": (self.path / name).stat().st_size}
-            for name in files_below(self.path)
-            if name != MANIFEST
-        }
