@@ -15,6 +15,7 @@ import yaml
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 DOCS = PROJECT_ROOT / "docs"
 ARCHITECTURE = DOCS / "architecture.md"
+TABLES = DOCS / "pipeline" / "tables.md"
 PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
 READMES = [PROJECT_ROOT / "packages" / package / "README.md" for package in PACKAGES]
 PAGES = sorted(DOCS.rglob("*.md"))
@@ -229,6 +230,32 @@ def test_tables_of_stages_are_complete() -> None:
         listed = [cell.strip("`") for cell in table_column(read(document), "stage")]
         assert set(listed) == STAGES, relative(document)
         assert len(listed) == len(STAGES)
+
+
+def test_every_table_of_the_report_is_listed_with_its_stage_and_module() -> None:
+    tables = yaml.safe_load(read(PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml"))["tables"]
+    rows = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in read(TABLES).splitlines()]
+    listed = {row[0]: row[1:] for row in rows if row and row[0] in tables}
+    assert listed.keys() == tables.keys()
+    for name, (title, _, stage, module) in listed.items():
+        assert (title, stage) == (tables[name]["title"], tables[name].get("stage", "")), name
+        source = importlib.util.find_spec(module)
+        assert source, module
+        assert f'"{name}"' in read(Path(str(source.origin))), f"{module} makes no table {name}"
+
+
+def test_every_page_of_the_documents_is_listed_in_the_readme() -> None:
+    text = read(PROJECT_ROOT / "README.md")
+    assert not [relative(page) for page in PAGES if page.parent.name != "results" and relative(page) not in text]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent.name == "results"], ids=relative)
+def test_measured_figures_have_a_command(page: Path) -> None:
+    said = re.compile(r"^```|ot recorded|Command:", re.MULTILINE)
+    introduction, *sections = re.split(r"^## ", read(page), flags=re.MULTILINE)
+    if not said.search(introduction):
+        assert sections
+        assert not [section.splitlines()[0] for section in sections if not said.search(section)]
 
 
 def test_readme_lists_every_folder_of_the_repository() -> None:
