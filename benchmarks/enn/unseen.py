@@ -27,6 +27,7 @@ from cathsim.anatomy.library import build_phantom
 from cathsim.many_anatomies import NavigateManyEnv
 from enn.imitation.lumen_segmentation import LumenSegmenter
 from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
+from pipeline.report.learning.tables import tables_from_logs
 from pipeline.stages.unseen.starts import laid_states
 
 FORWARD = np.array([1.0, 0.3])
@@ -87,7 +88,7 @@ def success(run: Path) -> dict[str, dict[str, Any]]:
     file = run / "unseen" / "results.json"
     if not file.is_file():
         return {}
-    tables = json.loads(file.read_text(encoding="utf-8"))
+    tables = {**tables_from_logs(run / "unseen"), **json.loads(file.read_text(encoding="utf-8"))}
     return {name: tables[name] for name in ("generalisation", "generalisation_curve", "registration") if name in tables}
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job
 from pipeline.recording.trials import Origin
-from pipeline.report.learning.tables import tables_from_logs
+from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.expert_episodes import require_demonstrations
@@ -34,12 +34,11 @@ SECONDS_AN_EPISODE = 0.3  # of the path follower's; only for the estimate of the
 
 
 def run_baselines(settings: BaselinesSettings, context: StageContext) -> None:
-    """Trains and evaluates every row of the table and sums them up."""
+    """Trains and evaluates every row of the table."""
     followers = path_followers(settings, context) if settings.path_follower else []
     run_trainings(plan(settings, context), settings, context, beside=followers)
-    tables = tables_from_logs(context.path)
-    tables["task"] = {"episode_limit_rl": {"value": settings.task.max_steps}}
-    write_results(context.path, tables)
+    write_results(context.path, {"task": {"episode_limit_rl": {"value": settings.task.max_steps}}})
+    log_summary(context.path)
 
 
 def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrainingJob]:

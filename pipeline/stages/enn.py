@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pipeline.report.learning.tables import tables_from_logs
+from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
 from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
@@ -37,15 +37,17 @@ def check_enn(settings: EnnSettings) -> None:
 
 
 def run_enn(settings: EnnSettings, context: StageContext) -> None:
-    """Trains and evaluates every policy and sums them up."""
+    """Trains and evaluates every policy."""
     trainings = plan(settings, context)
     outcomes = run_trainings(trainings, settings, context)
-    tables = tables_from_logs(context.path)
-    tables["training_time_h"] = training_times(trainings, outcomes)
-    tables["architecture_params"] = architecture()
-    tables["sac_hyperparameters"] = hyperparameters(settings)
-    tables["task"] = {"training_steps": {"value": settings.decisions}}
+    tables = {
+        "training_time_h": training_times(trainings, outcomes),
+        "architecture_params": architecture(),
+        "sac_hyperparameters": hyperparameters(settings),
+        "task": {"training_steps": {"value": settings.decisions}},
+    }
     write_results(context.path, tables)
+    log_summary(context.path)
 
 
 def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob]:

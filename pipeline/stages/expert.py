@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.report.episode_tables import episode_tables
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import demonstration_seeds, held_out_seeds
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
@@ -80,7 +79,7 @@ def check_expert(settings: ExpertSettings) -> None:
 
 
 def run_expert(settings: ExpertSettings, context: StageContext) -> None:
-    """Records every episode and sums them up."""
+    """Records every episode."""
     seeds = {
         False: demonstration_seeds(context.seed, settings.episodes),
         True: held_out_seeds(context.seed, settings.evaluation_episodes),
@@ -95,8 +94,7 @@ def run_expert(settings: ExpertSettings, context: StageContext) -> None:
     for trial in context.folder.resumable(trials, key=lambda trial: trial.label, label="expert episodes"):
         metrics = record_trial(trial, settings, context.path, seed=seeds[trial.evaluation][trial.episode])
         context.folder.mark_done(trial.label, metrics)
-    results = {trial: context.folder.result_of(trial.label) or {} for trial in trials if trial.evaluation}
-    write_results(context.path, {**tables(results), "task": task_settings(settings, context.seed)})
+    write_results(context.path, {"task": task_settings(settings, context.seed)})
     write_figures(context.path, figures(trials, settings, context.path))
 
 
@@ -128,23 +126,6 @@ def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: 
         if film is not None:
             film.close()
     return asdict(metrics)
-
-
-def tables(results: dict[Trial, dict[str, Any]]) -> dict[str, Any]:
-    """Metrics of every task, and those of Type I beside the thesis's ablation.
-
-    Args:
-        results: trial to its metrics.
-
-    Returns:
-        Table to row to column to cell.
-    """
-    from cathsim.metrics import EpisodeMetrics
-
-    grouped: dict[str, list[EpisodeMetrics]] = {}
-    for trial, metrics in results.items():
-        grouped.setdefault(trial.task, []).append(EpisodeMetrics(**metrics))
-    return episode_tables(grouped, own="expert", operator=OPERATOR)
 
 
 def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:

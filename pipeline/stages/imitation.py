@@ -10,7 +10,7 @@ from pipeline.jobs.gpu_memory import LEARNT_BATCH, policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
 from pipeline.report.aids import imitation_note
-from pipeline.report.learning.tables import tables_from_logs
+from pipeline.report.learning.tables import log_summary
 from pipeline.report.plots.imitation import draw_success
 from pipeline.report.results import Figure, write_figures, write_notes, write_results
 from pipeline.settings.checks import require_modalities
@@ -38,19 +38,21 @@ def check_imitation(settings: ImitationSettings) -> None:
 
 
 def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
-    """Fits and evaluates every student and sums them up."""
+    """Fits and evaluates every student."""
     jobs = plan(settings, context)
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label="students", preload=PRELOAD, device=settings.device
     )
-    tables: dict[str, Any] = tables_from_logs(context.path)
-    tables["bc_architecture"] = architecture()
-    tables["bc_hyperparameters"] = hyperparameters(settings)
-    tables["imitation_episodes"] = by_episodes(jobs, outcomes)
-    tables["dagger_rounds"] = by_round(jobs, outcomes)
+    tables = {
+        "bc_architecture": architecture(),
+        "bc_hyperparameters": hyperparameters(settings),
+        "imitation_episodes": by_episodes(jobs, outcomes),
+        "dagger_rounds": by_round(jobs, outcomes),
+    }
     write_results(context.path, {name: table for name, table in tables.items() if table})
     write_notes(context.path, {"imitation": imitation_note(job.given for job in jobs)})
     write_figures(context.path, figures(jobs, outcomes, context.path))
+    log_summary(context.path)
 
 
 def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:

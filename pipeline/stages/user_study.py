@@ -5,18 +5,16 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pipeline.report.learning.logs import COUNTED
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import validated
 from pipeline.settings.kinds import Count, SuccessRadius
 from pipeline.stages import Stage, StageContext
+from pipeline.store.atomic_files import write_json
 from pipeline.store.provenance import hash_file
 
-if TYPE_CHECKING:
-    from cathsim.metrics import EpisodeMetrics
-
-ROW = "H"  # of the thesis's ablation table
 _MM = 1e3
 
 _LOGGER = logging.getLogger(__name__)
@@ -36,15 +34,15 @@ class Study:
     """What was found in the recordings.
 
     Attributes:
-        counted: task ("type_1/bca") to the metrics of its finished procedures under the study's settings.
-        logs: task to all its finished logs.
+        counted: logs of finished procedures under the study's settings.
+        logs: task ("type_1/bca") to all its finished logs.
         broken_off: procedures that were left before they ended.
         other_settings: finished ones with another limit or radius.
         unreadable: logs that are damaged or not a human's.
         answers: the questionnaires, oldest first.
     """
 
-    counted: dict[str, list[EpisodeMetrics]] = field(default_factory=dict)
+    counted: list[Path] = field(default_factory=list)
     logs: dict[str, list[Path]] = field(default_factory=dict)
     broken_off: int = 0
     other_settings: int = 0
@@ -83,7 +81,8 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
             study.unreadable += 1
             continue
         try:
-            counted = EpisodeMetrics(**outcome.metrics) if outcome.metrics else None
+            if outcome.metrics:
+                EpisodeMetrics(**outcome.metrics)  # a log with other metrics is not one of the console
             for name, value in outcome.metrics.items():
                 if name != "target" and not isinstance(value, int | float):
                     raise ValueError(f"the metric {name} is {value!r}")
@@ -95,14 +94,14 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
             continue
         if checked is not None:
             answers.append((info.start_time_ns, checked))
-        if outcome.status != "finished" or counted is None:
+        if outcome.status != "finished" or not outcome.metrics:
             study.broken_off += 1
             continue
         task = f"{info.phantom}/{info.target}"
         study.logs.setdefault(task, []).append(path)
         limit = info.configuration.get("max_steps")
         if limit == settings.max_steps and abs(radius_mm - settings.success_radius_mm) < 1e-6:
-            study.counted.setdefault(task, []).append(counted)
+            study.counted.append(path)
         else:
             study.other_settings += 1
     study.answers = [answered for _, answered in sorted(answers, key=lambda entry: entry[0])]
@@ -110,10 +109,8 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
 
 
 def tables(study: Study) -> dict[str, Any]:
-    """The measured cells; none for what nobody did."""
-    from pipeline.report.episode_tables import episode_tables
-
-    measured: dict[str, Any] = episode_tables(study.counted, own="human", operator=ROW)
+    """The measured cells that no log of an episode gives; none for what nobody did."""
+    measured: dict[str, Any] = {}
     scores = user_study_table(study.answers)
     if scores:
         measured["user_study"] = scores
@@ -151,6 +148,8 @@ def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
             "no human episodes yet: `python -m pipeline.console --name %s` records them", context.run_path.name
         )
     study = gather(logs, settings)
+    counted = [log.relative_to(context.run_path).as_posix() for log in study.counted]
+    write_json(context.path / COUNTED, counted)
     write_results(context.path, tables(study))
     write_figures(context.path, figures(study, context.path, settings))
 
@@ -183,7 +182,7 @@ def _recordings(run_path: Path) -> dict[str, str]:
 STAGE = Stage(
     settings=UserStudySettings,
     run=run_user_study,
-    writes=("<phantom>/<target>.png", "results.json", "figures.json"),
+    writes=("<phantom>/<target>.png", COUNTED, "results.json", "figures.json"),
     seeded=False,
     further_inputs=_recordings,
     place=3,

@@ -54,7 +54,7 @@ def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     place = context(tmp_path, "imitation")
     imitation.run_imitation(imitation_tests.settings(), place)
     assert set(cloned) == set(refined) == {there}
-    assert "imitation" in json.loads((place.path / "results.json").read_text())
+    assert "bc_architecture" in json.loads((place.path / "results.json").read_text())
 
 
 def test_force(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

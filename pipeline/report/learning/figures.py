@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.report.learning.curves import Curve
-from pipeline.report.learning.logs import MODES, Evaluation
+from pipeline.report.learning.logs import DETERMINISTIC, Evaluation
 from pipeline.report.learning.statistics import counted, of_mode
 from pipeline.report.learning.tables import EXPERT_ROW, named_rows, row_place
 from pipeline.report.results import Cell, Figure, Table
@@ -134,7 +134,7 @@ def _largest_forces(material: Material, folder: Path) -> list[Figure]:
     phantoms: dict[str, dict[tuple[str, str], NDArray[np.float64]]] = {}
     count = 0
     for (stage, phantom, target, row), evaluations in named_rows(material.evaluations).items():
-        chosen = of_mode(evaluations, MODES[0])
+        chosen = of_mode(evaluations, DETERMINISTIC)
         if stage == "baselines" and chosen:
             boxes = phantoms.setdefault(groups.get(phantom, phantom), {})
             boxes[labels.get(row, row), target] = np.array([one.metrics.force_max for one in chosen])
@@ -153,7 +153,7 @@ def _heat(material: Material, folder: Path) -> list[Figure]:
     from pipeline.report.plots.forces import draw_heat
 
     shown = []
-    chosen = of_mode([one for one in material.evaluations if one.stage == "baselines"], MODES[0])
+    chosen = of_mode([one for one in material.evaluations if one.stage == "baselines"], DETERMINISTIC)
     for phantom, target in sorted({(one.phantom, one.target) for one in chosen}):
         vessel = _phantom(phantom)
         if vessel is None:
@@ -176,7 +176,7 @@ def _ways(material: Material, folder: Path) -> list[Figure]:
     from pipeline.report.learning.plots import draw_ways
 
     tasks: dict[tuple[str, str], dict[str, list[Evaluation]]] = {}
-    for one in of_mode(counted(material.evaluations), MODES[0]):
+    for one in of_mode(counted(material.evaluations), DETERMINISTIC):
         if one.stage in _STEERED and (one.stage != "enn" or one.row == EXPERT_ROW):
             tasks.setdefault((one.phantom, one.target), {}).setdefault(_STEERED[one.stage], []).append(one)
     shown = []

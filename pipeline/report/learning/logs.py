@@ -1,10 +1,10 @@
-"""An evaluation: what one log of a learning stage tells, its metrics computed from the arrays.
+"""An evaluation: what one log of a learning stage says, with the metrics of its arrays.
 
 A log counts by its metadata: `stage`, `row`, `mode` ("deterministic" or "stochastic"), `training_seed` and `variant` of
 its configuration, beside task and wire. Two kinds of episodes stand beside them for comparison: the sampling expert's
 (`expert`, row "sampling_expert") and people's (`human`, row "H"). Logs below a learning stage's `expert/` folders, and
-the sampling expert's outside its `evaluation/` folders, are learnt from: they belong to no row, but their ways count
-where the shortest one is asked for.
+the sampling expert's outside its `evaluation/` folders, are demonstrations: they belong to no row, but the shortest
+path of a task may be one of theirs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 LEARNING_STAGES = ("baselines", "enn", "imitation", "unseen")
 COMPARED = {"expert": ("sampling_expert", "sampling_expert"), "human": ("human", "H")}  # folder -> operator, row
-MODES = ("deterministic", "stochastic")
+COUNTED = "counted.json"  # of the stage user_study: people's logs that count, relative to the run
+MODES = DETERMINISTIC, STOCHASTIC = "deterministic", "stochastic"
 DEMONSTRATION = "demonstration"  # mode of what belongs to no row
 # Overrides of a sweep that choose which cells a job fills, and change none of them.
 _CHOOSING = {"seed", "target", "modality", "stage.phantoms", "stage.targets", "stage.modalities", "stage.seeds"}
@@ -43,8 +44,7 @@ class Evaluation:
         mode: "deterministic", "stochastic" or "demonstration".
         training_seed: of the policy.
         seed: of the episode.
-        phantom: its name.
-        target: likewise.
+        phantom, target: their names.
         test_set: which anatomies it stands for; the phantom where the log names none.
         entry: where the wire comes in.
         start_jitter: m, by which starts differ.
@@ -86,7 +86,7 @@ class Evaluation:
 
     @property
     def task(self) -> Task:
-        """What episodes share that have one shortest way: phantom, target, wire, and how they start and end."""
+        """What episodes share that have one shortest path: phantom, target, wire, and how they start and end."""
         start = self.start_jitter, self.start_rotation
         return self.phantom, self.target, self.entry, self.wire, *start, self.success_radius
 
@@ -101,20 +101,13 @@ def stage_of(folder: str) -> str:
 
 
 def evaluation_folders(run_path: Path) -> list[Path]:
-    """The folders of a run that hold episodes of policies, of the sampling expert or of people.
-
-    Args:
-        run_path: the folder of the run.
-
-    Returns:
-        Sorted paths.
-    """
+    """Lists the folders of a run that hold episodes of policies, of the sampling expert or of people, sorted."""
     known = {*LEARNING_STAGES, *COMPARED}
     return sorted(folder for folder in run_path.glob("*") if folder.is_dir() and stage_of(folder.name) in known)
 
 
 def changed_settings(folder: str) -> str:
-    """What a sweep job changed beyond choosing cells.
+    """Names what a sweep job changed beyond choosing cells.
 
     Args:
         folder: name of the stage folder, e.g. `enn@seed=1,stage.decisions=500`.
@@ -137,11 +130,8 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
         path: of the log.
         run_path: folder of the run, an ancestor.
 
-    Returns:
-        What it tells.
-
     Raises:
-        EpisodeReadError: it is damaged.
+        EpisodeReadError: the log is damaged.
         UnusableLogError: it is no finished evaluation, or contradicts itself.
     """
     from cathsim.metrics import EpisodeMetrics
@@ -205,20 +195,13 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
     """Stage, row, variant, mode, training seed and force weight of a log."""
     folder, known = relative.parts[0], info.configuration
     stage = stage_of(folder)
-    origin = {
-        "stage": stage,
-        "row": COMPARED[stage][1] if stage in COMPARED else "",
-        "variant": "",
-        "mode": MODES[0],
-        "training_seed": 0,
-        "force_weight": None,
-    }
     if stage in COMPARED:
-        operator = COMPARED[stage][0]
+        operator, row = COMPARED[stage]
         if info.operator != operator:
             raise UnusableLogError(f"it is an episode of {info.operator!r}, expected {operator!r}")
-        learnt_from = stage == "expert" and "evaluation" not in relative.parts[1:-1]
-        return origin | ({"mode": DEMONSTRATION} if learnt_from else {})
+        is_demonstration = stage == "expert" and "evaluation" not in relative.parts[1:-1]
+        mode = DEMONSTRATION if is_demonstration else DETERMINISTIC
+        return {"stage": stage, "row": row, "variant": "", "mode": mode, "training_seed": 0, "force_weight": None}
     is_demonstration = "expert" in relative.parts[1:-1]
     missing = [key for key in ("row", "mode", "training_seed") if key not in known]
     if missing and not is_demonstration:

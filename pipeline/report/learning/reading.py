@@ -1,4 +1,4 @@
-"""Reading of all evaluations of a run: many logs beside each other, damaged ones left out, known ones remembered."""
+"""Reads all evaluations of a run: many logs in parallel, damaged ones left out, metrics of known ones from a cache."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _LOGGER = logging.getLogger(__name__)
 
 
 @dataclass
-class Reading:
-    """What the logs of a run hold.
+class EvaluationSet:
+    """The evaluations of a run.
 
     Attributes:
-        evaluations: of every log that counts, in the order of their paths.
+        evaluations: one for each log that counts, in the order of their paths.
         left_out: log -> why it does not count.
     """
 
@@ -36,36 +36,36 @@ class Reading:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: int | None = None) -> Reading:
+def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: int | None = None) -> EvaluationSet:
     """Reads every log below stage folders of one run; one that cannot be used is left out with a warning.
 
     Args:
         folders: stage folders, children of the run's folder.
-        cache: file that remembers metrics between calls; a log counts as known while its size and time stay.
-        processes: that read beside each other when there is much to read; by default one a core.
+        cache: file that keeps metrics between calls; a log counts as known while its size and time stay.
+        processes: that read in parallel when there is much to read; by default one a core.
 
     Returns:
-        What they hold. Of logs of the same episode of the same policy the latest counts.
+        The evaluations. Of logs of the same episode of the same policy the latest counts.
     """
     from pipeline.episodes import EpisodeReadError
 
     runs = {path: folder.parent for folder in folders for path in sorted(folder.rglob("*.mcap"))}
-    memory = _Memory(cache)
-    known = {path: memory.recall(path, run) for path, run in runs.items()}
+    kept = _MetricsCache(cache)
+    known = {path: kept.recall(path, run) for path, run in runs.items()}
     new = [path for path in runs if known[path] is None]
-    reading = Reading()
+    found = EvaluationSet()
     for path, result in zip(new, _read_all([(path, runs[path]) for path in new], processes), strict=True):
         if isinstance(result, Evaluation):
             known[path] = result
-            memory.keep(path, result)
+            kept.keep(path, result)
             continue
         name = path.relative_to(runs[path]).as_posix()
-        reading.left_out[name] = str(result)
+        found.left_out[name] = str(result)
         words = str(result) if isinstance(result, EpisodeReadError) else f"{path}: {result}"
         _LOGGER.warning("left out: %s", words)
-    memory.save()
-    reading.evaluations = _latest([found for path in runs if (found := known[path]) is not None], reading.left_out)
-    return reading
+    kept.save()
+    found.evaluations = _latest([one for path in runs if (one := known[path]) is not None], found.left_out)
+    return found
 
 
 def _read_one(job: tuple[Path, Path]) -> Evaluation | ValueError:
@@ -120,7 +120,7 @@ def _latest(evaluations: list[Evaluation], left_out: dict[str, str]) -> list[Eva
     return sorted(latest.values(), key=lambda found: found.log)
 
 
-class _Memory:
+class _MetricsCache:
     """Metrics of logs that were read before, by path, size and time; forgotten when the code behind them changes."""
 
     def __init__(self, file: Path | None) -> None:

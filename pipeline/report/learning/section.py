@@ -1,4 +1,4 @@
-"""The learning part of the report: tables computed from the logs of a run, what differs from the stages', figures."""
+"""The learning part of the report: tables computed from the logs of a run, logs that are left out, figures."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.report.learning.curves import read_curves
-from pipeline.report.learning.differences import differences, remarks, with_logs
 from pipeline.report.learning.figures import Material, draw_learning
-from pipeline.report.learning.logs import LEARNING_STAGES, evaluation_folders, stage_of
-from pipeline.report.learning.reading import CACHE, Reading, read_logs
-from pipeline.report.learning.statistics import shortest_ways
-from pipeline.report.learning.tables import OWN_TABLES, learning_tables, stage_tables
+from pipeline.report.learning.logs import COUNTED, LEARNING_STAGES, evaluation_folders, stage_of
+from pipeline.report.learning.reading import CACHE, EvaluationSet, read_logs
+from pipeline.report.learning.statistics import shortest_paths
+from pipeline.report.learning.tables import OWN_TABLES, learning_tables
 from pipeline.report.results import Table, read_results, write_figures
 from pipeline.report.tables import join_sweep
+from pipeline.store.atomic_files import read_json
 
-_HUMAN, _USER_STUDY = "human", "user_study"  # people's episodes count once the stage that sums them up has run
+_EXPERT, _HUMAN = "expert", "human"
+_USER_STUDY = "user_study"  # selects the episodes of people that count
 _SHOWN = 5  # logs left out that the page names
 
 
@@ -25,7 +26,7 @@ class LearningSection:
     """What the report takes from here.
 
     Attributes:
-        results: of every stage folder, the logs' cells in the place of the stages'.
+        results: the tables from the logs, then those that each stage folder wrote.
         remarks: table -> what is to be said of it.
         folder: where the figures lie with their list; None where there are none.
     """
@@ -36,56 +37,38 @@ class LearningSection:
 
 
 def learning_section(run_path: Path, finished: Collection[str], figures: Path) -> LearningSection:
-    """Computes the learning tables from the logs, compares, and draws.
+    """Computes the tables of episodes from the logs, and draws.
 
     Args:
         run_path: the folder of the run.
         finished: names of its finished stage folders.
         figures: folder for the figures.
-
-    Returns:
-        The section; the stages' own results alone where no learning stage has finished.
     """
-    written = {name: read_results(run_path / name) for name in finished}
+    counting = {*finished, *([_HUMAN] if _USER_STUDY in finished else [])}
+    folders = [folder for folder in evaluation_folders(run_path) if folder.name in counting]
+    found = read_logs(folders, cache=run_path / CACHE)
+    selected = run_path / _USER_STUDY / COUNTED
+    people = set(read_json(selected)) if selected.is_file() else set()
+    evaluations = [one for one in found.evaluations if one.stage != _HUMAN or one.log in people]
+    tables = learning_tables(evaluations, shortest_paths(found.evaluations))
+    written = [read_results(run_path / name) for name in finished]
+    # runs of an earlier version wrote the tables of episodes, too
+    results = [tables, *({name: rows for name, rows in part.items() if name not in tables} for part in written)]
     learnt = [name for name in finished if stage_of(name) in LEARNING_STAGES]
     if not learnt:
-        return LearningSection(list(written.values()))
-    counting = {*finished, *([_HUMAN] if _USER_STUDY in finished else [])}
-    reading = read_logs(
-        [folder for folder in evaluation_folders(run_path) if folder.name in counting], cache=run_path / CACHE
-    )
-    shortest = shortest_ways(reading.evaluations)
-    tables = learning_tables(reading.evaluations, shortest)
-    found = [
-        one
-        for name in learnt
-        for one in differences(name, written[name], stage_tables(name, reading, shortest), tables)
-    ]
-    results = with_logs(written.values(), tables)
-    said = remarks(found)
-    for table, sentence in left_out(reading).items():
-        said[table] = f"{said[table]} {sentence}" if table in said else sentence
-    material = Material(
-        run_path, reading.evaluations, read_curves([run_path / name for name in learnt]), join_sweep(results)
-    )
-    write_figures(figures, draw_learning(material, figures))
-    return LearningSection(results, said, figures)
+        return LearningSection(results, left_out(found))
+    curves = read_curves([run_path / name for name in learnt])
+    write_figures(figures, draw_learning(Material(run_path, evaluations, curves, join_sweep(results)), figures))
+    return LearningSection(results, left_out(found), figures)
 
 
-def left_out(reading: Reading) -> dict[str, str]:
-    """Words which logs do not count.
-
-    Args:
-        reading: of the run.
-
-    Returns:
-        Own table of the stage to a sentence.
-    """
+def left_out(found: EvaluationSet) -> dict[str, str]:
+    """Words which logs do not count: own table of the stage to a sentence."""
     sentences = {}
-    for stage in LEARNING_STAGES:
-        names = [name for name in reading.left_out if stage_of(name.split("/", 1)[0]) == stage]
+    for stage in (*LEARNING_STAGES, _EXPERT):  # the stage user_study counts people's
+        names = [name for name in found.left_out if stage_of(name.split("/", 1)[0]) == stage]
         if names:
-            some = "; ".join(f"{name} ({_reason(reading.left_out[name], name)})" for name in names[:_SHOWN])
+            some = "; ".join(f"{name} ({_reason(found.left_out[name], name)})" for name in names[:_SHOWN])
             more = f"; and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
             logs = "1 log was" if len(names) == 1 else f"{len(names)} logs were"
             sentences[OWN_TABLES[stage]] = f"{logs} left out: {some}{more}."

@@ -1,22 +1,19 @@
-"""Statistics over evaluations: shortest ways for SPL, means and spread over training seeds."""
+"""Statistics over evaluations: shortest paths for SPL, means and spread over training seeds."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from pipeline.report.learning.logs import DEMONSTRATION, Evaluation, Task
 from pipeline.report.results import Cell
 
-if TYPE_CHECKING:
-    from cathsim.metrics import Summary
 
-
-def shortest_ways(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
-    """The shortest way by which any successful episode reached each target: the optimum of SPL, for every policy alike.
+def shortest_paths(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
+    """Finds the shortest path by which any successful episode reached each target: the optimum of SPL for all policies.
 
     Args:
         evaluations: all of a run, demonstrations, the sampling expert's and people's among them.
@@ -33,21 +30,17 @@ def shortest_ways(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
     return shortest
 
 
-def summary(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> Summary:
-    """Mean and standard deviation over episodes, in the thesis's columns.
+def summary(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> dict[str, Any]:
+    """Mean and standard deviation over episodes, by the columns of `cathsim.metrics.Summary`.
 
     Args:
         evaluations: at least one.
-        shortest: from `shortest_ways`.
-
-    Returns:
-        The summary; SPL by the shortest way of each episode's own task.
+        shortest: from `shortest_paths`; SPL takes the path of each episode's own task.
     """
     from cathsim.metrics import summarise
 
-    return summarise(
-        [one.metrics for one in evaluations], shortest=[shortest.get(one.task, math.nan) for one in evaluations]
-    )
+    optimal = [shortest.get(one.task, math.nan) for one in evaluations]
+    return summarise([one.metrics for one in evaluations], shortest=optimal).as_dict()
 
 
 def over_seeds(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> dict[str, Cell]:
@@ -55,23 +48,28 @@ def over_seeds(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]
 
     Args:
         evaluations: of one mode, at least one.
-        shortest: from `shortest_ways`.
+        shortest: from `shortest_paths`.
 
     Returns:
-        The columns of `cathsim.metrics.Summary` and `contact_force_n`; [mean, standard deviation with n - 1 in the
-        denominator] where there are several seeds, else the mean alone. None where there is nothing to average.
+        The columns of `summary` and `contact_force_n`; [mean, standard deviation with n - 1 in the denominator] where
+        there are several seeds, else the mean alone. None where there is nothing to average.
     """
     seeds: dict[int, list[Evaluation]] = {}
     for one in evaluations:
         seeds.setdefault(one.training_seed, []).append(one)
     means: dict[str, list[float]] = {}
     for of_seed in seeds.values():
-        for name, value in summary(of_seed, shortest).as_dict().items():
-            means.setdefault(name, []).append(float(value[0] if isinstance(value, list) else value))
+        for name, value in summary(of_seed, shortest).items():
+            means.setdefault(name, []).append(mean_of(value))
         contacts = [one.contact_force for one in of_seed if one.contact_force is not None]
         if contacts:
             means.setdefault("contact_force_n", []).append(float(np.mean(contacts)))
     return {"contact_force_n": None, **{name: _mean_and_spread(values) for name, values in means.items()}}
+
+
+def mean_of(cell: Any) -> float:
+    """The mean of a pair [mean, standard deviation], or a number itself."""
+    return float(cell[0] if isinstance(cell, list) else cell)
 
 
 def _mean_and_spread(values: list[float]) -> Cell:

@@ -8,58 +8,60 @@
 | `baselines`, `enn`  | the stage of that name, every phantom        | phantom/target/row                         |
 | `behaviour_cloning` | `imitation`, every phantom                   | phantom/target/row                         |
 | `generalisation`    | `unseen`                                     | row/target/test set                        |
-| `expert`, `human`   | only their SPL, by the run's shortest ways   | phantom/target                             |
+| `expert`, `human`   | the sampling expert, people; every phantom   | phantom/target                             |
 
-In the thesis's tables pairs are mean and standard deviation over the deterministic episodes of all seeds, as the thesis
-has them. In the own ones they are taken over the training seeds' means, with n - 1 in the denominator.
+In the thesis's tables, `expert` and `human`, pairs are mean and standard deviation over the deterministic episodes of
+all seeds, as the thesis has them. In the other own ones they are taken over the training seeds' means, with n - 1 in
+the denominator.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.report.episode_tables import ABLATION_COLUMNS, ABLATION_PHANTOM, ABLATION_TARGETS
 from pipeline.report.learning.logs import (
     COMPARED,
+    DETERMINISTIC,
     LEARNING_STAGES,
-    MODES,
+    STOCHASTIC,
     Evaluation,
     Task,
     evaluation_folders,
     stage_of,
 )
-from pipeline.report.learning.reading import CACHE, Reading, read_logs
-from pipeline.report.learning.statistics import (
-    counted,
-    of_mode,
-    over_seeds,
-    shortest_ways,
-    summary,
-)
+from pipeline.report.learning.reading import CACHE, read_logs
+from pipeline.report.learning.statistics import counted, mean_of, of_mode, over_seeds, shortest_paths, summary
 from pipeline.report.results import SAMPLES, Table
+from pipeline.report.tables import format_cell
 from pipeline.store.errors import StageError
 
-DETERMINISTIC, STOCHASTIC = MODES
-OWN_TABLES = {"baselines": "baselines", "enn": "enn", "imitation": "behaviour_cloning", "unseen": "generalisation"}
+OWN_TABLES = {"baselines": "baselines", "enn": "enn", "imitation": "behaviour_cloning", "unseen": "generalisation",
+              "expert": "expert", "human": "human"}  # fmt: skip
 BASELINE_COLUMNS = {"reward_{}": "reward", "mean_force_{}_n": "force_n", "max_force_{}_n": "force_max_n"}
+THESIS_PHANTOM, THESIS_TARGETS = "type_1", ("bca", "lcca")  # of the thesis's ablation
+ABLATION_COLUMNS = ("force_n", "path_length_cm", "episode_length_steps", "safety_pct", "success_pct", "spl_pct")
 OWN_COLUMNS = ("episode_length_steps", "path_length_cm", "spl_pct", "safety_pct", "force_n", "force_p95_n",
                "force_max_n", "contact_force_n")  # fmt: skip
 EXPERT_ROW, IMAGE_ROW = "I+V+M", "V"  # of the ablation, which the table of imitation repeats
+MISREGISTERED = "misregistered"  # test sets of unseen arches in which the roadmap is displaced: a group of their own
 _ROW_ORDER = ("H", "sampling_expert", "V", "V+M", "I", "I+V", "I+V+M", "ppo_internal", "sac_internal", "ppo_image",
               "sac_image", "ppo_sequential", "sac_sequential", "path_follower", "image_w_enn")  # fmt: skip
 
 Rows = dict[tuple[str, str, str, str], list[Evaluation]]  # stage, phantom, target, row -> its evaluations
+Shortest = Mapping[Task, float]
+
+_LOGGER = logging.getLogger(__name__)
 
 
-def tables_from_logs(source: Path | Sequence[Evaluation], *, cache: Path | None = None) -> dict[str, Table]:
-    """Computes the tables of a run, of one stage, or of evaluations that are at hand.
+def tables_from_logs(folder: Path, *, cache: Path | None = None) -> dict[str, Table]:
+    """Computes the tables of a run, or of one stage.
 
     Args:
-        source: folder of a run, folder of a learning stage in a run, or evaluations. SPL's shortest ways are taken over
-            every episode of the run, or over the evaluations given.
-        cache: file that remembers the metrics of logs; by default one in the run.
+        folder: of a run, or of a learning stage in a run. SPL's shortest paths are taken over every episode of the run.
+        cache: file that keeps the metrics of logs; by default one in the run.
 
     Returns:
         table -> row -> column -> cell; no table without evaluations.
@@ -67,54 +69,44 @@ def tables_from_logs(source: Path | Sequence[Evaluation], *, cache: Path | None 
     Raises:
         StageError: a stage's folder holds no evaluation that can be used.
     """
-    if not isinstance(source, Path):
-        return learning_tables(source, shortest_ways(source))
-    is_stage = stage_of(source.name) in LEARNING_STAGES and not evaluation_folders(source)
-    run_path = source.parent if is_stage else source
-    reading = read_logs(evaluation_folders(run_path), cache=cache or run_path / CACHE)
-    shortest = shortest_ways(reading.evaluations)
+    is_stage = stage_of(folder.name) in LEARNING_STAGES and not evaluation_folders(folder)
+    run_path = folder.parent if is_stage else folder
+    read = read_logs(evaluation_folders(run_path), cache=cache or run_path / CACHE)
+    shortest = shortest_paths(read.evaluations)
     if not is_stage:
-        return learning_tables(reading.evaluations, shortest)
-    tables = stage_tables(source.name, reading, shortest)
+        return learning_tables(read.evaluations, shortest)
+    own = [one for one in read.evaluations if one.folder == folder.name]
+    tables = learning_tables(own, shortest)
+    if "imitation" in tables:  # it repeats rows of the ablation
+        beside = [one for one in read.evaluations if one.stage == "enn"]
+        tables["imitation"] = learning_tables([*own, *beside], shortest)["imitation"]
     if not tables:
-        lost = [name for name in reading.left_out if name.startswith(f"{source.name}/")]
+        lost = [name for name in read.left_out if name.startswith(f"{folder.name}/")]
+        first = lost and f", {len(lost)} logs cannot be used, the first is {lost[0]} ({read.left_out[lost[0]]})"
         raise StageError(
-            f"{source} holds no evaluation to make a table of"
-            + (
-                f", {len(lost)} logs cannot be used, the first is {lost[0]} ({reading.left_out[lost[0]]})"
-                if lost
-                else ""
-            )
-            + f": run stage {stage_of(source.name)} again with force=true"
+            f"{folder} holds no evaluation to make a table of{first or ''}: "
+            f"run stage {stage_of(folder.name)} again with force=true"
         )
     return tables
 
 
-def stage_tables(folder: str, reading: Reading, shortest: Mapping[Task, float]) -> dict[str, Table]:
-    """The tables of one stage folder, by the shortest ways of its run.
+def log_summary(folder: Path) -> None:
+    """Logs success and force of every row of a learning stage that has just run, from its episode logs.
 
-    Args:
-        folder: its name, e.g. `enn@seed=1`.
-        reading: of the run.
-        shortest: likewise.
-
-    Returns:
-        table -> row -> column -> cell.
+    Raises:
+        StageError: the folder holds no evaluation that can be used.
     """
-    own = [one for one in reading.evaluations if one.folder == folder]
-    tables = learning_tables(own, shortest)
-    if "imitation" in tables:  # it repeats rows of the ablation
-        beside = [one for one in reading.evaluations if one.stage == "enn"]
-        tables["imitation"] = learning_tables([*own, *beside], shortest)["imitation"]
-    return tables
+    for row, cells in tables_from_logs(folder)[OWN_TABLES[stage_of(folder.name)]].items():
+        success, force = (format_cell(cells.get(column)) or "–" for column in ("success_pct", "force_n"))
+        _LOGGER.info("%s: success %s %%, force %s N, %s episodes", row, success, force, cells[SAMPLES])
 
 
-def learning_tables(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> dict[str, Table]:
+def learning_tables(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Table]:
     """Computes every table that the evaluations have something for.
 
     Args:
         evaluations: of any stages.
-        shortest: from `shortest_ways`.
+        shortest: from `shortest_paths`.
 
     Returns:
         table -> row -> column -> cell.
@@ -124,8 +116,8 @@ def learning_tables(evaluations: Sequence[Evaluation], shortest: Mapping[Task, f
         "cathsim_results": _baselines(rows, shortest),
         "ablation": _ablation(rows, shortest),
         "imitation": _imitation(rows, shortest),
-        **{table: _own(rows, stage, shortest) for stage, table in OWN_TABLES.items()},
-        **{stage: _spl_alone(rows, stage, shortest) for stage in COMPARED},
+        **{OWN_TABLES[stage]: _own(rows, stage, shortest) for stage in LEARNING_STAGES},
+        **{OWN_TABLES[stage]: _of_operator(rows, stage, shortest) for stage in COMPARED},
     }
     return {name: table for name, table in tables.items() if table}
 
@@ -170,9 +162,16 @@ def _plain_variant(variants: set[str]) -> str | None:
 
 
 def _comparable(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
-    """Leaves out people's episodes under another limit, wire, start or radius than the policies' of the same vessel."""
+    """Keeps of people's episodes in a vessel those under the policies' limit, wire, start and radius, if there are."""
     asked = {(one.task, one.max_steps) for one in evaluations if one.stage in ("enn", "expert")}
-    return [one for one in evaluations if one.stage != "human" or not asked or (one.task, one.max_steps) in asked]
+    human = [one for one in evaluations if one.stage == "human"]
+    same = {one.log: (one.phantom, one.target) for one in human if (one.task, one.max_steps) in asked}
+    vessels = set(same.values())
+    return [
+        one
+        for one in evaluations
+        if one.stage != "human" or one.log in same or (one.phantom, one.target) not in vessels
+    ]
 
 
 def row_place(row: str) -> int:
@@ -180,58 +179,63 @@ def row_place(row: str) -> int:
     return next((index for index, known in enumerate(_ROW_ORDER) if row == known), len(_ROW_ORDER))
 
 
-def _baselines(rows: Rows, shortest: Mapping[Task, float]) -> Table:
+def _baselines(rows: Rows, shortest: Shortest) -> Table:
     table: dict[str, Any] = {}
     for (stage, phantom, target, name), evaluations in rows.items():
         chosen = of_mode(evaluations, DETERMINISTIC)
-        if stage != "baselines" or target not in ABLATION_TARGETS or not chosen:
+        if stage != "baselines" or target not in THESIS_TARGETS or not chosen:
             continue
-        values = summary(chosen, shortest).as_dict()
+        values = summary(chosen, shortest)
         row = table.setdefault(f"{phantom}/{name}", {})
         row |= {column.format(target): values[source] for column, source in BASELINE_COLUMNS.items()}
-        row[f"success_{target}_pct"] = _mean(values["success_pct"])
+        row[f"success_{target}_pct"] = mean_of(values["success_pct"])
         row[SAMPLES] = min(len(chosen), row.get(SAMPLES, len(chosen)))  # behind either target's cells
     return table
 
 
-def _ablation(rows: Rows, shortest: Mapping[Task, float]) -> Table:
+def _ablation(rows: Rows, shortest: Shortest) -> Table:
     table: Table = {}
     for (stage, phantom, target, name), evaluations in rows.items():
-        if stage in ("enn", *COMPARED) and phantom == ABLATION_PHANTOM and target in ABLATION_TARGETS:
-            table |= _episode_row(f"{target}/{name}", evaluations, shortest)
+        if stage in ("enn", *COMPARED) and phantom == THESIS_PHANTOM and target in THESIS_TARGETS:
+            table |= _thesis_row(f"{target}/{name}", evaluations, shortest)
     return table
 
 
-def _imitation(rows: Rows, shortest: Mapping[Task, float]) -> Table:
+def _imitation(rows: Rows, shortest: Shortest) -> Table:
     table: Table = {}
     for (stage, phantom, target, name), evaluations in rows.items():
-        if phantom != ABLATION_PHANTOM or target not in ABLATION_TARGETS:
+        if phantom != THESIS_PHANTOM or target not in THESIS_TARGETS:
             continue
         repeated = {EXPERT_ROW: "enn", IMAGE_ROW: "image_wo_enn"}.get(name) if stage == "enn" else None
         if stage == "imitation" or repeated:
-            table |= _episode_row(f"{target}/{repeated or name}", evaluations, shortest)
+            table |= _thesis_row(f"{target}/{repeated or name}", evaluations, shortest)
     return table if any(stage == "imitation" for stage, *_ in rows) else {}
 
 
-def _episode_row(key: str, evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> Table:
+def _thesis_row(key: str, evaluations: Sequence[Evaluation], shortest: Shortest) -> Table:
     """A row in the columns of the thesis's ablation; none without deterministic episodes."""
     chosen = of_mode(evaluations, DETERMINISTIC)
     if not chosen:
         return {}
-    values: dict[str, Any] = {**summary(chosen, shortest).as_dict(), SAMPLES: len(chosen)}
-    return {key: {column: values[column] for column in ABLATION_COLUMNS}}
+    values = summary(chosen, shortest)
+    return {key: {**{column: values[column] for column in ABLATION_COLUMNS}, SAMPLES: len(chosen)}}
 
 
-def _own(rows: Rows, stage: str, shortest: Mapping[Task, float]) -> Table:
+def _own(rows: Rows, stage: str, shortest: Shortest) -> Table:
     table: Table = {}
     for (of_stage, place, target, name), evaluations in rows.items():
         if of_stage == stage:
-            key = f"{name}/{target}/{place}" if stage == "unseen" else f"{place}/{target}/{name}"
+            key = _unseen_row(name, target, place) if stage == "unseen" else f"{place}/{target}/{name}"
             table[key] = _own_row(evaluations, shortest)
     return dict(sorted(table.items(), key=lambda item: item[0].rpartition("/")[0])) if stage == "unseen" else table
 
 
-def _own_row(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> dict[str, Any]:
+def _unseen_row(name: str, target: str, test_set: str) -> str:
+    group = f"{name}_{MISREGISTERED}" if test_set.startswith(MISREGISTERED) else name
+    return f"{group}/{target}/{test_set}"
+
+
+def _own_row(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Any]:
     from cathsim.metrics.intervals import wilson_interval
 
     fixed, drawn = of_mode(evaluations, DETERMINISTIC), of_mode(evaluations, STOCHASTIC)
@@ -250,13 +254,12 @@ def _own_row(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) 
     return row
 
 
-def _spl_alone(rows: Rows, stage: str, shortest: Mapping[Task, float]) -> Table:
-    return {
-        f"{phantom}/{target}": {"spl_pct": summary(evaluations, shortest).spl_pct}
-        for (of_stage, phantom, target, _), evaluations in rows.items()
-        if of_stage == stage
-    }
-
-
-def _mean(cell: Any) -> float:
-    return float(cell[0] if isinstance(cell, list) else cell)
+def _of_operator(rows: Rows, stage: str, shortest: Shortest) -> Table:
+    """Every metric of the sampling expert's or people's episodes."""
+    table: Table = {}
+    for (of_stage, phantom, target, _), evaluations in rows.items():
+        if of_stage == stage:
+            values = summary(evaluations, shortest)
+            samples = values.pop("episodes")
+            table[f"{phantom}/{target}"] = {**values, SAMPLES: samples}
+    return table

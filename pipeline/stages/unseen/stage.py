@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
-from pipeline.report.learning.tables import tables_from_logs
+from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
@@ -82,7 +82,7 @@ def check_unseen(settings: UnseenSettings) -> None:
 
 
 def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
-    """Trains and tests every policy and sums them up.
+    """Trains and tests every policy.
 
     Args:
         settings: of the stage.
@@ -97,11 +97,11 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
         preload=PRELOAD,
         device=settings.device,
     )
-    tables = tables_from_logs(context.path)
-    tables["generalisation_curve"] = curve(jobs, outcomes)
+    tables = {"generalisation_curve": curve(jobs, outcomes)}
     if settings.registration_noise_mm:
         tables["registration"] = registration(settings, outcomes[ROADMAP_TESTS]["tests"])
     write_results(context.path, tables)
+    log_summary(context.path)
 
 
 def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) -> list[Job]:

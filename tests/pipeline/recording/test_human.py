@@ -15,6 +15,8 @@ from cathsim.console.questionnaire import CRITERIA
 from pipeline.episodes import EpisodeReader, EpisodeReadError, check
 from pipeline.episodes.annotate import annotate, read_annotation
 from pipeline.recording.human import McapRecorder
+from pipeline.report.learning.logs import COUNTED
+from pipeline.report.learning.tables import tables_from_logs
 from pipeline.report.results import read_figures, read_results
 from pipeline.stages.user_study import UserStudySettings, gather, logs_of, tables, user_study_table
 
@@ -121,18 +123,15 @@ def test_the_study_counts_finished_procedures_under_its_own_settings(environment
     assert len(logs) == 4
     study = gather(logs, UserStudySettings(max_steps=12))
     measured = tables(study)
-    assert measured["ablation"].keys() == {"bca/H"}
-    assert measured["ablation"]["bca/H"]["n"] == 2
-    assert measured["ablation"]["bca/H"]["episode_length_steps"] == [12.0, 0.0]
-    assert measured["ablation"]["bca/H"]["success_pct"] == [0.0, 0.0]
+    assert len(study.counted) == 2
     assert measured["human_left_out"] == {
         "broken_off": {"episodes": 1},
         "other_settings": {"episodes": 0},
         "unreadable": {"episodes": 1},
     }
-    other = tables(gather(logs, UserStudySettings()))
-    assert "ablation" not in other, "procedures of 12 steps say nothing about ones of 300"
-    assert other["human_left_out"]["other_settings"] == {"episodes": 2}
+    other = gather(logs, UserStudySettings())
+    assert other.counted == [], "procedures of 12 steps say nothing about ones of 300"
+    assert tables(other)["human_left_out"]["other_settings"] == {"episodes": 2}
 
 
 def test_scores_are_means_over_participants_and_nothing_without_answers() -> None:
@@ -160,7 +159,11 @@ def test_stage_fills_the_reports_tables_and_leaves_the_recordings_alone(
     assert execute(config) is Outcome.DONE, "a new recording puts the stage out of date"
     assert execute(config) is Outcome.UP_TO_DATE
     results = read_results(stage)
-    assert set(results) == {"ablation", "human", "user_study"}
+    assert set(results) == {"user_study"}
+    (log,) = logs_of(tmp_path / "tried")
+    assert json.loads((stage / COUNTED).read_text()) == [log.relative_to(tmp_path / "tried").as_posix()]
+    row = tables_from_logs(tmp_path / "tried")["ablation"]["bca/H"]
+    assert (row["n"], row["episode_length_steps"], row["success_pct"]) == (1, [12.0, 0.0], [0.0, 0.0])
     assert results["user_study"]["anatomical_accuracy"] == {"score": [4.0, 0.0], "n": 1}
     assert [figure.file for figure in read_figures(stage)] == ["type_1/bca.png"]
     assert len(logs_of(tmp_path / "tried")) == 1

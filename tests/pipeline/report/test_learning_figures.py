@@ -30,7 +30,7 @@ def material(run: Path, **tables: dict) -> Material:
     """What the report would draw from a run."""
     folders = evaluation_folders(run)
     evaluations = read_logs(folders).evaluations
-    return Material(run, evaluations, read_curves(folders), {**tables_from_logs(evaluations), **tables})
+    return Material(run, evaluations, read_curves(folders), {**tables_from_logs(run), **tables})
 
 
 def test_curves_are_found_with_their_row_and_a_cut_off_line_is_skipped(

@@ -14,19 +14,25 @@ import pytest
 
 import pipeline.report.learning.reading as reading_module
 from cathsim.metrics.intervals import wilson_interval
-from pipeline.report.learning.differences import differences, remarks, same, with_logs
-from pipeline.report.learning.logs import UnusableLogError, changed_settings, evaluation_folders, read_evaluation
+from pipeline.report.learning.logs import (
+    COUNTED,
+    UnusableLogError,
+    changed_settings,
+    evaluation_folders,
+    read_evaluation,
+)
 from pipeline.report.learning.reading import CACHE, read_logs
 from pipeline.report.learning.section import learning_section
-from pipeline.report.learning.statistics import shortest_ways
-from pipeline.report.learning.tables import learning_tables, tables_from_logs
+from pipeline.report.learning.statistics import shortest_paths
+from pipeline.report.learning.tables import learning_tables, log_summary, tables_from_logs
 from pipeline.report.results import check_cell, write_results
+from pipeline.store.atomic_files import write_json
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.report.evaluation_logs import write_evaluation, write_row
 
 
-def read(run: Path, **arguments: object) -> reading_module.Reading:
+def read(run: Path, **arguments: object) -> reading_module.EvaluationSet:
     return read_logs(evaluation_folders(run), **arguments)  # type: ignore[arg-type]
 
 
@@ -84,7 +90,7 @@ def test_one_damaged_log_among_a_hundred_is_left_out_by_name(tmp_path: Path, cap
     (warning,) = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert str(paths[57]) in warning
     assert "damaged" in warning
-    assert tables_from_logs(reading.evaluations)["ablation"]["bca/V"]["n"] == 99
+    assert tables_from_logs(tmp_path)["ablation"]["bca/V"]["n"] == 99
 
 
 def test_a_folder_without_evaluations_is_one_sentence(tmp_path: Path) -> None:
@@ -161,11 +167,15 @@ def test_people_and_the_planner_stand_beside_the_policies(tmp_path: Path) -> Non
     write_evaluation(tmp_path / "human/type_1/bca/002.mcap", operator="sampling_expert")
     reading = read(tmp_path)
     assert "expected 'human'" in reading.left_out["human/type_1/bca/002.mcap"]
-    tables = learning_tables(reading.evaluations, shortest_ways([o for o in reading.evaluations if o.max_steps == 300]))
+    tables = learning_tables(
+        reading.evaluations, shortest_paths([o for o in reading.evaluations if o.max_steps == 300])
+    )
     assert list(tables["ablation"]) == ["bca/V", "bca/sampling_expert", "bca/H"]
     assert tables["ablation"]["bca/H"]["spl_pct"] == pytest.approx(25)
     assert tables["ablation"]["bca/H"]["n"] == 1  # the other one had another limit
-    assert tables["expert"] == {"type_1/bca": {"spl_pct": pytest.approx(100)}}
+    assert tables["expert"]["type_1/bca"]["spl_pct"] == pytest.approx(100)
+    assert tables["expert"]["type_1/bca"]["path_length_cm"] == pytest.approx([10, 0])
+    assert (tables["expert"]["type_1/bca"]["n"], tables["human"]["type_1/bca"]["n"]) == (1, 1)
     assert tables["ablation"]["bca/sampling_expert"]["n"] == 1  # its demonstrations belong to no row
 
 
@@ -202,6 +212,8 @@ def test_unseen_anatomies_are_rows_by_test_set(tmp_path: Path) -> None:
     write_row(tmp_path, "unseen", "roadmap", phantom="bovine")
     table = tables_from_logs(tmp_path)["generalisation"]
     assert {row: cells["n"] for row, cells in table.items()} == {"roadmap/bca/bovine": 2, "roadmap/bca/unseen": 4}
+    write_row(tmp_path, "unseen", "roadmap", phantom="random_7", test_set="misregistered 2 mm")
+    assert "roadmap_misregistered/bca/misregistered 2 mm" in tables_from_logs(tmp_path)["generalisation"]
 
 
 def test_sweep_folders_join_by_seed_but_never_across_other_settings(tmp_path: Path) -> None:
@@ -268,37 +280,13 @@ def test_processes_give_the_same_as_one(tmp_path: Path, monkeypatch: pytest.Monk
     assert len(alone.left_out) == 1
 
 
-def test_differences_are_found_worded_and_the_logs_win(tmp_path: Path) -> None:
-    own = {"ablation": {"bca/V": {"force_n": [0.1, 0.2], "success_pct": [50.0, 50.0], "spl_pct": 40.0, "n": 4}}}
-    written = {
-        "ablation": {
-            "bca/V": {"force_n": [0.1 + 1e-9, 0.2], "success_pct": [100.0, 0.0], "spl_pct": 45.0, "n": 4, "extra": 1},
-            "bca/I": {"success_pct": [99.0, 0.0], "n": 3},
-        },
-        "training_time_h": {"image": {"bca": 1.0}},
-    }
-    found = differences("enn", written, own, own)
-    assert [(one.row, one.column) for one in found] == [("bca/V", "success_pct"), ("bca/V", "spl_pct"), ("bca/I", "")]
-    said = remarks(found)["ablation"]
-    assert "results.json of enn differs from its logs in 1 cell" in said
-    assert "bca/V, success_pct: 100 ± 0 there, 50.0 ± 50.0 from the logs" in said
-    assert "1 row without a log to compute it from, shown as the stage wrote it: bca/I of enn" in said
-    assert "SPL differs from the stage's own in 1 row" in said
-    logs, rest = with_logs([written], own)
-    assert logs["ablation"]["bca/V"]["success_pct"] == [50.0, 50.0]
-    assert rest["ablation"] == {"bca/V": {"extra": 1}, "bca/I": {"success_pct": [99.0, 0.0], "n": 3}}
-    assert rest["training_time_h"] == written["training_time_h"]
-    assert differences("enn", own, own, own) == []
-    assert not same([1.0, 2.0], 1.0)
-
-
 def finish(run: Path, stage: str) -> None:
     """Makes a stage's folder a finished one."""
     folder = RunFolder(run / stage, Identity("c", {}, "s"))
     folder.finish(stage=stage, run=run.name, budget="smoke", seed=0, config={}, started=0.0)
 
 
-def test_report_shows_the_logs_and_says_what_differs(tmp_path: Path, run_python: Callable[[str], str]) -> None:
+def test_report_tabulates_the_logs_whatever_results_say(tmp_path: Path, run_python: Callable[[str], str]) -> None:
     run = tmp_path / "tried"
     write_row(run, "enn", "V", phantom="mine")
     tables = tables_from_logs(run / "enn")
@@ -320,7 +308,6 @@ def test_report_shows_the_logs_and_says_what_differs(tmp_path: Path, run_python:
     )
     assert printed.strip().endswith("False"), "the report must not import torch"
     page = (run / "report" / "index.html").read_text()
-    assert "success_pct: 12 there, 100 from the logs" in page
     assert "1 log was left out: enn/type_1" not in page
     assert "1 log was left out: enn/mine/bca/V/seed0/evaluation/deterministic/002.mcap" in page
     measured = json.loads((run / "report" / "metrics.json").read_text())
@@ -331,5 +318,22 @@ def test_report_shows_the_logs_and_says_what_differs(tmp_path: Path, run_python:
 def test_a_stage_that_has_not_finished_does_not_count(tmp_path: Path) -> None:
     write_row(tmp_path, "enn", "V")
     section = learning_section(tmp_path, [], tmp_path / "figures")
-    assert section.results == []
+    assert section.results == [{}]
     assert section.folder is None
+
+
+def test_people_count_once_the_user_study_has_selected_their_logs(tmp_path: Path) -> None:
+    for index in range(2):
+        write_evaluation(tmp_path / f"human/type_1/bca/{index:03d}.mcap", operator="human")
+    assert learning_section(tmp_path, [], tmp_path / "figures").results == [{}]
+    write_json(tmp_path / "user_study" / COUNTED, ["human/type_1/bca/001.mcap"])
+    tables, written = learning_section(tmp_path, ["user_study"], tmp_path / "figures").results
+    assert written == {}
+    assert tables["human"]["type_1/bca"]["n"] == tables["ablation"]["bca/H"]["n"] == 1
+
+
+def test_a_stage_logs_the_success_of_its_rows(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    write_row(tmp_path, "enn", "V", successes=(True, False), force=0.25)
+    log_summary(tmp_path / "enn")
+    assert "type_1/bca/V: success 50 %, force 0.25 N, 2 episodes" in caplog.text

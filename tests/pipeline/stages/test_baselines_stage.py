@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import torch
 
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
+from pipeline.report.learning.tables import tables_from_logs
 from pipeline.stages.baselines import plan, training_settings
 from pipeline.stages.learning.expert_episodes import read_episode, readable
 from pipeline.stages.learning.path_following import PathJob, follow
@@ -114,9 +114,9 @@ def test_a_tiny_run_fills_the_table(pipeline_process, expert_run) -> None:  # no
     )  # fmt: skip
     assert done.returncode == 0, done.stderr + done.stdout
     folder = expert_run / "baselines"
-    results = json.loads((folder / "results.json").read_text())
-    assert set(results["cathsim_results"]) == {"type_1/ppo_image", "type_1/sac_image", "type_1/path_follower"}
-    for row in results["cathsim_results"].values():
+    table = tables_from_logs(folder)["cathsim_results"]
+    assert set(table) == {"type_1/ppo_image", "type_1/sac_image", "type_1/path_follower"}
+    for row in table.values():
         assert row["reward_bca"][0] < 0  # the thesis's reward, not the training's
         assert row["success_bca_pct"] in (0, 100)
     assert (folder / "type_1/bca/path_follower/seed0/follower.pt").is_file()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.report.learning.tables import tables_from_logs
 from pipeline.stages import StageContext
 from pipeline.stages.enn import architecture, check_enn, plan
 from pipeline.stages.learning.plan import training_seeds
@@ -153,8 +154,10 @@ def test_a_tiny_run_leaves_policy_curve_logs_and_tables(pipeline_process, expert
     assert list((training / "tensorboard").glob("events.out.tfevents.*"))
     assert not (training / "checkpoint").exists()
     results = json.loads((folder / "results.json").read_text())
-    assert results["ablation"]["bca/I+V+M"]["n"] == 1
-    assert results["enn"]["type_1/bca/I+V+M"]["stochastic_success_pct"] is not None
+    tables = tables_from_logs(folder)
+    assert tables["ablation"]["bca/I+V+M"]["n"] == 1
+    assert tables["enn"]["type_1/bca/I+V+M"]["stochastic_success_pct"] is not None
+    assert "type_1/bca/I+V+M: success" in done.stdout
     assert results["training_time_h"]["enn"]["bca"][0] > 0
     assert results["sac_hyperparameters"]["gamma"] == {"value": 0.99}
     assert "up to date" in pipeline_process.run(*TINY).stdout

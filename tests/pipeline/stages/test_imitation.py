@@ -12,6 +12,7 @@ import pytest
 
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
+from pipeline.report.learning.tables import tables_from_logs
 from pipeline.seeds import held_out_seeds
 from pipeline.stages import imitation
 from pipeline.stages.learning.expert_episodes import (
@@ -72,7 +73,7 @@ def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, monkeypatch: 
     imitation.run_imitation(settings(), place)
     results = json.loads((place.path / "results.json").read_text())
     rows = {"image_w_enn_2", "image_w_enn", "image_w_enn_disturbed", "dagger"}
-    assert {row.removeprefix("bca/") for row in results["imitation"]} == rows
+    assert {row.removeprefix("bca/") for row in tables_from_logs(place.path)["imitation"]} == rows
     assert set(results["imitation_episodes"]) == {"type_1/bca/2 episodes", "type_1/bca/4 episodes"}
     assert results["bc_architecture"]["linear_3"]["parameters"] == 258
     assert results["bc_architecture"]["conv_1"] | {} == {
