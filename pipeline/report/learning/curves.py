@@ -27,8 +27,7 @@ class Curve:
 
     Attributes:
         stage: whose training it was.
-        phantom: its name.
-        target: likewise.
+        phantom, target: their names.
         row: what was trained, with whatever else a sweep changed in brackets.
         seed: of the training, as its folder names it.
         columns: name to (n,) values, NaN where a row of the file has none.
@@ -42,19 +41,11 @@ class Curve:
     columns: dict[str, Array]
 
     def pairs(self, x: str, y: str) -> tuple[Array, Array]:
-        """The points at which two columns both have a value.
-
-        Args:
-            x: name of a column.
-            y: likewise.
-
-        Returns:
-            (m,) values of each, x rising; empty where a column is missing.
-        """
+        """The (m,) values of two columns where both have one, x rising; empty where a column is missing."""
         nothing = np.zeros(0)
-        if x not in self.columns or y not in self.columns:
+        at, values = (self.columns.get(name, nothing) for name in (x, y))
+        if not len(at) or not len(values):
             return nothing, nothing
-        at, values = self.columns[x], self.columns[y]
         there = np.isfinite(at) & np.isfinite(values)
         order = np.argsort(at[there], kind="stable")
         return at[there][order], values[there][order]
@@ -101,14 +92,9 @@ def read_curves(folders: Sequence[Path]) -> list[Curve]:
 
 
 def read_columns(path: Path) -> dict[str, Array]:
-    """Reads a table of numbers.
+    """Reads a CSV file with a head line: column to (n,) values, NaN where a cell is empty.
 
-    Args:
-        path: of a CSV file with a head line.
-
-    Returns:
-        Column to (n,) values, NaN where a cell is empty. A line that is cut off or no numbers, as a killed training may
-        leave it, is skipped.
+    A line that is cut off or no numbers, as a killed training may leave it, is skipped.
     """
     rows = []
     try:
@@ -129,12 +115,7 @@ def read_columns(path: Path) -> dict[str, Array]:
 
 
 def join_seeds(curves: Sequence[Curve], x: str, y: str) -> Band | None:
-    """Mean and spread over seeds, as far as every seed went: no curve is drawn on beyond its end.
-
-    Args:
-        curves: of one row.
-        x: name of a column.
-        y: likewise.
+    """Mean and spread of column y over x, as far as every seed went: no curve is drawn on beyond its end.
 
     Returns:
         The band; None where no seed has two points, or they share no stretch.

@@ -11,21 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.report.force_logs import episode_forces
 from pipeline.report.learning.curves import Curve
 from pipeline.report.learning.logs import DETERMINISTIC, Evaluation
 from pipeline.report.learning.statistics import counted, of_mode
 from pipeline.report.learning.tables import EXPERT_ROW, named_rows, row_place
+from pipeline.report.plots import forces
+from pipeline.report.plots import learning as plots
+from pipeline.report.plots.canvas import MM
 from pipeline.report.results import Cell, Figure, Table
 from pipeline.report.tables import group_labels, row_labels
 
 CURVES_GROUP = "Learning: training"
 FORCES_GROUP = "Learning: forces"
-WAYS_GROUP = "Learning: ways in the vessel"
+PATHS_GROUP = "Learning: ways in the vessel"
 BEYOND_GROUP = "Learning: beyond the thesis"
 HEAT_EPISODES = 42  # logs behind a heat map, evenly taken from all rows
-WAYS_SHOWN = 10  # ways of each who steered
+PATHS_SHOWN = 10  # of each who steered
 TARGETS = ("bca", "lcca", "lsa")
-_MM = 1e3
 _STEERED = {"enn": "ENN", "expert": "Sampling expert", "human": "Human"}
 _LABELS = {"baselines": "cathsim_results", "enn": "ablation", "imitation": "imitation"}  # stage -> table with its words
 
@@ -48,24 +51,9 @@ class Material:
 
 
 def draw_learning(material: Material, folder: Path) -> list[Figure]:
-    """Draws every figure that there is something for.
-
-    Args:
-        material: of the run.
-        folder: where the PNGs go.
-
-    Returns:
-        The figures, their files relative to the folder.
-    """
-    return [
-        *_training(material, folder),
-        *_lengths(material, folder),
-        *_largest_forces(material, folder),
-        *_heat(material, folder),
-        *_ways(material, folder),
-        *_front(material, folder),
-        *_generalisation(material, folder),
-    ]
+    """Draws every figure that there is something for, as PNGs in a folder."""
+    drawings = (_training, _lengths, _largest_forces, _heat, _paths, _front, _generalisation)
+    return [figure for draw in drawings for figure in draw(material, folder)]
 
 
 def task_words(phantom: str, target: str) -> str:
@@ -83,43 +71,38 @@ def _grouped(curves: Sequence[Curve]) -> dict[str, dict[str, list[Curve]]]:
 
 
 def _training(material: Material, folder: Path) -> list[Figure]:
-    from pipeline.report.learning.plots import TRAINING_PANELS, draw_training
-
     shown = []
     curves = [
-        curve for curve in material.curves if any(len(curve.pairs(panel.x, panel.y)[0]) for panel in TRAINING_PANELS)
+        curve
+        for curve in material.curves
+        if any(len(curve.pairs(panel.x, panel.y)[0]) for panel in plots.TRAINING_PANELS)
     ]  # a supervised training has no reward
     for stage in dict.fromkeys(curve.stage for curve in curves):
         tasks = _grouped([curve for curve in curves if curve.stage == stage])
         file = f"training_{stage}.png"
-        draw_training(tasks, row_labels(_LABELS.get(stage, stage)), folder / file)
+        plots.draw_training(tasks, row_labels(_LABELS.get(stage, stage)), folder / file)
         seeds = max(len(of_row) for of_task in tasks.values() for of_row in of_task.values())
-        spread = " One seed."
-        if seeds > 1:
-            spread = (
-                f" Thin: up to {seeds} seeds; thick: their mean, as far as all trained; band: ± one standard deviation."
-            )
+        spread = f"Thin: up to {seeds} seeds; thick: their mean, as far as all trained; band: ± one standard deviation."
         caption = (
             "The training's own reward (the tables have the thesis's), exploration included, and success of the "
-            f"evaluated policy.{spread}"
+            f"evaluated policy. {spread if seeds > 1 else 'One seed.'}"
         )
         shown.append(Figure(f"Training curves, {stage}", caption, file, CURVES_GROUP))
     return shown
 
 
 def _lengths(material: Material, folder: Path) -> list[Figure]:
-    from pipeline.report.learning.plots import draw_lengths
-
     curves = [curve for curve in material.curves if curve.stage == "enn"]
-    tasks = _grouped([curve for curve in curves if curve.row == EXPERT_ROW] or curves)
     if not any(len(curve.pairs("decisions", "evaluation_length")[0]) for curve in curves):
         return []
-    human: dict[str, NDArray[np.float64]] = {}
-    for (stage, phantom, target, _), episodes in named_rows(material.evaluations).items():
-        if stage == "human":
-            human[task_words(phantom, target)] = np.array([float(one.metrics.steps) for one in episodes])
+    tasks = _grouped([curve for curve in curves if curve.row == EXPERT_ROW] or curves)
+    human = {
+        task_words(phantom, target): np.array([float(one.metrics.steps) for one in episodes])
+        for (stage, phantom, target, _), episodes in named_rows(material.evaluations).items()
+        if stage == "human"
+    }
     file = "episode_length.png"
-    draw_lengths(tasks, human, row_labels("ablation"), folder / file)
+    plots.draw_lengths(tasks, human, row_labels("ablation"), folder / file)
     beside = (
         "Dashed: people at the console, mean ± one standard deviation." if human else "There are no human episodes."
     )
@@ -128,30 +111,25 @@ def _lengths(material: Material, folder: Path) -> list[Figure]:
 
 
 def _largest_forces(material: Material, folder: Path) -> list[Figure]:
-    from pipeline.report.learning.plots import draw_largest_forces
-
     labels, groups = row_labels("cathsim_results"), group_labels()
     phantoms: dict[str, dict[tuple[str, str], NDArray[np.float64]]] = {}
-    count = 0
     for (stage, phantom, target, row), evaluations in named_rows(material.evaluations).items():
         chosen = of_mode(evaluations, DETERMINISTIC)
         if stage == "baselines" and chosen:
             boxes = phantoms.setdefault(groups.get(phantom, phantom), {})
             boxes[labels.get(row, row), target] = np.array([one.metrics.force_max for one in chosen])
-            count += len(chosen)
     if not phantoms:
         return []
-    draw_largest_forces(phantoms, folder / "largest_forces.png")
+    file = "largest_forces.png"
+    plots.draw_largest_forces(phantoms, folder / file)
+    count = sum(len(values) for boxes in phantoms.values() for values in boxes.values())
     caption = (
         f"Largest resultant contact force of each of {count} evaluation episodes. Box: quartiles; whiskers: 5 and 95 %."
     )
-    return [Figure("Largest forces of the baselines", caption, "largest_forces.png", FORCES_GROUP)]
+    return [Figure("Largest forces of the baselines", caption, file, FORCES_GROUP)]
 
 
 def _heat(material: Material, folder: Path) -> list[Figure]:
-    from pipeline.report.force_logs import episode_forces
-    from pipeline.report.plots.forces import draw_heat
-
     shown = []
     chosen = of_mode([one for one in material.evaluations if one.stage == "baselines"], DETERMINISTIC)
     for phantom, target in sorted({(one.phantom, one.target) for one in chosen}):
@@ -165,15 +143,14 @@ def _heat(material: Material, folder: Path) -> list[Figure]:
             continue  # the logs say nothing of single contacts
         file = f"heat_{phantom}_{target}.png"
         title = f"{task_words(phantom, target)}: contact forces of the baselines"
-        draw_heat(np.asarray(vessel.lumen_mesh.vertices, np.float64), episodes, folder / file, title=title)
+        forces.draw_heat(np.asarray(vessel.lumen_mesh.vertices, np.float64), episodes, folder / file, title=title)
         caption = f"{contacts} contacts of {len(episodes)} of {len(of_task)} deterministic episodes, all rows together."
         shown.append(Figure(title, caption, file, FORCES_GROUP))
     return shown
 
 
-def _ways(material: Material, folder: Path) -> list[Figure]:
+def _paths(material: Material, folder: Path) -> list[Figure]:
     from pipeline.episodes import EpisodeReader
-    from pipeline.report.learning.plots import draw_ways
 
     tasks: dict[tuple[str, str], dict[str, list[Evaluation]]] = {}
     for one in of_mode(counted(material.evaluations), DETERMINISTIC):
@@ -184,26 +161,24 @@ def _ways(material: Material, folder: Path) -> list[Figure]:
         vessel = _phantom(phantom)
         if vessel is None or "ENN" not in steered:
             continue
-        ways: dict[str, list[tuple[NDArray[Any], bool]]] = {}
+        paths: dict[str, list[tuple[NDArray[Any], bool]]] = {}
         for who in _STEERED.values():
-            for one in _evenly(steered.get(who, []), WAYS_SHOWN):
+            for one in _evenly(steered.get(who, []), PATHS_SHOWN):
                 with EpisodeReader(material.run_path / one.log) as log:
                     tips = log.load_arrays(pictures=False)["tip"]
-                ways.setdefault(who, []).append((tips, one.metrics.success))
+                paths.setdefault(who, []).append((tips, one.metrics.success))
         file = f"ways_{phantom}_{target}.png"
-        radius_mm = _MM * steered["ENN"][0].success_radius
-        draw_ways(vessel, target, ways, folder / file, radius_mm=radius_mm)
+        radius_mm = MM * steered["ENN"][0].success_radius
+        plots.draw_paths(vessel, target, paths, folder / file, radius_mm=radius_mm)
         caption = (
-            f"Ways of the tip, at most {WAYS_SHOWN} episodes each; they end in a dot on success, in a cross otherwise. "
-            "The target's sphere of success is dashed."
+            f"Ways of the tip, at most {PATHS_SHOWN} episodes each; they end in a dot on success, in a cross "
+            "otherwise. The target's sphere of success is dashed."
         )
-        shown.append(Figure(f"{task_words(phantom, target)}: ways of the tip", caption, file, WAYS_GROUP))
+        shown.append(Figure(f"{task_words(phantom, target)}: ways of the tip", caption, file, PATHS_GROUP))
     return shown
 
 
 def _front(material: Material, folder: Path) -> list[Figure]:
-    from pipeline.report.learning.plots import Point, draw_front
-
     weights = {
         (phantom, target, row): evaluations[0].force_weight
         for (stage, phantom, target, row), evaluations in named_rows(material.evaluations).items()
@@ -219,12 +194,12 @@ def _front(material: Material, folder: Path) -> list[Figure]:
         words = row.removeprefix(EXPERT_ROW).strip()
         named = re.search(r"[0-9.]+$", words)  # a weight in the row's name
         order = float(named.group()) if named else weight
-        points.append(Point(task_words(phantom, target), words or EXPERT_ROW, order, *pairs))
+        points.append(plots.Point(task_words(phantom, target), words or EXPERT_ROW, order, *pairs))
     fronts = {point.task for point in points if point.label != EXPERT_ROW}
     points = [point for point in points if point.task in fronts]
     if not points:
         return []
-    draw_front(points, folder / "front.png")
+    plots.draw_front(points, folder / "front.png")
     caption = (
         f"{EXPERT_ROW} without and with a cost of the force in its reward; a number is what a newton costs in a step. "
         "Bars: standard deviation over the training seeds."
@@ -233,20 +208,17 @@ def _front(material: Material, folder: Path) -> list[Figure]:
 
 
 def _generalisation(material: Material, folder: Path) -> list[Figure]:
-    from pipeline.report.learning.plots import draw_generalisation
-
     curves: dict[str, list[tuple[int, float, float]]] = {}
     for row, cells in material.tables.get("generalisation_curve", {}).items():
         group, _, number = row.rpartition("/")
-        for column in ("success_pct", *(f"success_{target}_pct" for target in TARGETS)):
-            pair = _pair(cells.get(column))
+        for target in ("", *TARGETS):
+            pair = _pair(cells.get(f"success_{target}_pct" if target else "success_pct"))
             if pair is not None and number.isdecimal():
-                target = column.removeprefix("success_").removesuffix("pct").strip("_").upper()
-                name = ", ".join(filter(None, (group.replace("_", " "), target)))
+                name = ", ".join(filter(None, (group.replace("_", " "), target.upper())))
                 curves.setdefault(name or "all targets", []).append((int(number), *pair))
     if not curves:
         return []
-    draw_generalisation(curves, folder / "generalisation.png")
+    plots.draw_generalisation(curves, folder / "generalisation.png")
     caption = (
         "Deterministic episodes on anatomies that were in no training; what each policy sees names its curve. The "
         "points of the roadmap's curve had equally many decisions; the main policy and the students stand alone."

@@ -1,4 +1,4 @@
-"""Plots of recorded episodes: the tip's way in the vessel, the contact force over time, the planned path."""
+"""Plots of recorded episodes: the tip's path in the vessel, the contact force over time, the planned path."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.report.plots.canvas import new_figure, save_figure
+from pipeline.report.plots.canvas import MM, new_figure, save_figure
 from pipeline.store.atomic_files import atomic_path
 
 if TYPE_CHECKING:
@@ -16,27 +16,24 @@ if TYPE_CHECKING:
 
     from cathsim import Phantom
 
-_MM = 1e3
-SAFE_FORCE_N = 2.0
-
 
 def draw_task(
     phantom: Phantom, target: str, episodes: Sequence[Mapping[str, np.ndarray]], file: Path, *, radius_mm: float = 8.0
 ) -> None:
-    """Draws the ways of the tip in the frontal view of a phantom, and the forces.
+    """Draws the paths of the tip in the frontal view of a phantom, and the forces.
 
     Args:
         phantom: the vessel.
-        target: name of the target.
+        target: its name.
         episodes: arrays of each log: tip (T + 1, 3) m, resultant_force (T + 1, 3) N.
-        file: the PNG.
+        file: of the picture.
         radius_mm: of the sphere of success.
     """
     figure = new_figure(9.0, 4.6)
     vessel, force = figure.subplots(1, 2, width_ratios=(1.0, 1.35))
     draw_vessel(vessel, phantom, target, radius_mm=radius_mm)
     for index, arrays in enumerate(episodes):
-        tips = arrays["tip"] * _MM
+        tips = arrays["tip"] * MM
         vessel.plot(tips[:, 0], tips[:, 2], linewidth=1.2, color=f"C{index % 10}")
         norms = np.linalg.norm(arrays["resultant_force"], axis=1)
         force.plot(np.arange(len(norms)), norms, linewidth=1.0, color=f"C{index % 10}", label=f"episode {index}")
@@ -50,39 +47,22 @@ def draw_task(
 
 
 def draw_vessel(axes: Axes, phantom: Phantom, target: str, *, radius_mm: float = 8.0) -> None:
-    """Draws the frontal view of a phantom's lumen with a target.
-
-    Args:
-        axes: to draw on; in mm afterwards.
-        phantom: the vessel.
-        target: name of the target.
-        radius_mm: of the sphere of success.
-    """
+    """Draws the frontal view of a phantom's lumen, mm, with a target and its sphere of success."""
     from matplotlib.patches import Circle
 
     grid = phantom.grid
     x, z = (grid.origin[axis] + grid.spacing * np.arange(grid.shape[axis]) for axis in (0, 2))
     silhouette = grid.values.max(axis=1).T
-    axes.contourf(x * _MM, z * _MM, silhouette, levels=[0.0, 1.0], colors=["#f3d9d6"])
-    axes.contour(x * _MM, z * _MM, silhouette, levels=[0.0], colors="0.45", linewidths=0.8)
-    goal = phantom.target(target).position * _MM
+    axes.contourf(x * MM, z * MM, silhouette, levels=[0.0, 1.0], colors=["#f3d9d6"])
+    axes.contour(x * MM, z * MM, silhouette, levels=[0.0], colors="0.45", linewidths=0.8)
+    goal = phantom.target(target).position * MM
     axes.add_patch(Circle((goal[0], goal[2]), radius_mm, fill=False, linestyle="--", color="tab:green"))
     axes.plot(goal[0], goal[2], "*", color="tab:green", markersize=11)
     axes.set(aspect="equal", xlabel="x, patient's left (mm)", ylabel="z, superior (mm)")
 
 
 def draw_planned_path(phantom: Phantom, target: str, file: Path, *, entry: str = "descending") -> float:
-    """Plans the shortest path with A* and draws it.
-
-    Args:
-        phantom: the vessel.
-        target: name of the target.
-        file: the PNG.
-        entry: where it starts.
-
-    Returns:
-        Length of the path, m.
-    """
+    """Plans the shortest path from an entry to a target with A*, draws it and returns its length, m."""
     from cathsim.planning.path import picture, plan_path
 
     path = plan_path(phantom.grid, phantom.entry(entry).position, phantom.target(target).position)

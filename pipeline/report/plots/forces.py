@@ -4,34 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.report.force_logs import EpisodeForces, pooled
-from pipeline.report.plots.canvas import new_figure, save_figure
+from pipeline.report.plots.canvas import MM, chart, new_figure, save_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 PIXEL = 1.0e-3  # m
-_MM = 1e3
 _REAL = "tab:orange"
+_FORCE = "resultant contact force of a step (N)"
 
 Array = NDArray[np.float64]
 
 
 def draw_distribution(simulated: Array, real_mean_n: float, real_sd_n: float, file: Path) -> None:
-    """Draws the forces of all steps beside the real distribution: density and cumulated.
-
-    Args:
-        simulated: (n,) N.
-        real_mean_n: mean of the real forces, N.
-        real_sd_n: their standard deviation, N.
-        file: the PNG.
-    """
+    """Draws the forces of all steps, (n,) N, beside the real normal distribution: density and cumulated."""
     from scipy.stats import norm
 
     figure = new_figure(9.0, 3.8)
@@ -42,46 +35,34 @@ def draw_distribution(simulated: Array, real_mean_n: float, real_sd_n: float, fi
     label = f"real, N({real_mean_n:.2f}, {real_sd_n:.2f}) N"
     density.hist(simulated, bins=np.linspace(0, top, 60), density=True, color="tab:blue", alpha=0.6, label="simulated")
     density.plot(at, norm.pdf(at, real_mean_n, real_sd_n), color=_REAL, label=label)
-    density.set(xlabel="resultant contact force of a step (N)", ylabel="density (1/N)", yscale="log")
+    density.set(xlabel=_FORCE, ylabel="density (1/N)", yscale="log")
     density.set_ylim(bottom=0.01)
     ordered = np.sort(simulated)
     cumulated.step(ordered, np.arange(1, len(ordered) + 1) / len(ordered), where="post", label="simulated")
     cumulated.plot(at, norm.cdf(at, real_mean_n, real_sd_n), color=_REAL, label=label)
-    cumulated.set(xlabel="resultant contact force of a step (N)", ylabel="share of the steps below", ylim=(0, 1.02))
-    for axes in (density, cumulated):
-        axes.grid(alpha=0.3)
-        axes.legend(frameon=False, fontsize=8)
+    cumulated.set(xlabel=_FORCE, ylabel="share of the steps below", ylim=(0, 1.02))
+    style(density)
+    style(cumulated)
     save_figure(figure, file)
 
 
 def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n: float, file: Path) -> None:
-    """Draws the forces of each phantom and target as box plots, the real distribution as a band.
-
-    Args:
-        episodes: at least one.
-        real_mean_n: mean of the real forces, N.
-        real_sd_n: their standard deviation, N.
-        file: the PNG.
-    """
+    """Draws the forces of each phantom and target as box plots, the real distribution as a band."""
     tasks = sorted({(episode.phantom, episode.target) for episode in episodes})
     samples, labels = [], []
     for phantom, target in tasks:
         chosen = [episode for episode in episodes if (episode.phantom, episode.target) == (phantom, target)]
         samples.append(pooled(chosen))
         labels.append(f"{phantom}\n{target.upper()}\n{len(chosen)} episodes")
-    figure = new_figure(max(4.5, 1.5 + 1.1 * len(tasks)), 4.2)
-    axes = figure.subplots()
-    axes.axhspan(real_mean_n - real_sd_n, real_mean_n + real_sd_n, color=_REAL, alpha=0.15, label="real, mean ± SD")
-    axes.axhline(real_mean_n, color=_REAL, linewidth=1.0)
-    axes.boxplot(samples, tick_labels=labels, whis=(5, 95), showmeans=True, flierprops={"markersize": 2, "alpha": 0.4})
-    axes.set(
-        ylabel="resultant contact force of a step (N)", title="box: quartiles; whiskers: 5 and 95 %; triangle: mean"
-    )
-    axes.title.set_fontsize(9)
-    axes.set_ylim(bottom=0.0)
-    axes.grid(axis="y", alpha=0.3)
-    axes.legend(frameon=False, fontsize=8)
-    save_figure(figure, file)
+    low, high = real_mean_n - real_sd_n, real_mean_n + real_sd_n
+    with chart(file, max(4.5, 1.5 + 1.1 * len(tasks)), grid="y") as axes:
+        axes.axhspan(low, high, color=_REAL, alpha=0.15, label="real, mean ± SD")
+        axes.axhline(real_mean_n, color=_REAL, linewidth=1.0)
+        fliers = {"markersize": 2, "alpha": 0.4}
+        axes.boxplot(samples, tick_labels=labels, whis=(5, 95), showmeans=True, flierprops=fliers)
+        axes.set(ylabel=_FORCE, title="box: quartiles; whiskers: 5 and 95 %; triangle: mean")
+        axes.title.set_fontsize(9)
+        axes.set_ylim(bottom=0.0)
 
 
 def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *, title: str) -> None:
@@ -90,7 +71,7 @@ def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *,
     Args:
         vertices: (v, 3) m, of the lumen's surface, as dense as the pixels.
         episodes: in this vessel.
-        file: the PNG.
+        file: of the picture.
         title: of the figure.
     """
     from cathsim.metrics.forces import wall_heat
@@ -100,13 +81,9 @@ def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *,
     steps = max(sum(len(episode.magnitudes) for episode in episodes), 1)
     largest, total = wall_heat(vertices, points, forces)
     figure = new_figure(9.4, 5.2)
-    for axes, heat, label in zip(
-        figure.subplots(1, 2),
-        (largest, total / steps),
-        ("largest contact force (N)", "mean contact force over all steps (N)"),
-        strict=True,
-    ):
-        _draw_projection(figure, axes, vertices, heat, label)
+    left, right = figure.subplots(1, 2)
+    _draw_projection(figure, left, vertices, largest, "largest contact force (N)")
+    _draw_projection(figure, right, vertices, total / steps, "mean contact force over all steps (N)")
     figure.suptitle(title, fontsize=11)
     save_figure(figure, file)
 
@@ -122,15 +99,10 @@ def _draw_projection(figure: Figure, axes: Axes, vertices: Array, heat: Array, l
     from scipy.ndimage import binary_closing, grey_closing
 
     covered, image = binary_closing(covered, iterations=2), grey_closing(image, size=(3, 3))
-    extent = tuple(_MM * (low[k] + PIXEL * (edge - 0.5)) for k, edge in ((0, 0), (0, shape[1]), (2, 0), (2, shape[0])))
-    shown = axes.imshow(
-        np.where(covered, image, np.nan),
-        extent=extent,
-        origin="lower",
-        cmap="YlOrRd",
-        vmin=0.0,
-        vmax=float(image.max()) or 1.0,
-    )
-    axes.contour(covered, levels=[0.5], extent=extent, origin="lower", colors="0.35", linewidths=0.8)
+    extent = tuple(MM * (low[k] + PIXEL * (edge - 0.5)) for k, edge in ((0, 0), (0, shape[1]), (2, 0), (2, shape[0])))
+    place: dict[str, Any] = {"extent": extent, "origin": "lower"}
+    hottest = float(image.max()) or 1.0
+    shown = axes.imshow(np.where(covered, image, np.nan), cmap="YlOrRd", vmin=0.0, vmax=hottest, **place)
+    axes.contour(covered, levels=[0.5], colors="0.35", linewidths=0.8, **place)
     axes.set(xlabel="x, patient's left (mm)", ylabel="z, superior (mm)", aspect="equal")
     figure.colorbar(shown, ax=axes, label=label, shrink=0.75)

@@ -1,4 +1,4 @@
-"""Plots of navigation: success against expert trials, and what failed trials did."""
+"""Plot of navigation: how trials ended."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from pipeline.report.plots.canvas import new_figure, save_figure
 
-_BARS = (7.2, 3.6)
 _COLOURS = ("#3a7d44", "#c0504d", "#e69f00", "#8064a2", "#7f7f7f")  # success, then the modes
 
 
@@ -21,11 +20,10 @@ def draw_failures(
     Args:
         rows: name of a bar to "success" and each mode, numbers of trials.
         labels: of success and modes.
-        modes: in their order.
+        modes: of failure, in their order.
         file: of the picture.
     """
-    height = max(_BARS[1], 0.32 * len(rows) + 1.2)
-    figure = new_figure(_BARS[0], height)
+    figure = new_figure(7.2, max(3.6, 0.32 * len(rows) + 1.2))
     axes = figure.subplots()
     names = list(rows)[::-1]
     totals = np.array([max(1, sum(rows[name].values())) for name in names], float)

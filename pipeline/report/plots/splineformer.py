@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.report.plots.canvas import new_figure, save_figure
+from pipeline.report.plots.canvas import new_figure, save_figure, window
 
 TRUE, MASK, TRACED, SPLINE = "tab:green", (1.0, 0.55, 0.1), "tab:red", "tab:blue"
 _MARGIN_PX = 40
@@ -21,17 +21,17 @@ def draw_comparison(examples: Path, rival: str, variants: Sequence[str], labels:
     Args:
         examples: ``examples.npz`` of the comparison.
         rival: name of the segmentation network.
-        variants: names of the variants.
+        variants: their names.
         labels: names as they are shown.
         file: of the picture.
     """
     with np.load(examples) as kept:
-        columns = len(kept["kinds"])
-        figure = new_figure(4.3 * columns, 4.1 * (1 + len(variants)))
-        grid = figure.subplots(1 + len(variants), columns, squeeze=False)
-        for column in range(columns):
+        kinds = [str(kind).replace("_", " ") for kind in kept["kinds"]]
+        figure = new_figure(4.3 * len(kinds), 4.1 * (1 + len(variants)))
+        grid = figure.subplots(1 + len(variants), len(kinds), squeeze=False)
+        for column, kind in enumerate(kinds):
             image, true = kept[f"image{column}"], kept[f"true{column}"]
-            rows, cells = _window(true, image.shape)
+            rows, cells = window(true, image.shape, _MARGIN_PX)
             for row, name in enumerate((rival, *variants)):
                 axes, points = grid[row][column], kept[f"points{column}_{name}"]
                 low, high = np.percentile(image[rows, cells], _GREY_TAILS_PCT)
@@ -48,29 +48,13 @@ def draw_comparison(examples: Path, rival: str, variants: Sequence[str], labels:
                 if name != rival and len(kept[f"control{column}_{name}"]):
                     axes.plot(*kept[f"control{column}_{name}"].T, ".", color=SPLINE, markersize=3)
                 axes.set(xlim=(cells.start, cells.stop), ylim=(rows.stop, rows.start), xticks=[], yticks=[])
-                kind = str(kept["kinds"][column]).replace("_", " ")
                 axes.set_title(labels[name] + ("" if kind == "none" else f", {kind}"), fontsize=10)
         grid[0][0].legend(fontsize=8, loc="lower right")
     save_figure(figure, file)
 
 
-def _window(points: np.ndarray, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """A square about a curve, inside the image."""
-    low, high = points.min(0) - _MARGIN_PX, points.max(0) + _MARGIN_PX
-    side = min(int((high - low).max()), *shape)
-    corner = np.clip((low + high - side) / 2, 0, np.array(shape[::-1]) - side).astype(int)
-    return slice(corner[1], corner[1] + side), slice(corner[0], corner[0] + side)
-
-
 def draw_attention(examples: Path, variants: Sequence[str], labels: Mapping[str, str], file: Path) -> None:
-    """Draws where each variant looks.
-
-    Args:
-        examples: ``examples.npz`` of the comparison.
-        variants: names of the variants.
-        labels: names as they are shown.
-        file: of the picture.
-    """
+    """Draws the attention of each variant over the images; arguments as of `draw_comparison`."""
     with np.load(examples) as kept:
         columns = len(kept["kinds"])
         figure = new_figure(4.0 * columns, 4.0 * len(variants))
@@ -81,9 +65,8 @@ def draw_attention(examples: Path, variants: Sequence[str], labels: Mapping[str,
                 seen = kept[f"attention{column}_{name}"] / 255.0
                 axes.imshow(image, cmap="gray")
                 height, width = image.shape
-                axes.imshow(
-                    seen, cmap="inferno", alpha=0.75 * (seen > 0), extent=(-0.5, width - 0.5, height - 0.5, -0.5)
-                )
+                extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+                axes.imshow(seen, cmap="inferno", alpha=0.75 * (seen > 0), extent=extent)
                 points = kept[f"points{column}_{name}"]
                 if len(points):
                     axes.plot(*points.T, color="tab:cyan", linewidth=1.0)
@@ -96,38 +79,33 @@ def draw_errors(outcome: Mapping[str, Mapping[str, Any]], labels: Mapping[str, s
     """Draws the share of images below an error, and the median errors under each disturbance.
 
     Args:
-        outcome: disturbance to reader to what `pipeline.stages.networks.comparison.compare` tells.
+        outcome: disturbance to reader to what `pipeline.stages.networks.comparison.compare` gives.
         labels: names of the readers as they are shown.
         file: of the picture.
     """
     figure = new_figure(11.0, 4.0)
-    places = figure.subplots(1, 3)
-    for axes, key, name in (
-        (places[0], "mean_errors_px", "mean curve error"),
-        (places[1], "tip_errors_px", "tip error"),
-    ):
-        for reader, told in outcome["none"].items():
-            errors = np.sort(told[key])
+    means, tips, medians = figure.subplots(1, 3)
+    for axes, key, name in ((means, "mean_errors_px", "mean curve error"), (tips, "tip_errors_px", "tip error")):
+        for reader, of_reader in outcome["none"].items():
+            errors = np.sort(of_reader[key])
             # images in which nothing was found have no error: the curve ends below 100 %
-            axes.step(
-                errors, 100 * np.arange(1, len(errors) + 1) / max(told["n"], 1), where="post", label=labels[reader]
-            )
+            shares = 100 * np.arange(1, len(errors) + 1) / max(of_reader["n"], 1)
+            axes.step(errors, shares, where="post", label=labels[reader])
         axes.set(xlabel=f"{name}, px", ylabel="images below, %", ylim=(0, 102))
-        if any(told[key] for told in outcome["none"].values()):  # a logarithmic axis needs a value
+        if any(of_reader[key] for of_reader in outcome["none"].values()):  # a logarithmic axis needs a value
             axes.set(xscale="log")
         axes.grid(alpha=0.3)
-    places[0].legend(frameon=False, fontsize=8, loc="lower right")
+    means.legend(frameon=False, fontsize=8, loc="lower right")
     readers = list(outcome["none"])
     width = 0.8 / len(readers)
     for index, reader in enumerate(readers):
-        medians = [told[reader]["median_px"] for told in outcome.values()]
-        heights = [np.nan if median is None else median for median in medians]
-        places[2].bar(
-            np.arange(len(outcome)) + width * (index - (len(readers) - 1) / 2), heights, width, label=labels[reader]
-        )
-    places[2].set_xticks(range(len(outcome)), [kind.replace("_", " ") for kind in outcome], fontsize=8)
-    places[2].set(ylabel="median of the mean curve error, px")
-    if any(one["median_px"] is not None for told in outcome.values() for one in told.values()):
-        places[2].set(yscale="log")
-    places[2].grid(alpha=0.3, axis="y")
+        places = np.arange(len(outcome)) + width * (index - (len(readers) - 1) / 2)
+        known = [of_kind[reader]["median_px"] for of_kind in outcome.values()]
+        heights = [np.nan if error is None else error for error in known]
+        medians.bar(places, heights, width, label=labels[reader])
+    medians.set_xticks(range(len(outcome)), [kind.replace("_", " ") for kind in outcome], fontsize=8)
+    medians.set(ylabel="median of the mean curve error, px")
+    if any(one["median_px"] is not None for of_kind in outcome.values() for one in of_kind.values()):
+        medians.set(yscale="log")
+    medians.grid(alpha=0.3, axis="y")
     save_figure(figure, file)

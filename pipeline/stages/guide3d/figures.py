@@ -12,10 +12,10 @@ from guide3d.dataset.frame import Frame, ImageError
 from guide3d.dataset.true_curves import VIEWS
 from guide3d.reconstruction.evaluation import Record, accepted
 from guide3d.reconstruction.reconstruction import reconstruct, reconstruct_greedy
+from pipeline.report.plots.canvas import draw_in_space
 from pipeline.report.plots.guide3d import (
     Overlay,
     draw_along,
-    draw_in_space,
     draw_overlays,
     draw_samples,
     draw_segments,

@@ -11,13 +11,13 @@ from PIL import Image
 
 from pipeline.report.figures import gather_figures
 from pipeline.report.learning import figures as learning_figures
-from pipeline.report.learning import plots as learning_plots
 from pipeline.report.learning.curves import Curve, join_seeds, read_columns, read_curves
 from pipeline.report.learning.figures import Material, draw_learning, task_words
 from pipeline.report.learning.logs import evaluation_folders
-from pipeline.report.learning.plots import Point, draw_front, draw_generalisation, draw_training
 from pipeline.report.learning.reading import read_logs
 from pipeline.report.learning.tables import tables_from_logs
+from pipeline.report.plots import learning as learning_plots
+from pipeline.report.plots.learning import Point, draw_front, draw_generalisation, draw_training
 from pipeline.report.results import Figure, write_figures
 from tests.pipeline.report.evaluation_logs import write_curve, write_evaluation, write_row
 
@@ -84,7 +84,7 @@ def test_each_figure_appears_when_there_is_something_for_it(tmp_path: Path, monk
     monkeypatch.setattr("cathsim.load_phantom", lambda name: SimpleNamespace(name=name, lumen_mesh=wall))
     drawn: dict[str, list] = {"heat": [], "ways": [], "lengths": []}
     monkeypatch.setattr("pipeline.report.plots.forces.draw_heat", lambda *given, **more: drawn["heat"].append(given))
-    monkeypatch.setattr(learning_plots, "draw_ways", lambda *given, **more: drawn["ways"].append((given, more)))
+    monkeypatch.setattr(learning_plots, "draw_paths", lambda *given, **more: drawn["ways"].append((given, more)))
     monkeypatch.setattr(learning_plots, "draw_lengths", lambda *given: drawn["lengths"].append(given))
     run, folder = tmp_path / "run", tmp_path / "figures"
     for seed in range(2):
@@ -145,7 +145,7 @@ def image(path: Path) -> np.ndarray:
 
 
 def test_plots_show_what_they_are_given(tmp_path: Path) -> None:
-    """A curve more, a weight more, an anatomy more: each leaves ink."""
+    """A curve more, a weight more, an anatomy more: each darkens more pixels."""
     one, two = (
         {"V": [curve([0, 1, 2], [0, 1, 0])]},
         {"V": [curve([0, 1, 2], [0, 1, 0])], "I": [curve([0, 1, 2], [1, 0, 1])]},

@@ -1,4 +1,4 @@
-"""Plots of learning: training curves, episode length against people's, forces by row, ways, fronts, generalisation."""
+"""Plots of learning: training curves, episode length against people's, forces by row, paths, fronts, generalisation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.report.learning.curves import Curve, join_seeds
-from pipeline.report.plots.canvas import new_figure, save_figure
+from pipeline.report.plots.canvas import MM, chart, new_figure, save_figure, style
 from pipeline.report.plots.episodes import draw_vessel
 
 if TYPE_CHECKING:
@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 
     from cathsim import Phantom
 
-_MM = 1e3
 _HUMAN = "tab:orange"
-_WAYS = {"ENN": "tab:blue", "Sampling expert": "tab:green", "Human": _HUMAN}
+_PATHS = {"ENN": "tab:blue", "Sampling expert": "tab:green", "Human": _HUMAN}
 
 Array = NDArray[np.float64]
 Grouped = Mapping[str, Mapping[str, Sequence[Curve]]]  # task -> row -> a curve a seed
@@ -48,16 +47,16 @@ TRAINING_PANELS = (
 
 @dataclass(frozen=True)
 class Point:
-    """A policy in the front of success against force.
+    """A policy in the front of success against force; pairs are mean and standard deviation over seeds.
 
     Attributes:
         task: its phantom and target, in words.
         label: its weight of the force, or its row.
         weight: that weight, to order the points of a task; None comes first.
-        force_n: mean force, N; mean and standard deviation over seeds.
-        success_pct: likewise, %.
-        force_max_n: largest force of an episode, N; likewise.
-        steps: of an episode; likewise.
+        force_n: mean force, N.
+        success_pct: %.
+        force_max_n: largest force of an episode, N.
+        steps: of an episode.
     """
 
     task: str
@@ -70,20 +69,14 @@ class Point:
 
 
 def draw_training(tasks: Grouped, labels: Mapping[str, str], file: Path) -> None:
-    """Draws reward and evaluated success of every task; thin lines are seeds, thick ones means with their spread.
-
-    Args:
-        tasks: at least one.
-        labels: row to words.
-        file: the PNG.
-    """
-    rows = list(dict.fromkeys(row for of_task in tasks.values() for row in of_task))
+    """Draws reward and evaluated success of every task; thin lines are seeds, thick ones means with their spread."""
     figure = new_figure(12.0, 0.7 + 2.7 * len(tasks))
     grid = figure.subplots(len(tasks), len(TRAINING_PANELS), squeeze=False)
+    colours = _colours(tasks)
     for line, (task, of_task) in zip(grid, tasks.items(), strict=True):
         for axes, panel in zip(line, TRAINING_PANELS, strict=True):
             for row, curves in of_task.items():
-                _draw_curves(axes, curves, panel, color=f"C{rows.index(row) % 10}", label=labels.get(row, row))
+                _draw_curves(axes, curves, panel, color=colours[row], label=labels.get(row, row))
             if panel.y == "evaluation_success":
                 axes.set_ylim(-4, 104)
             axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
@@ -101,14 +94,19 @@ def draw_training(tasks: Grouped, labels: Mapping[str, str], file: Path) -> None
     save_figure(figure, file)
 
 
+def _colours(tasks: Grouped) -> dict[str, str]:
+    rows = dict.fromkeys(row for of_task in tasks.values() for row in of_task)
+    return {row: f"C{index % 10}" for index, row in enumerate(rows)}
+
+
 def _draw_curves(axes: Axes, curves: Sequence[Curve], panel: Panel, *, color: str, label: str) -> None:
-    several = len(curves) > 1
-    for curve in curves if several else ():
-        at, values = curve.pairs(panel.x, panel.y)
-        axes.plot(panel.x_scale * at, panel.y_scale * values, color=color, linewidth=0.6, alpha=0.45)
+    points = [curve.pairs(panel.x, panel.y) for curve in curves]
     band = join_seeds(curves, panel.x, panel.y)
+    if len(curves) > 1:
+        for at, values in points:
+            axes.plot(panel.x_scale * at, panel.y_scale * values, color=color, linewidth=0.6, alpha=0.45)
     if band is None:  # a single point, or nothing in common
-        for at, values in (curve.pairs(panel.x, panel.y) for curve in curves):
+        for at, values in points:
             axes.plot(panel.x_scale * at, panel.y_scale * values, ".", color=color, label=label if len(at) else None)
         return
     x, mean, spread = panel.x_scale * band.x, panel.y_scale * band.mean, panel.y_scale * band.spread
@@ -124,27 +122,25 @@ def draw_lengths(tasks: Grouped, human: Mapping[str, Array], labels: Mapping[str
         tasks: at least one.
         human: task to the (n,) lengths of people's episodes, steps.
         labels: row to words.
-        file: the PNG.
+        file: of the picture.
     """
-    rows = list(dict.fromkeys(row for of_task in tasks.values() for row in of_task))
     panel = Panel("decisions", "evaluation_length", "decisions", "episode length (steps)")
     figure = new_figure(max(5.0, 3.9 * len(tasks)), 3.6)
-    for index, (axes, (task, of_task)) in enumerate(
-        zip(figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0], tasks.items(), strict=True)
-    ):
+    panels = figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
+    colours = _colours(tasks)
+    for axes, (task, of_task) in zip(panels, tasks.items(), strict=True):
         if len(human.get(task, ())):
             lengths = human[task]
             mean, spread = float(np.mean(lengths)), float(np.std(lengths))
             axes.axhline(mean, color=_HUMAN, linestyle="--", linewidth=1.4, label=f"human, {len(lengths)} episodes")
             axes.axhspan(mean - spread, mean + spread, color=_HUMAN, alpha=0.12, linewidth=0)
         for row, curves in of_task.items():
-            _draw_curves(axes, curves, panel, color=f"C{rows.index(row) % 10}", label=labels.get(row, row))
-        axes.set(xlabel=panel.x_label, ylabel="" if index else panel.y_label, title=task)
+            _draw_curves(axes, curves, panel, color=colours[row], label=labels.get(row, row))
+        axes.set(xlabel=panel.x_label, ylabel=panel.y_label if axes is panels[0] else "", title=task)
         axes.title.set_fontsize(10)
         axes.locator_params(axis="x", nbins=5)
         axes.set_ylim(bottom=0.0)
-        axes.grid(alpha=0.3)
-        axes.legend(frameon=False, fontsize=8)
+        style(axes)
     save_figure(figure, file)
 
 
@@ -153,12 +149,11 @@ def draw_largest_forces(phantoms: Mapping[str, Mapping[tuple[str, str], Array]],
 
     Args:
         phantoms: phantom in words -> (row in words, target) -> (n,) N.
-        file: the PNG.
+        file: of the picture.
     """
     figure = new_figure(max(6.0, 6.2 * len(phantoms)), 4.4)
-    for axes, (phantom, boxes) in zip(
-        figure.subplots(1, len(phantoms), squeeze=False, sharey=True)[0], phantoms.items(), strict=True
-    ):
+    panels = figure.subplots(1, len(phantoms), squeeze=False, sharey=True)[0]
+    for axes, (phantom, boxes) in zip(panels, phantoms.items(), strict=True):
         rows = list(dict.fromkeys(row for row, _ in boxes))
         targets = sorted({target for _, target in boxes})
         width = 0.8 / len(targets)
@@ -167,59 +162,48 @@ def draw_largest_forces(phantoms: Mapping[str, Mapping[tuple[str, str], Array]],
             drawn = axes.boxplot(
                 [values for _, values in there],
                 positions=[place + (index - (len(targets) - 1) / 2) * width for place, _ in there],
-                widths=0.85 * width,
-                whis=(5, 95),
-                patch_artist=True,
-                medianprops={"color": "black"},
-                flierprops={"markersize": 2, "alpha": 0.5},
+                widths=0.85 * width, whis=(5, 95), patch_artist=True, manage_ticks=False,
+                medianprops={"color": "black"}, flierprops={"markersize": 2, "alpha": 0.5},
                 boxprops={"facecolor": f"C{index}", "alpha": 0.55},
-                manage_ticks=False,
-            )
+            )  # fmt: skip
             drawn["boxes"][0].set_label(target.upper())
         axes.set_xticks(range(len(rows)), rows, rotation=35, ha="right", fontsize=8)
         axes.set(title=phantom, ylabel="largest contact force of an episode (N)")
         axes.title.set_fontsize(10)
         axes.set_ylim(bottom=0.0)
-        axes.grid(axis="y", alpha=0.3)
-        axes.legend(frameon=False, fontsize=8)
+        style(axes, grid="y")
     save_figure(figure, file)
 
 
-def draw_ways(
-    phantom: Phantom, target: str, ways: Mapping[str, Sequence[tuple[Array, bool]]], file: Path, *, radius_mm: float
+def draw_paths(
+    phantom: Phantom, target: str, paths: Mapping[str, Sequence[tuple[Array, bool]]], file: Path, *, radius_mm: float
 ) -> None:
-    """Draws the ways of the tip in the vessel, a colour for each who steered.
+    """Draws the paths of the tip in the vessel, a panel for each who steered.
 
     Args:
         phantom: the vessel.
-        target: name of the target.
-        ways: who -> (T + 1, 3) m and whether it succeeded, for each way.
-        file: the PNG.
+        target: its name.
+        paths: who -> (T + 1, 3) m and whether it succeeded, for each path.
+        file: of the picture.
         radius_mm: of the sphere of success.
     """
-    shown = {who: of_one for who, of_one in ways.items() if of_one}
+    shown = {who: of_one for who, of_one in paths.items() if of_one}
     figure = new_figure(3.6 * len(shown), 4.6)
-    for axes, (who, of_one) in zip(
-        figure.subplots(1, len(shown), squeeze=False, sharey=True)[0], shown.items(), strict=True
-    ):
+    panels = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
+    for axes, (who, of_one) in zip(panels, shown.items(), strict=True):
         draw_vessel(axes, phantom, target, radius_mm=radius_mm)
-        for way, success in of_one:
-            x, z = way[:, 0] * _MM, way[:, 2] * _MM
-            axes.plot(x, z, linewidth=1.0, alpha=0.7, color=_WAYS[who])
-            axes.plot(x[-1], z[-1], "o" if success else "x", markersize=4, color=_WAYS[who] if success else "black")
+        for path, success in of_one:
+            x, z = path[:, 0] * MM, path[:, 2] * MM
+            axes.plot(x, z, linewidth=1.0, alpha=0.7, color=_PATHS[who])
+            axes.plot(x[-1], z[-1], "o" if success else "x", markersize=4, color=_PATHS[who] if success else "black")
         axes.set_title(f"{who}, {len(of_one)} episode{'' if len(of_one) == 1 else 's'}", fontsize=10)
-        if who != next(iter(shown)):
+        if axes is not panels[0]:
             axes.set_ylabel("")
     save_figure(figure, file)
 
 
 def draw_front(points: Sequence[Point], file: Path) -> None:
-    """Draws success, and the steps that it takes, against force, a line a task through the weights of the force.
-
-    Args:
-        points: at least one.
-        file: the PNG.
-    """
+    """Draws success, and the steps that it takes, against force, a line a task through the weights of the force."""
     figure = new_figure(9.6, 4.2)
     success, steps = figure.subplots(1, 2)
     for index, task in enumerate(dict.fromkeys(point.task for point in points)):
@@ -249,22 +233,13 @@ def draw_front(points: Sequence[Point], file: Path) -> None:
 
 
 def draw_generalisation(curves: Mapping[str, Sequence[tuple[int, float, float]]], file: Path) -> None:
-    """Draws success on unseen anatomies against the number of those trained on.
-
-    Args:
-        curves: name -> (anatomies, success, its standard deviation), % each.
-        file: the PNG.
-    """
-    figure = new_figure(6.2, 4.0)
-    axes = figure.subplots()
-    for index, (name, points) in enumerate(curves.items()):
-        count, success, spread = np.array(sorted(points), dtype=np.float64).T
-        axes.errorbar(count, success, yerr=spread, fmt="o-", color=f"C{index}", capsize=2, label=name)
-    numbers = sorted({count for points in curves.values() for count, _, _ in points})
-    axes.set_xscale("log", base=2)
-    axes.set_xticks(numbers, [str(number) for number in numbers])
-    axes.minorticks_off()
-    axes.set(xlabel="training anatomies", ylabel="success on unseen anatomies (%)", ylim=(-4, 104))
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False, fontsize=8, loc="lower right")
-    save_figure(figure, file)
+    """Draws success on unseen anatomies: name -> (training anatomies, success, its standard deviation), % each."""
+    with chart(file, 6.2, 4.0, loc="lower right") as axes:
+        for index, (name, points) in enumerate(curves.items()):
+            count, success, spread = np.array(sorted(points), dtype=np.float64).T
+            axes.errorbar(count, success, yerr=spread, fmt="o-", color=f"C{index}", capsize=2, label=name)
+        numbers = sorted({count for points in curves.values() for count, _, _ in points})
+        axes.set_xscale("log", base=2)
+        axes.set_xticks(numbers, [str(number) for number in numbers])
+        axes.minorticks_off()
+        axes.set(xlabel="training anatomies", ylabel="success on unseen anatomies (%)", ylim=(-4, 104))
