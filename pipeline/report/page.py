@@ -11,7 +11,8 @@ from typing import Any
 import jinja2
 
 from pipeline.report.figures import ShownFigure
-from pipeline.report.tables import NOT_RUN, ReportTable, format_cell
+from pipeline.report.table_formats import format_cell
+from pipeline.report.tables import NOT_RUN, ReportTable
 from pipeline.store.manifest import Manifest
 
 PAGE = "index.html"

@@ -47,19 +47,15 @@ class Figure:
     group: str = ""
 
 
-def _read(path: Path) -> Any:
+def _read(path: Path, otherwise: Any) -> Any:
     try:
-        return read_json(path)
+        return read_json(path) if path.is_file() else otherwise
     except ValueError as error:
         raise StageError(f"{path} is damaged ({error}): run its stage again with force=true") from error
 
 
 def write_results(folder: Path, tables: dict[str, Any]) -> None:
-    """Writes a stage's measured cells.
-
-    Args:
-        folder: the stage's folder.
-        tables: table -> row -> column -> cell, as the module describes.
+    """Writes a stage's measured cells: table -> row -> column -> cell, as the module describes.
 
     Raises:
         ValueError: when something is not a cell; the message names table, row and column.
@@ -72,34 +68,17 @@ def write_results(folder: Path, tables: dict[str, Any]) -> None:
 
 
 def write_notes(folder: Path, notes: dict[str, str]) -> None:
-    """Writes what a stage says of its tables.
-
-    Args:
-        folder: the stage's folder.
-        notes: table -> how its rows were made.
-    """
+    """Writes what a stage says of its tables: table -> how its rows were made."""
     write_json(folder / NOTES, notes)
 
 
 def read_notes(folder: Path) -> dict[str, str]:
-    """Reads what a stage says of its tables.
-
-    Args:
-        folder: the stage's folder.
-
-    Returns:
-        table -> how its rows were made; empty when the stage says nothing.
-    """
-    path = folder / NOTES
-    return _read(path) if path.is_file() else {}
+    """Reads what a stage says of its tables; empty when it says nothing."""
+    return _read(folder / NOTES, {})
 
 
 def write_figures(folder: Path, figures: list[Figure]) -> None:
-    """Writes a stage's list of figures.
-
-    Args:
-        folder: the stage's folder.
-        figures: in the order they are shown.
+    """Writes a stage's list of figures, in the order they are shown.
 
     Raises:
         FileNotFoundError: when a figure's file is not in the folder.
@@ -111,43 +90,25 @@ def write_figures(folder: Path, figures: list[Figure]) -> None:
 
 
 def read_results(folder: Path) -> dict[str, Table]:
-    """Reads a stage's measured cells.
-
-    Args:
-        folder: the stage's folder.
-
-    Returns:
-        table -> row -> column -> cell; empty when the stage measures nothing.
-    """
-    path = folder / RESULTS
-    return _read(path) if path.is_file() else {}
+    """Reads a stage's measured cells; empty when it measures nothing."""
+    return _read(folder / RESULTS, {})
 
 
 def read_figures(folder: Path) -> list[Figure]:
-    """Reads a stage's list of figures.
-
-    Args:
-        folder: the stage's folder.
-
-    Returns:
-        The figures whose files are there.
-    """
-    path = folder / FIGURES
-    if not path.is_file():
-        return []
-    figures = [Figure(**entry) for entry in _read(path)]
+    """Reads a stage's list of figures: those whose files are there."""
+    figures = [Figure(**entry) for entry in _read(folder / FIGURES, [])]
     return [figure for figure in figures if (folder / figure.file).is_file()]
 
 
 def check_cell(cell: Any, place: str) -> None:
-    """Refuses what is not a cell.
+    """Refuses what is neither a finite number, nor a pair of such, nor text, nor None.
 
     Args:
-        cell: a number, a pair of numbers, text or None.
+        cell: anything.
         place: table, row and column, for the message.
 
     Raises:
-        ValueError: when it is something else, or not finite.
+        ValueError: it is something else, or not finite.
     """
     numbers = cell if isinstance(cell, list | tuple) else [] if cell is None or isinstance(cell, str) else [cell]
     is_pair = not isinstance(cell, list | tuple) or len(cell) == 2
@@ -163,9 +124,6 @@ def pool(cells: list[tuple[Cell, int | None]]) -> tuple[Cell, int | None]:
 
     Args:
         cells: cell and its number of samples, a job each; at least one.
-
-    Returns:
-        The joint cell and the joint number of samples.
     """
     known = [(cell, n) for cell, n in cells if cell is not None]
     if len(known) <= 1:
@@ -178,11 +136,7 @@ def pool(cells: list[tuple[Cell, int | None]]) -> tuple[Cell, int | None]:
     same = len({repr(cell) for cell, _ in known}) == 1 and not any(n for _, n in known)
     if same and not isinstance(known[0][0], list):
         return known[0][0], None  # a setting that every job shares
-    means = [
-        float(cell[0]) if isinstance(cell, list) else float(cell)
-        for cell, _ in known
-        if not isinstance(cell, str) and cell is not None
-    ]
+    means = [float(cell[0] if isinstance(cell, list) else cell) for cell, _ in known if not isinstance(cell, str)]
     mean = math.fsum(means) / len(means)
     spread = math.sqrt(math.fsum((x - mean) ** 2 for x in means) / len(means))
     return [mean, spread], len(means)

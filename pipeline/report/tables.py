@@ -1,11 +1,8 @@
-"""Tables of the report: the thesis's cells beside the measured ones, as rows to draw, CSV, LaTeX and metrics."""
+"""Tables of the report: the thesis's cells, as `thesis.yaml` holds them, beside the measured ones."""
 
 from __future__ import annotations
 
-import csv
 import functools
-import io
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -59,14 +56,7 @@ class ReportTable:
     rows: tuple[Row, ...]
 
     def has_words(self, column: Column) -> bool:
-        """Whether a column holds text, which reads better from the left.
-
-        Args:
-            column: one of the table's.
-
-        Returns:
-            True when any of its cells, thesis or measured, is text.
-        """
+        """Whether any cell of a column, thesis or measured, is text, which reads better from the left."""
         return any(isinstance(side.get(column.key), str) for row in self.rows for side in (row.thesis, row.measured))
 
     @property
@@ -74,14 +64,12 @@ class ReportTable:
         """How many cells of the thesis could be measured; of an own table, how many are shown."""
         if self.kind == "literature":
             return 0
-        return sum(
-            1 for row in self.rows for c in self.columns if row.thesis.get(c.key) is not None or not row.in_thesis
-        )
+        return sum(row.thesis.get(c.key) is not None or not row.in_thesis for row in self.rows for c in self.columns)
 
     @property
     def measured_cells(self) -> int:
         """How many cells have been measured."""
-        return sum(1 for row in self.rows for c in self.columns if row.measured.get(c.key) is not None)
+        return sum(row.measured.get(c.key) is not None for row in self.rows for c in self.columns)
 
     @property
     def has_run(self) -> bool:
@@ -126,14 +114,7 @@ def group_labels() -> dict[str, str]:
 
 
 def row_labels(table: str) -> dict[str, str]:
-    """Names of a table's rows in words.
-
-    Args:
-        table: its key.
-
-    Returns:
-        Row, without its group, to words; rows that need none are absent.
-    """
+    """Names of a table's rows, without their groups, in words; rows that need none are absent."""
     specs = _thesis()[0]
     return specs[table].labels if table in specs else {}
 
@@ -141,11 +122,7 @@ def row_labels(table: str) -> dict[str, str]:
 def join_sweep(parts: Iterable[dict[str, Table]]) -> dict[str, Table]:
     """Joins what several folders measured: different cells side by side, equal cells pooled.
 
-    Args:
-        parts: the results of each stage folder.
-
-    Returns:
-        table -> row -> column -> cell, with ``n`` in rows whose sample count is known.
+    Rows whose sample count is known get it as ``n``.
     """
     collected: dict[tuple[str, str, str], list[tuple[Cell, int | None]]] = {}
     for results in parts:
@@ -210,15 +187,7 @@ def _merge(key: str, spec: _Spec, groups: dict[str, str], measured: Table) -> Re
 
 
 def metrics(tables: list[ReportTable]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Lists every measured cell for programs.
-
-    Args:
-        tables: the report's tables.
-
-    Returns:
-        table -> row -> column -> number, pair, text, or None where it has not run; ``n`` beside the
-        columns where known.
-    """
+    """Lists every measured cell for programs: table -> row -> column -> cell, None where it has not run."""
     return {
         table.key: {
             row.key: dict(row.measured) | ({SAMPLES: row.samples} if row.samples is not None else {})
@@ -226,92 +195,3 @@ def metrics(tables: list[ReportTable]) -> dict[str, dict[str, dict[str, Any]]]:
         }
         for table in tables
     }
-
-
-def format_cell(cell: Cell, decimals: int | None = None) -> str:
-    """Words a cell.
-
-    Args:
-        cell: number, pair, text or None.
-        decimals: places after the point; None gives as many as the value needs.
-
-    Returns:
-        The text; empty for None.
-    """
-    if cell is None:
-        return ""
-    if isinstance(cell, str):
-        return cell
-    if isinstance(cell, list):
-        places = _decimals(max(map(abs, cell))) if decimals is None else decimals
-        return f"{cell[0]:.{places}f} ± {cell[1]:.{places}f}"
-    if decimals is not None:
-        return f"{cell:.{decimals}f}"
-    if float(cell).is_integer():
-        return f"{int(cell):,}" if abs(cell) >= 10_000 else str(int(cell))
-    return f"{cell:.4g}"
-
-
-def _decimals(value: float) -> int:
-    """Enough decimals for three to four significant digits."""
-    magnitude = math.floor(math.log10(abs(value))) if value else 0
-    return max(0, min(4, 2 - magnitude))
-
-
-def as_csv(table: ReportTable) -> str:
-    """Writes a table as CSV: two columns each, thesis and measured; pairs as ``mean ± sd``.
-
-    Args:
-        table: the table.
-
-    Returns:
-        The text; cells that have not run are empty.
-    """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    head = [f"{c.key}{suffix}" for c in table.columns for suffix in ("_thesis", "_measured")]
-    writer.writerow(["row", *head, "samples"])
-    for row in table.rows:
-        cells = [format_cell(side.get(c.key), c.decimals) for c in table.columns for side in (row.thesis, row.measured)]
-        writer.writerow([row.key, *cells, row.samples if row.samples is not None else ""])
-    return stream.getvalue()
-
-
-_LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-          "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "±": r"$\pm$", "≥": r"$\geq$", "×": r"$\times$",
-          "²": r"$^2$", "τ": r"$\tau$", "γ": r"$\gamma$", "–": "--"}  # fmt: skip
-
-
-def as_latex(table: ReportTable) -> str:
-    """Writes a table for LaTeX with booktabs: thesis and measured value in columns beside each other.
-
-    Args:
-        table: the table.
-
-    Returns:
-        A ``table`` environment; cells that have not run are dashes.
-    """
-    width = len(table.columns)
-    heads = [_escape(f"{c.label}{f', {c.unit}' if c.unit else ''}") for c in table.columns]
-    lines = [
-        r"\begin{table}[ht]", r"\centering", rf"\caption{{{_escape(table.title)}}}\label{{tab:{table.key}}}",
-        r"\begin{tabular}{l" + " rr" * width + "}", r"\toprule",
-        " & ".join(["", *(rf"\multicolumn{{2}}{{c}}{{{head}}}" for head in heads)]) + r" \\",
-        " & ".join(["", *["thesis & measured"] * width]) + r" \\", r"\midrule",
-    ]  # fmt: skip
-    group = ""
-    for row in table.rows:
-        if row.group != group:
-            group = row.group
-            lines.append(rf"\multicolumn{{{1 + 2 * width}}}{{l}}{{\textit{{{_escape(group)}}}}} \\")
-        cells = [
-            _escape(format_cell(side.get(c.key), c.decimals)) or "--"
-            for c in table.columns
-            for side in (row.thesis, row.measured)
-        ]
-        lines.append(" & ".join([_escape(row.label), *cells]) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
-
-
-def _escape(text: str) -> str:
-    return "".join(_LATEX.get(character, character) for character in text)

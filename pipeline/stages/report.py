@@ -14,7 +14,8 @@ from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.learning.section import LearningSection, learning_section
 from pipeline.report.page import PAGE, StageRecord, render_page
 from pipeline.report.results import Table, read_notes
-from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
+from pipeline.report.table_formats import as_csv, as_latex
+from pipeline.report.tables import join_sweep, metrics, report_tables
 from pipeline.settings.checks import validated
 from pipeline.stages import Stage, StageContext, available_stages
 from pipeline.store.atomic_files import write_json, write_text

@@ -8,12 +8,13 @@ import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from pipeline.report.learning.logs import COMPARED, DEMONSTRATION, Evaluation, UnusableLogError, read_evaluation
-from pipeline.store.atomic_files import read_json, write_json
+from pipeline.store.file_memory import FileMemory
 from pipeline.store.interruption import stop_if_asked
 from pipeline.store.source_closure import SourceClosure
 
@@ -41,7 +42,7 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
 
     Args:
         folders: stage folders, children of the run's folder.
-        cache: file that keeps metrics between calls; a log counts as known while its size and time stay.
+        cache: file that keeps metrics between calls, as long as the logs and the code behind them stay.
         processes: that read in parallel when there is much to read; by default one a core.
 
     Returns:
@@ -49,30 +50,43 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
     """
     from pipeline.episodes import EpisodeReadError
 
-    runs = {path: folder.parent for folder in folders for path in sorted(folder.rglob("*.mcap"))}
-    kept = _MetricsCache(cache)
-    known = {path: kept.recall(path, run) for path, run in runs.items()}
-    new = [path for path in runs if known[path] is None]
     found = EvaluationSet()
-    for path, result in zip(new, _read_all([(path, runs[path]) for path in new], processes), strict=True):
+    if not folders:
+        return found
+    run_path = folders[0].parent
+    sources = SourceClosure(cache and cache.with_name("sources.json"))
+    code = sources.hash("pipeline.report.learning.logs", "cathsim.metrics")
+    kept = FileMemory(cache, run_path, version=code)
+    paths = [path for folder in folders for path in sorted(folder.rglob("*.mcap"))]
+    known = {path: kept.recall(path) for path in paths}
+    new = [path for path in paths if known[path] is None]
+    for path, result in zip(new, _read_all(new, run_path, processes), strict=True):
         if isinstance(result, Evaluation):
-            known[path] = result
-            kept.keep(path, result)
+            known[path] = kept.compute(path, partial(_values, result))
             continue
-        name = path.relative_to(runs[path]).as_posix()
-        found.left_out[name] = str(result)
+        found.left_out[path.relative_to(run_path).as_posix()] = str(result)
         words = str(result) if isinstance(result, EpisodeReadError) else f"{path}: {result}"
         _LOGGER.warning("left out: %s", words)
     kept.save()
-    found.evaluations = _latest([one for path in runs if (one := known[path]) is not None], found.left_out)
+    found.evaluations = _latest([_evaluation(values) for values in known.values() if values], found.left_out)
     return found
 
 
-def _read_one(job: tuple[Path, Path]) -> Evaluation | ValueError:
+def _values(evaluation: Evaluation, path: Path) -> dict[str, Any]:
+    return asdict(evaluation)
+
+
+def _evaluation(values: dict[str, Any]) -> Evaluation:
+    from cathsim.metrics import EpisodeMetrics
+
+    return Evaluation(**{**values, "metrics": EpisodeMetrics(**values["metrics"])})
+
+
+def _read_one(path: Path, run_path: Path) -> Evaluation | ValueError:
     from pipeline.episodes import EpisodeReadError
 
     try:
-        return read_evaluation(*job)
+        return read_evaluation(path, run_path)
     except (EpisodeReadError, UnusableLogError) as error:
         return error
     except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
@@ -80,21 +94,21 @@ def _read_one(job: tuple[Path, Path]) -> Evaluation | ValueError:
         return UnusableLogError(f"what it says cannot be used ({type(error).__name__}: {error})")
 
 
-def _read_all(jobs: list[tuple[Path, Path]], processes: int | None) -> Iterator[Evaluation | ValueError]:
-    count = min(processes or len(os.sched_getaffinity(0)), 1 + len(jobs) // PARALLEL_FROM)
+def _read_all(paths: list[Path], run_path: Path, processes: int | None) -> Iterator[Evaluation | ValueError]:
+    count = min(processes or len(os.sched_getaffinity(0)), 1 + len(paths) // PARALLEL_FROM)
     done = 0
     if count > 1:
         pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_ignore_ctrl_c)
         try:
-            for result in pool.map(_read_one, jobs, chunksize=16):
+            for result in pool.map(partial(_read_one, run_path=run_path), paths, chunksize=16):
                 yield result
                 done += 1
         except BrokenExecutor:
             _LOGGER.warning("a process that read logs died: the rest is read without it")
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-    for job in jobs[done:]:
-        yield _read_one(job)
+    for path in paths[done:]:
+        yield _read_one(path, run_path)
         stop_if_asked()
 
 
@@ -118,43 +132,3 @@ def _latest(evaluations: list[Evaluation], left_out: dict[str, str]) -> list[Eva
             one = later
         latest[key] = one
     return sorted(latest.values(), key=lambda found: found.log)
-
-
-class _MetricsCache:
-    """Metrics of logs that were read before, by path, size and time; forgotten when the code behind them changes."""
-
-    def __init__(self, file: Path | None) -> None:
-        self._file = file
-        sources = SourceClosure(file and file.with_name("sources.json"))
-        self._code = sources.hash("pipeline.report.learning.logs", "cathsim.metrics")
-        self._entries = self._load()
-        self._new: dict[str, Any] = {}
-
-    def _load(self) -> dict[str, Any]:
-        try:
-            content = read_json(self._file) if self._file else {}
-            return dict(content["logs"]) if content.get("code") == self._code else {}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            return {}  # a cache that cannot be read is an empty one
-
-    def recall(self, path: Path, run_path: Path) -> Evaluation | None:
-        from cathsim.metrics import EpisodeMetrics
-
-        entry = self._entries.get(path.relative_to(run_path).as_posix())
-        if entry is None or entry["stamp"] != _stamp(path):
-            return None
-        values = entry["evaluation"]
-        return Evaluation(**{**values, "metrics": EpisodeMetrics(**values["metrics"])})
-
-    def keep(self, path: Path, evaluation: Evaluation) -> None:
-        self._new[evaluation.log] = {"stamp": _stamp(path), "evaluation": asdict(evaluation)}
-
-    def save(self) -> None:
-        if self._file is not None and self._new:
-            entries = self._load() | self._new  # another job of the run may have added its own meanwhile
-            write_json(self._file, {"code": self._code, "logs": entries})
-
-
-def _stamp(path: Path) -> list[int]:
-    status = path.stat()
-    return [status.st_size, status.st_mtime_ns]

@@ -35,7 +35,7 @@ from pipeline.report.learning.logs import (
 from pipeline.report.learning.reading import CACHE, read_logs
 from pipeline.report.learning.statistics import counted, mean_of, of_mode, over_seeds, shortest_paths, summary
 from pipeline.report.results import SAMPLES, Table
-from pipeline.report.tables import format_cell
+from pipeline.report.table_formats import format_cell
 from pipeline.store.errors import StageError
 
 OWN_TABLES = {"baselines": "baselines", "enn": "enn", "imitation": "behaviour_cloning", "unseen": "generalisation",

@@ -1,12 +1,8 @@
-"""Learning tables from logs: the figures by hand, what counts and what does not, differences, the cache, the page."""
+"""Learning tables from logs, their figures worked out by hand."""
 
 from __future__ import annotations
 
-import json
-import logging
 import math
-import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,82 +11,19 @@ import pytest
 import pipeline.report.learning.reading as reading_module
 from cathsim.metrics.intervals import wilson_interval
 from pipeline.report.learning.logs import (
-    COUNTED,
-    UnusableLogError,
     changed_settings,
     evaluation_folders,
-    read_evaluation,
 )
-from pipeline.report.learning.reading import CACHE, read_logs
-from pipeline.report.learning.section import learning_section
+from pipeline.report.learning.reading import read_logs
 from pipeline.report.learning.statistics import shortest_paths
 from pipeline.report.learning.tables import learning_tables, log_summary, tables_from_logs
-from pipeline.report.results import check_cell, write_results
-from pipeline.store.atomic_files import write_json
+from pipeline.report.results import check_cell
 from pipeline.store.errors import StageError
-from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.report.evaluation_logs import write_evaluation, write_row
 
 
 def read(run: Path, **arguments: object) -> reading_module.EvaluationSet:
     return read_logs(evaluation_folders(run), **arguments)  # type: ignore[arg-type]
-
-
-def test_metrics_come_from_the_arrays_with_the_thesis_reward(tmp_path: Path) -> None:
-    (path,) = write_row(tmp_path, "enn", "V", successes=(True,), steps=4, force=0.3, way=0.2, contacts=3)
-    one = read_evaluation(path, tmp_path)
-    assert (one.stage, one.row, one.variant, one.mode, one.training_seed) == ("enn", "V", "desk", "deterministic", 0)
-    assert (one.phantom, one.target, one.folder, one.success_radius) == ("type_1", "bca", "enn", 0.008)
-    # distances 0.1, 0.076, 0.052, 0.028, 0.004 m: three steps pay for theirs, the last one earns 10
-    assert one.metrics.reward == pytest.approx(10 - 0.076 - 0.052 - 0.028)
-    assert one.metrics.path_length == pytest.approx(0.2)
-    assert one.metrics.force_mean == one.metrics.force_max == pytest.approx(0.3)  # the state after reset is no step
-    assert one.contact_force == pytest.approx(0.1)
-    assert (one.metrics.steps, one.metrics.success) == (4, True)
-
-
-def test_a_failed_episode_pays_for_every_step_and_has_no_contact_force_without_contacts(tmp_path: Path) -> None:
-    (path,) = write_row(tmp_path, "enn", "V", successes=(False,), steps=2, contacts=0)
-    one = read_evaluation(path, tmp_path)
-    assert one.metrics.reward == pytest.approx(-0.065 - 0.03)
-    assert one.contact_force is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        ({"status": "interrupted"}, "its episode was broken off"),
-        ({"end_distance": 0.02}, "claims success 20.0 mm from the target, the radius is 8 mm"),
-        ({"outcome_success": False}, "its outcome says success=False, its last step True"),
-        ({"mode": "greedy"}, "its mode is 'greedy', expected deterministic or stochastic"),
-        ({"force": math.nan}, "force magnitudes must be finite"),
-    ],
-)
-def test_logs_that_do_not_count_say_why(tmp_path: Path, arguments: dict, reason: str) -> None:
-    metadata = {"row": "V", "mode": "deterministic", "training_seed": 0, **arguments}
-    path = write_evaluation(tmp_path / "enn" / "000.mcap", **metadata)
-    with pytest.raises(UnusableLogError, match=reason):
-        read_evaluation(path, tmp_path)
-
-
-def test_a_log_without_the_metadata_of_an_evaluation_is_none(tmp_path: Path) -> None:
-    path = write_evaluation(tmp_path / "enn" / "000.mcap", row="V")
-    with pytest.raises(UnusableLogError, match="its metadata lacks mode, training_seed"):
-        read_evaluation(path, tmp_path)
-
-
-def test_one_damaged_log_among_a_hundred_is_left_out_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    paths = write_row(tmp_path, "enn", "V", successes=(True,) * 100)
-    content = bytearray(paths[57].read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    paths[57].write_bytes(content)
-    reading = read(tmp_path)
-    assert len(reading.evaluations) == 99
-    assert list(reading.left_out) == [paths[57].relative_to(tmp_path).as_posix()]
-    (warning,) = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert str(paths[57]) in warning
-    assert "damaged" in warning
-    assert tables_from_logs(tmp_path)["ablation"]["bca/V"]["n"] == 99
 
 
 def test_a_folder_without_evaluations_is_one_sentence(tmp_path: Path) -> None:
@@ -231,105 +164,10 @@ def test_sweep_folders_join_by_seed_but_never_across_other_settings(tmp_path: Pa
     assert changed_settings("enn") == changed_settings("enn@seed=1,phantom.mesh=a.stl") == ""
 
 
-def test_an_episode_recorded_twice_counts_once_the_latest(tmp_path: Path) -> None:
-    write_row(tmp_path, "enn", "I", force=0.1, started_ns=2_000)
-    write_row(tmp_path, "enn", "I", folder="enn@seed=0", force=0.2, started_ns=1_000)
-    reading = read(tmp_path)
-    assert [one.folder for one in reading.evaluations] == ["enn", "enn"]
-    assert len(reading.left_out) == 2
-    assert all("recorded again in enn/type_1" in reason for reason in reading.left_out.values())
-
-
 def test_weights_of_the_force_are_rows_of_their_own(tmp_path: Path) -> None:
     for seed, weight in enumerate((0.5, 2.0)):
         write_row(tmp_path, "enn", "I+V+M safe", force_weight=weight, seed=seed)
     assert list(tables_from_logs(tmp_path)["ablation"]) == ["bca/I+V+M safe 0.5", "bca/I+V+M safe 2"]
-
-
-def test_known_logs_are_not_read_again_until_they_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    paths = write_row(tmp_path, "enn", "I", successes=(True, True, False))
-    cache = tmp_path / CACHE
-    first = read(tmp_path, cache=cache)
-    asked: list[Path] = []
-
-    def watched(path: Path, run_path: Path) -> object:
-        asked.append(path)
-        return read_evaluation(path, run_path)
-
-    monkeypatch.setattr(reading_module, "read_evaluation", watched)
-    assert read(tmp_path, cache=cache) == first
-    assert asked == []
-    write_row(tmp_path, "enn", "I", successes=(True,), force=0.7)
-    os.utime(paths[0], ns=(1, 1))
-    assert read(tmp_path, cache=cache).evaluations[0].metrics.force_max == pytest.approx(0.7)
-    assert asked == [paths[0]]
-    content = json.loads(cache.read_text())
-    cache.write_text(json.dumps({**content, "code": "older"}))
-    read(tmp_path, cache=cache)
-    assert len(asked) == 4, "other code computes them anew"
-    cache.write_text("{")
-    assert len(read(tmp_path, cache=cache).evaluations) == 3
-
-
-def test_processes_give_the_same_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (path, *_) = write_row(tmp_path, "enn", "I", successes=(True, False, True))
-    path.write_bytes(b"no log")
-    alone = read(tmp_path)
-    monkeypatch.setattr(reading_module, "PARALLEL_FROM", 1)
-    assert read(tmp_path, processes=2) == alone
-    assert len(alone.left_out) == 1
-
-
-def finish(run: Path, stage: str) -> None:
-    """Makes a stage's folder a finished one."""
-    folder = RunFolder(run / stage, Identity("c", {}, "s"))
-    folder.finish(stage=stage, run=run.name, budget="smoke", seed=0, config={}, started=0.0)
-
-
-def test_report_tabulates_the_logs_whatever_results_say(tmp_path: Path, run_python: Callable[[str], str]) -> None:
-    run = tmp_path / "tried"
-    write_row(run, "enn", "V", phantom="mine")
-    tables = tables_from_logs(run / "enn")
-    bad = write_row(run, "enn", "V", successes=(True,) * 3, phantom="mine")[2]
-    bad.write_bytes(b"")
-    tables["enn"]["mine/bca/V"]["success_pct"] = 12.0
-    write_results(run / "enn", {**tables, "own_table": {"a": {"b": 1.0}}})
-    finish(run, "enn")
-    printed = run_python(
-        "import sys\n"
-        "from pipeline.config import RunConfig\n"
-        "from pipeline.stages.report import ReportSettings\n"
-        "from pipeline.execution import execute\n"
-        "config = RunConfig(stage=ReportSettings(), budget={'name': 'desk'}, name='tried', runs_dir="
-        + repr(str(tmp_path))
-        + ")\n"
-        "execute(config)\n"
-        "print('torch' in sys.modules)"
-    )
-    assert printed.strip().endswith("False"), "the report must not import torch"
-    page = (run / "report" / "index.html").read_text()
-    assert "1 log was left out: enn/type_1" not in page
-    assert "1 log was left out: enn/mine/bca/V/seed0/evaluation/deterministic/002.mcap" in page
-    measured = json.loads((run / "report" / "metrics.json").read_text())
-    assert measured["enn"]["mine/bca/V"]["success_pct"] == 100.0
-    assert measured["own_table"]["a"]["b"] == 1.0
-
-
-def test_a_stage_that_has_not_finished_does_not_count(tmp_path: Path) -> None:
-    write_row(tmp_path, "enn", "V")
-    section = learning_section(tmp_path, [], tmp_path / "figures")
-    assert section.results == [{}]
-    assert section.folder is None
-
-
-def test_people_count_once_the_user_study_has_selected_their_logs(tmp_path: Path) -> None:
-    for index in range(2):
-        write_evaluation(tmp_path / f"human/type_1/bca/{index:03d}.mcap", operator="human")
-    assert learning_section(tmp_path, [], tmp_path / "figures").results == [{}]
-    write_json(tmp_path / "user_study" / COUNTED, ["human/type_1/bca/001.mcap"])
-    tables, written = learning_section(tmp_path, ["user_study"], tmp_path / "figures").results
-    assert written == {}
-    assert tables["human"]["type_1/bca"]["n"] == tables["ablation"]["bca/H"]["n"] == 1
 
 
 def test_a_stage_logs_the_success_of_its_rows(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import re
 import time
 from html.parser import HTMLParser
@@ -14,8 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pipeline.report.results import Figure, check_cell, pool, read_figures, write_figures, write_results
-from pipeline.report.tables import as_csv, as_latex, format_cell, join_sweep, metrics, report_tables
+from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.store.provenance import PROJECT_ROOT
 from pipeline.store.run_folder import Identity, RunFolder
 
@@ -118,23 +116,6 @@ def test_thesis_values_are_printed_as_the_thesis_prints_them(empty_report: Path)
     assert "8746" in page.sections["guide3d_composition"]
 
 
-def test_tables_match_the_transcribed_figures() -> None:
-    """Spot checks against the thesis's own tables, a cell or two a table."""
-    rows = {key: table["rows"] for key, table in THESIS.items()}
-    assert rows["ablation"]["lcca/I+V+M"] == [[2.26, 0.33], [14.85, 0.79], [33.77, 5.33], [45, 5], [100, 0], 100]
-    assert rows["cathsim_results"]["type_2/sac_sequential"][-2:] == [3, 0]
-    assert rows["imitation"]["bca/image_w_enn"][2] == [43.40, 1.50]
-    assert rows["training_time_h"]["enn"] == [[4.61, 0.22], [4.83, 0.41]]
-    assert rows["segmentation"]["transunet"] == [95.06, 41.20, 91.10]
-    assert rows["navigation"]["splineformer"][2:4] == [50.0, 150.0]
-    composition = rows["guide3d_composition"]
-    for column in range(3):
-        assert (
-            composition["radifocus_angled"][column] + composition["nitrex_straight"][column]
-            == composition["total"][column]
-        )
-
-
 def test_what_has_not_run_is_shown_so(empty_report: Path) -> None:
     page = Page((empty_report / "index.html").read_text())
     assert page.sections["ablation"].count("not run") == 12 * 6
@@ -205,50 +186,3 @@ def test_report_is_up_to_date_until_a_stage_changes(tmp_path: Path, caplog: pyte
     add_expert(tmp_path / "tried")
     report = run_report(tmp_path, "tried")
     assert "sampling_expert" in (report / "metrics.json").read_text()
-
-
-def test_a_cell_that_is_none_is_refused_where_it_is_written(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"ablation / bca/H / force_n: expected a finite number"):
-        write_results(tmp_path, {"ablation": {"bca/H": {"force_n": float("nan")}}})
-    with pytest.raises(ValueError, match="a pair"):
-        check_cell([1.0, 2.0, 3.0], "t / r / c")
-    with pytest.raises(FileNotFoundError, match=r"figure 'a' names b\.png"):
-        write_figures(tmp_path, [Figure("a", "", "b.png")])
-    assert read_figures(tmp_path) == []
-
-
-def test_pooling_equals_statistics_over_all_samples() -> None:
-    values = [[1.0, 2.0, 6.0], [4.0, 4.0]]
-    both = [x for part in values for x in part]
-
-    def pair(samples: list[float]) -> list[float]:
-        mean = sum(samples) / len(samples)
-        return [mean, math.sqrt(sum((x - mean) ** 2 for x in samples) / len(samples))]
-
-    cell, count = pool([(pair(part), len(part)) for part in values])
-    assert cell == pytest.approx(pair(both))
-    assert count == 5
-    assert pool([(90.0, None), (100.0, None)]) == ([95.0, 5.0], 2)
-    assert pool([(None, None), (3, 4)]) == (3, 4)
-    assert pool([("a", None), ("a", None)]) == ("a", None)
-
-
-def test_sweep_jobs_are_joined_cell_by_cell() -> None:
-    joined = join_sweep([{"t": {"r": {"x": 1.0}}}, {"t": {"r": {"y": 2.0}, "s": {"x": 3.0}}}])
-    assert joined == {"t": {"r": {"x": 1.0, "y": 2.0}, "s": {"x": 3.0}}}
-
-
-@pytest.mark.parametrize(
-    ("cell", "decimals", "expected"),
-    [(None, None, ""), ("text", 2, "text"), ([0.1234, 0.05], None, "0.123 ± 0.050"), ([-70, 28], 0, "-70 ± 28"),
-     (590080, None, "590,080"), (0.0003, None, "0.0003"), (93.14, 0, "93"), (7.0, None, "7")],
-)  # fmt: skip
-def test_cells_are_worded(cell: object, decimals: int | None, expected: str) -> None:
-    assert format_cell(cell, decimals) == expected  # type: ignore[arg-type]
-
-
-def test_csv_and_latex_hold_both_sides() -> None:
-    table = next(t for t in report_tables({"ablation": {"bca/H": {"force_n": [0.5, 0.1]}}}) if t.key == "ablation")
-    assert as_csv(table).splitlines()[1].startswith("bca/H,1.02 ± 0.22,0.50 ± 0.10,28.82 ± 11.80,,")
-    assert r"H & 1.02 $\pm$ 0.22 & 0.50 $\pm$ 0.10 & 28.82 $\pm$ 11.80 & --" in as_latex(table)
-    assert metrics([table])["ablation"]["bca/H"]["force_n"] == [0.5, 0.1]
