@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import importlib.util
 import re
@@ -26,6 +27,9 @@ FOLDERS = ("pipeline/", "packages/", "benchmarks/", "tests/", "conf/", "docs/")
 DOTTED = re.compile(rf"(?:{'|'.join((*PACKAGES, 'pipeline'))})(?:\.\w+)+")
 # Groups of entry points, which look like modules and are none.
 ENTRY_POINTS = {"cathsim.recorders"}
+# Names that the documents give as examples, and one of torch.
+OTHER_NAMES = {"branch_1", "error_mm", "angle_deg", "saved_tensors_hooks"}
+COMMIT = re.compile(r"[0-9a-f]{7}")
 # Words that have a plain one in the field's language.
 UNWANTED = re.compile(
     r"\b(eyes?|lessons?|pupils?|judgements?|intake|drift(?:s|ed)?|ink|clumsy|likewise|at a desk|spares? the wall"
@@ -155,6 +159,24 @@ def test_settings_exist(document: Path) -> None:
     assert not sorted(used - known)
     for stage, name in re.findall(r"\bstage@([a-z]\w*)\.([a-z]\w*)", text):
         assert name in stages[stage], f"stage@{stage}.{name}"
+
+
+@functools.cache
+def source_words() -> set[str]:
+    """Every word of the sources, settings and pages of the console."""
+    words = set(re.findall(r"\w+", read(PROJECT_ROOT / "Makefile")))
+    for folder in ("packages", "pipeline", "conf", "benchmarks"):
+        for path in (PROJECT_ROOT / folder).rglob("*"):
+            if path.suffix in {".py", ".yaml", ".c", ".h", ".js", ".toml"}:
+                words.update(re.findall(r"\w+", read(path)))
+    return words
+
+
+@documents
+def test_identifiers_occur_in_the_sources(document: Path) -> None:
+    names = [re.match(r"[A-Za-z_][\w.]*(?=[(=]|$)", text) for text in quoted(read(document))]
+    parts = {part for name in names if name for part in name[0].split(".") if part}
+    assert not sorted(part for part in parts - source_words() - OTHER_NAMES if not COMMIT.fullmatch(part))
 
 
 def require_imports(source: str) -> None:
