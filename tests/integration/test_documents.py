@@ -28,7 +28,7 @@ DOTTED = re.compile(rf"(?:{'|'.join((*PACKAGES, 'pipeline'))})(?:\.\w+)+")
 # Groups of entry points, which look like modules and are none.
 ENTRY_POINTS = {"cathsim.recorders"}
 # Names that the documents give as examples, and one of torch.
-OTHER_NAMES = {"branch_1", "error_mm", "angle_deg", "saved_tensors_hooks"}
+OTHER_NAMES = {"branch_1", "error_mm", "angle_deg", "autograd", "saved_tensors_hooks"}
 COMMIT = re.compile(r"[0-9a-f]{7}")
 # Words that have a plain one in the field's language.
 UNWANTED = re.compile(
@@ -163,11 +163,11 @@ def test_settings_exist(document: Path) -> None:
 
 @functools.cache
 def source_words() -> set[str]:
-    """Every word of the sources, settings and pages of the console."""
+    """Every word of the sources, tests, settings and pages of the console."""
     words = set(re.findall(r"\w+", read(PROJECT_ROOT / "Makefile")))
-    for folder in ("packages", "pipeline", "conf", "benchmarks"):
+    for folder in ("packages", "pipeline", "conf", "benchmarks", "tests"):
         for path in (PROJECT_ROOT / folder).rglob("*"):
-            if path.suffix in {".py", ".yaml", ".c", ".h", ".js", ".toml"}:
+            if path.suffix in {".py", ".yaml", ".c", ".h", ".js", ".toml"} and path != Path(__file__):
                 words.update(re.findall(r"\w+", read(path)))
     return words
 
