@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from guide3d.dataset.dataset import Dataset, split
-from guide3d.learning.network_training import train_fgrn, train_segmenter, train_shape
+from guide3d.learning.network_training import train_network
 from guide3d.learning.picture_store import PictureStore
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor
 from guide3d.learning.preprocessing import Preprocessing
@@ -40,7 +40,7 @@ QUICKLY = {"batch_size": 2, "schedule": "constant", "learning_rate": 3e-3}
 @pytest.mark.parametrize("form", ["spherical", "cartesian"])
 def test_shape_network_learns_and_is_kept(data: Dataset, tmp_path: Path, form: str) -> None:
     recipe = with_epochs(shape_recipe("smoke"), 15, **QUICKLY)
-    predictor, report = train_shape(data, split(data), recipe, form, folder=tmp_path / "fit")
+    predictor, report = train_network(data, split(data), recipe, form, folder=tmp_path / "fit")
     assert report.rows[-1]["loss"] < 0.7 * report.rows[0]["loss"]
     frame = data.frames[2]
     images = [data.frames[index].image("a") for index in range(3)]
@@ -73,7 +73,7 @@ def test_shape_network_learns_and_is_kept(data: Dataset, tmp_path: Path, form: s
 
 def test_fgrn_learns_and_is_kept(data: Dataset, tmp_path: Path) -> None:
     recipe = with_epochs(fgrn_recipe("smoke"), 15, **QUICKLY)
-    predictor, report = train_fgrn(data, split(data), recipe, folder=tmp_path / "fit")
+    predictor, report = train_network(data, split(data), recipe, folder=tmp_path / "fit")
     assert report.rows[-1]["loss"] < 0.8 * report.rows[0]["loss"]
     predictor.save(tmp_path / "fgrn.pt")
     image = data.frames[0].image("a")
@@ -84,7 +84,7 @@ def test_fgrn_learns_and_is_kept(data: Dataset, tmp_path: Path) -> None:
 
 def test_a_segmenter_learns_and_is_kept(data: Dataset, tmp_path: Path) -> None:
     recipe = dataclasses.replace(with_epochs(segmentation_recipe("unet", "smoke"), 8, **QUICKLY), images=0, mask_px=2.0)
-    predictor, _ = train_segmenter(data, split(data), recipe, folder=tmp_path / "fit")
+    predictor, _ = train_network(data, split(data), recipe, folder=tmp_path / "fit")
     frame = data.frames[-1]
     mask = predictor.predict(frame.image("b"))
     assert mask.shape == (128, 128)
@@ -102,7 +102,7 @@ def test_a_segmenter_learns_and_is_kept(data: Dataset, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["transunet", "swinunet"])
 def test_the_others_train_too(data: Dataset, tmp_path: Path, name: str) -> None:
-    predictor, report = train_segmenter(data, split(data), segmentation_recipe(name, "smoke"), folder=tmp_path)
+    predictor, report = train_network(data, split(data), segmentation_recipe(name, "smoke"), folder=tmp_path)
     assert len(report.rows) == 1
     assert predictor.predict(data.frames[0].image("a")).shape == (128, 128)
 
@@ -115,7 +115,7 @@ def test_a_damaged_image_is_skipped_once_by_name(tmp_path: Path, caplog: pytest.
         file = broken.image_path(camera)
         file.write_bytes(file.read_bytes()[:200])
     with caplog.at_level(logging.WARNING):
-        _, report = train_shape(
+        _, report = train_network(
             data, parts, with_epochs(shape_recipe("smoke"), 3), "spherical", folder=tmp_path / "shape"
         )
         assert len(report.rows) == 3
@@ -124,13 +124,13 @@ def test_a_damaged_image_is_skipped_once_by_name(tmp_path: Path, caplog: pytest.
         assert broken.label in told[0]
         caplog.clear()
         recipe = dataclasses.replace(with_epochs(segmentation_recipe("unet", "smoke"), 3), images=0)
-        train_segmenter(data, parts, recipe, folder=tmp_path / "segmenter")
+        train_network(data, parts, recipe, folder=tmp_path / "segmenter")
         told = [record.getMessage() for record in caplog.records if "is skipped" in record.getMessage()]
         assert len(told) == 2  # both cameras, once each
     for frame in data.frames:
         frame.image_path("a").write_bytes(b"")
     with pytest.raises(ValueError, match="images cannot be read, the first of frame"):
-        train_shape(data, parts, shape_recipe("smoke"), "spherical", folder=tmp_path / "none")
+        train_network(data, parts, shape_recipe("smoke"), "spherical", folder=tmp_path / "none")
 
 
 def test_prepared_pictures_are_shared_and_a_mended_image_is_read_again(data: Dataset, tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ def read_json(path: Path, what: str) -> Any:
     """Reads a file.
 
     Args:
-        path: of the file.
         what: it is, for messages: "annotation file".
 
     Returns:

@@ -66,7 +66,6 @@ def settings(cls: type[Any] | None = None, /, *, eq: bool = True) -> Any:
     """Makes a frozen dataclass that raises a ValueError of one sentence for what a field does not take.
 
     Args:
-        cls: the class.
         eq: whether its instances are equal when their fields are; not of arrays.
     """
     if cls is None:

@@ -24,7 +24,7 @@ from guide3d.dataset.dataset import Dataset, split
 from guide3d.learning.build import SEGMENTERS, SIZES
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.losses import ShapeLoss
-from guide3d.learning.network_training import train_fgrn, train_segmenter, train_shape
+from guide3d.learning.network_training import train_network
 from guide3d.learning.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.learning.training import FitProgress, finished
 from guide3d.setting_kinds import seed
@@ -60,7 +60,7 @@ def train(given: argparse.Namespace, progress: Callable[[FitProgress], None] | N
 
     Args:
         given: as `arguments` understood it.
-        progress: called after every epoch; None: the log is told.
+        progress: called after every epoch; None: it is logged.
 
     Returns:
         What ``training.json`` holds.
@@ -77,39 +77,32 @@ def train(given: argparse.Namespace, progress: Callable[[FitProgress], None] | N
                     "epoch %d of %d: loss %.4f, validation %s", now.epoch, now.epochs, now.loss, now.validation
                 )
 
-        common: dict[str, Any] = {
-            "folder": fold, "pictures": given.pictures, "seed": given.seed, "ranks": ranks,
-            "progress": progress or tell,
-        }  # fmt: skip
-        angles_alone = given.network == ANGLES_ALONE
-        form = "spherical" if angles_alone else given.network
+        form = "spherical" if given.network == ANGLES_ALONE else given.network
         if given.pretrained is not None and form not in FORMS:
             raise ValueError("--pretrained fills the vision transformer of the shape network only")
-        predictor: Any
+        recipe: Any
         if form in FORMS:
-            shape = _with_epochs(shape_recipe(given.size), given.epochs)
-            if angles_alone:
-                shape = replace(shape, loss=ShapeLoss())
-            predictor, report = train_shape(data, parts, shape, form, pretrained=given.pretrained, **common)
-        elif given.network == "fgrn":
-            predictor, report = train_fgrn(data, parts, _with_epochs(fgrn_recipe(given.size), given.epochs), **common)
+            recipe = shape_recipe(given.size)
+            if given.network == ANGLES_ALONE:
+                recipe = replace(recipe, loss=ShapeLoss())
         else:
-            recipe = _with_epochs(segmentation_recipe(given.network, given.size), given.epochs)
-            predictor, report = train_segmenter(data, parts, recipe, **common)
-        told = {"network": given.network, "size": given.size, "processes": ranks.count, **asdict(report)}
+            recipe = fgrn_recipe(given.size) if form == "fgrn" else segmentation_recipe(form, given.size)
+        if given.epochs is not None:
+            recipe = replace(recipe, fit=replace(recipe.fit, epochs=given.epochs))
+        predictor, report = train_network(
+            data, parts, recipe, form, folder=fold, pictures=given.pictures, pretrained=given.pretrained,
+            seed=given.seed, ranks=ranks, progress=progress or tell,
+        )  # fmt: skip
+        table = {"network": given.network, "size": given.size, "processes": ranks.count, **asdict(report)}
         if ranks.rank == 0:
             predictor.save(given.output / PREDICTOR)
             with whole_file(given.output / TABLE, "w") as file:
-                json.dump(told, file, indent=1)
+                json.dump(table, file, indent=1)
             finished(fold)
         ranks.wait()
-        return told
+        return table
     finally:
         ranks.leave()
-
-
-def _with_epochs(recipe: Any, epochs: int | None) -> Any:
-    return recipe if epochs is None else replace(recipe, fit=replace(recipe.fit, epochs=epochs))
 
 
 def main(words: list[str] | None = None) -> int:

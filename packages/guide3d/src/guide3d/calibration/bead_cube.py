@@ -15,8 +15,6 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-__all__ = ["Attenuation", "Beads", "attenuation", "find_beads", "measure_beads"]
-
 logger = logging.getLogger(__name__)
 
 _RADII_PX = (3.5, 22.0)  # of beads looked for

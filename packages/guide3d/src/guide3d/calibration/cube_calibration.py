@@ -23,8 +23,6 @@ from guide3d.calibration.wire_marks import WireMark, find_marks
 from guide3d.geometry.camera import Camera, write_camera, write_opencv_yaml
 from guide3d.geometry.distortion import Distortion
 
-__all__ = ["CubeCalibration", "CubeView", "calibrate_cube", "calibrate_folder"]
-
 logger = logging.getLogger(__name__)
 
 _FAR_PX = 3.0  # from where the cameras put a bead, at a second look
@@ -102,7 +100,6 @@ def calibrate_folder(folder: str | Path, swirl: str = "auto", method: str = "loc
     Args:
         folder: See `cube_files.find_files` for the names.
         swirl: As in `calibrate_rig`.
-        method: Of the distortion map.
 
     Returns:
         Cameras, maps and what they stand on.
@@ -145,12 +142,10 @@ def calibrate_cube(
     """Calibrate detectors from images in memory.
 
     Args:
-        holes: Of the sheet, by detector.
         images: (h, w) grey, raw, by (pose, detector); the first pose gives the world.
         points_mm: (m, 3) beads in the cube's frame, mm, on a lattice.
         marked: Bead number from 0 of each kind of mark.
         swirl: As in `calibrate_rig`.
-        method: Of the distortion map.
         names: What to call the images in errors.
 
     Returns:

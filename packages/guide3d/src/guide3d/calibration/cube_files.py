@@ -11,8 +11,6 @@ from PIL import Image
 
 from guide3d.geometry.camera import UNITS_MM
 
-__all__ = ["CubeFiles", "find_files", "read_beads", "read_grey", "read_references"]
-
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _SHEET = "undistort"
 
@@ -145,7 +143,6 @@ def read_references(path: str | Path, beads: int) -> dict[str, int]:
 
     Args:
         path: Lines "<bead counted from 1> <mark>", as XMALab writes them.
-        beads: How many beads there are.
 
     Returns:
         Bead number counted from 0, by mark.

@@ -15,8 +15,6 @@ import numpy as np
 from guide3d.calibration.lattice_camera import CubeLattice, LatticeFit
 from guide3d.geometry.camera import Camera
 
-__all__ = ["Candidate", "SeenMark", "candidates", "decide"]
-
 logger = logging.getLogger(__name__)
 
 _MARK_REACH = 0.1  # of the lattice's pitch as seen: how far a wire lies from its bead, one standard deviation
@@ -49,8 +47,6 @@ def candidates(lattice: CubeLattice, fit: LatticeFit, field: np.ndarray) -> list
     """Every numbering that explains the beads of one image equally well.
 
     Args:
-        lattice: Of the cube.
-        fit: One numbering.
         field: (h, w) bool in undistorted pixels, where beads can be seen.
 
     Returns:
@@ -92,7 +88,6 @@ def decide(
     """Choose one candidate for every image of every pose.
 
     Args:
-        lattice: Of the cube.
         poses: For each pose, by detector: its candidates, the marks seen, and the field (h, w) in undistorted pixels.
         marked: Bead number (from 0) of each kind of mark; other kinds are ignored.
 

@@ -12,8 +12,6 @@ from guide3d.dataset.annotation_files import DETECTOR
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
 
-__all__ = ["cameras_in", "distortions_in", "distortions_of_sheets"]
-
 _CAMERA_ENDINGS = ("txt", "yaml", "yml")
 _SHEET_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 

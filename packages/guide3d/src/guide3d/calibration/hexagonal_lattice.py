@@ -10,8 +10,6 @@ import heapq
 import numpy as np
 from scipy.spatial import cKDTree
 
-__all__ = ["NEIGHBOURS", "grow_lattice", "lattice_points", "local_lattice", "missed_sites", "predicted", "regular"]
-
 # the six neighbours of a lattice site in axial coordinates, in the order of their angle
 NEIGHBOURS = np.array([[1, 0], [0, 1], [-1, 1], [-1, 0], [0, -1], [1, -1]])
 _TOLERANCE = 0.28  # of a pitch, between where growth expects a point and where it is

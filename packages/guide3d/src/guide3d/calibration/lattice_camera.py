@@ -18,8 +18,6 @@ from scipy.spatial import cKDTree
 from guide3d.calibration.pinhole_fit import IntrinsicPrior, refine_camera
 from guide3d.geometry.camera import Camera
 
-__all__ = ["CubeLattice", "LatticeFit", "recognise_lattice"]
-
 logger = logging.getLogger(__name__)
 
 _NEIGHBOURS = 26  # beads around a corner that its lattice neighbours are looked for among
@@ -111,7 +109,6 @@ def recognise_lattice(
     """Tell which disc is which bead, up to symmetry.
 
     Args:
-        lattice: Of the cube.
         pixels: (m, 2) undistorted px of discs, clutter allowed.
         width: Of the image, px.
         height: Of the image, px.

@@ -15,8 +15,6 @@ from scipy.spatial import cKDTree
 
 from guide3d.calibration.hexagonal_lattice import grow_lattice, local_lattice, missed_sites, regular
 
-__all__ = ["SheetHoles", "find_holes"]
-
 logger = logging.getLogger(__name__)
 
 _REACH = 0.6  # pitches around its centre, the pixels that a hole is measured from

@@ -9,8 +9,6 @@ from guide3d.calibration.cube_calibration import CubeCalibration, CubeView
 from guide3d.calibration.perforated_sheet import SheetHoles
 from guide3d.geometry.distortion import Distortion
 
-__all__ = ["draw_beads", "draw_displacement", "draw_holes"]
-
 _GREEN, _RED, _YELLOW, _BLUE, _WHITE = (70, 220, 90), (255, 70, 60), (255, 215, 60), (90, 170, 255), (255, 255, 255)
 RESIDUAL_SCALE = 50  # residual arrows are drawn so many times too long
 _ENLARGED = 2
@@ -21,7 +19,6 @@ def draw_holes(image: np.ndarray, holes: SheetHoles) -> Image.Image:
 
     Args:
         image: (h, w) grey, raw.
-        holes: Found in it.
 
     Returns:
         A picture twice as large.
@@ -35,10 +32,6 @@ def draw_holes(image: np.ndarray, holes: SheetHoles) -> Image.Image:
 
 def draw_displacement(holes: SheetHoles, distortion: Distortion) -> Image.Image:
     """The lattice as the detector sees it (grey) over the lattice undistorted (blue), and some displacements.
-
-    Args:
-        holes: Of the sheet.
-        distortion: Its map.
 
     Returns:
         A picture of the raw image's size, enlarged.
@@ -62,10 +55,6 @@ def draw_displacement(holes: SheetHoles, distortion: Distortion) -> Image.Image:
 
 def draw_beads(calibration: CubeCalibration, view: CubeView) -> Image.Image:
     """A cube image with its beads' numbers (from 1) and residuals, its wire marks, and beads expected but not measured.
-
-    Args:
-        calibration: Of the rig.
-        view: One image.
 
     Returns:
         A picture twice as large.

@@ -11,15 +11,6 @@ from scipy.spatial.transform import Rotation
 from guide3d.geometry.camera import Camera
 from guide3d.setting_kinds import Positive, settings
 
-__all__ = [
-    "IntrinsicPrior",
-    "direct_linear_transformation",
-    "projection_jacobian",
-    "ransac_camera",
-    "refine_camera",
-    "turned",
-]
-
 
 @settings
 class IntrinsicPrior:
@@ -148,9 +139,6 @@ def ransac_camera(
         pixels: (n, 2) undistorted px.
         width: Of the image, px.
         height: Of the image, px.
-        tolerance_px: Of a pair that agrees.
-        rounds: Samples drawn.
-        seed: Of the draws.
 
     Returns:
         The camera, linear from all agreeing pairs, and which pairs agree (n,) bool.
@@ -210,7 +198,6 @@ def refine_camera(
     """The camera with the least squared reprojection error, by Levenberg-Marquardt.
 
     Args:
-        camera: A start.
         points_mm: (n, 3) world, mm.
         pixels: (n, 2) undistorted px.
         prior: On the intrinsics, weighed against `noise_px`; None needs six points or more in general position.

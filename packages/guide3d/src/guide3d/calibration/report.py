@@ -23,8 +23,6 @@ from guide3d.calibration.cube_files import find_files, read_grey
 from guide3d.calibration.pictures import RESIDUAL_SCALE, draw_beads, draw_displacement, draw_holes
 from guide3d.geometry.distortion import METHODS, leave_out_errors
 
-__all__ = ["figures", "main", "write_report"]
-
 _STYLE = """body{font:16px/1.5 Georgia,serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse;margin:1rem 0}td,th{padding:.25rem .9rem;border-bottom:1px solid #ccc;text-align:right}
 td:first-child,th:first-child{text-align:left}img{max-width:100%;border:1px solid #ccc}figcaption{color:#555}
@@ -77,7 +75,6 @@ def write_report(calibration: CubeCalibration, source: str | Path, folder: str |
 
     Args:
         calibration: Of the folder `source`.
-        source: Where the images are.
         folder: Where to write; made if missing.
 
     Returns:

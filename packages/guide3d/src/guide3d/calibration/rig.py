@@ -18,8 +18,6 @@ from guide3d.calibration.pinhole_fit import projection_jacobian, ransac_camera, 
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import swirl_pattern
 
-__all__ = ["RigCalibration", "Sighting", "calibrate_rig"]
-
 logger = logging.getLogger(__name__)
 
 _LEAST_BEADS = 12
@@ -83,7 +81,6 @@ def calibrate_rig(
         sightings: One an image; the first's pose gives the world.
         sizes: (width, height) of every detector's images, px.
         swirl: "auto": a detector gets a swirl where it is significant; "never"; "always".
-        seed: Of RANSAC's draws.
 
     Returns:
         Cameras with covariances and all residuals.

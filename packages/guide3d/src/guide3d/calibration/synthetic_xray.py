@@ -17,8 +17,6 @@ from guide3d.calibration.hexagonal_lattice import lattice_points
 from guide3d.geometry.camera import Camera
 from guide3d.setting_kinds import Angle, Pixels, Positive, settings
 
-__all__ = ["SyntheticDetector", "cube_points_mm", "draw_cube", "draw_sheet"]
-
 
 @settings
 class SyntheticDetector:
@@ -84,7 +82,6 @@ def draw_sheet(
     """An image of a perforated sheet.
 
     Args:
-        detector: Where it lies on.
         rng: Of noise and irregularity.
         pitch_px: Between ideal hole centres.
         angle: Of the rows, rad.

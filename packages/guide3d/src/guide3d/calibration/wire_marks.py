@@ -13,8 +13,6 @@ from scipy import ndimage
 
 from guide3d.calibration.bead_cube import Attenuation, Beads, attenuation
 
-__all__ = ["KINDS", "WireMark", "find_marks"]
-
 KINDS = ("single", "double", "circle")
 _WIDTH_PX = 6  # half of the widest line
 _FAINT, _CLEAR, _LETTER = 0.05, 0.08, 0.45  # attenuation of a wire at least, at its clearest, and at most

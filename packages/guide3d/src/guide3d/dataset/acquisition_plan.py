@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from guide3d.dataset.annotation_files import acquisition_name
 
-__all__ = ["COMPOSITION", "PlannedAcquisition", "composition", "plan_acquisitions"]
-
 # (fluid, wire) to images of the real data set
 COMPOSITION = {(True, "angled"): 3664, (True, "straight"): 484, (False, "angled"): 2472, (False, "straight"): 2126}
 
@@ -64,7 +62,6 @@ def plan_acquisitions(
     """Plans a data set.
 
     Args:
-        images: of both cameras together.
         pairs: of an acquisition at most.
         phantoms: anatomies, taken in turn.
         targets: branches, taken in turn.

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Split", "split_acquisitions"]
-
 
 @dataclass(frozen=True)
 class Split:
@@ -36,7 +34,6 @@ def split_acquisitions(
     Args:
         acquisitions: name to (kind, frames); a kind is any text, such as wire and fluid.
         shares: of the frames in train, validation and test.
-        seed: of the shuffling.
 
     Returns:
         The split; no acquisition is in two parts. With three groups or more, no part with a share stays empty.

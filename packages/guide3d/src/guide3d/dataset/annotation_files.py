@@ -20,9 +20,6 @@ from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array, checked
 from guide3d.json_file import read_json
 
-__all__ = ["Annotation", "Views", "acquisition_name", "camera_of", "image_name", "read_curves", "read_raw",
-           "write_curves", "write_raw"]  # fmt: skip
-
 CAMERA_SUFFIX = {"a": "2", "b": "1"}  # of the image folders
 DETECTOR = {"a": "16710", "b": "16709"}
 WIRES = ("angled", "straight")
@@ -75,9 +72,7 @@ def acquisition_name(fluid: bool, target: str, wire: str, number: int) -> str:
 
     Args:
         fluid: whether the phantom is filled.
-        target: where the wire goes.
         wire: "angled" or "straight".
-        number: of the acquisition.
     """
     return f"{int(fluid)}-{target}-{'angle' if wire == 'angled' else wire}-{number}"
 
@@ -103,7 +98,6 @@ def described(acquisition: str, video: Mapping[str, Any]) -> tuple[bool, str]:
     """Whether an acquisition is with fluid, and its wire, by its entry or else by its name.
 
     Args:
-        acquisition: its name.
         video: its entry, with "fluid" and "guidewire_type" where it has them.
 
     Raises:
@@ -196,7 +190,6 @@ def write_raw(path: Path, annotations: Sequence[Annotation]) -> None:
 
     Args:
         path: of the file; it appears whole or not at all.
-        annotations: in the order they are to stand in.
     """
 
     def view(image: str, points: Array) -> dict[str, Any]:

@@ -8,8 +8,6 @@ from guide3d.dataset.dataset import Dataset
 from guide3d.reconstruction import view_checks
 from guide3d.reconstruction.view_checks import Verdict
 
-__all__ = ["swapped_cameras", "undistorted_or_raw"]
-
 _PAIRS = 60  # whose epipolar residuals are asked, spread over the data set
 
 
@@ -27,7 +25,6 @@ def swapped_cameras(data: Dataset, undistorted: bool | None) -> Verdict | None:
     """Tells whether the cameras belong to each other's images.
 
     Args:
-        data: the data set.
         undistorted: whether its annotations are undistorted; None counts as yes.
 
     Returns:

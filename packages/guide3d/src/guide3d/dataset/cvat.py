@@ -10,8 +10,6 @@ from guide3d.atomic_file import whole_file
 from guide3d.dataset.annotation_files import Annotation, acquisition_of, camera_of, described
 from guide3d.geometry.polyline import Array, checked
 
-__all__ = ["read_cvat", "write_cvat"]
-
 LABEL = "guidewire"
 
 
@@ -19,7 +17,6 @@ def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
     """Reads the pairs of an export: the first polyline of every image; images without their partner are left out.
 
     Args:
-        path: the XML file.
         damaged: takes a sentence for every image that is left out.
 
     Returns:
@@ -72,7 +69,6 @@ def write_cvat(path: Path, annotations: Sequence[Annotation], size_px: Mapping[s
 
     Args:
         path: of the file; it appears whole or not at all.
-        annotations: of both cameras.
         size_px: camera "a" and "b" to width and height of its images.
     """
     root = ElementTree.Element("annotations")

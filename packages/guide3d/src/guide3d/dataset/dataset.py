@@ -35,8 +35,6 @@ from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import Distortion
 from guide3d.json_file import read_json
 
-__all__ = ["VIEWS", "Dataset", "images_of", "split"]
-
 RAW, CURVES, SPACE, TRUTH, PROPERTIES = "raw.json", "b_spline.json", "sphere.json", "truth.json", "dataset.json"
 PUBLIC_SIZE_PX = 1024
 LARGEST_SIDE_PX = 8192
@@ -177,9 +175,7 @@ def split(data: Dataset, shares: tuple[float, float, float] = (0.8, 0.1, 0.1), s
     """Divides a data set by acquisition, stratified by wire and fluid; partners stay together.
 
     Args:
-        data: the data set.
         shares: of the frames in train, validation and test.
-        seed: of the shuffling.
 
     Returns:
         The names of the acquisitions in each part.
@@ -195,8 +191,6 @@ def images_of(data: Dataset, acquisitions: Sequence[str], at_most: int = 0) -> N
     """Lists the images of acquisitions, both cameras.
 
     Args:
-        data: the data set.
-        acquisitions: names.
         at_most: so many, evenly chosen; 0: all.
 
     Returns:

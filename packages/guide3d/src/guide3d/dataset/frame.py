@@ -16,8 +16,6 @@ from guide3d.dataset.true_curves import VIEWS, TrueCurve
 from guide3d.geometry.bspline import BSplineCurve, fit_bspline
 from guide3d.geometry.polyline import Array, arc_length, at_length, resample
 
-__all__ = ["Frame", "ImageError", "read_image"]
-
 Item = TypeVar("Item")
 
 TRUTH_SPACING_MM = 0.5
@@ -134,7 +132,6 @@ class Frame:
 
         Args:
             camera: "a" or "b".
-            width_px: of the strip.
 
         Returns:
             (height, width) uint8, 255 on the wire.

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from guide3d.geometry.polyline import checked
 
-__all__ = ["strip_mask"]
-
 _PIECE_PX = 32.0  # longer pieces are cut, so that the window around each stays small
 
 
@@ -22,7 +20,6 @@ def strip_mask(points: ArrayLike, width: int, height: int, width_px: float = 6.0
         points: (n, 2) px.
         width: of the image, px.
         height: of the image, px.
-        width_px: of the strip.
 
     Returns:
         (height, width) uint8, 255 on the wire, else 0.

@@ -9,8 +9,6 @@ import numpy as np
 from guide3d.geometry.bspline import BSplineCurve, fit_bspline
 from guide3d.geometry.polyline import Array, arc_length, at_length, resample
 
-__all__ = ["VisiblePart", "annotate", "click", "fit_annotation", "thin_by_turning", "visible_part"]
-
 SPACING_PX, TURNING = 8.0, 0.2  # rad, of an exact annotation: within 0.05 px of the wire
 CLICKS_PX = (15.0, 30.0)  # between the clicks of a person on a straight stretch
 TURN_PX = 30.0  # a turn of 1 rad asks for clicks like so much more length
@@ -37,7 +35,6 @@ def visible_part(pixels: Array, arc: Array, size_px: int) -> VisiblePart | None:
     Args:
         pixels: (n, 2) px, of the curve from the tip.
         arc: (n,) arc length in space.
-        size_px: side of the image.
 
     Returns:
         The part in view; None where the tip is not.
@@ -61,8 +58,6 @@ def annotate(points: Array, noise_px: float, size_px: int, generator: np.random.
     Args:
         points: (n, 2) px, the wire in view, dense.
         noise_px: standard deviation of a click in each direction; 0 gives the exact, dense polyline.
-        size_px: side of the image, which no click leaves.
-        generator: of the clicks.
 
     Returns:
         (m, 2) px, both ends of the wire among them.

@@ -13,8 +13,6 @@ from guide3d.atomic_file import whole_file
 from guide3d.geometry.polyline import Array, checked
 from guide3d.json_file import read_json
 
-__all__ = ["TrueCurve", "read_truth", "write_truth"]
-
 VIEWS = ("a", "b")
 
 
@@ -35,7 +33,6 @@ def read_truth(path: Path, damaged: list[str]) -> dict[tuple[str, int], TrueCurv
     """Reads truth.json.
 
     Args:
-        path: of the file.
         damaged: takes a sentence for every entry that is left out.
 
     Returns:

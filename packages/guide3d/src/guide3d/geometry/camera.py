@@ -16,8 +16,6 @@ import scipy.linalg
 from guide3d.atomic_file import whole_file
 from guide3d.setting_kinds import Numbers, Pixels, settings
 
-__all__ = ["UNITS_MM", "Camera", "read_camera", "read_opencv_yaml", "write_camera", "write_opencv_yaml"]
-
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 
@@ -119,7 +117,6 @@ class Camera:
             P: (3, 4), any scale and sign, world mm to px.
             width: Of the image, px.
             height: Of the image, px.
-            name: What to call it.
 
         Returns:
             The camera, without a covariance.

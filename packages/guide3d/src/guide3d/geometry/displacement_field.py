@@ -10,8 +10,6 @@ from scipy import linalg
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
-__all__ = ["LocalWeightedMean", "SplineField"]
-
 _EVALUATED_AT_ONCE = 20_000  # points, to bound the memory
 
 
@@ -80,7 +78,6 @@ class SplineField:
         sources: (n, 2), from where.
         targets: (n, 2), to where.
         size: (width, height) of the image that the knots are spread over.
-        spans: Knot spans along each axis.
         smoothing: Weight of the squared second differences of the coefficients, relative to a control point.
 
     Raises:

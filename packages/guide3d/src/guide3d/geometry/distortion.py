@@ -22,8 +22,6 @@ from guide3d.calibration.perforated_sheet import SheetHoles
 from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
 from guide3d.setting_kinds import Numbers, Pixels, settings
 
-__all__ = ["FRAMES", "METHODS", "Distortion", "ideal_lattice", "leave_out_errors", "swirl_pattern"]
-
 METHODS = ("local weighted mean", "spline")
 FRAMES = ("least squares", "bounding box")
 _FOLDS = 13  # of q + 3 r: left-out holes are never neighbours
@@ -35,7 +33,6 @@ def ideal_lattice(holes: SheetHoles, frame: str = "least squares") -> np.ndarray
     """Where the holes would be without distortion.
 
     Args:
-        holes: Of a sheet.
         frame: "least squares": scale, angle and shift that fit all holes best. "bounding box": turned as the lattice in
             the middle of the image, then scaled along x and along y to the box around the holes, as XMALab does it;
             needed only to go with projections that were calibrated there.
@@ -115,7 +112,6 @@ class Distortion:
 
         Args:
             distort: takes undistorted px (n, 2) to raw ones.
-            size_px: side of the square image.
         """
         pitch, reach, middle = _SHEET_PITCH * size_px, int(1.2 / _SHEET_PITCH), (size_px - 1) / 2
         q, r = (index.ravel() for index in np.mgrid[-reach : reach + 1, -reach : reach + 1])
@@ -248,7 +244,6 @@ def leave_out_errors(
     A thirteenth of the holes at a time, no two of them near each other.
 
     Args:
-        holes: Of a sheet.
         method: As in `Distortion`.
         neighbours: As in `Distortion`.
         spans: As in `Distortion`.

@@ -25,10 +25,6 @@ def cross_matrix(v: ArrayLike) -> Array:
 def fundamental_matrix(camera_a: Camera, camera_b: Camera) -> Array:
     """Returns the (3, 3) fundamental matrix F with x_b^T F x_a = 0 for two images of one point, of norm 1.
 
-    Args:
-        camera_a: first view.
-        camera_b: second view.
-
     Returns:
         F = [e_b]x P_b P_a^+, with e_b = P_b C_a the image of the first source in the second view.
 
@@ -82,10 +78,6 @@ class EpipolarCoordinate:
 
 class EpipolarGeometry:
     """The pencil of epipolar planes of two cameras.
-
-    Args:
-        camera_a: first view.
-        camera_b: second view.
 
     Raises:
         ValueError: both cameras have one source.

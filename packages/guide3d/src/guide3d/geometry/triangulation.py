@@ -15,8 +15,6 @@ def triangulate_linear(camera_a: Camera, camera_b: Camera, points_a: ArrayLike, 
     """Triangulates pairs of points by the linear equations x x (P X) = 0.
 
     Args:
-        camera_a: first view.
-        camera_b: second view.
         points_a: (n, 2) undistorted px.
         points_b: (n, 2) undistorted px of the same points.
 
@@ -49,8 +47,6 @@ def triangulate(
     """Triangulates pairs of points: linear first, then the least squared distance in the images by Gauss-Newton.
 
     Args:
-        camera_a: first view.
-        camera_b: second view.
         points_a: (n, 2) undistorted px.
         points_b: (n, 2) undistorted px of the same points.
         iterations: Gauss-Newton steps; three settle to well below a micrometre.

@@ -96,7 +96,6 @@ def build_shape_network(
     """Builds the shape network.
 
     Args:
-        size: of its parts.
         form: of the curve; None: the Cartesian twin.
         positions: M, points of the longest curve.
         pretrained: weights of the vision transformer, if there are any.
@@ -122,7 +121,6 @@ def build_segmenter(name: str, image_px: int, **sizes: Any) -> nn.Module:
 
     Args:
         name: "unet", "transunet" or "swinunet".
-        image_px: side of the images it will see.
         sizes: of its parts, see `SEGMENTER_SIZES`.
 
     Raises:
@@ -152,7 +150,6 @@ def build_fgrn(points: int, **sizes: Any) -> FGRN:
     """Builds 3D-FGRN.
 
     Args:
-        points: that it predicts.
         sizes: of its parts, see `FGRN_SIZES`.
     """
     return FGRN(points=points, **sizes)

@@ -40,7 +40,6 @@ class ShapeLoss:
         """Compares predicted with true curves.
 
         Args:
-            predicted: n of them.
             points_mm: (n, M, 3) from the anchor on, padded.
             offsets: (n, M - 1, 2 or 3), padded likewise.
             last: (n,) index of each curve's last point.

@@ -76,11 +76,6 @@ def write_model(
 
     Args:
         path: of the file; its folder is made when missing.
-        kind: of the network.
-        network: what it is built from.
-        preprocessing: of its images.
-        module: whose weights are kept.
-        metadata: numbers and strings.
 
     Raises:
         ValueError: a weight is NaN or infinite; the former file stays.
@@ -104,7 +99,6 @@ def read_model(path: Path | str, kind: str) -> dict[str, Any]:
     """Reads what `write_model` wrote.
 
     Args:
-        path: of the file.
         kind: of network that it must be.
 
     Raises:

@@ -12,61 +12,77 @@ import torch
 
 from guide3d.dataset.dataset import VIEWS, images_of
 from guide3d.geometry.polyline import Array
-from guide3d.learning.build import build_fgrn, build_shape_network
+from guide3d.learning.build import build_fgrn, build_shape_network, described
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.picture_store import PictureStore
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
-from guide3d.learning.preprocessing import Preprocessing
 from guide3d.learning.recipes import FORMS, FGRNRecipe, SegmentationRecipe, ShapeRecipe
 from guide3d.learning.segmentation_samples import SegmentationObjective
 from guide3d.learning.shape_samples import CAMERA, Clips, ShapeObjective, clips_of, walks_of
-from guide3d.learning.training import FitProgress, FitReport, fit
+from guide3d.learning.training import FitProgress, FitReport, Objective, fit
 from guide3d.modeling.spherical import SphericalForm
 
 if TYPE_CHECKING:
     from guide3d.dataset.acquisition_split import Split
     from guide3d.dataset.dataset import Dataset
 
-Progress = Callable[[FitProgress], None]
+Recipe = ShapeRecipe | FGRNRecipe | SegmentationRecipe
 Curves = Mapping[int, Array]
+# network, objective, the predictor's class, its size and its metadata
+_Prepared = tuple[torch.nn.Module, Objective, Any, dict[str, Any], dict[str, Any]]
 
 
-def train_shape(
+def train_network(
     data: Dataset,
     split: Split,
-    recipe: ShapeRecipe,
-    form: str,
+    recipe: Recipe,
+    form: str = "spherical",
     *,
     folder: Path,
     pictures: Path | None = None,
     pretrained: Path | None = None,
     seed: int = 0,
     ranks: Ranks | None = None,
-    progress: Progress | None = None,
-) -> tuple[ShapePredictor, FitReport]:
-    """Trains the shape network.
+    progress: Callable[[FitProgress], None] | None = None,
+) -> tuple[Any, FitReport]:
+    """Trains the network of a recipe.
 
     Args:
-        data: the data set.
-        split: of its acquisitions.
-        recipe: of network and training.
-        form: "spherical" or "cartesian".
+        form: of the shape network's curves, "spherical" or "cartesian".
         folder: of the checkpoints.
         pictures: folder that keeps prepared pictures; None: in memory.
-        pretrained: weights of the vision transformer, if there are any.
+        pretrained: weights of the shape network's vision transformer, if there are any.
         seed: of weights, shuffling and augmentation.
-        ranks: that train together.
+        ranks: that train together; None: this process alone.
         progress: called after every epoch.
 
     Returns:
-        The predictor, and what its training was like.
+        The predictor (of the recipe's kind), and what its training was like.
 
     Raises:
-        ValueError: an unknown form, or a data set without curves in space.
+        ValueError: an unknown form, images that are not square, or a data set without curves in space.
     """
+    width, height = data.frames[0].size_px[CAMERA]
+    if width != height:
+        raise ValueError(f"{data.root}: expected square images, got {width} x {height} px")
+    recipe = replace(recipe, preprocessing=replace(recipe.preprocessing, source_px=width))
+    if isinstance(recipe, ShapeRecipe):
+        prepared = _shape(data, split, recipe, form, pictures, pretrained, seed)
+    elif isinstance(recipe, FGRNRecipe):
+        prepared = _fgrn(data, split, recipe, pictures, seed)
+    else:
+        prepared = _segmenter(data, split, recipe, pictures, seed)
+    network, objective, predictor, size, metadata = prepared
+    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
+    return predictor(network, size, recipe.preprocessing, {**metadata, "best_epoch": report.best_epoch}), report
+
+
+def _shape(
+    data: Dataset, split: Split, recipe: ShapeRecipe, form: str, pictures: Path | None, pretrained: Path | None,
+    seed: int,
+) -> _Prepared:  # fmt: skip
     if form not in FORMS:
         raise ValueError(f"unknown form '{form}'; there are {', '.join(FORMS)}")
-    recipe = replace(recipe, preprocessing=_fitting(recipe.preprocessing, data))
     walks = walks_of(data, recipe.step_mm)
     clips, training = _clips(data, split, walks, recipe.size.frames, recipe.targets)
     learnt = [walks[index] for index in np.unique(clips.targets[:training])]
@@ -82,24 +98,11 @@ def train_shape(
     torch.manual_seed(seed)
     network = build_shape_network(recipe.size, spherical, positions, pretrained=pretrained)
     _fill(network, objective.statistics())
-    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
-    told = {"form": form, "training_frames": len(learnt), "best_epoch": report.best_epoch, "step_mm": recipe.step_mm}
-    return ShapePredictor.of(network, recipe.size, recipe.preprocessing, **told), report
+    metadata = {"form": form, "training_frames": len(learnt), "best_epoch": 0, "step_mm": recipe.step_mm}
+    return network, objective, ShapePredictor, described(recipe.size, spherical, positions), metadata
 
 
-def train_fgrn(
-    data: Dataset,
-    split: Split,
-    recipe: FGRNRecipe,
-    *,
-    folder: Path,
-    pictures: Path | None = None,
-    seed: int = 0,
-    ranks: Ranks | None = None,
-    progress: Progress | None = None,
-) -> tuple[FGRNPredictor, FitReport]:
-    """Trains 3D-FGRN; arguments and result as those of `train_shape`."""
-    recipe = replace(recipe, preprocessing=_fitting(recipe.preprocessing, data))
+def _fgrn(data: Dataset, split: Split, recipe: FGRNRecipe, pictures: Path | None, seed: int) -> _Prepared:
     walks = walks_of(data, recipe.spacing_mm, chords=False)
     clips, training = _clips(data, split, walks, 1, 1)
     points = max(len(walks[index]) for index in np.unique(clips.targets[:training]))
@@ -110,24 +113,11 @@ def train_fgrn(
     torch.manual_seed(seed)
     network = build_fgrn(points, **recipe.sizes)
     _fill(network, objective.statistics())
-    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
-    told = {"training_frames": training, "best_epoch": report.best_epoch, "spacing_mm": recipe.spacing_mm}
-    return FGRNPredictor(network, {"points": points, **recipe.sizes}, recipe.preprocessing, told), report
+    metadata = {"training_frames": training, "best_epoch": 0, "spacing_mm": recipe.spacing_mm}
+    return network, objective, FGRNPredictor, {"points": points, **recipe.sizes}, metadata
 
 
-def train_segmenter(
-    data: Dataset,
-    split: Split,
-    recipe: SegmentationRecipe,
-    *,
-    folder: Path,
-    pictures: Path | None = None,
-    seed: int = 0,
-    ranks: Ranks | None = None,
-    progress: Progress | None = None,
-) -> tuple[SegmentationPredictor, FitReport]:
-    """Trains a segmentation network; arguments and result as those of `train_shape`."""
-    recipe = replace(recipe, preprocessing=_fitting(recipe.preprocessing, data))
+def _segmenter(data: Dataset, split: Split, recipe: SegmentationRecipe, pictures: Path | None, seed: int) -> _Prepared:
     stores = [PictureStore(data.frames, camera, recipe.preprocessing, pictures) for camera in VIEWS]
     training = images_of(data, split.train, recipe.images)
     objective = SegmentationObjective(
@@ -139,18 +129,9 @@ def train_segmenter(
     network = built(size)
     sample = training[:: max(1, len(training) // 32)]
     seen = objective.batch(sample, np.random.default_rng(seed))["pictures"]
-    _fill(network[0], {"pixel_mean": seen.mean(), "pixel_scale": seen.std().clamp(min=1.0)})  # type: ignore[index]
-    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
-    told = {"mask_px": recipe.mask_px, "training_images": len(training), "best_epoch": report.best_epoch}
-    return SegmentationPredictor(network, size, recipe.preprocessing, told), report
-
-
-def _fitting(preprocessing: Preprocessing, data: Dataset, camera: str = CAMERA) -> Preprocessing:
-    """The recipe's preprocessing for images of the data set's size."""
-    width, height = data.frames[0].size_px[camera]
-    if width != height:
-        raise ValueError(f"{data.root}: expected square images, got {width} x {height} px")
-    return replace(preprocessing, source_px=width)
+    _fill(next(network.children()), {"pixel_mean": seen.mean(), "pixel_scale": seen.std().clamp(min=1.0)})
+    metadata = {"mask_px": recipe.mask_px, "training_images": len(training), "best_epoch": 0}
+    return network, objective, SegmentationPredictor, size, metadata
 
 
 def _clips(data: Dataset, split: Split, walks: Curves, frames: int, targets: int) -> tuple[Clips, int]:

@@ -9,7 +9,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from guide3d.dataset.frame import Frame
 
 UNREAD, READY, DAMAGED = 0, 1, 2
+_DRAWS = 50  # of another item in place of one that cannot be read
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -31,9 +32,7 @@ class PictureStore:
         self, frames: Sequence[Frame], camera: str, preprocessing: Preprocessing, folder: Path | None = None
     ) -> None:
         """Args:
-        frames: of the data set.
         camera: "a" or "b".
-        preprocessing: of their images.
         folder: keeps pictures from one run to the next; None: in memory.
         """
         self.frames, self.camera, self.preprocessing = frames, camera, preprocessing
@@ -48,7 +47,7 @@ class PictureStore:
             # pictures for ready that lie in the other's file
             stored = _shared(folder / f"prepared-{camera}-{size}-{self._fingerprint()}.pictures", len(frames), size)
             self._state, self._pictures = stored[: len(frames)], stored[len(frames) :].reshape(shape)
-        self._told: set[int] = set()
+        self._damaged: set[int] = set()
 
     def healthy(self, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Reads what has not been read yet.
@@ -61,7 +60,7 @@ class PictureStore:
         """
         for index in np.unique(indices).tolist():
             # A picture found damaged by an earlier run may have been mended.
-            if self._state[index] != READY and index not in self._told:
+            if self._state[index] != READY and index not in self._damaged:
                 self._read(index)
         return np.asarray(self._state[indices] == READY)
 
@@ -80,14 +79,14 @@ class PictureStore:
     @property
     def damaged(self) -> list[str]:
         """Names of the frames whose image could not be read so far."""
-        return [self.frames[index].label for index in sorted(self._told)]
+        return [self.frames[index].label for index in sorted(self._damaged)]
 
     def _read(self, index: int) -> None:
         frame = self.frames[index]
         try:
             picture = self.preprocessing(frame.image(self.camera))
         except (ValueError, OSError) as error:
-            self._told.add(index)
+            self._damaged.add(index)
             self._state[index] = DAMAGED
             _LOGGER.warning("frame %s is skipped: %s", frame.label, error)
             return
@@ -99,9 +98,58 @@ class PictureStore:
         for frame in self.frames:
             path = frame.image_path(self.camera)
             status = path.stat() if path is not None and path.exists() else None
-            told = () if status is None else (status.st_size, status.st_mtime_ns)
-            digest.update(f"{frame.label}:{path}:{told}".encode())
+            size = () if status is None else (status.st_size, status.st_mtime_ns)
+            digest.update(f"{frame.label}:{path}:{size}".encode())
         return digest.hexdigest()[:16]
+
+
+class ReadableItems(Protocol):
+    """Items to learn from and to validate with, of which some may have a damaged image."""
+
+    training_items: NDArray[np.int64]
+    validation_items: NDArray[np.int64]
+
+    @property
+    def damaged(self) -> list[str]:
+        """Names of the frames whose image could not be read so far."""
+
+    def healthy(self, items: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Returns whether each item can be used, (n,)."""
+
+
+def replace_unreadable(
+    objective: ReadableItems, items: NDArray[np.int64], generator: np.random.Generator | None
+) -> NDArray[np.int64]:
+    """Returns items whose images can be read.
+
+    Args:
+        items: (n,) that are wanted.
+        generator: draws others in place of those with a damaged image; None: they are left out.
+
+    Raises:
+        ValueError: too few images can be read.
+    """
+    good = objective.healthy(items)
+    if good.all():
+        return items
+    if generator is None and good.any():
+        return items[good]
+    pool = objective.training_items if generator is not None else objective.validation_items
+    generator = generator or np.random.default_rng(0)
+    chosen = items.copy()
+    for place in np.flatnonzero(~good):
+        for _ in range(_DRAWS):
+            other = generator.choice(pool)
+            if objective.healthy(np.array([other])).all():
+                chosen[place] = other
+                break
+        else:
+            damaged = objective.damaged
+            raise ValueError(
+                f"{len(damaged)} images cannot be read, the first of frame {damaged[0]}: "
+                "there are too few others to train with"
+            )
+    return chosen
 
 
 def _shared(path: Path, count: int, size_px: int) -> NDArray[np.uint8]:

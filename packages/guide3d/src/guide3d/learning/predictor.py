@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
-from guide3d.learning.build import build_fgrn, build_segmenter, described, rebuilt
+from guide3d.learning.build import ShapeSize, build_fgrn, build_segmenter, described, rebuilt
 from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
 from guide3d.learning.preprocessing import Preprocessing
 from guide3d.modeling.fgrn import FGRN
@@ -24,23 +24,54 @@ _BATCH = 16
 _OVERLAP = 0.125  # of a tile's side, at least
 
 
-class ShapePredictor:
-    """Frames of one camera to the wire in space."""
+class _Predictor:
+    """A network with the preprocessing of its images, kept in one file."""
+
+    kind: ClassVar[str]
+    build: Any  # takes sizes, returns the network
 
     def __init__(
-        self,
-        network: ShapeNetwork,
-        size: dict[str, Any],
-        preprocessing: Preprocessing,
-        metadata: dict[str, Any],
+        self, network: Any, size: dict[str, Any], preprocessing: Preprocessing, metadata: dict[str, Any]
     ) -> None:
         """Args:
-        network: that predicts.
-        size: as `build.described` told it.
-        preprocessing: of the images.
+        network: what `build` makes of `size`, trained.
+        size: sizes of its parts, as the model file keeps them.
+        preprocessing: of the camera's images.
         metadata: what else is known of it.
         """
         self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata
+
+    def save(self, path: Path | str) -> None:
+        """Writes network, preprocessing and metadata into one file, whole or not at all."""
+        write_model(
+            path, kind=self.kind, network=self.size, preprocessing=asdict(self.preprocessing), module=self.network,
+            metadata=self.metadata,
+        )  # fmt: skip
+
+    @classmethod
+    def load(cls, path: Path | str, device: str = "cpu") -> Self:
+        """Reads a predictor.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
+        """
+        content = read_model(path, cls.kind)
+        try:
+            network = cls.build(content["network"])
+            network.load_state_dict(content["weights"])
+            preprocessing = Preprocessing(**content["preprocessing"])
+        except UNFIT as error:
+            raise another_architecture(path, error) from error
+        return cls(network.to(device), content["network"], preprocessing, content["metadata"])
+
+
+class ShapePredictor(_Predictor):
+    """Frames of one camera to the wire in space; `size` is what `build.described` gives."""
+
+    kind = "shape"
+    network: ShapeNetwork
+    build = staticmethod(rebuilt)
 
     def predict(self, images: Sequence[Images] | Images) -> Array:
         """Predicts the wire at the last of some frames.
@@ -79,42 +110,21 @@ class ShapePredictor:
                 curves += [curve.double().cpu().numpy() for curve in self.network.curves(part)]
         return curves
 
-    def save(self, path: Path | str) -> None:
-        """Writes network, preprocessing and metadata into one file, whole or not at all."""
-        _save(path, "shape", self.size, self)
-
     @classmethod
-    def load(cls, path: Path | str, device: str = "cpu") -> ShapePredictor:
-        """Reads a predictor.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
-        """
-        return cls(*_loaded(path, "shape", device, rebuilt))
-
-    @classmethod
-    def of(cls, network: ShapeNetwork, size: Any, preprocessing: Preprocessing, **metadata: Any) -> ShapePredictor:
-        """The predictor of a network just trained; `size` is its `build.ShapeSize`."""
-        return cls(network, described(size, network.form, network.positions), preprocessing, metadata)
+    def of(cls, network: ShapeNetwork, size: ShapeSize, preprocessing: Preprocessing) -> ShapePredictor:
+        """The predictor of a network of some sizes, without metadata."""
+        return cls(network, described(size, network.form, network.positions), preprocessing, {})
 
 
-class FGRNPredictor:
-    """One image to a fixed number of points along the wire."""
+class FGRNPredictor(_Predictor):
+    """One image to a fixed number of points along the wire; `size` has the arguments of `build.build_fgrn`."""
 
-    def __init__(
-        self, network: FGRN, size: dict[str, Any], preprocessing: Preprocessing, metadata: dict[str, Any]
-    ) -> None:
-        """Args:
-        network: that predicts.
-        size: arguments of `build.build_fgrn`.
-        preprocessing: of the images.
-        metadata: what else is known of it.
-        """
-        self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata
+    kind = "fgrn"
+    network: FGRN
+    build = staticmethod(lambda size: build_fgrn(**size))
 
     def predict(self, image: Images) -> Array:
-        """Predicts the wire in an image; it has no stop, so points beyond the wire's end are told, too.
+        """Predicts the wire in an image; it has no stop, so points beyond the wire's end are predicted, too.
 
         Args:
             image: (h, w) uint8, as the camera took it.
@@ -131,34 +141,33 @@ class FGRNPredictor:
         with torch.inference_mode():
             return self.network(torch.from_numpy(pictures.astype(np.float32)).to(device)).double().cpu().numpy()
 
-    def save(self, path: Path | str) -> None:
-        """Writes network, preprocessing and metadata into one file, whole or not at all."""
-        _save(path, "fgrn", self.size, self)
 
-    @classmethod
-    def load(cls, path: Path | str, device: str = "cpu") -> FGRNPredictor:
-        """Reads a predictor.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
-        """
-        return cls(*_loaded(path, "fgrn", device, lambda told: build_fgrn(**told)))
+def built(size: dict[str, Any]) -> torch.nn.Module:
+    """A segmentation network, its first layer after one that makes grey values of 0 to 255 into about -1 to 1."""
+    return torch.nn.Sequential(Scaled(), build_segmenter(size["name"], size["crop_px"], **size["sizes"]))
 
 
-class SegmentationPredictor:
-    """An image to the mask of the wire."""
+class Scaled(torch.nn.Module):
+    """Grey values with mean and scale of what was learnt from taken out."""
 
-    def __init__(
-        self, network: torch.nn.Module, size: dict[str, Any], preprocessing: Preprocessing, metadata: dict[str, Any]
-    ) -> None:
-        """Args:
-        network: that predicts.
-        size: ``name``, ``crop_px`` and ``sizes``, arguments of `build.build_segmenter`.
-        preprocessing: of the images.
-        metadata: what else is known of it.
-        """
-        self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata
+    pixel_mean: torch.Tensor
+    pixel_scale: torch.Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("pixel_mean", torch.zeros(()))
+        self.register_buffer("pixel_scale", torch.ones(()))
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Any shape to the same."""
+        return (images - self.pixel_mean) / self.pixel_scale
+
+
+class SegmentationPredictor(_Predictor):
+    """An image to the mask of the wire; `size` has ``name``, ``crop_px`` and ``sizes`` of `build.build_segmenter`."""
+
+    kind = "segmentation"
+    build = staticmethod(built)
 
     def predict(self, image: Images) -> Images:
         """Predicts the mask of an image.
@@ -207,41 +216,6 @@ class SegmentationPredictor:
         big = torch.nn.functional.interpolate(one, size=(side, side), mode="bilinear", align_corners=False)
         return big[0, 0].numpy()
 
-    def save(self, path: Path | str) -> None:
-        """Writes network, preprocessing and metadata into one file, whole or not at all."""
-        _save(path, "segmentation", self.size, self)
-
-    @classmethod
-    def load(cls, path: Path | str, device: str = "cpu") -> SegmentationPredictor:
-        """Reads a predictor.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is damaged, of another kind, or its weights do not fit its sizes.
-        """
-        return cls(*_loaded(path, "segmentation", device, built))
-
-
-def built(told: dict[str, Any]) -> torch.nn.Module:
-    """A segmentation network, its first layer after one that makes grey values of 0 to 255 into about -1 to 1."""
-    return torch.nn.Sequential(Scaled(), build_segmenter(told["name"], told["crop_px"], **told["sizes"]))
-
-
-class Scaled(torch.nn.Module):
-    """Grey values with mean and scale of what was learnt from taken out."""
-
-    pixel_mean: torch.Tensor
-    pixel_scale: torch.Tensor
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.register_buffer("pixel_mean", torch.zeros(()))
-        self.register_buffer("pixel_scale", torch.ones(()))
-
-    def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Any shape to the same."""
-        return (images - self.pixel_mean) / self.pixel_scale
-
 
 def _corners(side: int, tile: int) -> list[int]:
     if tile >= side:
@@ -254,28 +228,3 @@ def _weight(tile: int) -> NDArray[np.float32]:
     edge = np.minimum(np.arange(tile), np.arange(tile)[::-1]) + 1.0
     ramp = np.minimum(edge / (tile * _OVERLAP), 1.0)
     return np.outer(ramp, ramp).astype(np.float32)
-
-
-def _save(path: Path | str, kind: str, size: dict[str, Any], predictor: Any) -> None:
-    write_model(
-        path,
-        kind=kind,
-        network=size,
-        preprocessing=asdict(predictor.preprocessing),
-        module=predictor.network,
-        metadata=predictor.metadata,
-    )
-
-
-def _loaded(
-    path: Path | str, kind: str, device: str, build: Callable[[dict[str, Any]], Any]
-) -> tuple[Any, dict[str, Any], Preprocessing, dict[str, Any]]:
-    """What a predictor of this kind is made of."""
-    content = read_model(path, kind)
-    try:
-        network = build(content["network"])
-        network.load_state_dict(content["weights"])
-        preprocessing = Preprocessing(**content["preprocessing"])
-    except UNFIT as error:
-        raise another_architecture(path, error) from error
-    return network.to(device), content["network"], preprocessing, content["metadata"]

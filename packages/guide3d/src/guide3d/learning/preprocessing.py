@@ -81,7 +81,6 @@ def averaged(image: NDArray[np.uint8], size_px: int) -> Picture:
 
     Args:
         image: (h, h) uint8.
-        size_px: side of the result.
     """
     return np.asarray(_averaged(image, size_px))
 
@@ -97,7 +96,6 @@ def dark_lines(image: NDArray[np.uint8], width_px: int) -> Picture:
 
     Args:
         image: (h, w) uint8.
-        width_px: of the square.
 
     Returns:
         (h, w) uint8, how much darker.

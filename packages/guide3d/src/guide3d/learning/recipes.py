@@ -71,7 +71,7 @@ class SegmentationRecipe:
         mask_px: width of the wire, px of the camera's image.
         dice: share of the Dice loss.
         images: to learn from, at most; 0: all.
-        validation_images: likewise.
+        validation_images: to validate with, at most; 0: all.
         augmentation: of the crops.
     """
 
@@ -88,14 +88,7 @@ class SegmentationRecipe:
 
 
 def shape_recipe(size: str) -> ShapeRecipe:
-    """The shape network's recipe.
-
-    Args:
-        size: "thesis", "desk" or "smoke".
-
-    Raises:
-        ValueError: another size.
-    """
+    """The shape network's recipe of size "thesis", "desk" or "smoke"; ValueError for another."""
     _check(size)
     network = SHAPE_SIZES[size]
     if size == "thesis":
@@ -112,14 +105,7 @@ def shape_recipe(size: str) -> ShapeRecipe:
 
 
 def fgrn_recipe(size: str) -> FGRNRecipe:
-    """3D-FGRN's recipe.
-
-    Args:
-        size: "thesis", "desk" or "smoke".
-
-    Raises:
-        ValueError: another size.
-    """
+    """3D-FGRN's recipe of size "thesis", "desk" or "smoke"; ValueError for another."""
     _check(size)
     sizes = FGRN_SIZES[size]
     if size == "thesis":
@@ -132,15 +118,7 @@ def fgrn_recipe(size: str) -> FGRNRecipe:
 
 
 def segmentation_recipe(network: str, size: str) -> SegmentationRecipe:
-    """A segmentation network's recipe.
-
-    Args:
-        network: "unet", "transunet" or "swinunet".
-        size: "thesis", "desk" or "smoke".
-
-    Raises:
-        ValueError: another network or size.
-    """
+    """The recipe of "unet", "transunet" or "swinunet" in size "thesis", "desk" or "smoke"; ValueError for another."""
     _check(size)
     if network not in SEGMENTERS:
         raise ValueError(f"unknown segmentation network '{network}'; there are {', '.join(SEGMENTERS)}")

@@ -12,11 +12,9 @@ from torch import Tensor, nn
 
 from guide3d.dataset.dataset import VIEWS
 from guide3d.learning.losses import segmentation_loss
-from guide3d.learning.picture_store import PictureStore
+from guide3d.learning.picture_store import PictureStore, replace_unreadable
 from guide3d.learning.preprocessing import averaged
 from guide3d.setting_kinds import Grey, Logarithm, Share, settings
-
-_DRAWS = 50
 
 
 @settings
@@ -55,11 +53,8 @@ class SegmentationObjective:
         """Args:
         stores: of pictures, one a camera.
         training: images to learn from, as `images_of` lists them.
-        validation: images to validate with.
-        crop_px: side of a crop.
         mask_px: width of the wire, in px of the camera's image.
         dice: share of the Dice loss.
-        augmentation: of what is learnt from.
         """
         self.stores, self.training_items, self.validation_items = stores, training, validation
         self.crop_px, self.mask_px, self.dice = crop_px, mask_px, dice
@@ -81,10 +76,15 @@ class SegmentationObjective:
             self._masks[item] = zlib.compress(averaged(drawn, size).tobytes(), 1)
         return np.frombuffer(zlib.decompress(self._masks[item]), np.uint8).reshape(size, size)
 
-    def healthy(self, item: int) -> bool:
-        """Whether the image can be read."""
-        camera, index = divmod(item, len(self.stores[0].frames))
-        return bool(self.stores[camera].healthy(np.array([index]))[0])
+    def healthy(self, items: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Returns whether each image can be read, (n,)."""
+        places = (divmod(int(item), len(self.stores[0].frames)) for item in items)
+        return np.array([self.stores[camera].healthy(np.array([index]))[0] for camera, index in places], bool)
+
+    @property
+    def damaged(self) -> list[str]:
+        """Names of the frames whose image could not be read so far."""
+        return [name for store in self.stores for name in store.damaged]
 
     def batch(self, items: NDArray[np.int64], generator: np.random.Generator | None) -> dict[str, Tensor]:
         """Crops and their masks as tensors; images that cannot be read are replaced by others.
@@ -92,7 +92,7 @@ class SegmentationObjective:
         In validation the crop is about the middle of the wire, always the same.
         """
         pictures, masks = [], []
-        for item in self._readable(items, generator):
+        for item in replace_unreadable(self, items, generator):
             camera, index = divmod(int(item), len(self.stores[0].frames))
             whole, mask = self.stores[camera].pictures(np.array(index)), self.mask(int(item))
             rows, columns = self._crop(mask, generator)
@@ -141,26 +141,3 @@ class SegmentationObjective:
             spread = generator.uniform(0, with_.noise)
             picture = picture + spread * generator.standard_normal(picture.shape, np.float32)
         return np.clip(picture, 0, 255).astype(np.float32), mask
-
-    def _readable(self, items: NDArray[np.int64], generator: np.random.Generator | None) -> NDArray[np.int64]:
-        good = np.array([self.healthy(int(item)) for item in items], bool)
-        if good.all():
-            return items
-        if generator is None and good.any():
-            return items[good]
-        pool = self.training_items if generator is not None else self.validation_items
-        generator = generator or np.random.default_rng(0)
-        chosen = items.copy()
-        for place in np.flatnonzero(~good):
-            for _ in range(_DRAWS):
-                other = generator.choice(pool)
-                if self.healthy(int(other)):
-                    chosen[place] = other
-                    break
-            else:
-                damaged = [name for store in self.stores for name in store.damaged]
-                raise ValueError(
-                    f"{len(damaged)} images cannot be read, the first of frame {damaged[0]}: there are too few others "
-                    "to train with"
-                )
-        return chosen

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from guide3d.geometry.polyline import Array, resample
 from guide3d.learning.losses import ShapeLoss, fgrn_loss
-from guide3d.learning.picture_store import PictureStore
+from guide3d.learning.picture_store import PictureStore, replace_unreadable
 from guide3d.modeling.shape_network import PredictedShapes
 from guide3d.modeling.spherical import SphericalForm, steps_of_radius
 from guide3d.setting_kinds import Grey, Logarithm, PixelsOrNone, settings
@@ -25,16 +25,12 @@ if TYPE_CHECKING:
     from guide3d.geometry.camera import Camera
 
 CAMERA = "a"
-_DRAWS = 50  # of another sample in place of one that cannot be read
 
 _LOGGER = logging.getLogger(__name__)
 
 
 def curve_of(frame: Frame) -> Array | None:
     """The curve in space that camera A sees: the true one of a simulated frame, or else its reconstruction.
-
-    Args:
-        frame: of the data set.
 
     Returns:
         (n, 3) mm, tip first; None where there is neither.
@@ -46,7 +42,6 @@ def walks_of(data: Dataset, step_mm: float, *, chords: bool = True) -> dict[int,
     """Curves in steps of one length.
 
     Args:
-        data: the data set.
         step_mm: length of a step.
         chords: whether a step's straight length counts, or its arc.
 
@@ -90,9 +85,6 @@ def clips_of(
     """Cuts acquisitions into clips: neighbouring windows share frames, which an image network then sees only once.
 
     Args:
-        data: the data set.
-        acquisitions: names.
-        known: frames that have a curve.
         frames: of a window.
         targets: windows a clip.
     """
@@ -152,15 +144,11 @@ class ShapeObjective:
         anchor: str = "tip",
     ) -> None:
         """Args:
-        store: of the pictures.
         clips: to learn from, then those to validate with.
         training: how many of them are learnt from.
-        walks: curves of frames.
         positions: points of the longest.
         form: of the curve; None: Cartesian.
         loss: of the shape network; None: that of 3D-FGRN.
-        camera: needed for shifts.
-        augmentation: of what is learnt from.
         spacing_mm: of the points, for 3D-FGRN.
         anchor: of `modeling.shape_network.ANCHORS`, from which positions are counted.
         """
@@ -189,7 +177,7 @@ class ShapeObjective:
 
     def batch(self, items: NDArray[np.int64], generator: np.random.Generator | None) -> dict[str, Tensor]:
         """Clips and their curves as tensors; clips with an image that cannot be read are replaced by others."""
-        items = readable(self, items, generator)
+        items = replace_unreadable(self, items, generator)
         frames, targets = self.clips.frames[items], self.clips.targets[items].reshape(-1)
         pictures = self.store.pictures(frames).astype(np.float32)
         points = self._points[targets].copy()
@@ -202,6 +190,15 @@ class ShapeObjective:
             "offsets": torch.from_numpy(self._offsets[targets]),
             "last": torch.from_numpy(self._last[targets]),
         }
+
+    def healthy(self, items: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Returns whether all images of each clip can be read, (n,)."""
+        return np.asarray(self.store.healthy(self.clips.frames[items]).all(axis=1))
+
+    @property
+    def damaged(self) -> list[str]:
+        """Names of the frames whose image could not be read so far."""
+        return self.store.damaged
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Mean loss of a batch."""
@@ -264,48 +261,10 @@ class ShapeObjective:
         return np.clip(pictures, 0, 255), points
 
 
-def readable(objective: Any, items: NDArray[np.int64], generator: np.random.Generator | None) -> NDArray[np.int64]:
-    """Clips whose images can be read.
-
-    Args:
-        objective: has `store`, `clips`, `training_items` and `validation_items`.
-        items: clips that are wanted.
-        generator: draws others in place of those with a damaged image; None: they are left out.
-
-    Returns:
-        Clips.
-
-    Raises:
-        ValueError: too few images can be read.
-    """
-    store, clips = objective.store, objective.clips
-    healthy = store.healthy(clips.frames[items]).all(axis=1)
-    if healthy.all():
-        return items
-    if generator is None and healthy.any():
-        return items[healthy]
-    pool = objective.training_items if generator is not None else objective.validation_items
-    generator = generator or np.random.default_rng(0)
-    chosen = items.copy()
-    for place in np.flatnonzero(~healthy):
-        for _ in range(_DRAWS):
-            other = generator.choice(pool)
-            if store.healthy(clips.frames[other]).all():
-                chosen[place] = other
-                break
-        else:
-            raise ValueError(
-                f"{len(store.damaged)} images cannot be read, the first of frame {store.damaged[0]}: "
-                "there are too few others to train with"
-            )
-    return chosen
-
-
 def sideways(camera: Camera, point_mm: Array, shift_px: tuple[float, float]) -> Array:
     """The way in space, parallel to the image, that shifts a point's projection by so many pixels.
 
     Args:
-        camera: that sees it.
         point_mm: (3,) world.
         shift_px: to the right and down.
 

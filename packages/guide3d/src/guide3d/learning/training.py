@@ -134,9 +134,6 @@ def fit(
     """Trains a module in place and leaves it with the weights of its best epoch.
 
     Args:
-        module: to be trained.
-        objective: what it learns.
-        settings: of the training.
         folder: for the checkpoints; `finished` removes them.
         seed: of shuffling, augmentation and dropout.
         ranks: that train together; None: this process alone, on the processor.
@@ -236,9 +233,6 @@ def validate(module: nn.Module, objective: Objective, settings: FitSettings, ran
     """Mean loss of the validation items, not augmented.
 
     Args:
-        module: likewise.
-        objective: has the items.
-        settings: of the training.
         ranks: that share the work.
 
     Returns:

@@ -24,11 +24,8 @@ class FGRN(nn.Module):
         dropout: float = 0.3,
     ) -> None:
         """Args:
-        points: that are predicted.
-        image_px: side of the square image.
         filters: of the 3 x 3 convolutions; each is followed by a rectifier and 2 x 2 max pooling.
         hidden: units of the fully connected layers; each is followed by a rectifier and dropout.
-        dropout: there.
         """
         super().__init__()
         self.points, self.image_px = points, image_px

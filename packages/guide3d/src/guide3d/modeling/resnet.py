@@ -38,9 +38,7 @@ class Bottleneck(nn.Module):
 
     def __init__(self, before: int, middle: int, after: int, stride: int) -> None:
         """Args:
-        before: channels that come in.
         middle: of the 3 x 3 convolution.
-        after: channels that go out.
         stride: of the 3 x 3 convolution.
         """
         super().__init__()
@@ -63,9 +61,7 @@ class ResidualNetwork(nn.Module):
 
     def __init__(self, *, channels: int = 1, width: int = 64, units: tuple[int, int, int] = (3, 4, 9)) -> None:
         """Args:
-        channels: of the image.
         width: of the root; its stages have 4, 8 and 16 times as many channels.
-        units: bottlenecks a stage.
         """
         super().__init__()
         self.widths = (width, 4 * width, 8 * width, 16 * width)

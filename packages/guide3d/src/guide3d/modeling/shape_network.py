@@ -27,11 +27,7 @@ class ImageFeatures(nn.Module):
         self, transformer: VisionTransformer, width: int, features: int, pooling: str, dropout: float, kept: int = 0
     ) -> None:
         """Args:
-        transformer: that sees the image.
-        width: of its tokens.
-        features: size of z.
         pooling: "class" takes the class token; "tokens" joins all patches, which keeps where things are.
-        dropout: between the layers.
         kept: numbers that "tokens" keeps of each patch; 0: all.
         """
         super().__init__()
@@ -103,13 +99,10 @@ class ShapeNetwork(nn.Module):
         anchor: str = "tip",
     ) -> None:
         """Args:
-        features: of an image.
         form: how angles make a curve; None: the Cartesian twin.
         positions: M, points of the longest curve.
         size: of `features`.
         frames: of a window; the last is the one whose curve is told.
-        state: of the GRU.
-        hidden: units of a head.
         dropout: of heads, and between time steps.
         anchor: of `ANCHORS`.
         """

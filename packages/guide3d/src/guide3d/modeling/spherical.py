@@ -95,7 +95,6 @@ class SphericalForm:
         Args:
             walks_mm: curves as `steps_of_radius` gives them.
             radius_mm: of their steps.
-            cumulative: see the class.
         """
         directions = _half_sphere(_CANDIDATES)
         nearest = np.stack([np.abs(np.diff(walk, axis=0) @ directions.T).max(axis=0) for walk in walks_mm]) / radius_mm

@@ -20,11 +20,6 @@ class WindowAttention(nn.Module):
     bias_index: Tensor
 
     def __init__(self, width: int, heads: int, window: int) -> None:
-        """Args:
-        width: of a token.
-        heads: of the attention.
-        window: tokens a side.
-        """
         super().__init__()
         self.heads = heads
         self.query_key_value = nn.Linear(width, 3 * width)
@@ -65,9 +60,6 @@ class SwinBlock(nn.Module):
 
     def __init__(self, width: int, heads: int, window: int, grid: int, *, shifted: bool, ratio: int = 4) -> None:
         """Args:
-        width: of a token.
-        heads: of the attention.
-        window: tokens a side.
         grid: tokens a side of the whole image; a multiple of the window, or smaller.
         shifted: whether the windows are; never where one window is the whole image.
         ratio: of the feed-forward's units to the width.
@@ -123,9 +115,6 @@ class PatchMerging(nn.Module):
     """Joins 2 x 2 tokens into one of twice the width."""
 
     def __init__(self, width: int) -> None:
-        """Args:
-        width: of a token that comes in.
-        """
         super().__init__()
         self.norm = nn.LayerNorm(4 * width)
         self.reduction = nn.Linear(4 * width, 2 * width, bias=False)
@@ -141,13 +130,6 @@ class SwinStage(nn.Sequential):
     """Blocks of one resolution, shifted in turn."""
 
     def __init__(self, width: int, heads: int, window: int, grid: int, depth: int) -> None:
-        """Args:
-        width: of a token.
-        heads: of the attention.
-        window: tokens a side.
-        grid: tokens a side of the image.
-        depth: number of blocks.
-        """
         super().__init__(*(SwinBlock(width, heads, window, grid, shifted=bool(k % 2)) for k in range(depth)))
 
 
@@ -167,12 +149,6 @@ class SwinTransformer(nn.Module):
     ) -> None:
         """Args:
         image_px: side of the square image; its tokens divide into windows at every stage.
-        channels: of the image.
-        patch_px: side of a token of the first stage.
-        width: of such a token.
-        depths: blocks a stage.
-        heads: of the attention, a stage.
-        window: tokens a side.
         """
         super().__init__()
         if image_px % (patch_px * 2 ** (len(depths) - 1)):

@@ -16,8 +16,6 @@ class PatchExpanding(nn.Module):
 
     def __init__(self, before: int, after: int, factor: int) -> None:
         """Args:
-        before: width of a token that comes in.
-        after: width of a token that goes out.
         factor: how many times as many tokens a side.
         """
         super().__init__()
@@ -50,14 +48,7 @@ class SwinUnet(nn.Module):
         window: int = 7,
     ) -> None:
         """Args:
-        image_px: side of the square image.
-        channels: of the image.
-        classes: logits a pixel.
-        patch_px: side of a token of the finest stage.
-        width: of such a token.
         depths: blocks a stage, on the way down and again on the way up.
-        heads: of the attention, a stage.
-        window: tokens a side.
         """
         super().__init__()
         self.image_px, self.multiple_px = image_px, image_px

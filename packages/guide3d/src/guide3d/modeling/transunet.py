@@ -24,9 +24,7 @@ class Upsampling(nn.Module):
 
     def __init__(self, before: int, skipped: int, after: int) -> None:
         """Args:
-        before: channels that come in.
         skipped: channels of the finer features; 0: there are none.
-        after: channels that go out.
         """
         super().__init__()
         self.convolutions = nn.Sequential(_convolution(before + skipped, after), _convolution(after, after))
@@ -59,16 +57,6 @@ class TransUnet(nn.Module):
     ) -> None:
         """Args:
         image_px: side of the square image; a multiple of 16.
-        channels: of the image.
-        classes: logits a pixel.
-        residual_width: of the residual network's root.
-        residual_units: its bottlenecks a stage.
-        width: of a token.
-        depth: number of transformer blocks.
-        heads: of their attention.
-        hidden: of their feed-forward.
-        dropout: of embedding and feed-forward.
-        neck: channels between transformer and decoder.
         decoder: channels of the decoder's steps.
         """
         super().__init__()

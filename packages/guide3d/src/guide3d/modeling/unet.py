@@ -25,11 +25,6 @@ class DoubleConvolution(nn.Sequential):
     """Two 3 x 3 convolutions, each followed by a rectifier."""
 
     def __init__(self, before: int, after: int, kind: str) -> None:
-        """Args:
-        before: channels that come in.
-        after: channels that go out.
-        kind: of normalisation.
-        """
         layers: list[nn.Module] = []
         for channels in (before, after):
             layers += [
@@ -48,8 +43,6 @@ class UNet(nn.Module):
         kind: str = "none",
     ) -> None:  # fmt: skip
         """Args:
-        channels: of the image.
-        classes: logits a pixel.
         widths: channels of the levels, the finest first.
         kind: of normalisation, see `normalisation`.
         """

@@ -17,7 +17,6 @@ class SelfAttention(nn.Module):
     def __init__(self, width: int, heads: int) -> None:
         """Args:
         width: of a token; a multiple of `heads`.
-        heads: that look at once.
         """
         super().__init__()
         if width % heads:
@@ -40,11 +39,6 @@ class FeedForward(nn.Module):
     """Two layers applied to each token by itself."""
 
     def __init__(self, width: int, hidden: int, dropout: float = 0.0) -> None:
-        """Args:
-        width: of a token.
-        hidden: units between the layers.
-        dropout: after each layer.
-        """
         super().__init__()
         self.expand = nn.Linear(width, hidden)
         self.contract = nn.Linear(hidden, width)
@@ -60,12 +54,6 @@ class TransformerBlock(nn.Module):
     """Attention, then feed-forward, each added to what came in."""
 
     def __init__(self, width: int, heads: int, hidden: int, dropout: float = 0.0) -> None:
-        """Args:
-        width: of a token.
-        heads: of the attention.
-        hidden: of the feed-forward.
-        dropout: likewise.
-        """
         super().__init__()
         self.attention_norm = nn.LayerNorm(width, eps=1e-6)
         self.attention = SelfAttention(width, heads)
@@ -87,9 +75,7 @@ class ConvolutionalPatches(nn.Module):
 
     def __init__(self, channels: int, widths: tuple[int, ...], width: int) -> None:
         """Args:
-        channels: of the image.
         widths: of the convolutions; each halves the image.
-        width: of a token.
         """
         super().__init__()
         layers: list[nn.Module] = []
@@ -125,13 +111,6 @@ class VisionTransformer(nn.Module):
     ) -> None:
         """Args:
         image_px: side of the square image; a multiple of `patch_px`.
-        patch_px: side of a patch.
-        channels: of the image.
-        width: of a token.
-        depth: number of blocks.
-        heads: of each block's attention.
-        hidden: of each block's feed-forward.
-        dropout: of embedding and feed-forward.
         stem: widths of a convolutional stem that cuts the patches; empty: a single convolution does, as published.
         """
         super().__init__()

@@ -112,12 +112,10 @@ def fit_curve(
     """Fits a curve in space to its annotations in two images.
 
     Args:
-        cameras: A and B.
         annotated: per view (n, 2) undistorted px, tip first.
         along: per view (n,) mm, about where on `start_mm` each point lies; beyond its end where one view sees more.
         start_mm: (m, 3) a first curve, tip first, up to where one of the views ends.
         tip_seen: per view, whether the first annotated point is the tip.
-        settings: priors.
 
     Returns:
         The most probable curve.

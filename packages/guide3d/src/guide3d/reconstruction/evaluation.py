@@ -18,9 +18,6 @@ from guide3d.geometry.metrics import curve_metrics, distances_along
 from guide3d.geometry.polyline import Array, arc_length
 from guide3d.reconstruction.reconstruction import reconstruct, reconstruct_greedy
 
-__all__ = ["METRICS", "PLACES", "Record", "accepted", "evaluate_pair", "mean_and_spread", "profile_summary",
-           "reprojection_summary", "truth_summary"]  # fmt: skip
-
 Record = dict[str, Any]
 
 PLACES = 30  # along the wire at which errors are given, from the tip to its end
@@ -33,8 +30,6 @@ def evaluate_pair(
     """Reconstructs one pair and measures the result.
 
     Args:
-        camera_a: view A.
-        camera_b: view B.
         a: (n, 2) undistorted px annotated in A, tip first.
         b: (m, 2) undistorted px annotated in B, tip first.
         truth_mm: (k, 3) the true wire, where it is known.

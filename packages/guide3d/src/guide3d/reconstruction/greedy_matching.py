@@ -25,7 +25,6 @@ def match_greedily(geometry: EpipolarGeometry, curve_a: Array, curve_b: Array, s
     """Matches two images of one curve by first crossings.
 
     Args:
-        geometry: of both views.
         curve_a: (n, 2) px every `sample_px`, tip first.
         curve_b: (m, 2) px every `sample_px`, tip first.
         sample_px: distance of the samples.

@@ -116,10 +116,8 @@ def match_curves(
     """Matches two images of one curve.
 
     Args:
-        geometry: of both views.
         curve_a: (n, 2) px in view A every `settings.sample_px`, tip first.
         curve_b: (m, 2) px in view B, likewise.
-        settings: weights.
 
     Returns:
         The match. It may be empty (no pairs) where no stretch of one lies on the epilines of the other.

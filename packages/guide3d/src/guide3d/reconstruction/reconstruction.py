@@ -113,8 +113,6 @@ def reconstruct(
     """Reconstructs a wire: global matching, triangulation, and a smooth curve through both annotations.
 
     Args:
-        camera_a: view A.
-        camera_b: view B.
         points_a: (n, 2) undistorted px annotated in A, tip first.
         points_b: (m, 2) undistorted px annotated in B, tip first.
         settings: weights and priors.
@@ -152,8 +150,6 @@ def reconstruct_greedy(
     """Reconstructs a wire in the thesis's way: first crossings, PCHIP between, linear triangulation, a spline.
 
     Args:
-        camera_a: view A.
-        camera_b: view B.
         points_a: (n, 2) undistorted px annotated in A, tip first.
         points_b: (m, 2) undistorted px annotated in B, tip first.
         settings: of these `matching.sample_px`, `fit.noise_px` (for the covariance of single points) and the limits.

@@ -69,9 +69,7 @@ def picture(
     """Draws both views with the annotation (red) and the reprojected curve (blue), and the errors along the wire below.
 
     Args:
-        cameras: A and B.
         annotations: per view (n, 2) px.
-        result: the reconstruction.
         images: per view the X-ray image (height, width), or None.
 
     Returns:

@@ -73,8 +73,6 @@ def wire(kind: str, rng: np.random.Generator, length_mm: float = 360.0) -> Array
     Args:
         kind: "arch" (a turn by 60 to 150 degrees), "hook" (an arch with a bent tip of 4 to 8 mm radius), "loop" (a
             full turn of 10 to 25 mm radius that moves on sideways) or "shaft" (straight but for a gentle end).
-        rng: source of randomness.
-        length_mm: length of the wire.
 
     Returns:
         (n, 3) points every 0.25 mm, tip first, the tip at the origin; the shaft comes from -x.
@@ -147,7 +145,6 @@ def clicked(
 
     Args:
         points: (n, 2) px, the curve.
-        rng: source of randomness.
         noise_px: standard deviation of a click in x and in y.
         spacing_px: smallest and largest distance of clicks.
 
@@ -189,7 +186,6 @@ def scenes(
         count: number of scenes; kinds take turns.
         seed: of all randomness; the wires do not depend on the noise.
         noise_px: None annotates exactly and densely (every px); a number clicks every 15 to 30 px with that noise.
-        kinds: kinds of wires.
         distort: per view a map of (n, 2) px applied to the annotation last, such as an intensifier's distortion.
 
     Yields:
