@@ -1,4 +1,4 @@
-"""The segmentation stage: UNet, TransUnet and SwinUnet find the wire's pixels, judged on unseen acquisitions."""
+"""The segmentation stage: UNet, TransUnet and SwinUnet find the wire's pixels, evaluated on unseen acquisitions."""
 
 from __future__ import annotations
 
@@ -9,85 +9,57 @@ from pipeline.report.plots.segmentation import draw_examples, draw_kinds
 from pipeline.report.plots.shape import draw_training
 from pipeline.report.results import Figure
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.networks.segmentation import PRELOAD, learn_segmentation
+from pipeline.stages.networks.evaluation import PRELOAD, learn_segmentation
 from pipeline.stages.networks.settings import SegmentationSettings
-from pipeline.stages.networks.stage import on_gpus, train_and_compare, training_job
-from pipeline.stages.networks.training import NetworkJob
+from pipeline.stages.networks.stage import train_and_compare, training_job
 
 GROUP = "Segmentation"
 LABELS = {"unet": "UNet", "transunet": "TransUnet", "swinunet": "SwinUnet"}
 
 
 def run_segmentation(settings: SegmentationSettings, context: StageContext) -> None:
-    """Trains every network and compares them.
-
-    Args:
-        settings: of the stage.
-        context: where the data set lies and where to write.
-    """
+    """Trains every network and compares them."""
     jobs = plan(settings, context)
     train_and_compare(settings, context, jobs, tables, figures, label="segmenters", preload=PRELOAD)
 
 
 def plan(settings: SegmentationSettings, context: StageContext) -> list[Job]:
     """A training a row."""
-    return [
-        Job(
-            row,
-            learn_segmentation,
-            training_job(NetworkJob, row, settings, context, test_images=settings.test_images),
-            **on_gpus(row, settings),
-        )
-        for row in settings.rows
-    ]
+    return [training_job(row, learn_segmentation, settings, context) for row in settings.rows]
 
 
-def tables(rows: list[str], outcomes: dict[str, Any]) -> dict[str, Any]:
-    """The thesis's table, and one with every metric, at both resolutions.
-
-    Args:
-        rows: networks.
-        outcomes: of their jobs.
-
-    Returns:
-        Table to row to column to cell.
-    """
+def tables(settings: SegmentationSettings, outcomes: dict[str, Any]) -> dict[str, Any]:
+    """The thesis's table, and one with every metric, at both resolutions; table to row to column to cell."""
     thesis, own = {}, {}
-    for row in rows:
-        told = outcomes[row]
-        thesis[row] = {name: told[name] for name in ("dice", "miou", "jaccard")} | {"n": told["images"]}
+    for row in settings.rows:
+        outcome = outcomes[row]
+        thesis[row] = {name: outcome[name] for name in ("dice", "miou", "jaccard")} | {"n": outcome["images"]}
         own[row] = {
-            **{name: told[name] for name in ("dice", "iou_foreground", "miou", "centreline_dice", "dice_small")},
-            "size_px": told["size_px"],
-            "parameters_m": told["parameters"] / 1e6,
-            "epochs": told["epochs"],
-            "cpu_min": told["cpu_min"],
-            "ms_an_image": told["ms_an_image"],
-            "n": told["images"],
+            **{name: outcome[name] for name in ("dice", "iou_foreground", "miou", "centreline_dice", "dice_small")},
+            "size_px": outcome["size_px"],
+            "parameters_m": outcome["parameters"] / 1e6,
+            "epochs": outcome["epochs"],
+            "cpu_min": outcome["cpu_min"],
+            "ms_an_image": outcome["ms_an_image"],
+            "n": outcome["images"],
         }
     return {"segmentation": thesis, "segmentation_networks": own}
 
 
-def figures(rows: list[str], outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
-    """Draws examples, Dice by kind of image, and the trainings.
-
-    Args:
-        rows: networks.
-        outcomes: of their jobs.
-        context: of the stage.
-    """
+def figures(settings: SegmentationSettings, outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
+    """Draws examples, Dice by kind of image, and the trainings."""
     folder = context.path
-    named = {LABELS[row]: outcomes[row] for row in rows}
-    told = outcomes[rows[0]]
-    unseen = f"{told['images']} images of {told['acquisitions']} acquisitions that no network has seen"
-    draw_examples({LABELS[row]: folder / row for row in rows}, folder / "examples.png")
+    named = {LABELS[row]: outcomes[row] for row in settings.rows}
+    outcome = outcomes[settings.rows[0]]
+    unseen = f"{outcome['images']} images of {outcome['acquisitions']} acquisitions that no network has seen"
+    draw_examples({LABELS[row]: folder / row for row in settings.rows}, folder / "examples.png")
     draw_kinds(named, folder / "kinds.png")
     draw_training(named, folder / "training.png", "loss")
     return [
         Figure(
             "Segmentation examples",
             f"An image whose Dice is at the 5th, the 50th and the 95th percentile of each network; {unseen}. A wire is "
-            f"{told['mask_px']:g} px wide in images of {told['source_px']} px.",
+            f"{outcome['mask_px']:g} px wide in images of {outcome['source_px']} px.",
             "examples.png",
             GROUP,
         ),

@@ -1,17 +1,17 @@
-"""The shape stage: networks that tell the wire in space from frames of one camera, judged on unseen acquisitions."""
+"""The shape stage: the wire in space, predicted from frames of one camera, on unseen acquisitions."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from guide3d.reconstruction.evaluation import METRICS
 from pipeline.jobs.pool import Job
 from pipeline.report.plots.shape import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.report.results import Figure
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.networks.evaluation import PRELOAD, learn_shape
 from pipeline.stages.networks.settings import ShapeSettings
-from pipeline.stages.networks.shape import METRICS, PRELOAD, learn_shape
-from pipeline.stages.networks.stage import on_gpus, train_and_compare, training_job
-from pipeline.stages.networks.training import NetworkJob
+from pipeline.stages.networks.stage import train_and_compare, training_job
 
 GROUP = "Shape prediction"
 THESIS_ROWS = ("cartesian", "spherical")
@@ -24,69 +24,47 @@ LABELS = {
 
 
 def run_shape(settings: ShapeSettings, context: StageContext) -> None:
-    """Trains every network and compares them.
-
-    Args:
-        settings: of the stage.
-        context: where the data set lies and where to write.
-    """
+    """Trains every network and compares them."""
     jobs = plan(settings, context)
     train_and_compare(settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD)
 
 
 def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
-    """A training a row; 3D-FGRN has no transformer that could be filled."""
-    jobs = []
-    for row in settings.rows:
-        small = row == "fgrn"
-        given = training_job(NetworkJob, row, settings, context, pretrained=None if small else settings.pretrained)
-        jobs.append(Job(row, learn_shape, given, weight=0.2 if small else 1.0, **on_gpus(row, settings)))
-    return jobs
+    """A training a row."""
+    return [
+        training_job(row, learn_shape, settings, context, weight=0.2 if row == "fgrn" else 1.0) for row in settings.rows
+    ]
 
 
-def tables(rows: list[str], outcomes: dict[str, Any]) -> dict[str, Any]:
-    """The thesis's table, and one with every network and every distance.
-
-    Args:
-        rows: networks.
-        outcomes: of their jobs.
-
-    Returns:
-        Table to row to column to cell.
-    """
+def tables(settings: ShapeSettings, outcomes: dict[str, Any]) -> dict[str, Any]:
+    """The thesis's table, and one with every network and every distance; table to row to column to cell."""
     thesis = {
         row: {name: outcomes[row][name] for name in METRICS if name != "chamfer"} | {"n": outcomes[row]["frames"]}
         for row in THESIS_ROWS
-        if row in rows
+        if row in settings.rows
     }
     own = {}
-    for row in rows:
-        told = outcomes[row]
-        own[row] = {name: told[name] for name in (*METRICS, "length_error_mm", "reprojection_px")}
+    for row in settings.rows:
+        outcome = outcomes[row]
+        own[row] = {name: outcome[name] for name in (*METRICS, "length_error_mm", "reprojection_px")}
         own[row] |= {
-            "parameters_m": told["parameters"] / 1e6,
-            "epochs": told["epochs"],
-            "cpu_min": told["cpu_min"],
-            "ms_a_frame": told["ms_a_frame"],
-            "n": told["frames"],
+            "parameters_m": outcome["parameters"] / 1e6,
+            "epochs": outcome["epochs"],
+            "cpu_min": outcome["cpu_min"],
+            "ms_a_frame": outcome["ms_a_frame"],
+            "n": outcome["frames"],
         }
     return {"shape_prediction_mm": thesis, "shape_networks": own}
 
 
-def figures(rows: list[str], outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
-    """Draws curves in space, their projections, the error along the wire and the trainings.
-
-    Args:
-        rows: networks.
-        outcomes: of their jobs.
-        context: of the stage.
-    """
+def figures(settings: ShapeSettings, outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
+    """Draws curves in space, their projections, the error along the wire and the trainings."""
     folder = context.path
-    named = {LABELS[row]: outcomes[row] for row in rows}
-    told = outcomes[rows[0]]
-    unseen = f"{told['frames']} frames of {told['acquisitions']} acquisitions that no network has seen"
+    named = {LABELS[row]: outcomes[row] for row in settings.rows}
+    outcome = outcomes[settings.rows[0]]
+    unseen = f"{outcome['frames']} frames of {outcome['acquisitions']} acquisitions that no network has seen"
     drawn = []
-    for row in rows:
+    for row in settings.rows:
         if row not in ("spherical", "cartesian"):
             continue
         draw_in_space(folder / row, folder / f"{row}_space.png")

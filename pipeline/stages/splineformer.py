@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.pool import Job
 from pipeline.report.plots.shape import draw_training
 from pipeline.report.plots.splineformer import draw_attention, draw_comparison, draw_errors
-from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.report.results import Figure
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.networks.comparison import EXAMPLES, ComparisonJob, compare
-from pipeline.stages.networks.splineformer import PRELOAD, VariantJob, learn_variant
-from pipeline.stages.networks.splineformer_settings import SplineformerSettings
-from pipeline.stages.networks.stage import on_gpus, training_job
+from pipeline.stages.networks.settings import SplineformerSettings
+from pipeline.stages.networks.splineformer import EXAMPLES, PRELOAD, ComparisonJob, compare, learn_variant
+from pipeline.stages.networks.stage import train_and_compare, training_job
 
 GROUP = "SplineFormer"
 COMPARISON = "comparison"
@@ -31,48 +30,20 @@ _ALONE = (
 
 
 def run_splineformer(settings: SplineformerSettings, context: StageContext) -> None:
-    """Trains the variants and compares them with the segmentation.
-
-    Args:
-        settings: of the stage.
-        context: where data set and segmentation lie, and where to write.
-    """
+    """Trains the variants and compares them with the segmentation."""
     jobs = plan(settings, context)
-    outcomes = run_jobs(
-        context.folder, jobs, workers=settings.workers, label="splineformers", preload=PRELOAD, device=settings.device
-    )
-    write_results(context.path, tables(settings, outcomes))
-    write_figures(context.path, figures(settings, outcomes, context))
+    train_and_compare(settings, context, jobs, tables, figures, label="splineformers", preload=PRELOAD)
 
 
 def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
-    """A training a variant, then the comparison.
-
-    Args:
-        settings: of the stage.
-        context: likewise.
-    """
-    guide3d = context.inputs["guide3d"]
-    jobs = [
-        Job(
-            variant,
-            learn_variant,
-            training_job(VariantJob, variant, settings, context, tensorboard=settings.tensorboard),
-            weight=4.0,
-            **on_gpus(variant, settings),
-        )
-        for variant in settings.variants
-    ]
+    """A training a variant, then the comparison."""
+    jobs = [training_job(variant, learn_variant, settings, context, weight=4.0) for variant in settings.variants]
     given = ComparisonJob(
         folder=context.path / COMPARISON,
-        guide3d=guide3d,
+        guide3d=context.inputs["guide3d"],
         variants={variant: context.path / variant for variant in settings.variants},
-        rival=settings.rival,
-        rival_folder=context.inputs["segmentation"] / settings.rival,
-        disturbances=tuple(settings.disturbances),
-        test_images=settings.test_images,
-        disturbed_images=settings.disturbed_images,
-        split_seed=settings.split_seed,
+        rival=context.inputs["segmentation"] / settings.rival,
+        settings=settings,
         seed=context.seed,
     )
     gpu_gb = max(job.gpu_gb for job in jobs)  # it reads with all of them, and learns nothing
@@ -80,41 +51,27 @@ def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
 
 
 def tables(settings: SplineformerSettings, outcomes: dict[str, Any]) -> dict[str, Any]:
-    """The comparison, by disturbance and reader, and what each variant is like alone.
-
-    Args:
-        settings: of the stage.
-        outcomes: of the jobs.
-
-    Returns:
-        Table to row to column to cell.
-    """
+    """The comparison, by disturbance and reader, and each variant alone; table to row to column to cell."""
     compared: dict[str, Any] = {}
     for kind, readers in outcomes[COMPARISON].items():
-        for reader, told in readers.items():
-            single = {name: told[name] for name in ("median_px", "median_tip_px", "discontinuities", "read_pct")}
-            errors = {name: told[name] for name in _ERRORS if name in told}
-            compared[f"{kind}/{reader}"] = {**errors, **single, "ms_an_image": told["ms_an_image"], "n": told["n"]}
+        for reader, read in readers.items():
+            single = {name: read[name] for name in ("median_px", "median_tip_px", "discontinuities", "read_pct")}
+            errors = {name: read[name] for name in _ERRORS if name in read}
+            compared[f"{kind}/{reader}"] = {**errors, **single, "ms_an_image": read["ms_an_image"], "n": read["n"]}
     alone = {}
     for variant in settings.variants:
-        told, plain = outcomes[variant], outcomes[COMPARISON]["none"][variant]
+        outcome, plain = outcomes[variant], outcomes[COMPARISON]["none"][variant]
         alone[variant] = {
             **{name: plain[name] for name in ("tip_px", "mean_px", "max_px") if name in plain},
-            **{name: told[name] for name in _ALONE},
-            "parameters_m": told["parameters"] / 1e6,
+            **{name: outcome[name] for name in _ALONE},
+            "parameters_m": outcome["parameters"] / 1e6,
             "n": plain["n"],
         }
     return {"splineformer_segmentation": compared, "splineformer_variants": alone}
 
 
 def figures(settings: SplineformerSettings, outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
-    """Draws examples, errors, attention and trainings.
-
-    Args:
-        settings: of the stage.
-        outcomes: of the jobs.
-        context: of the stage.
-    """
+    """Draws examples, errors, attention and trainings."""
     folder, variants = context.path, settings.variants
     examples = folder / COMPARISON / EXAMPLES
     draw_comparison(examples, settings.rival, variants, LABELS, folder / "comparison.png")

@@ -79,7 +79,7 @@ def draw_errors(outcome: Mapping[str, Mapping[str, Any]], labels: Mapping[str, s
     """Draws the share of images below an error, and the median errors under each disturbance.
 
     Args:
-        outcome: disturbance to reader to what `pipeline.stages.networks.comparison.compare` gives.
+        outcome: disturbance to reader to its figures: see `splineformer.comparison.evaluation`.
         labels: names of the readers as they are shown.
         file: of the picture.
     """

@@ -23,7 +23,7 @@ from pipeline.settings.kinds import (
     Units,
     one_of,
 )
-from pipeline.stages.networks.splineformer_settings import SPLINEFORMER_VARIANTS
+from pipeline.stages.networks.settings import SPLINEFORMER_VARIANTS
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, task_in_random_arches
 

@@ -1,4 +1,4 @@
-"""Settings of the stages that train the networks of the Guide3D chapter: shape prediction and segmentation."""
+"""Settings of the stages that train networks on the images of a data set: shape, segmentation and splineformer."""
 
 from __future__ import annotations
 
@@ -9,27 +9,40 @@ from annotated_types import Ge, Le
 
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import NOT_EMPTY, UNIQUE, CountOrNone, Device, PathText, Processes, Seed, one_of
+from pipeline.store.errors import ConfigurationError
 
 # What predicts a shape: the shape network as the thesis's table has it, with the thesis's loss alone, and 3D-FGRN.
 SHAPE_ROWS = ("spherical", "cartesian", "spherical_angles", "fgrn")
 SEGMENTATION_ROWS = ("unet", "transunet", "swinunet")
 NETWORK_SIZES = ("thesis", "desk", "smoke")
+SPLINEFORMER_VARIANTS = ("published", "ordered")
+SPLINEFORMER_SIZES = ("thesis", "thesis_large", "desk", "smoke")
+DISTURBANCES = ("none", "noise", "low_contrast", "occlusion")
 
 _ShapeRows = Annotated[list[Annotated[str, one_of(*SHAPE_ROWS)]], UNIQUE, NOT_EMPTY]
 _SegmentationRows = Annotated[list[Annotated[str, one_of(*SEGMENTATION_ROWS)]], UNIQUE, NOT_EMPTY]
 
+_Variants = Annotated[list[Annotated[str, one_of(*SPLINEFORMER_VARIANTS)]], UNIQUE, NOT_EMPTY]
+_Disturbances = Annotated[list[Annotated[str, one_of(*DISTURBANCES)]], UNIQUE, NOT_EMPTY]
+
 
 @validated()
-class NetworkSettings:
-    """What both stages have in common."""
+class TrainingSettings:
+    """What the stages have in common."""
 
-    rows: Annotated[list[str], UNIQUE, NOT_EMPTY] = field(default_factory=list)  # networks to train
-    size: Annotated[str, one_of(*NETWORK_SIZES)] = "desk"  # of networks and training: see guide3d.learning.recipes
+    size: Annotated[str, one_of(*NETWORK_SIZES)] = "desk"  # of networks and training: see the package's recipes
     epochs: CountOrNone = 0  # 0: the recipe's own number
     split_seed: Seed = 0  # of the split by acquisition
     processes: Annotated[int, Ge(1), Le(64)] = 1  # that train one network together, by torchrun: one a GPU
     device: Device = field(default="auto", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
+
+
+@validated()
+class NetworkSettings(TrainingSettings):
+    """Settings of a stage that trains a network a row of its table."""
+
+    rows: Annotated[list[str], UNIQUE, NOT_EMPTY] = field(default_factory=list)  # networks to train
 
 
 @validated()
@@ -48,3 +61,26 @@ class SegmentationSettings(NetworkSettings):
     name: str = "segmentation"
     rows: _SegmentationRows = field(default_factory=list)
     test_images: CountOrNone = 0  # of the test acquisitions, evenly chosen; 0: all
+
+
+@validated()
+class SplineformerSettings(TrainingSettings):
+    """Settings of SplineFormer."""
+
+    name: str = "splineformer"
+    variants: _Variants = field(default_factory=list)  # to train, see splineformer.build
+    size: Annotated[str, one_of(*SPLINEFORMER_SIZES)] = "desk"
+    rival: Annotated[str, one_of(*SEGMENTATION_ROWS)] = (
+        "unet"  # network of the stage segmentation whose masks are traced
+    )
+    disturbances: _Disturbances = field(default_factory=lambda: ["none"])  # under which images are read
+    test_images: CountOrNone = 0  # of the test acquisitions, evenly chosen; 0: all
+    disturbed_images: CountOrNone = 0  # of those, under each disturbance; 0: all
+    tensorboard: bool = field(default=False, metadata=NO_EFFECT_ON_RESULTS)
+
+    def __post_init__(self) -> None:
+        """Checks that there is something to compare with, and that the variant has the size."""
+        if "none" not in self.disturbances:
+            raise ConfigurationError("stage.disturbances must hold none: it is what the others are compared with")
+        if self.size == "thesis_large" and self.variants != ["published"]:
+            raise ConfigurationError("stage.size=thesis_large is a size of the variant published alone")

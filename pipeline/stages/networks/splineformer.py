@@ -1,150 +1,136 @@
-"""Training jobs of SplineFormer: one variant, and what it is like alone."""
+"""Jobs of SplineFormer: a variant is trained and measured alone, then all are compared with a traced segmentation."""
 
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.jobs.worker import Report
 from pipeline.stages.guide3d.folder import open_dataset
-from pipeline.stages.networks.training import PREDICTOR, TrainingJob, train
-from pipeline.store.atomic_files import write_json
+from pipeline.stages.networks.settings import SplineformerSettings
+from pipeline.stages.networks.training import PREDICTOR, TrainingJob, train, training_figures
+from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.store.errors import StageError
 
 if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset
-    from splineformer.predictor import Predictor
+    from splineformer.comparison.evaluation import Reader
 
-PRELOAD = (
-    "splineformer.train",
-    "splineformer.comparison.skeleton",
-    "guide3d.learning.predictor",
-    "guide3d.learning.segmentation_metrics",
-)
-RECORD = "variant.json"
-_BATCH = 8
-_TIMED = 5  # calls, after one that is not counted
+PRELOAD = ("splineformer.train", "splineformer.comparison.variant_figures", "guide3d.learning.predictor")
+RECORD, EXAMPLES = "variant.json", "examples.npz"
 _KINDS_OF = 48  # test images whose kind is asked for, in each of the four forms
 _TRIPS = 400  # curves that go to tokens and back
 
 
-@dataclass(frozen=True, kw_only=True)
-class VariantJob(TrainingJob):
-    """A variant, "published" or "ordered", to train and to measure.
-
-    Attributes:
-        tensorboard: write the losses for it, too.
-    """
-
-    tensorboard: bool = False
-
-
-def learn_variant(job: VariantJob, report: Report) -> dict[str, Any]:
+def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
     """Trains a variant and measures what needs no rival.
-
-    Args:
-        job: what to train.
-        report: takes the progress.
 
     Returns:
         Size, cost and speed of the network, its losses, how curves survive as tokens, and whether the kind of an image
-        is told.
+        is recognised.
     """
     file = job.folder / RECORD
     if file.is_file():
         return dict(json.loads(file.read_text(encoding="utf-8")))
-    words = ["--variant", job.network, *(["--tensorboard"] if job.tensorboard else [])]
+    words = ["--variant", job.network, *(["--tensorboard"] if job.settings.tensorboard else [])]
     training = train("splineformer.train", job, words, ("images", "calibration"), report)
+    from guide3d.dataset.dataset import images_of, split
+    from splineformer.comparison.variant_figures import kind_accuracy, round_trips, speed
     from splineformer.predictor import Predictor
 
     data = open_dataset(job.guide3d)
     predictor = Predictor.load(job.folder / PREDICTOR, device=report.device)
     report(0.92, "speed")
+    draws = np.random.default_rng(job.seed).permutation(len(data.frames))[:_TRIPS].tolist()
+    curves = [data.frames[index].polyline("ab"[number % 2]) for number, index in enumerate(draws)]
+    trips = round_trips(predictor.network.fit_tokens, curves)
+    items = images_of(data, split(data, seed=job.settings.split_seed).test, _KINDS_OF).tolist()
+
+    def progress(number: int, of: int) -> None:
+        report(0.94 + 0.05 * number / of, "kinds of image")
+
     outcome = {
         "variant": job.network,
-        "parameters": sum(weight.numel() for weight in predictor.network.parameters()),
         "image_px": predictor.network.settings.image_px,
-        "epochs": len(training["rows"]),
-        "best_epoch": training["best_epoch"],
-        "cpu_min": training["rows"][-1]["cpu_s"] / 60,
-        "curve": [[row["epoch"], row["loss"], row["validation"]] for row in training["rows"]],
-        **speed(Predictor.load(job.folder / PREDICTOR), data),
-        **round_trips(predictor, data, job.seed),
-        **kinds_told(predictor, data, job, report),
+        **training_figures(training, predictor),
+        **speed(Predictor.load(job.folder / PREDICTOR), data.frames[0].image("a")),
+        **{name: trips[name] for name in ("round_trip_px", "tokens_mean", "tokens_max")},
+        **{f"told_{k}_pct": share for k, share in kind_accuracy(predictor, data, items, job.seed, progress).items()},
     }
     write_json(file, outcome)
     return outcome
 
 
-def speed(predictor: Predictor, data: Dataset) -> dict[str, float]:
-    """Processor time of one image, and images a second in batches of eight, from the camera's image to the curve."""
-    image = data.frames[0].image("a")
-    told = {}
-    for name, images in (("latency_ms", [image]), ("batch_ms", [image] * _BATCH)):
-        predictor.batch(images)
-        began = time.process_time()
-        for _ in range(_TIMED):
-            predictor.batch(images)
-        told[name] = 1e3 * (time.process_time() - began) / _TIMED
-    return {"latency_ms": told["latency_ms"], "images_per_s": 1e3 * _BATCH / told["batch_ms"]}
+@dataclass(frozen=True)
+class ComparisonJob:
+    """Readers to compare.
+
+    Attributes:
+        folder: gets a record a disturbance, and examples.
+        guide3d: folder of the stage guide3d.
+        variants: name of a variant to its folder.
+        rival: folder of the segmentation network.
+        settings: of the stage.
+        seed: of the disturbances.
+    """
+
+    folder: Path
+    guide3d: Path
+    variants: dict[str, Path]
+    rival: Path
+    settings: SplineformerSettings
+    seed: int
 
 
-def round_trips(predictor: Predictor, data: Dataset, seed: int) -> dict[str, float]:
-    """Mean error of annotated curves that become tokens of the variant's form and curves again; number of tokens."""
-    from splineformer.tokens import round_trip_px
+def compare(job: ComparisonJob, report: Report) -> dict[str, Any]:
+    """Lets every reader read the test images; returns disturbance to reader to its figures: see `evaluate_readers`."""
+    from guide3d.dataset.dataset import images_of, split
+    from splineformer.comparison.evaluation import evaluate_readers, example_arrays, examples_of
+    from splineformer.predictor import Predictor
 
-    draws = np.random.default_rng(seed).permutation(len(data.frames))[:_TRIPS]
-    errors, counts = [], []
-    for number, index in enumerate(draws.tolist()):
-        points = data.frames[index].polyline("ab"[number % 2])
-        tokens = predictor.network.fit_tokens(points)
-        errors.append(round_trip_px(points, tokens))
-        counts.append(len(tokens))
-    return {"round_trip_px": float(np.mean(errors)), "tokens_mean": float(np.mean(counts)), "tokens_max": max(counts)}
+    settings, data = job.settings, open_dataset(job.guide3d)
+    readers = readers_of(job, data, report.device)
+    test = split(data, seed=settings.split_seed).test
+    plain, disturbed = (images_of(data, test, n).tolist() for n in (settings.test_images, settings.disturbed_images))
+    outcome: dict[str, Any] = {}
+    for place, kind in enumerate(settings.disturbances):
+        file = job.folder / f"{kind}.json"
+        if not file.is_file():
 
+            def progress(number: int, of: int, place: int = place, kind: str = kind) -> None:
+                report((place + number / of) / len(settings.disturbances), f"{kind}: image {number + 1} of {of}")
 
-def kinds_told(predictor: Predictor, data: Dataset, job: VariantJob, report: Report) -> dict[str, float]:
-    """Shares (%) of test images whose kind is told: one wire, none (taken away), two (one added), inverted levels."""
-    from guide3d.dataset.dataset import VIEWS, images_of, split
-    from splineformer.image_input import picture_of, shares_of_pixels
-
-    items = images_of(data, split(data, seed=job.split_seed).test, _KINDS_OF)
-    generator = np.random.default_rng(job.seed)
-    right = {"one": 0, "none": 0, "several": 0, "inverted": 0}
-    former = None
-    for number, item in enumerate(items.tolist()):
-        report(0.94 + 0.05 * number / len(items), "kinds of image")
-        camera, index = divmod(item, len(data.frames))
-        frame = data.frames[index]
-        image = frame.image(VIEWS[camera])
-        small = picture_of(image, predictor.network.settings.image_px, len(image)).pixels
-        wire = shares_of_pixels(frame.polyline(VIEWS[camera]), (image.shape[1], image.shape[0]))
-        empty, former = _without_and_with(small, wire, generator, former)
-        plain, none, several, inverted = predictor.batch([small, empty[0], empty[1], 255 - small])
-        right["one"] += plain.wires == "one" and not plain.inverted
-        right["none"] += none.wires == "none"
-        right["several"] += several.wires == "several"
-        right["inverted"] += inverted.inverted
-    return {f"told_{name}_pct": 100.0 * count / len(items) for name, count in right.items()}
+            items = plain if kind == "none" else disturbed
+            write_json(file, evaluate_readers(readers, data, items, kind, job.seed, progress))
+        outcome[kind] = json.loads(file.read_text(encoding="utf-8"))
+    if not (job.folder / EXAMPLES).is_file():
+        chosen = examples_of(outcome["none"][settings.rival], plain, disturbed, settings.disturbances)
+        networks = {name: Predictor.load(folder / PREDICTOR) for name, folder in job.variants.items()}
+        with atomic_path(job.folder / EXAMPLES) as temporary:
+            np.savez_compressed(temporary, **example_arrays(chosen, data, readers, networks, job.seed))
+    return outcome
 
 
-def _without_and_with(
-    small: np.ndarray, wire: np.ndarray, generator: np.random.Generator, former: Any
-) -> tuple[tuple[np.ndarray, np.ndarray], Any]:
-    """The picture without its wire, and with the mirrored wire of the picture before (its own for the first)."""
-    import torch
+def readers_of(job: ComparisonJob, data: Dataset, device: str) -> dict[str, Reader]:
+    """The rival and the variants, from their files.
 
-    from splineformer.learning.augmentation import shadow, without_wire
+    Raises:
+        StageError: the rival has not been trained.
+    """
+    from guide3d.dataset.dataset import split
+    from guide3d.learning.predictor import SegmentationPredictor
+    from splineformer.comparison.evaluation import curve_reader, mask_reader
+    from splineformer.predictor import Predictor
 
-    image = torch.from_numpy(small.astype(np.float32))[None]
-    empty = without_wire(image, wire, generator)
-    own = shadow(image, empty).flip(1)
-    double = image * (own if former is None else former)
-    return (_levels(empty), _levels(double)), own
-
-
-def _levels(image: Any) -> np.ndarray:
-    return np.asarray(image[0].clamp(0, 255).round().numpy().astype(np.uint8))
+    file, rival = job.rival / PREDICTOR, job.settings.rival
+    if not file.is_file():
+        raise StageError(f"{file} is missing: let the stage segmentation train {rival}, or choose another rival")
+    training = split(data, seed=job.settings.split_seed).train
+    readers = {rival: mask_reader(SegmentationPredictor.load(file, device), data, training)}
+    for name, folder in job.variants.items():
+        readers[name] = curve_reader(Predictor.load(folder / PREDICTOR, device=device))
+    return readers

@@ -3,62 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 from pipeline.jobs.gpu_memory import network_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.stages import StageContext
-from pipeline.stages.networks.settings import NetworkSettings
-from pipeline.stages.networks.splineformer_settings import SplineformerSettings
+from pipeline.stages.networks.settings import TrainingSettings
 from pipeline.stages.networks.training import TrainingJob
 
 PICTURES = ".cache/pictures"  # made again from the data set when needed
 
-Kind = TypeVar("Kind", bound=TrainingJob)
-Tables = Callable[[list[str], dict[str, Any]], dict[str, Any]]
-Figures = Callable[[list[str], dict[str, Any], StageContext], list[Figure]]
+Tables = Callable[[Any, dict[str, Any]], dict[str, Any]]
+Figures = Callable[[Any, dict[str, Any], StageContext], list[Figure]]
 
 
 def training_job(
-    kind: type[Kind], network: str, settings: NetworkSettings | SplineformerSettings, context: StageContext,
-    **further: Any,
-) -> Kind:  # fmt: skip
-    """The training of one network.
+    network: str,
+    learn: Callable[[TrainingJob, Any], Any],
+    settings: TrainingSettings,
+    context: StageContext,
+    weight: float = 1.0,
+) -> Job:
+    """The job that trains one network, with a GPU for each of its processes.
 
     Args:
-        kind: of job.
-        network: row of the stage.
+        network: name of the job and of its folder.
+        learn: trains and evaluates it.
         settings: of the stage.
-        context: likewise.
-        further: fields that only one of the stages has.
+        context: knows the folders and the seed.
+        weight: how long it takes beside the others.
     """
-    return kind(
+    given = TrainingJob(
         folder=context.path / network,
         guide3d=context.inputs["guide3d"],
         pictures=context.path / PICTURES,
         network=network,
-        size=settings.size,
-        epochs=settings.epochs,
-        split_seed=settings.split_seed,
+        settings=settings,
         seed=context.seed,
-        processes=settings.processes,
-        **further,
     )
-
-
-def on_gpus(network: str, settings: NetworkSettings | SplineformerSettings) -> dict[str, Any]:
-    """What a training needs of GPUs, as fields of its job: one of them for each of its processes.
-
-    Args:
-        network: row of the stage.
-        settings: of the stage.
-    """
-    return {"gpu_gb": network_gb(network, settings.size), "gpus": settings.processes}
+    gpu_gb = network_gb(network, settings.size)
+    return Job(network, learn, given, weight=weight, gpu_gb=gpu_gb, gpus=settings.processes)
 
 
 def train_and_compare(
-    settings: NetworkSettings,
+    settings: TrainingSettings,
     context: StageContext,
     jobs: Sequence[Job],
     tables: Tables,
@@ -67,19 +56,19 @@ def train_and_compare(
     label: str,
     preload: Sequence[str],
 ) -> None:
-    """Trains every network and compares them.
+    """Trains every network and writes tables and figures.
 
     Args:
         settings: of the stage.
-        context: where the data set lies and where to write.
-        jobs: the trainings.
-        tables: of rows and what their jobs left.
-        figures: likewise.
+        context: where to write.
+        jobs: the trainings, and what follows them.
+        tables: from settings and what the jobs left.
+        figures: from settings, what the jobs left, and the context.
         label: of the progress.
         preload: modules that the jobs need.
     """
     outcomes = run_jobs(
         context.folder, list(jobs), workers=settings.workers, label=label, preload=preload, device=settings.device
     )
-    write_results(context.path, tables(settings.rows, outcomes))
-    write_figures(context.path, figures(settings.rows, outcomes, context))
+    write_results(context.path, tables(settings, outcomes))
+    write_figures(context.path, figures(settings, outcomes, context))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PREDICTOR, TRAINING = "predictor.pt", "training.json"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class TrainingJob:
     """A training by a package's own command line.
 
@@ -29,43 +29,16 @@ class TrainingJob:
         guide3d: folder of the stage guide3d, which knows the data set.
         pictures: folder of prepared pictures, which trainings share.
         network: as the command line calls it.
-        size: of its recipe.
-        epochs: 0: the recipe's own.
-        split_seed: of the split.
+        settings: of the stage; `TrainingSettings` and what the stage adds to them.
         seed: of the training.
-        processes: that train together.
     """
 
     folder: Path
     guide3d: Path
     pictures: Path
     network: str
-    size: str
-    epochs: int
-    split_seed: int
+    settings: Any
     seed: int
-    processes: int = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class NetworkJob(TrainingJob):
-    """A network of `guide3d.train` to train and to judge.
-
-    Attributes:
-        pretrained: weights of a vision transformer.
-        test_images: that it is judged by; 0: all.
-    """
-
-    pretrained: str | None = None
-    test_images: int = 0
-
-
-def train_network(job: NetworkJob, report: Report) -> dict[str, Any]:
-    """Trains a network, or goes on with its training; the table of the training, as ``training.json`` has it."""
-    words = ["--network", job.network]
-    if job.pretrained is not None:
-        words += ["--pretrained", job.pretrained]
-    return train("guide3d.train", job, words, ("images", "calibration", "curves"), report)
 
 
 def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[str], report: Report) -> dict[str, Any]:
@@ -81,25 +54,26 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
     Returns:
         The table of the training, as ``training.json`` has it.
     """
-    told = job.folder / TRAINING
-    if told.is_file() and (job.folder / PREDICTOR).is_file():
-        return dict(json.loads(told.read_text(encoding="utf-8")))
+    table = job.folder / TRAINING
+    if table.is_file() and (job.folder / PREDICTOR).is_file():
+        return dict(json.loads(table.read_text(encoding="utf-8")))
+    settings = job.settings
     source = read_source(job.guide3d)
     words = [
-        str(job.guide3d / source.root), *words, "--size", job.size, "--output", str(job.folder),
+        str(job.guide3d / source.root), *words, "--size", settings.size, "--output", str(job.folder),
         "--pictures", str(job.pictures), "--device", report.device, "--seed", str(job.seed),
-        "--split-seed", str(job.split_seed),
+        "--split-seed", str(settings.split_seed),
     ]  # fmt: skip
     for name in places:
         path = source.place(job.guide3d, name)
         if path is not None:
             words += [f"--{name}", str(path)]
-    if job.epochs:
-        words += ["--epochs", str(job.epochs)]
-    if job.processes > 1:
-        train_together(module, words, job.processes, report)
+    if settings.epochs:
+        words += ["--epochs", str(settings.epochs)]
+    if settings.processes > 1:
+        train_together(module, words, settings.processes, report)
         note(*(file for file in job.folder.rglob("*") if file.is_file()))
-        return dict(json.loads(told.read_text(encoding="utf-8")))
+        return dict(json.loads(table.read_text(encoding="utf-8")))
     command = importlib.import_module(module)
 
     def tell(now: FitProgress) -> None:
@@ -107,3 +81,15 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
         report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
 
     return dict(command.train(command.arguments(words), progress=tell))
+
+
+def training_figures(training: dict[str, Any], predictor: Any) -> dict[str, Any]:
+    """Size of a predictor's network, and its training, from the table in ``training.json``."""
+    rows = training["rows"]
+    return {
+        "parameters": sum(weight.numel() for weight in predictor.network.parameters()),
+        "epochs": len(rows),
+        "best_epoch": training["best_epoch"],
+        "cpu_min": rows[-1]["cpu_s"] / 60,
+        "curve": [[row["epoch"], row["loss"], row["validation"]] for row in rows],
+    }

@@ -12,9 +12,8 @@ from pipeline.jobs.worker import Report
 from pipeline.stages import segmentation, shape
 from pipeline.stages.guide3d.folder import Source
 from pipeline.stages.networks import stage as network_stage
+from pipeline.stages.networks.evaluation import learn_shape, train_network
 from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings
-from pipeline.stages.networks.shape import learn_shape
-from pipeline.stages.networks.training import train_network
 from pipeline.store.errors import ConfigurationError, StageError
 from tests.guide3d.learning.drawn_data import draw
 from tests.pipeline.stages.small_expert import context, in_this_process

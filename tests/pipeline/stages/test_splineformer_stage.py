@@ -16,12 +16,13 @@ from guide3d.learning.preprocessing import Preprocessing
 from pipeline.jobs.worker import Report
 from pipeline.report.plots.splineformer import draw_attention, draw_comparison, draw_errors
 from pipeline.stages import splineformer
-from pipeline.stages.guide3d.folder import Source, open_dataset
-from pipeline.stages.networks import comparison as splineformer_comparison
-from pipeline.stages.networks.comparison import EXAMPLES, Reader, compare, mm_per_px
-from pipeline.stages.networks.splineformer import learn_variant
-from pipeline.stages.networks.splineformer_settings import SplineformerSettings
+from pipeline.stages.guide3d.folder import Source
+from pipeline.stages.networks import splineformer as splineformer_jobs
+from pipeline.stages.networks import stage as network_stage
+from pipeline.stages.networks.settings import SplineformerSettings
+from pipeline.stages.networks.splineformer import EXAMPLES, compare, learn_variant
 from pipeline.store.errors import ConfigurationError, StageError
+from splineformer.comparison.evaluation import ReadCurve, Reader
 from tests.guide3d.learning.drawn_data import draw
 from tests.pipeline.stages.small_expert import context, in_this_process
 
@@ -54,7 +55,7 @@ SETTINGS = SplineformerSettings(
 @pytest.fixture(scope="module")
 def results(run: Path) -> dict:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(splineformer, "run_jobs", in_this_process)
+        patch.setattr(network_stage, "run_jobs", in_this_process)
         splineformer.run_splineformer(SETTINGS, context(run, "splineformer", reads=READS))
     return json.loads((run / "splineformer" / "results.json").read_text())
 
@@ -87,7 +88,7 @@ def test_finished_jobs_are_kept(run: Path, results: dict, monkeypatch: pytest.Mo
     monkeypatch.setattr("splineformer.train.train", None)
     told = learn_variant(jobs["ordered"].given, Report())
     assert told["round_trip_px"] == results["splineformer_variants"]["ordered"]["round_trip_px"]
-    monkeypatch.setattr("pipeline.stages.networks.comparison._under", None)
+    monkeypatch.setattr("splineformer.comparison.evaluation.evaluate_readers", None)
     assert compare(jobs["comparison"].given, Report())["none"]["unet"]["n"] == 4
 
 
@@ -104,29 +105,18 @@ def test_wires_that_no_reader_finds_are_drawn(
     job = splineformer.plan(SETTINGS, context(run, "splineformer", reads=READS))[-1].given
 
     def blind(*given: Any) -> dict[str, Reader]:
-        found = {name: lambda image, camera: (None, 0, None) for name in job.variants}
-        return {job.rival: lambda image, camera: (None, 0, np.zeros(image.shape, np.uint8)), **found}
+        found = {name: lambda image, camera: ReadCurve(None) for name in job.variants}
+        return {SETTINGS.rival: lambda image, camera: ReadCurve(None, 0, np.zeros(image.shape, np.uint8)), **found}
 
-    monkeypatch.setattr(splineformer_comparison, "_readers", blind)
-    outcome = compare(replace(job, folder=tmp_path, disturbances=("none",)), Report())
+    monkeypatch.setattr(splineformer_jobs, "readers_of", blind)
+    settings = replace(SETTINGS, disturbances=["none"])
+    outcome = compare(replace(job, folder=tmp_path, settings=settings), Report())
     assert {told["read_pct"] for told in outcome["none"].values()} == {0.0}
     examples = tmp_path / EXAMPLES
-    draw_comparison(examples, job.rival, SETTINGS.variants, splineformer.LABELS, tmp_path / "comparison.png")
+    draw_comparison(examples, SETTINGS.rival, SETTINGS.variants, splineformer.LABELS, tmp_path / "comparison.png")
     draw_errors(outcome, splineformer.LABELS, tmp_path / "errors.png")
     draw_attention(examples, SETTINGS.variants, splineformer.LABELS, tmp_path / "attention.png")
     assert len(list(tmp_path.glob("*.png"))) == 3
-
-
-def test_scale(run: Path) -> None:
-    data = open_dataset(run / "guide3d")
-    frame = data.frames[0]
-    scale = mm_per_px(frame, data.camera_a)
-    pixels = np.diff(data.camera_a.project(frame.curve_mm), axis=0)
-    lengths = np.diff(frame.curve_mm[:, :2], axis=0)
-    assert scale == pytest.approx(
-        np.linalg.norm(lengths, axis=1).sum() / np.linalg.norm(pixels, axis=1).sum(), rel=0.05
-    )
-    assert mm_per_px(frame, None) is None
 
 
 @pytest.mark.parametrize(
