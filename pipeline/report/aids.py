@@ -32,9 +32,9 @@ def note_of(rows: Mapping[str, Sequence[str]]) -> str:
     groups: dict[str, list[str]] = {}
     for row, aids in rows.items():
         groups.setdefault("; ".join(aid for aid in aids if aid not in shared), []).append(row)
-    told = [f"How the measured rows were made: {'; '.join(shared) or 'with nothing in common'}."] if every else []
-    told += [f"{', '.join(names)}: {text}." for text, names in groups.items() if text]
-    return " ".join(told)
+    sentences = [f"How the measured rows were made: {'; '.join(shared) or 'with nothing in common'}."] if every else []
+    sentences += [f"{', '.join(names)}: {text}." for text, names in groups.items() if text]
+    return " ".join(sentences)
 
 
 def training_note(jobs: Iterable[PolicyTrainingJob]) -> str:
@@ -44,24 +44,24 @@ def training_note(jobs: Iterable[PolicyTrainingJob]) -> str:
 
 def of_training(job: PolicyTrainingJob) -> list[str]:
     """What a policy was trained with."""
-    settings, task, told = job.settings, job.task, []
+    settings, task, aids = job.settings, job.task, []
     if task.reward != REWARD_OF_EVALUATION:
         price = f", less {task.path_penalty:g} a metre of the tip's way" if task.path_penalty else ""
-        told.append(f"shaped reward of training ({task.reward}{price})")
+        aids.append(f"shaped reward of training ({task.reward}{price})")
     if task.force_penalty:
-        told.append(f"a newton costs {task.force_penalty:g} in the reward")
+        aids.append(f"a newton costs {task.force_penalty:g} in the reward")
     if settings.reset_bank_share:
         states = "demonstrations and own successes" if job.demonstrations else "own successes"
-        told.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the way, to states of {states}")
+        aids.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the way, to states of {states}")
     if settings.demonstrations_in_replay and job.demonstrations:
         share, count = 100 * settings.demonstrations_in_replay, len(job.demonstrations)
-        told.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")
+        aids.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")
     if job.encoder is not None:
-        told.append("an encoder fitted beforehand and frozen")
+        aids.append("an encoder fitted beforehand and frozen")
     if settings.action_repeat > 1:
-        told.append(f"actions held for {settings.action_repeat} steps")
-    told += _of_task(task.task, job.keys)
-    return [*told, f"{settings.decisions:,} decisions"]
+        aids.append(f"actions held for {settings.action_repeat} steps")
+    aids += _of_task(task.task, job.keys)
+    return [*aids, f"{settings.decisions:,} decisions"]
 
 
 def imitation_note(jobs: Iterable[ImitationJob]) -> str:
@@ -71,22 +71,22 @@ def imitation_note(jobs: Iterable[ImitationJob]) -> str:
 
 def of_imitation(job: ImitationJob) -> list[str]:
     """What a student was fitted with."""
-    told = [
+    aids = [
         f"{job.origin.variant} network, from {job.episodes} episodes of the expert, which had the aids of its own "
         "table",
         *_of_task(job.task.task, job.settings.network.keys),
     ]
     if job.settings.feature_matching:
-        told.append(f"the expert's features matched with weight {job.settings.feature_matching:g}, which is ours")
+        aids.append(f"the expert's features matched with weight {job.settings.feature_matching:g}, which is ours")
     if job.disturbed_episodes:
-        told.append(f"{job.disturbed_episodes} more episodes with disturbed actions")
+        aids.append(f"{job.disturbed_episodes} more episodes with disturbed actions")
     if job.rounds is not None:
-        told.append(f"{job.rounds.rounds} rounds of {job.rounds.episodes} own episodes with the expert's advice")
-    return told
+        aids.append(f"{job.rounds.rounds} rounds of {job.rounds.episodes} own episodes with the expert's advice")
+    return aids
 
 
 def force_note(jobs: Iterable[ForceJob], task: Task) -> str:
-    """The note of networks that tell forces, with the task of their episodes."""
+    """The note of networks that predict forces, with the task of their episodes."""
     text = {
         f"{job.inputs}, {job.samples:,} samples": [
             f"{job.settings.network.variant} network on disturbed episodes of the expert, which had the aids of its "
@@ -105,26 +105,26 @@ def navigation_note(jobs: Iterable[NavigatorJob]) -> str:
 
 def of_navigator(job: NavigatorJob) -> list[str]:
     """What a navigator was trained with and sees."""
-    told = [f"{len(job.rig.cameras)} cameras of {job.rig.image_size_px} px"]
+    aids = [f"{len(job.rig.cameras)} cameras of {job.rig.image_size_px} px"]
     if job.guided:
-        told.append("a contrast run before the procedure")
+        aids.append("a contrast run before the procedure")
     if job.space:
-        told.append("wire and vessels measured in space by the cameras' known geometry")
-    told.append(f"actions held for {job.action_repeat} steps")
+        aids.append("wire and vessels measured in space by the cameras' known geometry")
+    aids.append(f"actions held for {job.action_repeat} steps")
     if job.episodes:
-        told.append(f"cloned from {job.episodes} episodes a target of an expert that knows the state")
+        aids.append(f"cloned from {job.episodes} episodes a target of an expert that knows the state")
     if job.rounds:
         places = len({anatomy for course in job.courses for anatomy in course.anatomies})
-        told.append(
+        aids.append(
             f"{job.rounds} rounds of {job.lessons} lessons in {places} anatomies with a teacher that knows the state"
         )
-    return told
+    return aids
 
 
 def _of_task(task: Task, observed: Sequence[str]) -> list[str]:
-    told = [f"{number_of_actions(task)} actions"]
+    aids = [f"{number_of_actions(task)} actions"]
     if any(name in _PICTURES for name in observed):
-        told.append(f"images of {task.image_size_px} px")
+        aids.append(f"images of {task.image_size_px} px")
     if task.start_rotation_deg:
-        told.append(f"starts turned by up to {task.start_rotation_deg:g} degrees either way")
-    return told
+        aids.append(f"starts turned by up to {task.start_rotation_deg:g} degrees either way")
+    return aids

@@ -15,15 +15,9 @@ FIGURES_FOLDER = "figures"
 _BASE64 = 4 / 3  # characters a byte
 _COLUMN_PIXELS = 1200
 _MEDIA_TYPES = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".jpeg": "image/jpeg",
-    ".gif": "image/gif",
-    ".webp": "image/webp",
-    ".svg": "image/svg+xml",
-    ".mp4": "video/mp4",
-    ".webm": "video/webm",
-}
+    ".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".gif": "image/gif", ".webp": "image/webp",
+    ".svg": "image/svg+xml", ".mp4": "video/mp4", ".webm": "video/webm",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -39,12 +33,12 @@ class ShownFigure:
 
     @property
     def embedded_bytes(self) -> int:
-        """What it takes of the page; nought where it lies beside it."""
+        """Its bytes in the page; 0 where it lies beside the page."""
         return len(self.source) if self.source.startswith("data:") else 0
 
     @property
     def is_film(self) -> bool:
-        """Whether it moves and wants controls."""
+        """Whether it is a film, which the page shows with controls."""
         return self.media_type.startswith("video/")
 
 
@@ -55,7 +49,7 @@ def gather_figures(
 
     Args:
         stage: name of the folder, ``expert`` or ``expert@seed=1``; it heads figures without a group of their own.
-        folder: the stage's folder.
+        folder: that folder.
         report: the report's folder; large files are copied below it, so that it can be moved as a whole.
         embed_limit: size in bytes up to which a file goes inside the page.
         room: bytes of the page that its figures may take together; what does not fit lies beside it.
@@ -78,9 +72,8 @@ def gather_figures(
             with atomic_path(report / relative) as temporary:
                 shutil.copyfile(file, temporary)
             source = relative.as_posix()
-        shown.append(
-            ShownFigure(figure.title, figure.caption, figure.group or stage, source, media_type, _is_wide(file))
-        )
+        group = figure.group or stage
+        shown.append(ShownFigure(figure.title, figure.caption, group, source, media_type, _is_wide(file)))
     return shown
 
 

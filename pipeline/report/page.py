@@ -37,24 +37,21 @@ def render_page(
     tables: Sequence[ReportTable], figures: Sequence[ShownFigure], git: dict[str, Any], versions: dict[str, str],
     machine: dict[str, str], remarks: Mapping[str, str] | None = None, made: Mapping[str, Sequence[str]] | None = None,
 ) -> str:  # fmt: skip
-    """Renders the page.
+    """Renders the page as HTML.
 
     Args:
-        run: the run's name.
-        budget: the budget of the stages; several are joined by "+".
-        seeds: the seeds of the stages.
+        run: name of the run.
+        budget: of the stages; several are joined by "+".
+        seeds: of the stages.
         written: when, ISO 8601.
         records: every stage, run or not.
-        tables: every table.
+        tables: of the thesis, and own ones.
         figures: in the order they are shown.
-        git: commit and dirtiness of the code that renders.
-        versions: software versions.
+        git: commit of the code that renders, and whether it had changes.
+        versions: of the software.
         machine: the computer.
-        remarks: table -> what the reader should know of its cells, e.g. where logs and stage disagree.
+        remarks: table -> what the reader should know of its cells, e.g. which logs were left out.
         made: table -> how its measured rows were made, a note a stage folder.
-
-    Returns:
-        The HTML text.
     """
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
@@ -78,14 +75,7 @@ def _by_chapter(tables: Sequence[ReportTable]) -> list[ReportTable]:
 
 
 def wall_time(seconds: float) -> str:
-    """Words a duration.
-
-    Args:
-        seconds: how long.
-
-    Returns:
-        For example ``8.2 s``, ``3 min 20 s`` or ``2 h 5 min``.
-    """
+    """Words a duration: ``8.2 s``, ``3 min 20 s`` or ``2 h 5 min``."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)

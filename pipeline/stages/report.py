@@ -40,14 +40,9 @@ class ReportSettings:
 
 
 def finished_stages(run_path: Path) -> dict[str, Manifest]:
-    """Finds every stage folder of a run that has finished, sweep jobs included.
+    """Finds every stage folder of a run that has finished: its name, such as ``expert@seed=1``, to its manifest.
 
-    Args:
-        run_path: the folder of the run.
-
-    Returns:
-        Folder name (``expert``, ``expert@seed=1``) to manifest, in the order of the stages; the report itself is
-        left out.
+    They are in the order of the stages; the report itself is left out.
     """
     folders = sorted(p for p in run_path.iterdir() if p.is_dir()) if run_path.is_dir() else []
     found = {folder.name: read_manifest(folder) for folder in folders}
@@ -59,12 +54,7 @@ def finished_stages(run_path: Path) -> dict[str, Manifest]:
 
 
 def run_report(settings: ReportSettings, context: StageContext) -> None:
-    """Writes the report.
-
-    Args:
-        settings: the report's settings.
-        context: where the run lies.
-    """
+    """Writes the tables, the metrics and the page."""
     finished = finished_stages(context.run_path)
     learning = learning_section(context.run_path, finished, context.path / LEARNING_FOLDER)
     measured = join_sweep([*learning.results, {"environment": _environment()}])
@@ -90,15 +80,7 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
 
 
 def notes_of(run_path: Path, finished: Collection[str]) -> dict[str, list[str]]:
-    """How the measured rows were made, as the stages say.
-
-    Args:
-        run_path: the folder of the run.
-        finished: names of its finished stage folders.
-
-    Returns:
-        Table to notes: one, or one for each folder of a sweep that says something else.
-    """
+    """Gathers how the measured rows were made: table to the different notes of the finished stage folders."""
     notes: dict[str, list[str]] = {}
     for name in finished:
         for table, text in read_notes(run_path / name).items():
@@ -128,22 +110,21 @@ def _environment() -> Table:
     versions = software_versions()
     libraries = {"PyTorch": "torch", "Stable-Baselines3": "stable-baselines3"}
     learning = [f"{label} {versions[name]}" for label, name in libraries.items() if name in versions]
-    rows: Table = {name: {"value": text} for name, text in machine().items()}
-    rows |= {name: {"value": versions[name]} for name in ("python", "mujoco", "gymnasium") if name in versions}
-    rows["learning"] = {"value": ", ".join(learning) or None}
-    return rows
+    software = [(name, versions[name]) for name in ("python", "mujoco", "gymnasium") if name in versions]
+    values = [*machine().items(), *software, ("learning", ", ".join(learning) or None)]
+    return {name: {"value": value} for name, value in values}
 
 
 def _inputs(run_path: Path) -> dict[str, str]:
-    told = {}
+    states = {}
     for name, manifest in finished_stages(run_path).items():
-        memory = digests_of(run_path / name)
-        changed = manifest.changed_output(run_path / name, memory)
-        memory.save()
+        digests = digests_of(run_path / name)
+        changed = manifest.changed_output(run_path / name, digests)
+        digests.save()
         if changed is not None:
             _LOGGER.warning("%s: run stage=%s again; the report shows what is there", changed, manifest.stage)
-        told[name] = manifest.identity.fingerprint + manifest.finished + (changed or "")
-    return told
+        states[name] = manifest.identity.fingerprint + manifest.finished + (changed or "")
+    return states
 
 
 STAGE = Stage(
