@@ -143,7 +143,7 @@ class _Signals:
     """Leaves Ctrl-C and SIGTERM to the stage that runs, and starts no other afterwards."""
 
     def __init__(self) -> None:
-        self._asked: list[int] = []
+        self._received: list[int] = []
         self._stage: subprocess.Popen[bytes] | None = None
         self._former: dict[int, Any] = {}
 
@@ -152,7 +152,7 @@ class _Signals:
             former = signal.getsignal(number)
             if former is not signal.SIG_IGN:  # as nohup and background jobs ask for; a stage inherits that, no handler
                 self._former[number] = former
-                signal.signal(number, self._heard)
+                signal.signal(number, self._receive)
         return self
 
     def __exit__(self, *unused: object) -> None:
@@ -161,18 +161,18 @@ class _Signals:
 
     def wait_for(self, command: list[str]) -> int:
         """Runs a stage; its exit code, 128 + N where signal N ended it."""
-        if not self._asked:
+        if not self._received:
             with subprocess.Popen(command) as self._stage:
-                if signal.SIGTERM in self._asked:
+                if signal.SIGTERM in self._received:
                     self._stage.terminate()
                 code = self._stage.wait()
             self._stage = None
             if code:
                 return code if code > 0 else 128 - code
-        return 128 + self._asked[0] if self._asked else 0
+        return 128 + self._received[0] if self._received else 0
 
-    def _heard(self, number: int, frame: FrameType | None) -> None:
-        self._asked.append(number)  # a terminal's Ctrl-C reaches the stage, too
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self._received.append(number)  # a terminal's Ctrl-C reaches the stage, too
         if number == signal.SIGTERM and self._stage is not None:
             self._stage.terminate()
 

@@ -20,7 +20,7 @@ from pipeline.store.manifest import Identity
 from pipeline.store.provenance import hash_value
 from pipeline.store.run_folder import RunFolder
 from pipeline.store.source_closure import source_closure
-from pipeline.variants import Asked, require_input, telling, variant_of
+from pipeline.variants import RunRequest, effective_overrides, require_input, variant_of
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -43,10 +43,10 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     stage.check(config.stage)
     check_device(getattr(config.stage, "device", CPU))  # every stage with networks has one
     run_path = Path(config.runs_dir) / config.name
-    asked = Asked(tuple(overrides), in_sweep, config.seed, config.budget_name)
-    inputs = {name: require_input(run_path, name, stage.name, asked) for name in stage.reads}
+    request = RunRequest(tuple(overrides), in_sweep, config.seed, config.budget_name)
+    inputs = {name: require_input(run_path, name, stage.name, request) for name in stage.reads}
     identity = _identity(stage, config, run_path, {path.name: found.outputs_hash for path, found in inputs.values()})
-    variant = asked.variant(seeded=stage.seeded)
+    variant = request.variant(seeded=stage.seeded)
     folder = RunFolder(run_path / "@".join([stage.name, *([variant_of(variant)] if variant else [])]), identity)
     with folder.locked():
         if not config.force and folder.is_up_to_date():
@@ -65,7 +65,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         keep_cost(folder.path, OWN_PROCESS, meter.read())
         manifest = folder.finish(
             stage=stage.name, run=config.name, budget=config.budget_name, seed=config.seed,
-            config=asdict(config.stage), started=started, overrides=telling(overrides), variant=variant,
+            config=asdict(config.stage), started=started, overrides=effective_overrides(overrides), variant=variant,
         )  # fmt: skip
         _LOGGER.info("%s: done in %.1f s, %d files", stage.name, manifest.wall_time_s, len(manifest.outputs))
     return Outcome.DONE

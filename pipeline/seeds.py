@@ -85,7 +85,7 @@ EPISODES = {
 RETIRED_EPISODES = (range(1_000_000, 2_000_000),)
 
 _ROUND, _COURSE = 10_000, 1_000  # seeds of a round of navigation's lessons, of a course in it
-_UNSEEN_ROUND = 100_000  # likewise, of a round of the image student's lessons
+_UNSEEN_ROUND = 100_000  # of a round of the image student's episodes
 
 
 def training_arches(run_seed: int, count: int) -> range:

@@ -160,7 +160,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def require_same_task(
-    stage: str, asked: Task, found: Task, whose: str, maker: str, parts: Sequence[str] = PARTS
+    stage: str, wanted: Task, found: Task, whose: str, maker: str, parts: Sequence[str] = PARTS
 ) -> None:
     """Refuses what an earlier stage made for another task.
 
@@ -170,10 +170,10 @@ def require_same_task(
     Raises:
         StageError: names every difference.
     """
-    differing = differences(asked, found, parts)
+    differing = differences(wanted, found, parts)
     if not differing:
         return
-    here, there = (", ".join(f"{name}={getattr(task, name)}" for name in differing) for task in (asked, found))
+    here, there = (", ".join(f"{name}={getattr(task, name)}" for name in differing) for task in (wanted, found))
     raise StageError(
         f"stage {stage} was asked for {here}, but {whose} was made by stage {maker} with {there}: give both stages the "
         f"same task ({', '.join(f'task.{name}=…' for name in differing)}), or run stage={maker} again"

@@ -86,10 +86,10 @@ def provenance(command: Sequence[str]) -> dict[str, Any]:
 
 def markdown(found: Sequence[Row], command: str) -> str:
     """The table as Markdown, with where it comes from."""
-    told = provenance([command])
-    versions = ", ".join(f"{name} {told['versions'][name]}" for name in _VERSIONS if name in told["versions"])
-    machine = told["machine"]
-    commit = str(told["git"].get("commit"))[:12]
+    source = provenance([command])
+    versions = ", ".join(f"{name} {source['versions'][name]}" for name in _VERSIONS if name in source["versions"])
+    machine = source["machine"]
+    commit = str(source["git"].get("commit"))[:12]
     lines = [
         f"`{command}`, commit {commit}, {machine['cores']} cores ({machine['architecture']}), {versions}.",
         "",

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.store.errors import StageError
-from pipeline.store.file_memory import digests_of
+from pipeline.store.file_cache import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
 
 _LONGEST_VARIANT = 100
@@ -35,7 +35,7 @@ def variant_of(overrides: Sequence[str]) -> str:
     Returns:
         For example ``seed=1``; empty when no override distinguishes the job. Long ones are cut and hashed.
     """
-    full = ",".join(telling(overrides))
+    full = ",".join(effective_overrides(overrides))
     readable = re.sub(r"[^A-Za-z0-9_.=,+-]", "_", full)
     if readable == full and len(full) <= _LONGEST_VARIANT:
         return full
@@ -43,14 +43,14 @@ def variant_of(overrides: Sequence[str]) -> str:
     return f"{readable[:_LONGEST_VARIANT]}-{hashlib.sha256(full.encode()).hexdigest()[:8]}"
 
 
-def telling(overrides: Sequence[str]) -> list[str]:
-    """The overrides that can change a result, sorted, without Hydra's marks for adding and deleting."""
+def effective_overrides(overrides: Sequence[str]) -> list[str]:
+    """The overrides that can change a result, sorted, without Hydra's signs for adding and deleting."""
     bare = (override.lstrip("+~") for override in overrides)
     return sorted(override for override in bare if override.split("=", 1)[0] not in _NOT_IN_VARIANT)
 
 
 @dataclass(frozen=True)
-class Asked:
+class RunRequest:
     """What a run was asked for, as far as it chooses among folders."""
 
     overrides: tuple[str, ...] = ()
@@ -65,7 +65,7 @@ class Asked:
             seeded: whether the stage's results depend on the seed.
         """
         if self.in_sweep:
-            return telling(self.overrides)
+            return effective_overrides(self.overrides)
         return [f"seed={self.seed}"] if seeded and self.seed else []
 
     def fit(self, variant: Sequence[str]) -> tuple[int, int] | None:
@@ -78,30 +78,31 @@ class Asked:
             How many of its overrides were asked for, and minus how many are merely so by default, to be compared;
             None: one of its overrides is something else than what was asked for.
         """
-        said, default = _shared(self.overrides), {"seed": str(self.seed), "budget": self.budget}
+        given, default = _shared(self.overrides), {"seed": str(self.seed), "budget": self.budget}
         wanted = _shared(variant)
-        if any(({**default, **said}).get(key) != value for key, value in wanted.items()):
+        if any(({**default, **given}).get(key) != value for key, value in wanted.items()):
             return None
-        stated = sum(key in said for key in wanted)
+        stated = sum(key in given for key in wanted)
         return stated, stated - len(wanted)
 
 
-def require_input(run_path: Path, stage: str, reader: str, asked: Asked | None = None) -> tuple[Path, Manifest]:
+def require_input(run_path: Path, stage: str, reader: str, request: RunRequest | None = None) -> tuple[Path, Manifest]:
     """Finds the finished results of an earlier stage and checks that they are as it left them.
 
     Raises:
         StageError: it has not finished, several variants fit equally well, or a file was changed; the message names
             the command to run.
     """
-    asked = asked or Asked()
+    request = request or RunRequest()
     found = _variants(run_path, stage)
-    fits = {folder: fit for folder, manifest in found.items() if (fit := asked.fit(manifest.variant)) is not None}
+    fits = {folder: fit for folder, manifest in found.items() if (fit := request.fit(manifest.variant)) is not None}
     plain = run_path / stage
-    if plain in fits and found[plain].seed != asked.seed and any("seed" in _shared(m.variant) for m in found.values()):
+    several_seeds = any("seed" in _shared(manifest.variant) for manifest in found.values())
+    if plain in fits and found[plain].seed != request.seed and several_seeds:
         del fits[plain]  # the stage ran for several seeds: then another's is not meant
     best = [folder for folder, fit in fits.items() if fit == max(fits.values())]
     if not best:
-        raise StageError(_lack(run_path, stage, reader, asked, list(found)))
+        raise StageError(_missing_input(run_path, stage, reader, request, list(found)))
     if len(best) > 1:
         raise StageError(
             f"stage {reader} could read {' or '.join(map(str, best))}: remove the one that is not meant, or say more "
@@ -110,7 +111,7 @@ def require_input(run_path: Path, stage: str, reader: str, asked: Asked | None =
     (folder,) = best
     manifest = found[folder]
     _require_unchanged(folder, manifest, reader)
-    if manifest.seed != asked.seed or folder != plain:
+    if manifest.seed != request.seed or folder != plain:
         _LOGGER.info("%s reads %s (seed %d)", reader, folder.name, manifest.seed)
     return folder, manifest
 
@@ -122,9 +123,9 @@ def _variants(run_path: Path, stage: str) -> dict[Path, Manifest]:
 
 
 def _require_unchanged(folder: Path, manifest: Manifest, reader: str) -> None:
-    memory = digests_of(folder)
-    changed = manifest.changed_output(folder, memory)
-    memory.save()
+    digests = digests_of(folder)
+    changed = manifest.changed_output(folder, digests)
+    digests.save()
     if changed is not None:
         in_sweep = bool(manifest.variant) and manifest.variant == manifest.overrides
         again = command(manifest.stage, folder.parent, [*manifest.overrides, "force=true"], in_sweep=in_sweep)
@@ -136,12 +137,12 @@ def _require_unchanged(folder: Path, manifest: Manifest, reader: str) -> None:
         )
 
 
-def _lack(run_path: Path, stage: str, reader: str, asked: Asked, found: Sequence[Path]) -> str:
-    own = [override for override in telling(asked.overrides) if not override.startswith("stage.")]
-    run = command(stage, run_path, own, in_sweep=asked.in_sweep)
+def _missing_input(run_path: Path, stage: str, reader: str, request: RunRequest, found: Sequence[Path]) -> str:
+    own = [override for override in effective_overrides(request.overrides) if not override.startswith("stage.")]
+    run = command(stage, run_path, own, in_sweep=request.in_sweep)
     there = f"{run_path / stage} holds none"
     if found:
-        wanted = ", ".join(own) or f"seed={asked.seed}"
+        wanted = ", ".join(own) or f"seed={request.seed}"
         there = f"none of {', '.join(folder.name for folder in found)} in {run_path} fits {wanted}"
     return f"stage {reader} needs the results of stage {stage}, and {there}: run {run} first"
 
@@ -160,5 +161,5 @@ def command(stage: str, run_path: Path, overrides: Sequence[str], *, in_sweep: b
 
 def _shared(overrides: Sequence[str]) -> Mapping[str, str]:
     """The overrides that mean the same to every stage, by key."""
-    pairs = (override.partition("=")[::2] for override in telling(overrides))
+    pairs = (override.partition("=")[::2] for override in effective_overrides(overrides))
     return {key: value for key, value in pairs if not key.startswith("stage.")}

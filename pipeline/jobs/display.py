@@ -34,7 +34,7 @@ class JobState:
         self.status, self._started = "running", time.monotonic()
 
     def update(self, fraction: float, text: str) -> None:
-        """It has told how far it is.
+        """Takes the job's progress.
 
         Args:
             fraction: 0 to 1; the first one counts as what an earlier run had done already.

@@ -1,7 +1,7 @@
 """Jobs: independent pieces of a stage's work in processes of their own, resumable one by one.
 
 A job is a function of a module and what it is given, both picklable. It runs in a fresh process with one thread for
-numerics, tells how far it is through its `Report`, and returns what `RunFolder.mark_done` keeps for the stage's
+numerics, reports its progress through its `Report`, and returns what `RunFolder.mark_done` keeps for the stage's
 summary. What it had begun when it was stopped it finds again in its own files: a finished job never runs twice, an
 unfinished one goes on from its checkpoint.
 
@@ -34,7 +34,7 @@ from pipeline.jobs.display import JobDisplay, JobState
 from pipeline.jobs.gpus import CPU, Gpu, GpuShare, find_gpus, gpus_of
 from pipeline.jobs.worker import Message, Report, work
 from pipeline.store.errors import StageError
-from pipeline.store.interruption import stop_if_asked
+from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.run_folder import RunFolder
 
 __all__ = ["Job", "Report", "run_jobs"]
@@ -54,7 +54,7 @@ class Job:
 
     Attributes:
         key: its name in messages and in the run folder; no two of a stage share one.
-        run: a module's function: what it is given, and where it tells its progress, to a JSON value.
+        run: a module's function: what it is given, and where it reports its progress, to a JSON value.
         given: to `run`; picklable.
         after: keys of jobs that must be done before.
         weight: how long it takes beside the others, for the estimate of the end.
@@ -109,8 +109,8 @@ def run_jobs(
         jobs: all of the stage, in the order in which they should start.
         workers: processes beside each other; 0: one a core.
         preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
-        find: tells which GPUs there are.
-        available: tells how many bytes of memory may still be taken.
+        find: lists the GPUs.
+        available: counts the bytes of memory that may still be taken.
 
     Returns:
         Key to what each job returned, also those of an earlier, interrupted run.
@@ -214,6 +214,7 @@ class _Pool:
         self._folder, self._waiting, self._display, self._share = folder, list(todo), display, share
         self._running: list[_Running] = []
         self._failures: dict[str, str] = {}
+        self._stopping = False
         # A forked copy of this process would inherit the lock, the log's file and the threads of libraries.
         if multiprocessing.get_start_method(allow_none=True) not in (None, *multiprocessing.get_all_start_methods()):
             # joblib's workers name a method of their own, which the processes they start do not know
@@ -230,7 +231,7 @@ class _Pool:
                 self._start_what_can()
                 self._listen(_SECONDS_BETWEEN_LOOKS)
                 self._display.show()
-                stop_if_asked()
+                stop_if_interrupted()
         finally:
             self._stop()
         return self._failures
@@ -303,6 +304,8 @@ class _Pool:
         if running.answered and running.failure is None:
             self._folder.mark_done(running.job.key, running.result)
             running.state.finish()
+        elif self._stopping:
+            return  # what is left unfinished is finished by the next run
         elif running.answered:
             self._fail(running.job.key, running.failure or "unknown error")
         else:
@@ -315,27 +318,19 @@ class _Pool:
         _LOGGER.warning("%s failed: %s", key, reason)
 
     def _stop(self) -> None:
-        """Asks the jobs under way to stop, and waits for their checkpoints; a second Ctrl-C waits no more."""
+        """Asks the jobs under way to stop, and waits for their checkpoints; a second Ctrl-C waits no more.
+
+        One that was just done counts as done.
+        """
+        self._stopping = True
         for running in self._running:
             with contextlib.suppress(OSError):
                 running.connection.send("stop")
         deadline = time.monotonic() + SECONDS_TO_STOP
         try:
             while self._running and time.monotonic() < deadline:
-                self._drain()
+                self._listen(_SECONDS_BETWEEN_LOOKS)
         finally:
             for running in self._running:
                 running.process.kill()
                 running.process.join()
-
-    def _drain(self) -> None:
-        """Takes what stopping jobs still say; one that was just done counts as done."""
-        for connection in wait([running.connection for running in self._running], _SECONDS_BETWEEN_LOOKS):
-            running = next(r for r in self._running if r.connection is connection)
-            try:
-                self._take(running, running.connection.recv())
-            except (EOFError, OSError):
-                self._running.remove(running)
-                running.process.join(SECONDS_TO_STOP)
-                if running.answered and running.failure is None:
-                    self._folder.mark_done(running.job.key, running.result)

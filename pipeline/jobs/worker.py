@@ -1,4 +1,4 @@
-"""The process of a job: it runs the job, tells its progress, and leaves when it is asked to or left alone."""
+"""The process of a job: it runs the job, reports its progress, and ends when it is to stop or its stage is gone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _EXIT_LEFT_ALONE = 1
 
 @dataclass(frozen=True)
 class Message:
-    """What a job's process tells the stage: "progress", "log", "failed" or "done"."""
+    """What a job's process sends to the stage: "progress", "log", "failed" or "done"."""
 
     kind: str
     text: str = ""
@@ -44,7 +44,7 @@ class Message:
 
 
 class Report:
-    """Where a job tells how far it is; the same place tells the job where to compute, and to stop."""
+    """Where a job reports its progress, and learns where to compute and when to stop."""
 
     def __init__(self, send: Callable[[Message], None] | None = None, device: str = "cpu") -> None:
         """Args:
@@ -52,11 +52,11 @@ class Report:
         device: where the job's networks belong: "cpu", or "cuda", which is the job's own GPU.
         """
         self._send, self.device = send, device
-        self._asked = False  # no lock: a signal's handler sets it
+        self._stopping = False  # no lock: a signal's handler sets it
         self._last = 0.0
 
     def __call__(self, fraction: float, text: str = "") -> None:
-        """Tells the progress; call it often, it is cheap.
+        """Reports the progress; call it often, it is cheap.
 
         Args:
             fraction: of the whole job, 0 to 1.
@@ -65,7 +65,7 @@ class Report:
         Raises:
             KeyboardInterrupt: the job is to write its checkpoint and leave.
         """
-        if self._asked:
+        if self._stopping:
             raise KeyboardInterrupt
         now = time.monotonic()
         if self._send is not None and now - self._last >= _SECONDS_BETWEEN_MESSAGES:
@@ -88,12 +88,12 @@ class Report:
 
     @property
     def stopping(self) -> bool:
-        """Whether the job has been asked to stop."""
-        return self._asked
+        """Whether the job is to stop."""
+        return self._stopping
 
     def stop(self) -> None:
         """From here on every call raises `KeyboardInterrupt`."""
-        self._asked = True
+        self._stopping = True
 
 
 class _ToStage(logging.Handler):
@@ -139,13 +139,13 @@ def work(
 
     report = Report(send, CUDA if gpus else CPU)
 
-    def asked(number: int, frame: FrameType | None) -> None:
+    def stop(number: int, frame: FrameType | None) -> None:
         report.stop()
 
     # Ctrl-C in a terminal and a batch system's SIGTERM reach every process: a job leaves at its next report, not
     # in the middle of what its checkpoint needs whole.
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, asked)
+        signal.signal(number, stop)
     threading.Thread(target=_obey, args=(connection, report), daemon=True).start()
     logging.getLogger().addHandler(_ToStage(send, report))
     meter = CostMeter()
@@ -155,7 +155,7 @@ def work(
         with noted(*notes):
             result = run(given, report)
     except KeyboardInterrupt:
-        pass  # asked to: whoever asked does not wait for a word
+        pass  # whoever stopped it does not wait for an answer
     except PipelineError as error:
         send(Message("failed", str(error), cost=meter.read(str(error))))
     except ValidationError as error:

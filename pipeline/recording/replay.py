@@ -125,7 +125,7 @@ def replay_environment(
     changed: dict[str, Any] = {"reward": reward, "force_penalty": force_penalty, "path_penalty": path_penalty}
     task = dataclasses.replace(task, **{name: value for name, value in changed.items() if value is not None})
     wire, accuracy = recorded_wire(info), _accuracy(info)
-    with told(info, "phantom, entry or camera"):
+    with checked_values(info, "phantom, entry or camera"):
         return NavigateEnv(
             info.phantom,
             task=task,
@@ -139,8 +139,8 @@ def replay_environment(
 
 
 @contextlib.contextmanager
-def told(info: EpisodeInfo, what: str) -> Iterator[None]:
-    """Words what a log says of itself and what cannot be used, e.g. because it was written by another version.
+def checked_values(info: EpisodeInfo, what: str) -> Iterator[None]:
+    """Refuses values of a log that cannot be used, e.g. because another version wrote them.
 
     Raises:
         EpisodeReadError: in place of what the body raises over values of the wrong kind.
@@ -161,7 +161,7 @@ def _task(info: EpisodeInfo) -> NavigationTask:
     from cathsim import NavigationTask
 
     fields = {field.name for field in dataclasses.fields(NavigationTask)}
-    with told(info, "task"):
+    with checked_values(info, "task"):
         return NavigationTask(**{name: value for name, value in info.configuration.items() if name in fields})
 
 
@@ -169,7 +169,7 @@ def recorded_wire(info: EpisodeInfo) -> Guidewire:
     """The guidewire that an episode was recorded with."""
     from cathsim import Guidewire
 
-    with told(info, "wire"):
+    with checked_values(info, "wire"):
         values = info.configuration["wire"]
         fields: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
@@ -181,7 +181,7 @@ def _accuracy(info: EpisodeInfo) -> Any:
     from cathsim.presets import Accuracy
 
     numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
-    with told(info, "time stepping"):
+    with checked_values(info, "time stepping"):
         return Accuracy(**numerics) if numerics else "accurate"
 
 

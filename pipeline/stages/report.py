@@ -19,7 +19,7 @@ from pipeline.report.tables import join_sweep, metrics, report_tables
 from pipeline.settings.checks import validated
 from pipeline.stages import Stage, StageContext, available_stages
 from pipeline.store.atomic_files import write_json, write_text
-from pipeline.store.file_memory import digests_of
+from pipeline.store.file_cache import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
 from pipeline.store.provenance import git_state, machine, software_versions
 

@@ -26,7 +26,7 @@ class UserStudySettings:
 
     name: str = "user_study"
     max_steps: Count = 300  # procedures with another limit are not counted
-    success_radius_mm: SuccessRadius = 8.0  # likewise
+    success_radius_mm: SuccessRadius = 8.0  # nor those with another radius
 
 
 @dataclass

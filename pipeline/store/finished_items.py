@@ -23,7 +23,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from pipeline.store.atomic_files import read_json, write_json
-from pipeline.store.file_memory import CACHE, FileMemory, digests_of
+from pipeline.store.file_cache import CACHE, FileCache, digests_of
 from pipeline.store.manifest import Files
 from pipeline.store.provenance import hash_value
 from pipeline.store.written_files import noted, read_journal
@@ -51,7 +51,7 @@ class FinishedItems:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._memory: FileMemory = digests_of(path)
+        self._digests: FileCache = digests_of(path)
         self._place = path / PROGRESS
         self._identity_path = self._place / "identity.json"
         self._results: dict[str, Any] = {}
@@ -85,7 +85,7 @@ class FinishedItems:
         files = {}
         for name in read_journal(self.journal(key)):
             if (self.path / name).is_file() and not name.startswith((f"{PROGRESS}/", f"{CACHE}/")):
-                files[name] = self._memory.entry(self.path / name)
+                files[name] = self._digests.entry(self.path / name)
         item = _Item(key, {} if result is None else result, files)
         write_json(self._record(key), asdict(item))
         self.journal(key).unlink(missing_ok=True)
@@ -119,7 +119,7 @@ class FinishedItems:
         items = {path: _read(path) for path in sorted(self._place.glob("item-*.json"))}
         broken = []
         for path, item in items.items():
-            wrong = "its record" if item is None else self._memory.first_changed(self.path, item.files)
+            wrong = "its record" if item is None else self._digests.first_changed(self.path, item.files)
             if wrong is not None:
                 name = path.stem if item is None else item.key
                 _LOGGER.warning("%s: %s is missing or was changed, so it is done again", name, wrong)

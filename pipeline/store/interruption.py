@@ -1,7 +1,7 @@
 """Interruption: Ctrl-C stops the work at once, and at the next item when a library swallowed it.
 
 While a package is being imported, a ``KeyboardInterrupt`` may land in a library's ``except`` clause and vanish. So the
-signal is remembered, and work made of items asks between them.
+signal is remembered, and work made of items looks between them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import signal
 import threading
 from types import FrameType
 
-_asked = threading.Event()
+_interrupted = threading.Event()
 
 
 def let_ctrl_c_interrupt() -> None:
@@ -19,16 +19,16 @@ def let_ctrl_c_interrupt() -> None:
         signal.signal(signal.SIGINT, _interrupt)
 
 
-def stop_if_asked() -> None:
+def stop_if_interrupted() -> None:
     """Stops the work when Ctrl-C came and nothing has come of it.
 
     Raises:
         KeyboardInterrupt: when the signal has come since ``let_ctrl_c_interrupt``.
     """
-    if _asked.is_set():
+    if _interrupted.is_set():
         raise KeyboardInterrupt
 
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:
-    _asked.set()
+    _interrupted.set()
     raise KeyboardInterrupt

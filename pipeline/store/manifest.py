@@ -13,7 +13,7 @@ from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from pipeline.settings.checks import sentence, shown
 from pipeline.store.atomic_files import read_json
-from pipeline.store.file_memory import FileMemory
+from pipeline.store.file_cache import FileCache
 from pipeline.store.provenance import git_state, hash_value, software_versions
 
 MANIFEST = "manifest.json"
@@ -82,13 +82,13 @@ class Manifest:
         """Hash of the outputs' contents: what later stages depend on."""
         return hash_value({path: entry["sha256"] for path, entry in self.outputs.items()})
 
-    def changed_output(self, folder: Path, memory: FileMemory) -> str | None:
+    def changed_output(self, folder: Path, digests: FileCache) -> str | None:
         """Finds an output that is not as the stage left it.
 
         Returns:
             Its path and what is wrong, e.g. ``runs/desk/expert/results.json is missing``; None when all are right.
         """
-        name = memory.first_changed(folder, self.outputs)
+        name = digests.first_changed(folder, self.outputs)
         return name and f"{folder / name} {'was changed' if (folder / name).exists() else 'is missing'}"
 
     def foreign_file(self, folder: Path) -> Path | None:

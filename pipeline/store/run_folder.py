@@ -29,7 +29,7 @@ from pipeline.jobs.costs import kept_costs
 from pipeline.store.atomic_files import remove_unfinished, write_json
 from pipeline.store.errors import FolderBusyError, StageError
 from pipeline.store.finished_items import FinishedItems
-from pipeline.store.interruption import stop_if_asked
+from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
 from pipeline.store.progress import progress
 
@@ -81,8 +81,8 @@ class RunFolder(FinishedItems):
         manifest = read_manifest(self.path)
         if manifest is None or manifest.identity != self.identity:
             return False
-        changed = manifest.changed_output(self.path, self._memory)
-        self._memory.save()
+        changed = manifest.changed_output(self.path, self._digests)
+        self._digests.save()
         if changed is not None:
             _LOGGER.warning("%s, so the stage runs again", changed)
             return False
@@ -104,7 +104,7 @@ class RunFolder(FinishedItems):
         if not force and not manifest.exists() and self._belong_to(self.identity.fingerprint):
             remove_unfinished(self.path)
             kept = self._verify()
-            self._memory.save()
+            self._digests.save()
             return kept
         # In this order a kill at any point leaves a folder that the next run clears: no item, no manifest to trust.
         self._revoke()
@@ -140,7 +140,7 @@ class RunFolder(FinishedItems):
                 yield item
             if self.result_of(key(item)) is None:
                 self.mark_done(key(item))
-            stop_if_asked()
+            stop_if_interrupted()
 
     def finish(
         self, *, stage: str, run: str, budget: str, seed: int, config: dict[str, Any], started: float,
@@ -156,11 +156,11 @@ class RunFolder(FinishedItems):
         manifest = Manifest(
             stage=stage, run=run, budget=budget, seed=seed, config=config, identity=self.identity,
             overrides=list(overrides), variant=list(variant), jobs=kept_costs(self.path),
-            outputs={n: self._memory.entry(self.path / n) for n in files_below(self.path) if n != MANIFEST},
+            outputs={n: self._digests.entry(self.path / n) for n in files_below(self.path) if n != MANIFEST},
             wall_time_s=round(time.monotonic() - started, 3), finished=datetime.now(UTC).isoformat(timespec="seconds"),
         )  # fmt: skip
         write_json(self.path / MANIFEST, asdict(manifest))
-        self._memory.save()
+        self._digests.save()
         for entry in self.path.iterdir():
             if entry.name.startswith(".") and entry.name != _LOCK and entry.is_dir():
                 shutil.rmtree(entry, ignore_errors=True)

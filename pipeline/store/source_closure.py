@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.store.file_memory import CACHE, FileMemory
+from pipeline.store.file_cache import CACHE, FileCache
 from pipeline.store.provenance import hash_file
 from pipeline.store.source_references import references
 
@@ -30,7 +30,7 @@ _NO_DATA = {".py", ".pyc", ".so", ".pyd", ".o"}
 
 
 class SourceClosure:
-    """The sources behind modules, with a memory of what each file refers to."""
+    """The sources behind modules, with a cache of what each file refers to."""
 
     def __init__(self, cache: Path | None = None, roots: Mapping[str, Path] | None = None) -> None:
         """Args:
@@ -39,10 +39,10 @@ class SourceClosure:
         """
         own = Path(__file__)
         version = hash_file(own) + hash_file(own.with_name("source_references.py"))
-        self._memory = FileMemory(cache, Path("/"), version=version)
+        self._cache = FileCache(cache, Path("/"), version=version)
         self._roots = dict(installed_packages() if roots is None else roots)
         self._files: dict[str, Path | None] = {}
-        self._told: dict[Path, dict[str, Any]] = {}
+        self._references: dict[Path, dict[str, Any]] = {}
 
     def modules(self, *names: str) -> set[str]:
         """The modules that some modules reach, those themselves and the packages around all of them.
@@ -85,16 +85,16 @@ class SourceClosure:
         digest = hashlib.sha256()
         for name, file in sorted(self.files(*names).items()):
             digest.update(f"{name}\0{self._read(file)['sha256']}\n".encode())
-        self._memory.save()
+        self._cache.save()
         return digest.hexdigest()
 
     def _referred(self, name: str) -> Iterator[str]:
-        told = self._read(self._require(name), name)
-        for module, wanted in told["imports"]:
+        found = self._read(self._require(name), name)
+        for module, wanted in found["imports"]:
             yield module
             if wanted and self._file(module) is not None:
                 yield from self._home(module, wanted)
-        yield from told["strings"]
+        yield from found["strings"]
 
     def _home(self, module: str, wanted: str) -> Iterator[str]:
         """Where a name wanted of a module comes from, if that is another module."""
@@ -141,15 +141,15 @@ class SourceClosure:
         """Digest of a file, and what a module refers to."""
 
         def read(file: Path) -> dict[str, Any]:
-            told = {"sha256": hash_file(file)}
+            digest = {"sha256": hash_file(file)}
             if file.suffix != ".py":
-                return told
-            return told | references(file.read_text(encoding="utf-8"), name, is_package=file.name == "__init__.py")
+                return digest
+            return digest | references(file.read_text(encoding="utf-8"), name, is_package=file.name == "__init__.py")
 
-        if file not in self._told:
-            known = self._memory.recall(file)
-            self._told[file] = dict(known if known is not None else self._memory.compute(file, read))
-        return self._told[file]
+        if file not in self._references:
+            known = self._cache.recall(file)
+            self._references[file] = dict(known if known is not None else self._cache.compute(file, read))
+        return self._references[file]
 
 
 def is_without_effect(name: str) -> bool:
@@ -168,5 +168,5 @@ def installed_packages() -> dict[str, Path]:
 
 
 def source_closure(run_path: Path) -> SourceClosure:
-    """The sources behind modules, with the memory of a run."""
+    """The sources behind modules, with the cache of a run."""
     return SourceClosure(run_path / CACHE / "sources.json")

@@ -42,7 +42,7 @@ class _Notes:
         os.close(self._descriptor)
 
 
-def _hear(event: str, arguments: tuple[Any, ...]) -> None:
+def _audit(event: str, arguments: tuple[Any, ...]) -> None:
     notes = _state["notes"]
     if notes is None:
         return
@@ -61,7 +61,7 @@ def noted(folder: Path, journal: Path) -> Iterator[None]:
         journal: gets a line a file, its path relative to the folder; lines of earlier processes stay.
     """
     if not _installed:
-        sys.addaudithook(_hear)  # stays for the life of the process
+        sys.addaudithook(_audit)  # stays for the life of the process
         _installed.append(True)
     former, notes = _state["notes"], _Notes(folder, journal)
     _state["notes"] = notes

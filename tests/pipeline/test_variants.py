@@ -11,7 +11,7 @@ import pytest
 from pipeline.store.errors import StageError
 from pipeline.store.manifest import Identity, read_manifest
 from pipeline.store.run_folder import RunFolder
-from pipeline.variants import Asked, require_input, variant_of
+from pipeline.variants import RunRequest, require_input, variant_of
 
 
 def leave(run: Path, stage: str, *variant: str, seed: int = 0) -> Path:
@@ -31,7 +31,7 @@ def leave(run: Path, stage: str, *variant: str, seed: int = 0) -> Path:
 
 
 def read(run: Path, *overrides: str, in_sweep: bool = False, seed: int = 0) -> str:
-    return require_input(run, "enn", "force", Asked(overrides, in_sweep, seed))[0].name
+    return require_input(run, "enn", "force", RunRequest(overrides, in_sweep, seed))[0].name
 
 
 def test_every_seed_of_a_sweep_finds_its_own_teacher(tmp_path: Path) -> None:
@@ -80,9 +80,9 @@ def test_two_that_fit_equally_well_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seeded", [True, False])
 def test_folders_of_runs(seeded: bool) -> None:
-    assert Asked(("stage=enn",), False, 0).variant(seeded=seeded) == []
-    assert Asked(("stage=enn", "seed=1"), False, 1).variant(seeded=seeded) == (["seed=1"] if seeded else [])
-    assert Asked(("stage=enn", "seed=1", "target=bca"), True, 1).variant(seeded=seeded) == ["seed=1", "target=bca"]
+    assert RunRequest(("stage=enn",), False, 0).variant(seeded=seeded) == []
+    assert RunRequest(("stage=enn", "seed=1"), False, 1).variant(seeded=seeded) == (["seed=1"] if seeded else [])
+    assert RunRequest(("stage=enn", "seed=1", "target=bca"), True, 1).variant(seeded=seeded) == ["seed=1", "target=bca"]
 
 
 @pytest.mark.parametrize("damage", ["a file gone", "a bit flipped", "a folder gone"])

@@ -213,9 +213,14 @@ def walk(data: Any, start: int = 0) -> Iterator[tuple[int, int, int]]:
         position = end
 
 
-_CHUNK_MARK = b"\x04\x00\x00\x00zstd"
-_CHUNK_MARK_OFFSET = 9 + _CHUNK_HEAD.size - 4
-_METADATA_MARKS = tuple(struct.pack("<I", len(name)) + name.encode() for name in (EPISODE_METADATA, OUTCOME_METADATA))
+# What stands where in a record that is looked for: bytes, how far behind the record's start, and its kind.
+_PATTERNS = (
+    (b"\x04\x00\x00\x00zstd", 9 + _CHUNK_HEAD.size - 4, Opcode.CHUNK),
+    *(
+        (struct.pack("<I", len(name)) + name.encode(), 9, Opcode.METADATA)
+        for name in (EPISODE_METADATA, OUTCOME_METADATA)
+    ),
+)
 
 
 def find_record(data: Any, start: int) -> int | None:
@@ -224,14 +229,13 @@ def find_record(data: Any, start: int) -> int | None:
     Returns:
         Where the record begins, or None. Whether it is intact is for its checksum to say.
     """
-    marks = ((_CHUNK_MARK, _CHUNK_MARK_OFFSET, Opcode.CHUNK), *((m, 9, Opcode.METADATA) for m in _METADATA_MARKS))
     found = []
-    for mark, offset, opcode in marks:
-        position = data.find(mark, start + offset)
+    for pattern, offset, opcode in _PATTERNS:
+        position = data.find(pattern, start + offset)
         while position >= 0:
             begin = position - offset
             if data[begin] == opcode and begin + 9 + _RECORD_HEAD.unpack_from(data, begin)[1] <= len(data):
                 found.append(begin)
                 break
-            position = data.find(mark, position + 1)
+            position = data.find(pattern, position + 1)
     return min(found, default=None)

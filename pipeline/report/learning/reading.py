@@ -15,7 +15,7 @@ from typing import Any
 
 from pipeline.report.learning.logs import COMPARED, DEMONSTRATION, Evaluation, UnusableLogError, read_evaluation
 from pipeline.store.file_memory import FileMemory
-from pipeline.store.interruption import stop_if_asked
+from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.source_closure import SourceClosure
 
 CACHE = Path(".cache", "learning.json")  # below the run: a stage's own folder is emptied when it runs again
@@ -109,7 +109,7 @@ def _read_all(paths: list[Path], run_path: Path, processes: int | None) -> Itera
             pool.shutdown(wait=True, cancel_futures=True)
     for path in paths[done:]:
         yield _read_one(path, run_path)
-        stop_if_asked()
+        stop_if_interrupted()
 
 
 def _ignore_ctrl_c() -> None:

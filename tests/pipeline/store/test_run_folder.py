@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.store import file_memory
+from pipeline.store import file_cache
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.errors import FolderBusyError, StageError
-from pipeline.store.file_memory import FileMemory
+from pipeline.store.file_cache import FileCache
 from pipeline.store.manifest import Identity, Manifest, files_below, read_manifest
 from pipeline.store.provenance import hash_file
 from pipeline.store.run_folder import RunFolder
@@ -317,15 +317,15 @@ def test_a_mark_knows_what_every_attempt_wrote_however_it_was_written(folder: Ru
 
 def test_an_unchanged_file_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
-    monkeypatch.setattr(file_memory, "hash_file", lambda file: read.append(file.name) or hash_file(file))
+    monkeypatch.setattr(file_cache, "hash_file", lambda file: read.append(file.name) or hash_file(file))
     for name in "abc":
         (tmp_path / name).write_text(name)
     time.sleep(0.12)  # younger files might change within a tick of the clock, so they are read again
     store = tmp_path / "store.json"
-    memory = FileMemory(store, tmp_path)
+    memory = FileCache(store, tmp_path)
     digests = {name: memory.digest(tmp_path / name) for name in "abc"}
     memory.save()
-    again = FileMemory(store, tmp_path)
+    again = FileCache(store, tmp_path)
     assert {name: again.digest(tmp_path / name) for name in "abc"} == digests
     assert read == ["a", "b", "c"]
     before = (tmp_path / "b").stat()
@@ -341,11 +341,11 @@ def test_a_damaged_memory_condemns_no_good_file_and_passes_no_bad_one(tmp_path: 
     (tmp_path / "a").write_text("a")
     time.sleep(0.12)
     store = tmp_path / "store.json"
-    memory = FileMemory(store, tmp_path)
+    memory = FileCache(store, tmp_path)
     digest = memory.digest(tmp_path / "a")
     memory.save()
     store.write_text(damage(store.read_text()))
-    assert FileMemory(store, tmp_path).holds(tmp_path / "a", digest, 1)
-    assert FileMemory(store, tmp_path).digest(tmp_path / "a") == digest
+    assert FileCache(store, tmp_path).holds(tmp_path / "a", digest, 1)
+    assert FileCache(store, tmp_path).digest(tmp_path / "a") == digest
     (tmp_path / "a").write_text("c")
-    assert not FileMemory(store, tmp_path).holds(tmp_path / "a", digest, 1)
+    assert not FileCache(store, tmp_path).holds(tmp_path / "a", digest, 1)

@@ -19,11 +19,11 @@ CACHE = ".cache"  # below the run's folder; it may be deleted
 _SETTLED_NS = 100_000_000
 
 
-class FileMemory:
+class FileCache:
     """Values computed from files, kept in a small file between processes: a line with a checksum, a line of JSON.
 
     A value counts while size, modification time, status change time and inode of its file stay. Several processes may
-    keep the same memory: the last one to save wins, and what it lacks is computed again.
+    keep the same cache: the last one to save wins, and what it lacks is computed again.
     """
 
     def __init__(self, store: Path | None, root: Path, *, version: str = "1") -> None:
@@ -108,9 +108,9 @@ class FileMemory:
         return os.path.relpath(file, self._root)
 
 
-def digests_of(folder: Path) -> FileMemory:
-    """The memory of a stage folder's digests."""
-    return FileMemory(folder.parent / CACHE / "digests" / f"{folder.name}.json", folder)
+def digests_of(folder: Path) -> FileCache:
+    """The cache of a stage folder's digests."""
+    return FileCache(folder.parent / CACHE / "digests" / f"{folder.name}.json", folder)
 
 
 def _check(text: str, version: str) -> str:
