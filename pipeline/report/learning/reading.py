@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.report.learning.logs import COMPARED, DEMONSTRATION, Evaluation, UnusableLogError, read_evaluation
-from pipeline.store.file_memory import FileMemory
+from pipeline.store.file_cache import FileCache
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.source_closure import SourceClosure
 
@@ -56,7 +56,7 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
     run_path = folders[0].parent
     sources = SourceClosure(cache and cache.with_name("sources.json"))
     code = sources.hash("pipeline.report.learning.logs", "cathsim.metrics")
-    kept = FileMemory(cache, run_path, version=code)
+    kept = FileCache(cache, run_path, version=code)
     paths = [path for folder in folders for path in sorted(folder.rglob("*.mcap"))]
     known = {path: kept.recall(path) for path in paths}
     new = [path for path in paths if known[path] is None]
