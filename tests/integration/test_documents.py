@@ -148,6 +148,35 @@ def test_commands_name_modules_files_and_verbs(document: Path) -> None:
         assert verb in verbs, verb
 
 
+def sources_of(command: str) -> str:
+    """The sources in which the options of a command are declared: of a script, or of a module's package."""
+    if script := re.search(r"python (\S+\.py)", command):
+        return read(PROJECT_ROOT / script[1])
+    module = re.search(r"-m ((?:cathsim|enn|guide3d|splineformer|pipeline|tests\.fuzz)\b[\w.]*)", command)
+    if not module:
+        return ""
+    spec = importlib.util.find_spec(module[1].split(".")[0] if "fuzz" not in module[1] else module[1])
+    assert spec, module[1]
+    return "".join(
+        read(path) for folder in spec.submodule_search_locations or () for path in Path(folder).rglob("*.py")
+    )
+
+
+@documents
+def test_options_and_configurations_of_commands_exist(document: Path) -> None:
+    text = read(document)
+    for line in [*quoted(text), *"\n".join(code_blocks(text)).splitlines()]:
+        command = line.split("#")[0].split(" -- ")[0]
+        source = sources_of(command)
+        missing = [
+            option for option in re.findall(r" (--[a-z][\w-]*)", command) if source and f'"{option}"' not in source
+        ]
+        assert set(missing) <= {"--cfg", "--help", "--nproc-per-node"}, command  # of Hydra, of argparse, of torchrun
+    for group in ("stage", "budget", "experiment"):
+        known = {path.stem for path in (PROJECT_ROOT / "conf" / group).glob("*.yaml")}
+        assert set(re.findall(rf"(?<![\w./@]){group}=([a-z][\w-]*)", text)) <= known, group
+
+
 @documents
 def test_settings_exist(document: Path) -> None:
     from pipeline.stages import available_stages, load_stage
