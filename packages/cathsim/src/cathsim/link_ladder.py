@@ -24,15 +24,10 @@ HYSTERESIS = 0.010  # how far the wire is drawn back before links are dropped, m
 
 @dataclass(frozen=True)
 class Ladder:
-    """The numbers of links that can be simulated, and how far each reaches.
+    """The numbers of links that can be simulated, and how far each reaches."""
 
-    Attributes:
-        counts: increasing; the last is the whole wire.
-        reach: greatest insertion of each, m.
-    """
-
-    counts: tuple[int, ...]
-    reach: tuple[float, ...]
+    counts: tuple[int, ...]  # increasing; the last is the whole wire
+    reach: tuple[float, ...]  # greatest insertion of each, m
 
     @staticmethod
     def of(wire: Guidewire) -> Ladder:

@@ -33,15 +33,10 @@ SETTLE_STEPS = 3
 
 @dataclass(frozen=True)
 class Contacts:
-    """Wire-wall contacts of the substep in which their resultant was largest.
+    """Wire-wall contacts of the substep in which their resultant was largest."""
 
-    Attributes:
-        points: world positions, m. Shape (k, 3).
-        forces: force of the wall on the wire, N, world frame. Shape (k, 3).
-    """
-
-    points: np.ndarray
-    forces: np.ndarray
+    points: np.ndarray  # world positions, m. Shape (k, 3).
+    forces: np.ndarray  # force of the wall on the wire, N, world frame. Shape (k, 3).
 
 
 @kept_with_owner

@@ -29,17 +29,11 @@ Voxels = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class LumenPaths:
-    """Shortest ways within a lumen.
+    """Shortest ways within a lumen."""
 
-    Attributes:
-        inside: (nx, ny, nz) voxels of the lumen.
-        origin: (3,) m, middle of voxel (0, 0, 0).
-        spacing: m between voxels.
-    """
-
-    inside: Mask
-    origin: Array
-    spacing: float
+    inside: Mask  # (nx, ny, nz) voxels of the lumen
+    origin: Array  # (3,) m, middle of voxel (0, 0, 0)
+    spacing: float  # m between voxels
 
     @cached_property
     def depth(self) -> Array:

@@ -10,17 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True, eq=False)
 class SignedDistanceGrid:
-    """Distance to the wall, sampled at the corners of a regular lattice.
+    """Distance to the wall, sampled at the corners of a regular lattice."""
 
-    Attributes:
-        values: (nx, ny, nz) float32 m, C order; positive inside the lumen, clamped far outside.
-        origin: (3,) m, world position of values[0, 0, 0].
-        spacing: m between neighbours, the same along x, y and z.
-    """
-
-    values: NDArray[np.float32]
-    origin: NDArray[np.float64]
-    spacing: float
+    values: NDArray[np.float32]  # (nx, ny, nz) float32 m, C order; positive inside the lumen, clamped far outside
+    origin: NDArray[np.float64]  # (3,) m, world position of values[0, 0, 0]
+    spacing: float  # m between neighbours, the same along x, y and z
 
     def __post_init__(self) -> None:
         values = np.ascontiguousarray(self.values, dtype=np.float32)

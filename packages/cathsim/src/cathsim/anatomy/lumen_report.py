@@ -18,21 +18,14 @@ _SPECK = 8  # lattice points: what is smaller is rounding at an edge, not a cham
 
 @dataclass(frozen=True)
 class LumenReport:
-    """Findings about one lumen.
+    """Findings about one lumen."""
 
-    Attributes:
-        open_ends: whether each entry lies inside, with an opening of the least radius around it.
-        components: separate chambers in which the wire's axis can lie.
-        reachable: per target, whether it lies in the chamber of the entries.
-        least_radius: per target, m from the centreline to the wall where the way from the default entry is narrowest.
-        required_radius: m, the least that least_radius should be.
-    """
-
-    open_ends: dict[str, bool]
-    components: int
-    reachable: dict[str, bool]
+    open_ends: dict[str, bool]  # whether each entry lies inside, with an opening of the least radius around it
+    components: int  # separate chambers in which the wire's axis can lie
+    reachable: dict[str, bool]  # per target, whether it lies in the chamber of the entries
+    # per target, m from the centreline to the wall where the way from the default entry is narrowest
     least_radius: dict[str, float]
-    required_radius: float
+    required_radius: float  # m, the least that least_radius should be
 
     @property
     def problems(self) -> tuple[str, ...]:

@@ -57,43 +57,27 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A place where the guidewire comes in, just inside an open end of the aorta.
+    """A place where the guidewire comes in, just inside an open end of the aorta."""
 
-    Attributes:
-        name: "descending" (femoral access) or "ascending".
-        position: (3,) m, world frame.
-        direction: (3,) unit vector along the centreline into the lumen.
-    """
-
-    name: str
-    position: NDArray[np.float64]
-    direction: NDArray[np.float64]
+    name: str  # "descending" (femoral access) or "ascending"
+    position: NDArray[np.float64]  # (3,) m, world frame
+    direction: NDArray[np.float64]  # (3,) unit vector along the centreline into the lumen
 
 
 @dataclass(frozen=True, eq=False)
 class Phantom:
-    """One anatomy, ready for simulation.
+    """One anatomy, ready for simulation."""
 
-    Attributes:
-        name: its name in the library.
-        hash: hexadecimal digest of everything that determines its geometry.
-        parameters: the arch's measures, None for a mesh's.
-        tree: branches with centreline and radius.
-        grid: signed distance to the wall, positive inside.
-        targets: places to reach, by name; those at the open ends of branches are added where they are missing.
-        entries: places to come in, by name.
-        imported: the account of the import, for a phantom from a mesh.
-        source: what it was imported with, for a phantom from a mesh: path, unit, names.
-    """
-
-    name: str
-    hash: str
-    parameters: ArchParameters | None
-    tree: VesselTree
-    grid: SignedDistanceGrid
+    name: str  # its name in the library
+    hash: str  # hexadecimal digest of everything that determines its geometry
+    parameters: ArchParameters | None  # the arch's measures, None for a mesh's
+    tree: VesselTree  # branches with centreline and radius
+    grid: SignedDistanceGrid  # signed distance to the wall, positive inside
+    # places to reach, by name; those at the open ends of branches are added where they are missing
     targets: dict[str, Target]
-    entries: dict[str, Entry]
-    imported: ImportReport | None = None
+    entries: dict[str, Entry]  # places to come in, by name
+    imported: ImportReport | None = None  # the account of the import, for a phantom from a mesh
+    # what it was imported with, for a phantom from a mesh: path, unit, names
     source: Mapping[str, Any] | None = field(default=None, repr=False)
     _load_field: Callable[[str], NDArray[np.float32] | None] | None = field(default=None, repr=False)
     _fields: dict[str, NDArray[np.float32]] = field(default_factory=dict, repr=False)

@@ -19,22 +19,14 @@ class Branch:
     """One vessel: a centreline with a radius at each of its points.
 
     A branch begins on its parent's centreline, so its first stretch lies inside the parent's lumen.
-
-    Attributes:
-        name: unique within its tree.
-        points: (n, 3) m, world frame, ordered away from the parent.
-        radius: (n,) m, lumen radius at each point.
-        parent: name of the parent branch, None for the root.
-        parent_arc: arc length (m) along the parent at which this branch begins.
-        open_end: True where the last point is a flat opening, False where other branches continue it.
     """
 
-    name: str
-    points: Array
-    radius: Array
-    parent: str | None = None
-    parent_arc: float = 0.0
-    open_end: bool = True
+    name: str  # unique within its tree
+    points: Array  # (n, 3) m, world frame, ordered away from the parent
+    radius: Array  # (n,) m, lumen radius at each point
+    parent: str | None = None  # name of the parent branch, None for the root
+    parent_arc: float = 0.0  # arc length (m) along the parent at which this branch begins
+    open_end: bool = True  # True where the last point is a flat opening, False where other branches continue it
 
     def __post_init__(self) -> None:
         points = np.asarray(self.points, dtype=np.float64)

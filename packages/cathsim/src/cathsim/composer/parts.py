@@ -16,16 +16,12 @@ from cathsim.presets import Accuracy
 
 @dataclass(frozen=True)
 class Parts:
-    """MJCF of the three entities, each in its own frame.
+    """MJCF of the three entities, each in its own frame."""
 
-    Attributes:
-        arena: options, and the dummy geoms that stand for the vessel.
-        feeder: a body with the two joints and their servos, at the origin; +z is the direction of insertion.
-        guidewire: the links, and the tip's motors if there are any; the first link begins at the origin, along +z.
-    """
-
-    arena: mjcf.RootElement
+    arena: mjcf.RootElement  # options, and the dummy geoms that stand for the vessel
+    # a body with the two joints and their servos, at the origin; +z is the direction of insertion
     feeder: mjcf.RootElement
+    # the links, and the tip's motors if there are any; the first link begins at the origin, along +z
     guidewire: mjcf.RootElement
 
 

@@ -21,13 +21,9 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True)
 class Access:
-    """Decides on requests.
+    """Decides on requests."""
 
-    Attributes:
-        token: what the address must carry; None lets in pages of this machine only.
-    """
-
-    token: str | None = None
+    token: str | None = None  # what the address must carry; None lets in pages of this machine only
 
     def refusal(self, headers: Mapping[str, str], token: str) -> str:
         """One sentence that says why a request is refused; "" lets it in.

@@ -13,17 +13,11 @@ SILENCE = 0.6  # s without a word from the page after which the controls count a
 
 @dataclass(frozen=True)
 class Controls:
-    """The two axes of the feeder, each -1 to 1.
+    """The two axes of the feeder, each -1 to 1."""
 
-    Attributes:
-        advance: share of the full speed; positive inserts.
-        rotate: share of the full speed; positive about the direction of insertion.
-        sequence: number that the page gave to this reading: it says which picture shows the reading's effect.
-    """
-
-    advance: float = 0.0
-    rotate: float = 0.0
-    sequence: int = 0
+    advance: float = 0.0  # share of the full speed; positive inserts
+    rotate: float = 0.0  # share of the full speed; positive about the direction of insertion
+    sequence: int = 0  # number that the page gave to this reading: it says which picture shows the reading's effect
 
     def __post_init__(self) -> None:
         for name in ("advance", "rotate"):

@@ -22,23 +22,14 @@ _LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Sample:
-    """The state after a control step, as it is shown.
+    """The state after a control step, as it is shown."""
 
-    Attributes:
-        points: ends of the links from the tip to the proximal end, m, world frame. Shape (links + 1, 3).
-        force: largest resultant contact force of the step, N.
-        force_max: largest so far, N.
-        insertion: m.
-        rotation: rad.
-        distance: from the tip to the target, m.
-    """
-
-    points: np.ndarray
-    force: float
-    force_max: float
-    insertion: float
-    rotation: float
-    distance: float
+    points: np.ndarray  # ends of the links from the tip to the proximal end, m, world frame. Shape (links + 1, 3).
+    force: float  # largest resultant contact force of the step, N
+    force_max: float  # largest so far, N
+    insertion: float  # m
+    rotation: float  # rad
+    distance: float  # from the tip to the target, m
 
 
 class Procedure:

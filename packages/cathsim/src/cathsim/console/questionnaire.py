@@ -12,17 +12,11 @@ LONGEST_PARTICIPANT = 40
 
 @dataclass(frozen=True)
 class Criterion:
-    """One question.
+    """One question."""
 
-    Attributes:
-        key: its name in files and tables.
-        title: in two words.
-        question: as the operator reads it.
-    """
-
-    key: str
-    title: str
-    question: str
+    key: str  # its name in files and tables
+    title: str  # in two words
+    question: str  # as the operator reads it
 
 
 # Criteria of the thesis, chapter CathSim, "User Study"; the wording of the questions is this console's own.

@@ -26,16 +26,12 @@ class HullVessel(Vessel):
     """A vessel with convex hulls for a wall.
 
     Its distance grid produces no contacts: it only says how deep a wire lies in the true wall.
-
-    Attributes:
-        hulls: convex parts of the wall, m, world frame.
-        openings: centre (3,) m, outward unit normal (3,) and radius m of the vessel's open ends.
-        sheath_length: m.
     """
 
-    hulls: tuple[Hull, ...] = ()
+    hulls: tuple[Hull, ...] = ()  # convex parts of the wall, m, world frame
+    # centre (3,) m, outward unit normal (3,) and radius m of the vessel's open ends
     openings: tuple[tuple[np.ndarray, np.ndarray, float], ...] = ()
-    sheath_length: float = 1.0
+    sheath_length: float = 1.0  # m
 
     def add_to(self, spec: mujoco.MjSpec) -> mujoco.MjsGeom:
         """Adds the wall and the sheath to a model under construction.

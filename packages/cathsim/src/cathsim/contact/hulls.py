@@ -58,15 +58,10 @@ class Decomposition:
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """One convex part of a wall.
+    """One convex part of a wall."""
 
-    Attributes:
-        vertices: m, world frame. Shape (n, 3).
-        faces: indices of its triangles' corners, outward. Shape (f, 3), int32.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    vertices: NDArray[np.float64]  # m, world frame. Shape (n, 3).
+    faces: NDArray[np.int32]  # indices of its triangles' corners, outward. Shape (f, 3), int32.
 
     def planes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Outward unit normals (f, 3) and offsets (f,) m: inside is `normals @ point <= offsets`."""

@@ -21,18 +21,12 @@ OPENING = 4.0e-3  # so near an open end there is no wall to compare with, m
 
 @dataclass(frozen=True)
 class WallFit:
-    """Hulls against the true wall, at points of the lumen's surface.
+    """Hulls against the true wall, at points of the lumen's surface."""
 
-    Attributes:
-        intrusion: how far hulls reach into the lumen along the normal, m; at most to where another wall is nearer.
-            Shape (n,).
-        recess: how far the first hull lies outside of the lumen, m; infinite where there is none. Shape (n,).
-        blocked: the hulls reach as far as the middle of the lumen. Shape (n,), bool.
-    """
-
+    # how far hulls reach into the lumen along the normal, m; at most to where another wall is nearer. Shape (n,).
     intrusion: Array
-    recess: Array
-    blocked: NDArray[np.bool_]
+    recess: Array  # how far the first hull lies outside of the lumen, m; infinite where there is none. Shape (n,).
+    blocked: NDArray[np.bool_]  # the hulls reach as far as the middle of the lumen. Shape (n,), bool.
 
     @property
     def leak_share(self) -> float:

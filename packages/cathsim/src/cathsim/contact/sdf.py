@@ -20,24 +20,15 @@ class Vessel:
     """The free space a wire moves in: a lumen, and the bore of a straight sheath behind the entry.
 
     In a MuJoCo model it is a dummy box geom for each (`add_to`); contacts come from the grid.
-
-    Attributes:
-        values: signed distance to the wall, m, positive inside. Shape (nx, ny, nz), float32, C order.
-        origin: world position of node (0, 0, 0), m. Shape (3,).
-        spacing: distance between nodes, m.
-        entry: where the sheath opens into the vessel, m. Shape (3,).
-        direction: unit vector into the vessel. Shape (3,).
-        sheath_radius: inner radius of the sheath, m; 0 for no sheath.
-        sheath_overlap: how far the bore reaches past `entry`, m.
     """
 
-    values: np.ndarray
-    origin: np.ndarray
-    spacing: float
-    entry: np.ndarray
-    direction: np.ndarray
-    sheath_radius: float = 0.75e-3
-    sheath_overlap: float = 6.0e-3
+    values: np.ndarray  # signed distance to the wall, m, positive inside. Shape (nx, ny, nz), float32, C order.
+    origin: np.ndarray  # world position of node (0, 0, 0), m. Shape (3,).
+    spacing: float  # distance between nodes, m
+    entry: np.ndarray  # where the sheath opens into the vessel, m. Shape (3,).
+    direction: np.ndarray  # unit vector into the vessel. Shape (3,).
+    sheath_radius: float = 0.75e-3  # inner radius of the sheath, m; 0 for no sheath
+    sheath_overlap: float = 6.0e-3  # how far the bore reaches past `entry`, m
     number: int = field(init=False)
 
     def __post_init__(self) -> None:

@@ -28,17 +28,11 @@ _ASKEW = np.radians(6.0)
 
 @dataclass(frozen=True, eq=False)
 class XRayCamera:
-    """A source and a detector.
+    """A source and a detector."""
 
-    Attributes:
-        projector: where the pinhole at the source sees a point.
-        distortion: where the detector shows it.
-        detector: light, blur and noise.
-    """
-
-    projector: Projector
-    distortion: DetectorDistortion
-    detector: Detector
+    projector: Projector  # where the pinhole at the source sees a point
+    distortion: DetectorDistortion  # where the detector shows it
+    detector: Detector  # light, blur and noise
 
     def __post_init__(self) -> None:
         ours, theirs = (self.projector.width, self.projector.height), (self.distortion.width, self.distortion.height)

@@ -20,21 +20,13 @@ _HEADINGS = ("image size", "camera matrix", "rotation", "translation")
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """A pinhole camera as a text file holds it.
+    """A pinhole camera as a text file holds it."""
 
-    Attributes:
-        K: (3, 3) camera to pixel, px.
-        R: (3, 3) world to camera.
-        t: (3,) the world's origin in the camera frame, in the file's unit.
-        width: px.
-        height: px.
-    """
-
-    K: Array
-    R: Array
-    t: Array
-    width: int
-    height: int
+    K: Array  # (3, 3) camera to pixel, px
+    R: Array  # (3, 3) world to camera
+    t: Array  # (3,) the world's origin in the camera frame, in the file's unit
+    width: int  # px
+    height: int  # px
 
     @property
     def P(self) -> Array:

@@ -26,15 +26,11 @@ _BODY_STRIDE = 2  # px between the rays on which the body is integrated; it has 
 
 @dataclass(frozen=True, eq=False)
 class Radiograph:
-    """Expected photon counts, behind the detector's distortion and before its screen's blur.
+    """Expected photon counts, behind the detector's distortion and before its screen's blur."""
 
-    Attributes:
-        primary: (height, width) float32, photons that passed straight; a wire in the way multiplies them.
-        veil: (height, width) float32, scatter and glare, which a thin wire leaves as it is.
-    """
-
+    # (height, width) float32, photons that passed straight; a wire in the way multiplies them
     primary: NDArray[np.float32]
-    veil: NDArray[np.float32]
+    veil: NDArray[np.float32]  # (height, width) float32, scatter and glare, which a thin wire leaves as it is
 
     def __post_init__(self) -> None:
         for array in (self.primary, self.veil):

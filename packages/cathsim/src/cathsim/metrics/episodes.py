@@ -90,29 +90,17 @@ def spl(success: ArrayLike, paths: ArrayLike, shortest: ArrayLike) -> float:
 
 @dataclass(frozen=True)
 class EpisodeMetrics:
-    """What one episode came to.
+    """What one episode came to."""
 
-    Attributes:
-        target: the vessel aimed at; SPL compares episodes of one target.
-        force_mean: N, over the steps.
-        force_max: N, over the steps.
-        force_p95: N, 95th percentile over the steps.
-        path_length: m.
-        steps: number of steps.
-        safety: share of steps below the force limit, 0 to 1.
-        success: whether the target was reached in time.
-        reward: sum over the steps.
-    """
-
-    target: str
-    force_mean: float
-    force_max: float
-    force_p95: float
-    path_length: float
-    steps: int
-    safety: float
-    success: bool
-    reward: float
+    target: str  # the vessel aimed at; SPL compares episodes of one target
+    force_mean: float  # N, over the steps
+    force_max: float  # N, over the steps
+    force_p95: float  # N, 95th percentile over the steps
+    path_length: float  # m
+    steps: int  # number of steps
+    safety: float  # share of steps below the force limit, 0 to 1
+    success: bool  # whether the target was reached in time
+    reward: float  # sum over the steps
 
     @classmethod
     def from_arrays(
@@ -181,31 +169,18 @@ class Statistic:
 
 @dataclass(frozen=True)
 class Summary:
-    """Metrics over episodes, in the columns and units of the thesis's tables, with what these leave out.
+    """Metrics over episodes, in the columns and units of the thesis's tables, with what these leave out."""
 
-    Attributes:
-        episodes: how many.
-        force_n: mean force of an episode, N.
-        force_max_n: largest force of an episode, N.
-        force_p95_n: 95th percentile of the force in an episode, N.
-        path_length_cm: cm.
-        episode_length_steps: steps.
-        safety_pct: %.
-        success_pct: %.
-        spl_pct: %, one number for all episodes.
-        reward: sum over an episode.
-    """
-
-    episodes: int
-    force_n: Statistic
-    force_max_n: Statistic
-    force_p95_n: Statistic
-    path_length_cm: Statistic
-    episode_length_steps: Statistic
-    safety_pct: Statistic
-    success_pct: Statistic
-    spl_pct: float
-    reward: Statistic
+    episodes: int  # how many
+    force_n: Statistic  # mean force of an episode, N
+    force_max_n: Statistic  # largest force of an episode, N
+    force_p95_n: Statistic  # 95th percentile of the force in an episode, N
+    path_length_cm: Statistic  # cm
+    episode_length_steps: Statistic  # steps
+    safety_pct: Statistic  # %
+    success_pct: Statistic  # %
+    spl_pct: float  # %, one number for all episodes
+    reward: Statistic  # sum over an episode
 
     def as_dict(self) -> dict[str, list[float] | float | int]:
         """Columns by name, [mean, sd] each, as plain numbers for JSON."""

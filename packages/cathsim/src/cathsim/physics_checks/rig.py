@@ -18,21 +18,13 @@ WORLD_SITE = "world"
 
 @dataclass(frozen=True)
 class TheoryCheck:
-    """A measured value beside the value of theory, in the same unit.
+    """A measured value beside the value of theory, in the same unit."""
 
-    Attributes:
-        law: one of `LAWS`.
-        name: parameters of the case.
-        measured: by the simulator.
-        theory: exact.
-        remark: further figures, for a reader.
-    """
-
-    law: str
-    name: str
-    measured: float
-    theory: float
-    remark: str = ""
+    law: str  # one of `LAWS`
+    name: str  # parameters of the case
+    measured: float  # by the simulator
+    theory: float  # exact
+    remark: str = ""  # further figures, for a reader
 
     @property
     def error_pct(self) -> float:

@@ -35,13 +35,9 @@ class UnreachableError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class LumenPath:
-    """A way through the lumen.
+    """A way through the lumen."""
 
-    Attributes:
-        points: (n, 3) m, world frame, from start to target.
-    """
-
-    points: Array
+    points: Array  # (n, 3) m, world frame, from start to target
 
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=np.float64)

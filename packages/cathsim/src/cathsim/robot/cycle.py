@@ -25,23 +25,14 @@ class Phase(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Measured:
-    """Joint positions and rates that the cycle reads.
+    """Joint positions and rates that the cycle reads."""
 
-    Attributes:
-        carriage: of the driving clamp's platform, m.
-        carriage_speed: m/s.
-        wheel: of the guidewire's rotary part, rad.
-        wheel_speed: rad/s.
-        driving_jaw: opening of the driving clamp, m.
-        holding_jaw: ... of the holding clamp, m.
-    """
-
-    carriage: float
-    carriage_speed: float
-    wheel: float
-    wheel_speed: float
-    driving_jaw: float
-    holding_jaw: float
+    carriage: float  # of the driving clamp's platform, m
+    carriage_speed: float  # m/s
+    wheel: float  # of the guidewire's rotary part, rad
+    wheel_speed: float  # rad/s
+    driving_jaw: float  # opening of the driving clamp, m
+    holding_jaw: float  # ... of the holding clamp, m.
 
     @property
     def driven(self) -> bool:

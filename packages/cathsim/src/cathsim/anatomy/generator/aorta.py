@@ -25,19 +25,12 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Aorta:
-    """A bare aorta, sampled at steps of STEP from the descending end to the root.
+    """A bare aorta, sampled at steps of STEP from the descending end to the root."""
 
-    Attributes:
-        points: (n, 3) m, centreline.
-        tangents: (n, 3) unit vectors along it.
-        outward: (n, 3) unit vectors to the outer curvature.
-        radius: (n,) m.
-    """
-
-    points: Array
-    tangents: Array
-    outward: Array
-    radius: Array
+    points: Array  # (n, 3) m, centreline
+    tangents: Array  # (n, 3) unit vectors along it
+    outward: Array  # (n, 3) unit vectors to the outer curvature
+    radius: Array  # (n,) m
 
     @property
     def outer_wall(self) -> Array:

@@ -19,23 +19,14 @@ Voxels = NDArray[np.int64]
 
 @dataclass(eq=False)
 class RoughVessel:
-    """One vessel of a lumen, before it has a name or a smooth centreline.
+    """One vessel of a lumen, before it has a name or a smooth centreline."""
 
-    Attributes:
-        points: (n, 3) m, from the place where its way leaves the parent's.
-        depth: (n,) m, distance to the wall along it.
-        end: number of the end it leads to, None where it ends in a fork.
-        children: vessels that leave it, in the order in which they do.
-        start: m along the parent's points at which it leaves them.
-        from_fork: whether it goes on from the parent's last point.
-    """
-
-    points: Array
-    depth: Array
-    end: int | None
-    children: list[RoughVessel] = field(default_factory=list)
-    start: float = 0.0
-    from_fork: bool = False
+    points: Array  # (n, 3) m, from the place where its way leaves the parent's
+    depth: Array  # (n,) m, distance to the wall along it
+    end: int | None  # number of the end it leads to, None where it ends in a fork
+    children: list[RoughVessel] = field(default_factory=list)  # vessels that leave it, in the order in which they do
+    start: float = 0.0  # m along the parent's points at which it leaves them
+    from_fork: bool = False  # whether it goes on from the parent's last point
 
     @property
     def ends(self) -> list[int]:

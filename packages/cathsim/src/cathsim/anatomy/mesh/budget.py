@@ -15,15 +15,10 @@ SAMPLE_BYTES = 200  # of every point on the surface, its place in the search tre
 
 @dataclass(eq=False)
 class Budget:
-    """The budget of one import; its clock runs from its making.
+    """The budget of one import; its clock runs from its making."""
 
-    Attributes:
-        seconds: s of processor time, checked between steps.
-        memory: bytes; checked before lattices and points are made.
-    """
-
-    seconds: float = MOST_SECONDS
-    memory: float = MOST_BYTES
+    seconds: float = MOST_SECONDS  # s of processor time, checked between steps
+    memory: float = MOST_BYTES  # bytes; checked before lattices and points are made
     _began: float = field(default_factory=time.thread_time, init=False)
 
     def check_time(self, step: str) -> None:

@@ -34,23 +34,14 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Cavity:
-    """Where a surface has its lumen.
+    """Where a surface has its lumen."""
 
-    Attributes:
-        inside: (nx, ny, nz) voxels of the lumen, the wall's own voxels left out.
-        wall: (nx, ny, nz) voxels that the surface passes through.
-        origin: (3,) m, middle of voxel (0, 0, 0).
-        spacing: m between voxels.
-        kind: "closed lumen", "lumen in a closed wall", or "tunnel".
-        widest: m, radius of the widest ball inside.
-    """
-
-    inside: Mask
-    wall: Mask
-    origin: Array
-    spacing: float
-    kind: str
-    widest: float
+    inside: Mask  # (nx, ny, nz) voxels of the lumen, the wall's own voxels left out
+    wall: Mask  # (nx, ny, nz) voxels that the surface passes through
+    origin: Array  # (3,) m, middle of voxel (0, 0, 0)
+    spacing: float  # m between voxels
+    kind: str  # "closed lumen", "lumen in a closed wall", or "tunnel"
+    widest: float  # m, radius of the widest ball inside
 
     def index(self, points: Array) -> NDArray[np.int64]:
         """Voxels (..., 3) that points (..., 3) m lie in; points outside the lattice get its border's."""

@@ -29,19 +29,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class VesselEnd:
-    """A flat end of a vessel.
+    """A flat end of a vessel."""
 
-    Attributes:
-        centre: (3,) m.
-        normal: (3,) unit vector out of the vessel.
-        radius: m, furthest from the centre to the wall across the vessel.
-        way: (n, 3) m, the way from the vessel's inside to the centre, at even steps.
-    """
-
-    centre: Array
-    normal: Array
-    radius: float
-    way: Array
+    centre: Array  # (3,) m
+    normal: Array  # (3,) unit vector out of the vessel
+    radius: float  # m, furthest from the centre to the wall across the vessel
+    way: Array  # (n, 3) m, the way from the vessel's inside to the centre, at even steps
 
 
 def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:

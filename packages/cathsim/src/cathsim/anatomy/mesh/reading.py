@@ -34,15 +34,10 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """Triangles without any order or orientation that could be relied on.
+    """Triangles without any order or orientation that could be relied on."""
 
-    Attributes:
-        vertices: (n, 3), in the file's unit until scaled.
-        faces: (m, 3) indices of vertices.
-    """
-
-    vertices: Array
-    faces: Indices
+    vertices: Array  # (n, 3), in the file's unit until scaled
+    faces: Indices  # (m, 3) indices of vertices
 
     @property
     def corners(self) -> Array:

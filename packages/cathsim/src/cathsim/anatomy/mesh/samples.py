@@ -21,17 +21,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """Points on triangles.
+    """Points on triangles."""
 
-    Attributes:
-        points: (n, 3) m.
-        face: (n,) index of the triangle each lies on.
-        corners: (m, 3, 3) m, all triangles.
-    """
-
-    points: Array
-    face: NDArray[np.int64]
-    corners: Array
+    points: Array  # (n, 3) m
+    face: NDArray[np.int64]  # (n,) index of the triangle each lies on
+    corners: Array  # (m, 3, 3) m, all triangles
 
     @cached_property
     def tree(self) -> cKDTree:

@@ -26,15 +26,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TreeSettings:
-    """What a branch must have to be kept.
+    """What a branch must have to be kept."""
 
-    Attributes:
-        least_radius: m; where a branch is narrower, it ends.
-        least_length: m outside its parent.
-    """
-
-    least_radius: float
-    least_length: float = 6e-3
+    least_radius: float  # m; where a branch is narrower, it ends
+    least_length: float = 6e-3  # m outside its parent
 
 
 def grow_tree(
