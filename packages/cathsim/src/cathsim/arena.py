@@ -65,14 +65,7 @@ def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motor
     return spec
 
 
-def _add_servo(
-    spec: mujoco.MjSpec,
-    joint: str,
-    *,
-    stiffness: float,
-    damping: float,
-    limit: float,
-) -> None:
+def _add_servo(spec: mujoco.MjSpec, joint: str, *, stiffness: float, damping: float, limit: float) -> None:
     servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.set_to_position(kp=stiffness, kv=damping)
     servo.forcelimited, servo.forcerange = True, [-limit, limit]

@@ -216,11 +216,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     def state(self) -> dict[str, Any]:
         """Everything that the rest of the episode and later draws depend on, to be pickled; for `restore`."""
-        return {
-            "case": self.case,
-            "generator": self.np_random.bit_generator.state,
-            "episode": self.current.state(),
-        }
+        return {"case": self.case, "generator": self.np_random.bit_generator.state, "episode": self.current.state()}
 
     def restore(self, state: dict[str, Any]) -> Any:
         """Goes on where an environment with the same arguments was saved by `state`; returns the observation."""

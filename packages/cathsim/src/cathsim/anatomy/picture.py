@@ -79,10 +79,7 @@ def draw_phantom(phantom: Phantom, path: Path | None = None, *, pixel: float = 5
 def _camera(turn: float) -> tuple[Array, Array]:
     """Unit vectors to the picture's right and towards the viewer."""
     angle = math.radians(turn)
-    return (
-        np.array([math.cos(angle), math.sin(angle), 0.0]),
-        np.array([math.sin(angle), -math.cos(angle), 0.0]),
-    )
+    return (np.array([math.cos(angle), math.sin(angle), 0.0]), np.array([math.sin(angle), -math.cos(angle), 0.0]))
 
 
 def _project(points: Array, centre: Array, right: Array) -> Array:

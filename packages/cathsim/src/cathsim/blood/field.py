@@ -168,11 +168,7 @@ class BloodField:
             raise ValueError(f"points must have shape (..., 3), got {points.shape}")
         velocities = np.empty_like(points)
         library().cathsim_blood_velocities(
-            ctypes.byref(self.struct),
-            points.size // 3,
-            address(points),
-            ctypes.c_double(time),
-            address(velocities),
+            ctypes.byref(self.struct), points.size // 3, address(points), ctypes.c_double(time), address(velocities)
         )
         return velocities
 

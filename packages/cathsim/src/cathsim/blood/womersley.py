@@ -78,14 +78,7 @@ def velocity_profile(alpha: float, squared_radius: ArrayLike) -> ComplexArray:
 
 
 def profile_table(
-    radii: ArrayLike,
-    phases: int,
-    columns: int,
-    *,
-    frequency: float,
-    density: float,
-    viscosity: float,
-    womersley: bool,
+    radii: ArrayLike, phases: int, columns: int, *, frequency: float, density: float, viscosity: float, womersley: bool
 ) -> Array:
     """Velocity in tubes of several radii that carry the flow of a heartbeat with peak 1.
 

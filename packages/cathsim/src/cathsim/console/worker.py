@@ -50,23 +50,14 @@ class Page(Protocol):
 
 @settings
 class Setup:
-    """What the operator starts with.
+    """What the operator starts with."""
 
-    Attributes:
-        phantom: name of the phantom.
-        target: name of the target.
-        wire: preset of the guidewire.
-        accuracy: preset of the time stepping.
-        max_steps: a procedure ends after so many control steps.
-        seed: of the first procedure; each further one has the next.
-    """
-
-    phantom: str = "type_1"
-    target: str = "bca"
-    wire: str = "default"
-    accuracy: str = "accurate"
-    max_steps: Count = 300
-    seed: Seed = 0
+    phantom: str = "type_1"  # name of the phantom
+    target: str = "bca"  # name of the target
+    wire: str = "default"  # preset of the guidewire
+    accuracy: str = "accurate"  # preset of the time stepping
+    max_steps: Count = 300  # a procedure ends after so many control steps
+    seed: Seed = 0  # of the first procedure; each further one has the next
 
     def environment(self, phantom: Phantom, target: str) -> NavigateEnv:
         """The environment of a procedure; its image is that of other recorded episodes."""

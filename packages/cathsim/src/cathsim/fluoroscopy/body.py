@@ -18,17 +18,11 @@ _Attenuation = Annotated[float, Interval(ge=-1e6, le=1e6), Unit("1/m")]
 
 @settings
 class Ellipsoid:
-    """A solid of uniform extra attenuation; solids add where they overlap.
+    """A solid of uniform extra attenuation; solids add where they overlap."""
 
-    Attributes:
-        centre: m, from the phantom's centre, along the world's axes.
-        semi_axes: m, along the world's axes.
-        attenuation: 1/m, added to what the solid lies in; negative for air in tissue.
-    """
-
-    centre: _Place
-    semi_axes: _Size
-    attenuation: _Attenuation
+    centre: _Place  # m, from the phantom's centre, along the world's axes
+    semi_axes: _Size  # m, along the world's axes
+    attenuation: _Attenuation  # 1/m, added to what the solid lies in; negative for air in tissue
 
     def chord(self, source: Array, directions: Array) -> Array:
         """Length (...) m of rays inside.
@@ -48,17 +42,11 @@ class Ellipsoid:
 
 @settings
 class Box:
-    """A block of uniform extra attenuation, its faces across the world's axes.
+    """A block of uniform extra attenuation, its faces across the world's axes."""
 
-    Attributes:
-        centre: m, from the phantom's centre, along the world's axes.
-        half_sides: m, along the world's axes.
-        attenuation: 1/m, added to what the block lies in.
-    """
-
-    centre: _Place
-    half_sides: _Size
-    attenuation: _Attenuation
+    centre: _Place  # m, from the phantom's centre, along the world's axes
+    half_sides: _Size  # m, along the world's axes
+    attenuation: _Attenuation  # 1/m, added to what the block lies in
 
     def chord(self, source: Array, directions: Array) -> Array:
         """Length of rays inside, as `Ellipsoid.chord` gives it."""

@@ -157,7 +157,4 @@ def clinical_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRa
     return a, b
 
 
-PAIRS: dict[str, Callable[..., tuple[XRayCamera, XRayCamera]]] = {
-    "guide3d": guide3d_pair,
-    "clinical": clinical_pair,
-}
+PAIRS: dict[str, Callable[..., tuple[XRayCamera, XRayCamera]]] = {"guide3d": guide3d_pair, "clinical": clinical_pair}

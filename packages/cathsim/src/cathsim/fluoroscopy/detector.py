@@ -23,31 +23,23 @@ class Detector:
     """An image intensifier or a panel; lengths in px of a 1024 px image, positions in half image sides from its middle.
 
     Its display shows the square root of the light, so that noise looks alike in dark and bright parts.
-
-    Attributes:
-        photons: mean count of a white pixel of a 1024 px image; larger pixels catch more.
-        video_noise: standard deviation of what the display chain adds, grey levels.
-        focal_blur: standard deviation of the blur before the photons are counted, px: the focal spot's.
-        screen_blur: that of the blur behind, which also smooths the noise, px.
-        glare: grey level of the dark around the field.
-        field_radius: radius of the round collimator, half image sides; None for a panel without one.
-        field_centre: its middle, right and down.
-        penumbra: width of its soft border, px.
-        vignette: distance from the field's middle, in its radii, at which the light has fallen to exp(-1/2).
-        heel: relative fall of the light from the left to the right side of the image, by the anode's heel.
-        equalisation: how far slow differences of brightness are taken out, as beam-shaping filters do: 0 not at all.
     """
 
+    # mean count of a white pixel of a 1024 px image; larger pixels catch more
     photons: Annotated[float, Interval(gt=0, le=1e9), Unit("photons a pixel")] = 870.0
-    video_noise: _Grey = 1.7
-    focal_blur: _Blur = 0.5
-    screen_blur: _Blur = 1.1
-    glare: _Grey = 5.0
+    video_noise: _Grey = 1.7  # standard deviation of what the display chain adds, grey levels
+    focal_blur: _Blur = 0.5  # standard deviation of the blur before the photons are counted, px: the focal spot's
+    screen_blur: _Blur = 1.1  # that of the blur behind, which also smooths the noise, px
+    glare: _Grey = 5.0  # grey level of the dark around the field
+    # radius of the round collimator, half image sides; None for a panel without one
     field_radius: Annotated[float, Interval(gt=0, le=10), Unit("half image sides")] | None = 1.2
-    field_centre: Annotated[tuple[_Side, _Side], Listed] = (0.0, 0.0)
-    penumbra: Annotated[float, Interval(ge=0, le=REFERENCE_SIZE), Unit("px")] = 30.0
+    field_centre: Annotated[tuple[_Side, _Side], Listed] = (0.0, 0.0)  # its middle, right and down
+    penumbra: Annotated[float, Interval(ge=0, le=REFERENCE_SIZE), Unit("px")] = 30.0  # width of its soft border, px
+    # distance from the field's middle, in its radii, at which the light has fallen to exp(-1/2)
     vignette: Annotated[float, Interval(gt=0, le=1000)] = 0.65
+    # relative fall of the light from the left to the right side of the image, by the anode's heel
     heel: Annotated[float, Interval(gt=-1, lt=1)] = 0.0
+    # how far slow differences of brightness are taken out, as beam-shaping filters do: 0 not at all
     equalisation: Share = 0.0
 
     def scale(self, width: int, height: int) -> float:

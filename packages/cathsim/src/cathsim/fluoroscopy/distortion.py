@@ -31,26 +31,17 @@ class DetectorDistortion:
     The input screen's curvature gives the pincushion, which the electron optics flatten towards the rim; the Earth's
     magnetic field gives the twist (the S distortion); a tilted tube the p terms.
 
-    Attributes:
-        width: px.
-        height: px.
-        pincushion: coefficient of r².
-        barrel: coefficient of r⁴.
-        twist: rad at r = 1.
-        tilt: (p1, p2).
-        centre: from the image's middle, half image sides; right and down.
-
     Raises:
         ValueError: where the map would fold the image over.
     """
 
-    width: Pixels
-    height: Pixels
-    pincushion: _Coefficient = 0.0
-    barrel: _Coefficient = 0.0
-    twist: _Coefficient = 0.0
-    tilt: _Pair = (0.0, 0.0)
-    centre: _Pair = (0.0, 0.0)
+    width: Pixels  # px
+    height: Pixels  # px
+    pincushion: _Coefficient = 0.0  # coefficient of r²
+    barrel: _Coefficient = 0.0  # coefficient of r⁴
+    twist: _Coefficient = 0.0  # rad at r = 1
+    tilt: _Pair = (0.0, 0.0)  # (p1, p2)
+    centre: _Pair = (0.0, 0.0)  # from the image's middle, half image sides; right and down
 
     def __post_init__(self) -> None:
         side = np.linspace(-_DOMAIN, _DOMAIN, 41)

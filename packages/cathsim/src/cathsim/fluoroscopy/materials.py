@@ -38,14 +38,10 @@ _Attenuation = Annotated[float, Interval(ge=0, le=1e6), Unit("1/m")]
 
 @settings
 class Section:
-    """A stretch of wire: nested cylinders, each filling what the inner ones leave.
+    """A stretch of wire: nested cylinders, each filling what the inner ones leave."""
 
-    Attributes:
-        length: m; the last section of a wire goes on to its end.
-        layers: (radius in m, attenuation in 1/m), innermost first.
-    """
-
-    length: Length
+    length: Length  # m; the last section of a wire goes on to its end
+    # (radius in m, attenuation in 1/m), innermost first
     layers: Annotated[tuple[tuple[_Radius, _Attenuation], ...], Len(1)]
 
     def __post_init__(self) -> None:
@@ -71,13 +67,9 @@ class Section:
 
 @settings
 class WireMaterial:
-    """A wire from its tip on.
+    """A wire from its tip on."""
 
-    Attributes:
-        sections: from the tip; the last one's length does not matter.
-    """
-
-    sections: tuple[Section, ...]
+    sections: tuple[Section, ...]  # from the tip; the last one's length does not matter
 
     def __post_init__(self) -> None:
         if not self.sections:

@@ -20,26 +20,16 @@ _Over = Annotated[float, Interval(ge=-1e6, le=1e6), Unit("1/m")]  # attenuation 
 
 @settings
 class XRayScene:
-    """A vessel in its surroundings; attenuations are over those of what surrounds it.
+    """A vessel in its surroundings; attenuations are over those of what surrounds it."""
 
-    Attributes:
-        name: of the scene.
-        body: solids about the vessel's centre.
-        surroundings: attenuation of what the vessel lies in, 1/m.
-        wall: attenuation of the vessel's wall over it, 1/m.
-        wall_thickness: m.
-        filling: attenuation of the lumen's content over it, 1/m.
-        scatter: share of scattered photons among those detected behind the body.
-        middle: grey level that the automatic brightness gives to the middle of the image.
-    """
-
-    name: str
-    body: tuple[Solid, ...]
-    surroundings: Annotated[float, Interval(ge=0, le=1e6), Unit("1/m")]
-    wall: _Over
-    wall_thickness: Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
-    filling: _Over
-    scatter: Annotated[float, Interval(ge=0, lt=1)]
+    name: str  # of the scene
+    body: tuple[Solid, ...]  # solids about the vessel's centre
+    surroundings: Annotated[float, Interval(ge=0, le=1e6), Unit("1/m")]  # attenuation of what the vessel lies in, 1/m
+    wall: _Over  # attenuation of the vessel's wall over it, 1/m
+    wall_thickness: Annotated[float, Interval(ge=0, le=0.1), Unit("m")]  # m
+    filling: _Over  # attenuation of the lumen's content over it, 1/m
+    scatter: Annotated[float, Interval(ge=0, lt=1)]  # share of scattered photons among those detected behind the body
+    # grey level that the automatic brightness gives to the middle of the image
     middle: Annotated[float, Interval(gt=0, lt=255), Unit("grey levels")] = 140.0
 
     def filled(self, content: str) -> XRayScene:

@@ -21,27 +21,17 @@ _Steps = Annotated[int, Interval(ge=1, le=10_000)]
 
 @settings
 class ExpertSettings:
-    """How the expert searches.
+    """How the expert searches."""
 
-    Attributes:
-        horizon: length of a plan, control steps.
-        hold: steps for which a sampled action is held.
-        execute: steps of a plan that are carried out before it is looked at again.
-        samples: plans a round.
-        elites: best plans, to which the sampling distribution is fitted.
-        rounds: of sampling at most.
-        force_cost: cost of a newton of contact force above `free_force`, in metres of distance to the target.
-        free_force: N.
-    """
-
-    horizon: _Steps = 18
-    hold: _Steps = 3
-    execute: _Steps = 6
-    samples: Count = 24
-    elites: Count = 5
-    rounds: Annotated[int, Interval(ge=0, le=1000)] = 3
+    horizon: _Steps = 18  # length of a plan, control steps
+    hold: _Steps = 3  # steps for which a sampled action is held
+    execute: _Steps = 6  # steps of a plan that are carried out before it is looked at again
+    samples: Count = 24  # plans a round
+    elites: Count = 5  # best plans, to which the sampling distribution is fitted
+    rounds: Annotated[int, Interval(ge=0, le=1000)] = 3  # of sampling at most
+    # cost of a newton of contact force above `free_force`, in metres of distance to the target
     force_cost: Annotated[float, Interval(ge=0, le=1000), Unit("m/N")] = 0.004
-    free_force: Annotated[float, Interval(ge=0, le=1000), Unit("N")] = 0.15
+    free_force: Annotated[float, Interval(ge=0, le=1000), Unit("N")] = 0.15  # N
 
     def __post_init__(self) -> None:
         if self.elites > self.samples:

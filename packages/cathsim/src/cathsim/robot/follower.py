@@ -147,21 +147,13 @@ class FollowerRobot:
 
 @settings(frozen=False)
 class Leader:
-    """The operator's side: a handle whose displacement and rotation map linearly to the follower's command.
+    """The operator's side: a handle whose displacement and rotation map linearly to the follower's command."""
 
-    Attributes:
-        translation_scale: follower's translation over the leader's.
-        rotation_scale: follower's rotation over the leader's.
-        stroke: travel of the handle to either side of its middle, m; beyond it the handle stops.
-        position: of the handle, m.
-        engaged: with the clutch open the handle moves alone.
-    """
-
-    translation_scale: _Scale = 1.0
-    rotation_scale: _Scale = 1.0
-    stroke: Length = 0.060
-    position: Coordinate = 0.0
-    engaged: bool = True
+    translation_scale: _Scale = 1.0  # follower's translation over the leader's
+    rotation_scale: _Scale = 1.0  # follower's rotation over the leader's
+    stroke: Length = 0.060  # travel of the handle to either side of its middle, m; beyond it the handle stops
+    position: Coordinate = 0.0  # of the handle, m
+    engaged: bool = True  # with the clutch open the handle moves alone
 
     def move(self, translation: float, rotation: float) -> tuple[float, float]:
         """Moves the handle by a translation (m), as far as its stroke allows, and a rotation (rad).

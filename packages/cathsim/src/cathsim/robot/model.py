@@ -43,29 +43,18 @@ STEEL, BLUE, GREY, JAW, WHEEL_COLOUR, MARK = (
 
 @settings
 class RobotSettings:
-    """Measures and limits of the follower robot.
+    """Measures and limits of the follower robot."""
 
-    Attributes:
-        stroke: travel of the driving clamp along the rail, m.
-        jaw_opening: travel of a jaw, m.
-        speed: limit of the carriage while it drives the wire, m/s.
-        return_speed: ... while it returns with its clamp open, m/s.
-        rotation_speed: limit of the wheels, rad/s.
-        jaw_speed: limit of the jaws, m/s.
-        backlog: a commanded translation that is still to be done is remembered up to this, m; what goes beyond is lost.
-        rotation_backlog: the same of the rotation, rad.
-        timestep: of the robot's own simulation, s.
-    """
-
-    stroke: _Travel = 0.040
-    jaw_opening: _Travel = 0.005
-    speed: _Speed = 0.030
-    return_speed: _Speed = 0.080
-    rotation_speed: Annotated[float, Interval(gt=0, le=1000), Unit("rad/s")] = 4.0
-    jaw_speed: _Speed = 0.050
+    stroke: _Travel = 0.040  # travel of the driving clamp along the rail, m
+    jaw_opening: _Travel = 0.005  # travel of a jaw, m
+    speed: _Speed = 0.030  # limit of the carriage while it drives the wire, m/s
+    return_speed: _Speed = 0.080  # ... while it returns with its clamp open, m/s.
+    rotation_speed: Annotated[float, Interval(gt=0, le=1000), Unit("rad/s")] = 4.0  # limit of the wheels, rad/s
+    jaw_speed: _Speed = 0.050  # limit of the jaws, m/s
+    # a commanded translation that is still to be done is remembered up to this, m; what goes beyond is lost
     backlog: _Travel = 0.004
-    rotation_backlog: Annotated[float, Interval(gt=0, le=1000), Unit("rad")] = 0.4
-    timestep: Annotated[float, Interval(ge=1e-6, le=0.1), Unit("s")] = 0.005
+    rotation_backlog: Annotated[float, Interval(gt=0, le=1000), Unit("rad")] = 0.4  # the same of the rotation, rad
+    timestep: Annotated[float, Interval(ge=1e-6, le=0.1), Unit("s")] = 0.005  # of the robot's own simulation, s
 
     def home(self, platform: str) -> float:
         """Place of a platform on the rail at joint position 0, m behind the robot's front."""

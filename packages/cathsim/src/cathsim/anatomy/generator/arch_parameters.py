@@ -14,21 +14,13 @@ ANEURYSM_KINDS = ("fusiform", "saccular")
 
 @settings
 class Aneurysm:
-    """A widening of the aorta.
+    """A widening of the aorta."""
 
-    Attributes:
-        kind: "fusiform" (all around) or "saccular" (a pouch to one side).
-        distance: m of aortic centreline from the LSA's origin; positive towards the descending end.
-        length: m, from where the widening begins to where it ends.
-        bulge: m, how much the radius (fusiform) or one side (saccular) widens at most.
-        angle: rad about the aortic centreline, direction of a saccular pouch; 0 is the outer curvature.
-    """
-
-    kind: str = "fusiform"
-    distance: float = 0.045
-    length: float = 0.065
-    bulge: float = 0.009
-    angle: Angle = 0.6
+    kind: str = "fusiform"  # "fusiform" (all around) or "saccular" (a pouch to one side)
+    distance: float = 0.045  # m of aortic centreline from the LSA's origin; positive towards the descending end
+    length: float = 0.065  # m, from where the widening begins to where it ends
+    bulge: float = 0.009  # m, how much the radius (fusiform) or one side (saccular) widens at most
+    angle: Angle = 0.6  # rad about the aortic centreline, direction of a saccular pouch; 0 is the outer curvature
 
     def __post_init__(self) -> None:
         if self.kind not in ANEURYSM_KINDS:
@@ -75,67 +67,37 @@ _RANGES: dict[str, tuple[float, float]] = {
 
 @settings
 class ArchParameters:
-    """What a surgeon would measure on an aortic arch, in metres and radians.
+    """What a surgeon would measure on an aortic arch, in metres and radians."""
 
-    Attributes:
-        root_diameter: aorta at the root, m.
-        descending_diameter: aorta 200 mm further, at the descending end, m.
-        arch_width: distance between the ascending and descending limbs, centreline to centreline, m.
-        ascending_height: height of the centreline's apex over the root, m.
-        descending_height: height of the centreline's apex over the descending end, m.
-        arch_skew: moves the bend towards the descending (positive) or ascending limb; dimensionless.
-        ascending_lean: lean of the ascending limb: its root lies nearer the midline, rad.
-        arch_yaw: turn of the arch's plane from the coronal plane, ascending limb to the front, rad.
-        arch_tilt: lean of the arch's plane from the vertical, rad.
-        out_of_plane: how far the arch bows out of its plane, m.
-        tortuosity: amplitude of the aorta's windings, m.
-        branch_tortuosity: amplitude of the branches' windings, m.
-        apex_ratio: height of the arch's top over the BCA's origin, in LCCA diameters (its clinical type).
-        bca_diameter: diameter of the brachiocephalic trunk at its origin, m.
-        lcca_diameter: diameter of the left common carotid at its origin, m.
-        lsa_diameter: diameter of the left subclavian at its origin, m.
-        bca_takeoff: angle of the trunk to the superior axis as it leaves the arch, leaning right, rad.
-        lcca_takeoff: the same for the left common carotid, leaning left, rad.
-        lsa_takeoff: the same for the left subclavian, leaning left and back, rad.
-        bca_lcca_gap: wall between the two origins along the outer curvature, m.
-        lcca_lsa_gap: the same between left common carotid and left subclavian, m.
-        trunk_length: brachiocephalic trunk from ostium to bifurcation, m.
-        carotid_length: left common carotid from its ostium, m; the right one ends at a similar height.
-        subclavian_length: left subclavian from its ostium, m.
-        fillet_radius: rounding of the ostia on the lumen side, m.
-        bovine: True where BCA and LCCA have a common origin.
-        aneurysm: widening of the aorta, or None.
-        winding_seed: which of the possible windings (phases) is taken.
-    """
-
-    root_diameter: float = 0.0318
-    descending_diameter: float = 0.0239
-    arch_width: float = 0.068
-    ascending_height: float = 0.085
-    descending_height: float = 0.125
-    arch_skew: float = 0.0
-    ascending_lean: float = 0.25
-    arch_yaw: float = 0.75
-    arch_tilt: float = 0.05
-    out_of_plane: float = 0.005
-    tortuosity: float = 0.0025
-    branch_tortuosity: float = 0.0015
-    apex_ratio: float = 0.5
-    bca_diameter: float = 0.0145
-    lcca_diameter: float = 0.0095
-    lsa_diameter: float = 0.0115
+    root_diameter: float = 0.0318  # aorta at the root, m
+    descending_diameter: float = 0.0239  # aorta 200 mm further, at the descending end, m
+    arch_width: float = 0.068  # distance between the ascending and descending limbs, centreline to centreline, m
+    ascending_height: float = 0.085  # height of the centreline's apex over the root, m
+    descending_height: float = 0.125  # height of the centreline's apex over the descending end, m
+    arch_skew: float = 0.0  # moves the bend towards the descending (positive) or ascending limb; dimensionless
+    ascending_lean: float = 0.25  # lean of the ascending limb: its root lies nearer the midline, rad
+    arch_yaw: float = 0.75  # turn of the arch's plane from the coronal plane, ascending limb to the front, rad
+    arch_tilt: float = 0.05  # lean of the arch's plane from the vertical, rad
+    out_of_plane: float = 0.005  # how far the arch bows out of its plane, m
+    tortuosity: float = 0.0025  # amplitude of the aorta's windings, m
+    branch_tortuosity: float = 0.0015  # amplitude of the branches' windings, m
+    apex_ratio: float = 0.5  # height of the arch's top over the BCA's origin, in LCCA diameters (its clinical type)
+    bca_diameter: float = 0.0145  # diameter of the brachiocephalic trunk at its origin, m
+    lcca_diameter: float = 0.0095  # diameter of the left common carotid at its origin, m
+    lsa_diameter: float = 0.0115  # diameter of the left subclavian at its origin, m
+    # angle of the trunk to the superior axis as it leaves the arch, leaning right, rad
     bca_takeoff: float = math.radians(40)
-    lcca_takeoff: float = math.radians(16)
-    lsa_takeoff: float = math.radians(25)
-    bca_lcca_gap: float = 0.007
-    lcca_lsa_gap: float = 0.011
-    trunk_length: float = 0.040
-    carotid_length: float = 0.088
-    subclavian_length: float = 0.065
-    fillet_radius: float = 0.0025
-    bovine: bool = False
-    aneurysm: Aneurysm | None = None
-    winding_seed: Seed = 0
+    lcca_takeoff: float = math.radians(16)  # the same for the left common carotid, leaning left, rad
+    lsa_takeoff: float = math.radians(25)  # the same for the left subclavian, leaning left and back, rad
+    bca_lcca_gap: float = 0.007  # wall between the two origins along the outer curvature, m
+    lcca_lsa_gap: float = 0.011  # the same between left common carotid and left subclavian, m
+    trunk_length: float = 0.040  # brachiocephalic trunk from ostium to bifurcation, m
+    carotid_length: float = 0.088  # left common carotid from its ostium, m; the right one ends at a similar height
+    subclavian_length: float = 0.065  # left subclavian from its ostium, m
+    fillet_radius: float = 0.0025  # rounding of the ostia on the lumen side, m
+    bovine: bool = False  # True where BCA and LCCA have a common origin
+    aneurysm: Aneurysm | None = None  # widening of the aorta, or None
+    winding_seed: Seed = 0  # which of the possible windings (phases) is taken
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
