@@ -27,9 +27,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import numpy as np
 
+from benchmarks.cathsim.wall_fit import wall_fit
 from cathsim import ACCURACY, Phantom, Simulation, load_guidewire, load_phantom
 from cathsim.contact.hulls import Decomposition, Hull, wall_hulls
-from cathsim.contact.intrusion import wall_fit
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
 from cathsim.export import EXPORT_NUMERICS
 from cathsim.presets import Accuracy

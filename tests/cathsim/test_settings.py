@@ -31,7 +31,7 @@ RECORDS = {
     *("anatomy.phantom:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
     *("anatomy.vessel_tree:Branch", "anatomy.vessel_tree:VesselTree"),
-    *("contact.hull_vessel:HullVessel", "contact.hulls:Hull", "contact.intrusion:WallFit", "contact.sdf:Vessel"),
+    *("contact.hull_vessel:HullVessel", "contact.hulls:Hull", "contact.sdf:Vessel"),
     *("registration.description:Specification", "link_ladder:Ladder", "planning.path:LumenPath", "validation:Unit"),
     *(
         "fluoroscopy.c_arms:XRayCamera",

@@ -63,6 +63,10 @@ class PhantomShelf:
 SHELF = PhantomShelf()
 
 
+def _of_current(name: str, description: str) -> Any:
+    return property(lambda self: getattr(self.current, name), doc=description)
+
+
 class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     """`NavigateEnv` in an anatomy, towards a target and with a wire that each reset draws again.
 
@@ -146,31 +150,12 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.current.close()
         self.case, self.current = case, current
 
-    # What recording an episode asks of an environment.
-    @property
-    def simulation(self) -> Any:
-        """The simulation of the episode."""
-        return self.current.simulation
-
-    @property
-    def phantom(self) -> Phantom:
-        """The anatomy of the episode."""
-        return self.current.phantom
-
-    @property
-    def task(self) -> Any:
-        """The task of the episode."""
-        return self.current.task
-
-    @property
-    def fluoroscope(self) -> Any:
-        """The fluoroscope of the episode."""
-        return self.current.fluoroscope
-
-    @property
-    def biplane(self) -> Any:
-        """The bi-planar fluoroscope of the episode, or None."""
-        return self.current.biplane
+    # Parts of the environment of the episode.
+    simulation = _of_current("simulation", "The simulation of the episode.")
+    phantom = _of_current("phantom", "The anatomy of the episode.")
+    task = _of_current("task", "The task of the episode.")
+    fluoroscope = _of_current("fluoroscope", "The fluoroscope of the episode.")
+    biplane = _of_current("biplane", "The bi-planar fluoroscope of the episode, or None.")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode in a case drawn at random.

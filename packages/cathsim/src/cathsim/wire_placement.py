@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cathsim.anatomy.centreline import arc_length
 from cathsim.arena import FEEDER, PROTRUSION
 from cathsim.planning.path import plan_path
 from cathsim.simulation import Simulation
@@ -57,7 +58,7 @@ def lay_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, res
             f"a way for the wire begins at the vessel's entry, this one begins {1e3 * gap:.1f} mm from it: plan it "
             "with plan_way, or put the entry before it"
         )
-    arcs = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    arcs = arc_length(points)
     tip_arc = float(arcs[-1]) - short_of_end
     insertion = tip_arc - PROTRUSION
     if not 0 <= insertion <= simulation.max_insertion:

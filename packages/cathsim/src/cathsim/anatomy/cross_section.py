@@ -23,6 +23,13 @@ def across_frames(tangents: Array) -> tuple[Array, Array]:
     return first, np.cross(tangents, first)
 
 
+def plane_coordinates(points: Array, centre: Array, normal: Array) -> tuple[Array, Array]:
+    """Heights (...) m of points (..., 3) m over a plane, along its unit normal, and distances (...) m from its axis."""
+    offset = points - centre
+    height = offset @ normal
+    return height, np.linalg.norm(offset - height[..., None] * normal, axis=-1)
+
+
 def wall_distances(
     grid: SignedDistanceGrid, points: Array, tangents: Array, *, rays: int = 16, reach: float = 0.030
 ) -> tuple[Array, Array]:

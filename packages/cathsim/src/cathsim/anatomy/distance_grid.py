@@ -88,3 +88,12 @@ def sample_trilinear(
             upper = flat[corner + (step_x + step_y + 1)]
             result += weight * (lower * (1 - fz) + upper * fz)
     return result
+
+
+def bounding_box(mask: NDArray[np.bool_]) -> tuple[slice, slice, slice]:
+    """The part of a lattice (nx, ny, nz) that holds all true nodes."""
+    spans = []
+    for axis in range(3):
+        taken = np.flatnonzero(mask.any(axis=tuple(k for k in range(3) if k != axis)))
+        spans.append(slice(int(taken[0]), int(taken[-1]) + 1))
+    return spans[0], spans[1], spans[2]

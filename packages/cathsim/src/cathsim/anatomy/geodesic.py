@@ -7,7 +7,7 @@ import ctypes
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import SignedDistanceGrid, bounding_box
 from cathsim.anatomy.vessel_tree import VesselTree
 
 MARGIN = 4e-3  # m outside the lumen up to which the field continues its nearest inside value
@@ -30,7 +30,7 @@ def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> NDArray[np.fl
         raise ValueError(f"a geodesic target must lie inside the lumen, got {target.tolist()} m, {-depth:g} m outside.")
     seed = max(min(_SEED_RADIUS, 0.8 * depth), 1.01 * grid.spacing)
     inside = grid.values > 0
-    box = _bounding_box(inside)
+    box = bounding_box(inside)
     inside = inside[box]
     axes = [grid.origin[k] + np.arange(grid.shape[k])[box[k]] * grid.spacing - target[k] for k in range(3)]
     straight = np.sqrt(axes[0][:, None, None] ** 2 + axes[1][None, :, None] ** 2 + axes[2][None, None, :] ** 2)
@@ -52,15 +52,6 @@ def _march(seeded: NDArray[np.float64], inside: NDArray[np.bool_], spacing: floa
     if march(address(size), ctypes.c_double(spacing), address(free), address(accepted), address(distance)):
         raise MemoryError(f"no memory left for the distances of {inside.size} grid nodes: use a coarser resolution")
     return distance
-
-
-def _bounding_box(inside: NDArray[np.bool_]) -> tuple[slice, slice, slice]:
-    """The part of the lattice that holds the lumen."""
-    spans = []
-    for axis in range(3):
-        taken = np.flatnonzero(inside.any(axis=tuple(k for k in range(3) if k != axis)))
-        spans.append(slice(int(taken[0]), int(taken[-1]) + 1))
-    return spans[0], spans[1], spans[2]
 
 
 def _continue_outwards(field: NDArray[np.float32], farthest: float, grid: SignedDistanceGrid) -> NDArray[np.float32]:

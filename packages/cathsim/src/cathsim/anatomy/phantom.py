@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cathsim.anatomy.distance_grid import SignedDistanceGrid, sample_trilinear
+from cathsim.anatomy.distance_grid import SignedDistanceGrid, bounding_box, sample_trilinear
 from cathsim.anatomy.generator.arch_parameters import ArchParameters
 from cathsim.anatomy.geodesic import geodesic_field, graph_distance
 from cathsim.anatomy.point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
@@ -107,18 +107,13 @@ class Phantom:
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Lowest and highest corner (2, 3) m of the lumen, world frame."""
-        return np.stack(self._bounds)
+        return self._bounds.copy()
 
     @cached_property
-    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        inside = self.grid.values > 0
-        low, high = [], []
-        for axis in range(3):
-            others = tuple(k for k in range(3) if k != axis)
-            taken = np.flatnonzero(inside.any(axis=others))
-            low.append(self.grid.origin[axis] + taken[0] * self.grid.spacing)
-            high.append(self.grid.origin[axis] + taken[-1] * self.grid.spacing)
-        return np.array(low), np.array(high)
+    def _bounds(self) -> NDArray[np.float64]:
+        box = bounding_box(self.grid.values > 0)
+        corners = np.array([[span.start for span in box], [span.stop - 1 for span in box]])
+        return self.grid.origin + corners * self.grid.spacing
 
     def target(self, wanted: TargetLike) -> Target:
         """The target of a name, or of a point (3,) m in the lumen, world frame.

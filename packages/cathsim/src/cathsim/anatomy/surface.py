@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.cross_section import plane_coordinates
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import VesselTree
 
@@ -69,9 +70,7 @@ def _cut(mesh: trimesh.Trimesh, centre: Array, normal: Array, radius: float) -> 
     """Removes what lies beyond a plane, near its centre only."""
     import trimesh
 
-    offset = mesh.vertices - centre
-    height = offset @ normal
-    aside = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+    height, aside = plane_coordinates(mesh.vertices, centre, normal)
     local = (aside < radius) & (np.abs(height) < radius)
     near = local[mesh.faces].all(axis=1)
     vertices, faces, _ = trimesh.intersections.slice_faces_plane(mesh.vertices, mesh.faces[near], -normal, centre)

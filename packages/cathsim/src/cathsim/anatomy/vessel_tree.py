@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cathsim.anatomy.centreline import arc_length
+
 JOIN_TOLERANCE = 1e-3  # m: how far a branch may start from its parent's centreline
 
 Array = NDArray[np.float64]
@@ -49,8 +51,7 @@ class Branch:
     @cached_property
     def arc(self) -> Array:
         """Arc length (n,) m at every point, zero at the first."""
-        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        return arc_length(self.points)
 
     @property
     def length(self) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
+from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.presets import WIRE_RADIUS
 from cathsim.validation import LengthOrNone, quantity
@@ -49,7 +50,7 @@ class LumenPath:
     @property
     def arc(self) -> Array:
         """(n,) m along the path."""
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+        return arc_length(self.points)
 
     @property
     def length(self) -> float:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
 from cathsim.anatomy.generator.branching import STEP, smoothstep, winding
 
@@ -146,6 +147,6 @@ def _resample(points: Array) -> Array:
 
     keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9])
     points = points[keep]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = arc_length(points)
     count = round(arc[-1] / STEP) + 1
     return CubicSpline(arc, points)(np.linspace(0, arc[-1], count))

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.aorta import Aorta
 from cathsim.anatomy.generator.arch_parameters import ArchParameters
 from cathsim.anatomy.generator.branching import STEP, grow_branch
@@ -37,7 +38,7 @@ def locate_origins(parameters: ArchParameters, aorta: Aorta) -> dict[str, int]:
     bca = apex + int(lower[0])
     if (len(wall) - 1 - bca) * STEP < 0.03:
         raise ValueError("the BCA's origin lies too near the aortic root: lower apex_ratio or raise ascending_height.")
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wall, axis=0), axis=1))])
+    along = arc_length(wall)
     first = (parameters.bca_diameter + parameters.lcca_diameter) / 2 + parameters.bca_lcca_gap
     second = (parameters.lcca_diameter + parameters.lsa_diameter) / 2 + parameters.lcca_lsa_gap
     if parameters.bovine:

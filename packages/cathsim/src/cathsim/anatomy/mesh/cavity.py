@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,19 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = Tr
             f"the lumen falls into {len(rivals)} parts that do not hang together; join them, or give one of them."
         )
     return Cavity(chosen.whole(wall.shape), wall, origin, spacing, kind, chosen.radius * spacing)
+
+
+def largest_part(mask: Mask, structure: NDArray[Any] | None = None) -> Mask:
+    """The largest connected part of a mask (nx, ny, nz)."""
+    from scipy.ndimage import label
+
+    labels, count = label(mask, structure)
+    if count < 2:
+        return mask
+    sizes = np.bincount(labels.reshape(-1))
+    sizes[0] = 0
+    part: Mask = labels == int(np.argmax(sizes))
+    return part
 
 
 def _rooms(mask: Mask, span: float) -> list[_Room]:

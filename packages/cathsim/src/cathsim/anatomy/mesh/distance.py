@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length, resampled
-from cathsim.anatomy.cross_section import across_frames
+from cathsim.anatomy.cross_section import across_frames, plane_coordinates
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.lumen import OUTSIDE, PADDING
-from cathsim.anatomy.mesh.cavity import Cavity
+from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import VesselEnd
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 
@@ -27,7 +27,7 @@ Mask = NDArray[np.bool_]
 
 def trim_cavity(cavity: Cavity, ends: Sequence[VesselEnd]) -> Mask:
     """The lumen's voxels (nx, ny, nz) up to its flat ends: a tunnel is filled up to them, the rest is dropped."""
-    from scipy.ndimage import binary_closing, generate_binary_structure, label
+    from scipy.ndimage import binary_closing, generate_binary_structure
 
     free = ~cavity.wall
     # Openings in a wall's side are bridged, so that the lumen has no dents before them.
@@ -46,13 +46,7 @@ def trim_cavity(cavity: Cavity, ends: Sequence[VesselEnd]) -> Mask:
         before = (height <= 0) & (height > -_SWEPT * end.radius) & (aside < 1.3 * end.radius)
         part |= binary_closing(part & before) & before & free[box]
         part &= ~((height > 0) & (height < 1.5 * end.radius) & (aside < 1.6 * end.radius))
-    inside &= free
-    labels, count = label(inside)
-    if count > 1:
-        sizes = np.bincount(labels.reshape(-1))
-        sizes[0] = 0
-        inside = labels == int(np.argmax(sizes))
-    return inside
+    return largest_part(inside & free)
 
 
 def _swept(end: VesselEnd, cavity: Cavity) -> Array:
@@ -165,7 +159,7 @@ def distance_grid(
         offset: (3,) m, added after the rotation.
         resolution: m between the grid's points.
     """
-    from scipy.ndimage import distance_transform_edt, label
+    from scipy.ndimage import distance_transform_edt
 
     lumen = (cavity.origin + np.argwhere(inside) * cavity.spacing) @ rotation.T + offset
     low, high = lumen.min(axis=0) - cavity.spacing, lumen.max(axis=0) + cavity.spacing
@@ -190,17 +184,12 @@ def distance_grid(
     sign[close[unsure]] = np.where(side[unsure] >= 0, 1.0, -1.0)
     distance *= sign
     for end in ends:
-        height = (points - end.centre) @ end.normal
-        aside = np.linalg.norm(points - end.centre - height[:, None] * end.normal, axis=1)
+        height, aside = plane_coordinates(points, end.centre, end.normal)
         beside = (np.abs(height) < 1.5 * end.radius) & (aside < 1.4 * end.radius)
         distance[beside] = np.minimum(distance[beside], -height[beside])
     values = np.full(shape, OUTSIDE, dtype=np.float32)
     values[tuple(chosen.T)] = np.maximum(distance, OUTSIDE)
     # Where flat ends meet the wall single points may come out on the wrong side: only what hangs together is lumen.
-    labels, count = label(values > 0)
-    if count > 1:
-        sizes = np.bincount(labels.reshape(-1))
-        sizes[0] = 0
-        specks = (labels > 0) & (labels != int(np.argmax(sizes)))
-        values[specks] *= -1
+    positive = values > 0
+    values[positive & ~largest_part(positive)] *= -1
     return SignedDistanceGrid(values, origin, resolution)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
-from cathsim.anatomy.cross_section import across_frames
+from cathsim.anatomy.cross_section import across_frames, plane_coordinates
 from cathsim.anatomy.mesh.cavity import Cavity
 
 _RAYS = 48
@@ -69,8 +69,7 @@ def severs(end: VesselEnd, way: Array) -> bool:
 
     The way must pass through the end and go on for longer than from an end to its corner.
     """
-    height = (way - end.centre) @ end.normal
-    aside = np.linalg.norm(way - end.centre - height[:, None] * end.normal, axis=1)
+    height, aside = plane_coordinates(way, end.centre, end.normal)
     through = np.flatnonzero((height[1:] > 0) != (height[:-1] > 0))
     for index in through[aside[through] < end.radius]:
         beyond = way[index + 1 :] if height[index + 1] > 0 else way[: index + 1]

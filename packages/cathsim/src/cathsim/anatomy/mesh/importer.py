@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import LumenPaths, Voxels
 from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels, turned
 from cathsim.anatomy.mesh.budget import Budget
-from cathsim.anatomy.mesh.cavity import Cavity, find_cavity
+from cathsim.anatomy.mesh.cavity import Cavity, find_cavity, largest_part
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity
 from cathsim.anatomy.mesh.ends import VesselEnd, find_end, severs
 from cathsim.anatomy.mesh.naming import (
@@ -322,13 +322,8 @@ def _find_vessels(
     cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd]
 ) -> tuple[RoughVessel, list[VesselEnd]]:
     """Vessels between the ends, from the descending end of the aorta on."""
-    from scipy.ndimage import label
-
     paths = _coarse(cavity, inside)
-    labels, _ = label(paths.inside, np.ones((3, 3, 3)))
-    sizes = np.bincount(labels.reshape(-1))
-    sizes[0] = 0
-    lumen = np.argwhere(labels == int(np.argmax(sizes)))  # what hangs together: elsewhere there is no way to
+    lumen = np.argwhere(largest_part(paths.inside, np.ones((3, 3, 3))))  # no way leads to the other parts
     at = paths.points(lumen)
     places = []
     for end in ends:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
+from cathsim.anatomy.cross_section import plane_coordinates
 from cathsim.anatomy.surface import open_ends
 from cathsim.contact.hulls import Hull
 
@@ -94,8 +95,6 @@ def _wall_samples(phantom: Phantom, samples: int, seed: int) -> tuple[Array, Arr
     points, inward = corners.mean(1), -cross / np.linalg.norm(cross, axis=1, keepdims=True)
     wall = np.ones(samples, bool)
     for centre, normal, radius in open_ends(phantom.tree):
-        offset = points - centre
-        height = offset @ normal
-        aside = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+        height, aside = plane_coordinates(points, centre, normal)
         wall &= ~((height > -OPENING) & (height < radius) & (aside < radius + OPENING))
     return points[wall], inward[wall]
