@@ -89,7 +89,6 @@ def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, A
     """Hours that the trainings on the Type I arch took, with the fit of the encoder that each sees through.
 
     Args:
-        trainings: of the stage.
         outcomes: a training's name to what `run_trainings` returned.
 
     Returns:
@@ -133,9 +132,6 @@ def architecture() -> dict[str, dict[str, Any]]:
 
 def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     """What SAC was run with.
-
-    Args:
-        settings: of the stage.
 
     Returns:
         Row to column to cell of the thesis's table.

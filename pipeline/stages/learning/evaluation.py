@@ -27,13 +27,11 @@ def evaluate(
     """Records held-out episodes of a policy; those that are there are not repeated.
 
     Args:
-        environment: that the episodes run in.
         controllers: gives for a mode what `run_trials` takes.
         folder: of the training; the logs go into ``evaluation/<mode>``.
         origin: kept in the logs; its training seed chooses the episodes.
         episodes: a mode.
         report: takes the share done and a few words.
-        modes: of the policy.
 
     Returns:
         Mode to the summary of its episodes.

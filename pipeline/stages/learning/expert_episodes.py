@@ -35,7 +35,6 @@ def read_episode(log: Path, *, pictures: bool = True) -> Trajectory:
     """Reads an episode as a learner sees it.
 
     Args:
-        log: of an episode.
         pictures: whether its images are wanted, which must have been logged then.
 
     Returns:
@@ -77,12 +76,7 @@ def read_episode(log: Path, *, pictures: bool = True) -> Trajectory:
 
 
 def readable(logs: Iterable[Path], read: Callable[[Path], Trajectory]) -> Iterator[Trajectory]:
-    """Reads logs; one that cannot be read is left out with a warning.
-
-    Args:
-        logs: in the order in which they are to be taken.
-        read: reads one of them.
-    """
+    """Reads logs; one that cannot be read is left out with a warning."""
     for log in logs:
         try:
             episode = read(log)
@@ -96,7 +90,6 @@ def read_episodes(logs: Sequence[Path], wanted: int | None = None) -> list[Traje
     """Reads episodes with images that are to be learnt from together.
 
     Args:
-        logs: in the order in which they are to be taken.
         wanted: how many; None: all.
 
     Raises:
@@ -185,11 +178,6 @@ def load_policy(file: Path, maker: str, device: str = "cpu") -> Policy:
 def require_expert(stage: str, asked: LearningTask, folder: Path) -> None:
     """Refuses an expert that was trained for another task than a stage was asked for.
 
-    Args:
-        stage: that goes on from it.
-        asked: its task.
-        folder: of the expert's training, with its policy and its logs.
-
     Raises:
         StageError: names every difference; or there is no episode, or the policy cannot be read.
     """
@@ -207,7 +195,6 @@ def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]
 
     Args:
         stage: that learns from them.
-        asked: its task.
         logs: of the stage expert; those that cannot be read are passed over.
 
     Raises:
@@ -221,9 +208,6 @@ def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]
 
 def task_of_logs(logs: Sequence[Path]) -> LearningTask:
     """The task that episodes were recorded in: that of the first one that can be read.
-
-    Args:
-        logs: of the enn stage, of one task.
 
     Raises:
         StageError: none can be read.

@@ -38,11 +38,8 @@ class RecordingJob:
 
     Attributes:
         folder: gets ``000.mcap``, ``001.mcap``, …
-        settings: of the disturbance.
-        task: that they run in.
         expert: folder of the policy that steers.
         steps: to be recorded at least.
-        seed: of starts and disturbance.
     """
 
     folder: Path
@@ -58,14 +55,11 @@ class ForceJob:
     """A network to fit.
 
     Attributes:
-        folder: of the network.
-        settings: of network and fit.
         logs: folders of the disturbed episodes.
         expert: folder of the policy whose features are matched, in the episodes of every target.
         inputs: a key of `enn.force.FORCE_INPUTS`.
         samples: to learn from.
         test_samples: to test with, at most.
-        seed: of the fit and of the choice of samples.
     """
 
     folder: Path
@@ -140,12 +134,7 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
 
 
 def samples_of(job: ForceJob, device: str = "cpu") -> tuple[ForceSamples, ForceSamples]:
-    """The samples of a fit to learn from, with the features to match, and those to test on.
-
-    Args:
-        job: of the fit.
-        device: where the expert computes the features.
-    """
+    """The samples of a fit to learn from, with the features to match, and those to test on."""
     from enn.force import FORCE_INPUTS, force_samples
     from enn.force.samples import matched_features, split_episodes
 

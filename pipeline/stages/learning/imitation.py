@@ -41,10 +41,7 @@ class ImitationJob:
     """A student to fit and to evaluate.
 
     Attributes:
-        folder: of the student.
         origin: row, seed of the fit and variant; kept in the logs.
-        settings: of the cloning.
-        task: of the expert's episodes, and of the student's own.
         expert: folder of the expert's training, with its policy and episodes.
         episodes: of the expert to learn from.
         disturbed_episodes: further ones with disturbed actions.

@@ -24,9 +24,7 @@ class PathJob:
     """A path follower to fit and to evaluate.
 
     Attributes:
-        folder: of the fit.
         origin: row, seed of the fit and variant; kept in the logs.
-        task: that it is for.
         demonstrations: logs of the sampling expert's episodes of the task.
         evaluation_episodes: all deterministic: the network gives one action.
     """

@@ -55,8 +55,6 @@ def training_seeds(run_seed: int, count: int, most: int) -> range:
     """Seeds of a row's trainings; those of different run seeds never meet.
 
     Args:
-        run_seed: seed of the run.
-        count: trainings of the row.
         most: trainings of the row that has most.
     """
     return range(run_seed * most, run_seed * most + count)
@@ -77,13 +75,6 @@ def planned_training(
 
     Args:
         settings: of the stage; its variant "desk" sees through an encoder.
-        context: of the stage.
-        task: that is trained for.
-        row: of the table.
-        seed: of the training.
-        keys: observations that the policy sees.
-        training: settings of the training.
-        expert_episodes: to record of it.
     """
     held_out_seeds(seed, settings.evaluation_episodes)  # refuses too many, or too large a seed, before any work
     expert_seeds(seed, expert_episodes)
@@ -142,9 +133,6 @@ def run_trainings(
     """Runs a stage's trainings and the encoders that they need.
 
     Args:
-        trainings: of its table.
-        settings: of the stage.
-        context: of the stage.
         beside: further jobs, which run last.
 
     Returns:

@@ -20,8 +20,6 @@ class LearningTask:
     """A task in an anatomy, with what only its training knows.
 
     Attributes:
-        phantom: name of an anatomy.
-        target: name of one of its targets.
         task: wire, actions, images, limits and start.
         accuracy: preset of the simulator.
         reward: of training: "geodesic", shaped, or "distance", the thesis's.

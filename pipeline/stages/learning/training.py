@@ -56,9 +56,7 @@ class EncoderJob:
     Attributes:
         file: where it goes, with its report beside it as JSON.
         task: whose anatomy it is to see; the target does not matter.
-        keys: observations that it encodes.
         settings: of the fit; their seed is that of the roll-outs, too.
-        samples: of scripted roll-outs to fit it to.
         demonstrations: logs of an expert's episodes, along which some of the roll-outs start.
     """
 
@@ -75,14 +73,8 @@ class PolicyTrainingJob:
     """A policy to train and to evaluate.
 
     Attributes:
-        folder: of the training.
         origin: row, seed and variant of the training; kept in the logs.
-        settings: of the training.
-        task: that it is trained for and evaluated on.
-        keys: observations that the policy sees.
         encoder: file of a fitted encoder; None: the policy sees the observations themselves.
-        demonstrations: logs of an expert's episodes of the task.
-        evaluation_episodes: deterministic ones, and as many stochastic ones.
         expert_episodes: with images, for imitation.
     """
 
@@ -211,11 +203,6 @@ def _demonstrations(job: PolicyTrainingJob) -> list[Trajectory]:
 
 def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...] = ()) -> list[Trajectory]:
     """Repeats an expert's episodes; one that cannot be used is left out with a warning.
-
-    Args:
-        logs: of the episodes.
-        task: whose wire and reward they are to have.
-        observation: names of the observations wanted.
 
     Returns:
         The episodes; none for tip motors, whose states no expert went through.

@@ -32,7 +32,6 @@ def seeded(seed: int, device: torch.device | str = "cpu") -> Iterator[None]:
     """Global random numbers from a seed inside, as they were outside; no GPU but the one named is woken.
 
     Args:
-        seed: of what is drawn inside.
         device: whose generator is put back, beside the CPU's.
     """
     place = torch.device(device)

@@ -63,7 +63,6 @@ def fit_encoder(
 
     Args:
         samples: with the observations.
-        keys: of the observations to look at.
         settings: choices of network and training; keys, shapes and epochs of 0 are filled in.
         progress: called after every epoch with the share done and the errors of its batches (`loss`).
         device: where the encoder is trained and stays.
@@ -177,10 +176,6 @@ def _normalise(encoder: Encoder, prepared: dict[str, Tensor], rows: Tensor) -> N
 @torch.no_grad()
 def encoder_report(encoder: Encoder, samples: Samples) -> dict[str, float]:
     """Errors of an encoder.
-
-    Args:
-        encoder: trained.
-        samples: that it was not trained with.
 
     Returns:
         tip_mm, tip_p95_mm: distance of the predicted tip from the true one, mean and 95th percentile; tip_frontal_mm,

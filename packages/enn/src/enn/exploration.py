@@ -99,7 +99,6 @@ class Moves:
     Args:
         size: of an action; two are translation and rotation of the feeder, otherwise the last one is the translation
             and the others are motors of the tip.
-        generator: of the draws.
     """
 
     def __init__(self, size: int, generator: np.random.Generator) -> None:
@@ -140,7 +139,6 @@ class Frontier:
     Roll-outs that always begin in the sheath crowd into the branch that lies straight ahead.
 
     Args:
-        generator: of the draws.
         cell: side of a cell, m.
         capacity: states kept a cell; with more, each seen one is kept with equal probability.
     """
@@ -203,8 +201,6 @@ def scripted_samples(
     Args:
         make_env: makes the environment. Its observation is a Dict with `TRUTH` and the names to learn from; with a tiny
             success radius no roll-out ends at the target, so that one set serves every target of an anatomy.
-        count: number of samples, one a step.
-        seed: of the moves and of the starts.
         starts: states that `reset(options={"start": ...})` takes, such as those along demonstrations. Shape (k, size).
         progress: called with the samples so far and `count`, about a hundred times.
 

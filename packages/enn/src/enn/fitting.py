@@ -31,7 +31,6 @@ class FitSettings:
 
     Attributes:
         epochs: passes over the training samples at most.
-        batch_size: samples an update.
         learning_rate: of Adam; the highest one of a schedule.
         weight_decay: decoupled, of AdamW; the L2 term of a loss is another thing.
         schedule: "constant", or "one_cycle" (rises, then falls to nothing along a cosine).
@@ -72,9 +71,7 @@ class FitReport:
 
     Attributes:
         rows: an epoch each: epoch, loss, validation (None without), cpu_s.
-        best_epoch: whose weights are kept.
         cpu_s: spent in all, of every start.
-        samples: number of training samples.
     """
 
     rows: list[dict[str, float | None]] = field(default_factory=list)
@@ -108,11 +105,8 @@ def fit(
     """Fits a module in place and leaves it with the weights of its best epoch.
 
     Args:
-        module: to be fitted, on the device that it is to be fitted on.
         loss: mean loss of samples given by their indices; augmentation only where the flag says training.
         episodes: (N,) number of the episode that each sample is from: whole episodes are held out for validation.
-        settings: of the fit.
-        seed: of shuffling, split and augmentation.
         folder: for the checkpoint, gone at the end; None: it cannot be resumed.
         progress: called after every epoch; what it raises stops the fit, after a checkpoint.
 

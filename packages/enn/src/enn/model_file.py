@@ -44,9 +44,6 @@ def encoded(content: Any) -> bytes:
 def decoded(data: bytes) -> Any:
     """The content of what `encoded` gave.
 
-    Args:
-        data: all bytes of the file.
-
     Raises:
         OlderFormatError: it is a file without a digest.
         ValueError: a byte is missing or differs.
@@ -86,7 +83,6 @@ def read_model(path: Path, form: str, *, kind: str, verb: str) -> dict[str, Any]
     """Reads what `write_model` wrote.
 
     Args:
-        path: of the file.
         form: that `format` must be.
         kind: of model, as messages call it: "policy".
         verb: what makes one: "train".
@@ -120,13 +116,7 @@ UNFIT = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueErr
 
 
 def another_architecture(path: Path, error: Exception, *, verb: str) -> ValueError:
-    """The error of a file whose weights do not fit its own settings.
-
-    Args:
-        path: of the file.
-        error: what building or filling the network raised.
-        verb: what makes a model of this kind.
-    """
+    """The error of a file whose weights do not fit its own settings."""
     reason = " ".join(str(error).split())[:200]
     return ValueError(f"{path} is of another architecture than this version builds ({reason}): {verb} it again")
 
@@ -135,7 +125,6 @@ def write_network(path: Path | str, form: str, network: nn.Module, metadata: dic
     """Writes a network's settings and weights, and what else is worth keeping.
 
     Args:
-        path: of the file.
         form: its `format`.
         network: with a dataclass `settings` that says how to build it.
         metadata: numbers, strings, lists and dictionaries.
@@ -156,12 +145,8 @@ def read_network(
     """Reads what `write_network` wrote.
 
     Args:
-        path: of the file.
         form: that `format` must be.
         build: makes the network, its weights still to be filled in, from the settings' fields.
-        kind: of model, as messages call it.
-        verb: what makes one.
-        device: where the network goes.
 
     Returns:
         The network, and the metadata.

@@ -30,8 +30,6 @@ class Policy:
     Args:
         network: how the network is built.
         module: the network, an actor (and critic) of stable-baselines3.
-        observation_space: of the environment, before any encoder.
-        action_space: of the environment.
         encoder: turns observations into features before the network, or None.
         passthrough: observations that go to the network beside the encoder's features.
         action_repeat: environment steps that each action is meant for.
@@ -79,8 +77,6 @@ class Policy:
 
         Args:
             observation: as the environment gives it; names that the policy does not see are ignored.
-            deterministic: the mean instead of a draw.
-            generator: of the draw.
 
         Returns:
             Within the action space. Shape (actions,).

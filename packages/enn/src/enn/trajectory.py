@@ -82,9 +82,6 @@ class Trajectory:
     def require(self, keys: Sequence[str]) -> None:
         """Refuses a trajectory that lacks an observation.
 
-        Args:
-            keys: names of the observations that are needed.
-
         Raises:
             ValueError: naming what is missing and what there is.
         """
@@ -101,10 +98,6 @@ class Trajectory:
 
 def require_same_shapes(trajectories: Sequence[Trajectory], keys: Sequence[str]) -> dict[str, tuple[int, ...]]:
     """Checks that episodes can be learnt from together: same observations, same actions.
-
-    Args:
-        trajectories: at least one.
-        keys: names of the observations that are needed.
 
     Returns:
         Name to the shape of one observation.
@@ -141,7 +134,6 @@ def join(
 
     Args:
         trajectories: at least one, of one kind.
-        keys: names of the observations wanted.
 
     Returns:
         Observations (name to (N, ...)), actions (N, a) and forces (N,) N, where N is the sum of all T.

@@ -20,10 +20,7 @@ def evaluate_predictor(
     """Tests a predictor on samples that it was not fitted to.
 
     Args:
-        predictor: to be tested.
         training: samples that it was fitted to; their mean force is what it is compared with.
-        test: other samples.
-        seed: of the untrained network that it is compared with.
 
     Returns:
         ``test_samples``; ``mse_n2``, ``variance_n2``, ``mean_mse_n2`` and ``untrained_mse_n2`` in N²; ``share_pct`` of
@@ -61,7 +58,6 @@ class ForceScore:
         mse_n2: mean squared error, N².
         variance_n2: of the true forces, N²: the error of always predicting their own mean.
         correlation: of predicted and true forces; 0 where one of them is constant.
-        samples: number of them.
     """
 
     mse_n2: float

@@ -33,7 +33,6 @@ class ForceNetworkSettings:
         vector: numbers beside the images (joints, feeder, action); 0: images alone, as in the thesis.
         matched: size of the feature vector that is predicted too; 0: none.
         variant: of the image network, "thesis" or "desk".
-        image_features: of the image network.
         hidden: units of the head's layers.
     """
 
@@ -58,7 +57,6 @@ class ForcePredictionSettings:
 
     Attributes:
         network: its sizes that are free; shapes come from the samples.
-        fit: of the fit.
         feature_weight: of the mean squared error of the features beside that of the force, both in units of their
             variance.
 
@@ -90,11 +88,7 @@ def force_preset(variant: str) -> ForcePredictionSettings:
 
 
 class ForceNetwork(nn.Module):
-    """Images and numbers to the feature vector Z and the force, in units of their scales.
-
-    Args:
-        settings: of the network.
-    """
+    """Images and numbers to the feature vector Z and the force, in units of their scales."""
 
     vector_mean: Tensor
     vector_scale: Tensor
@@ -154,9 +148,6 @@ def fit_force(
     """Learns to predict contact forces.
 
     Args:
-        samples: of expert episodes.
-        settings: of network, fit and loss.
-        seed: of weights and shuffling.
         folder: for a checkpoint, from which an interrupted fit goes on.
         progress: called after every epoch.
         device: where the network is fitted and stays.
@@ -200,7 +191,6 @@ class ForcePredictor:
     """A fitted network: what is seen in a step to the contact force, in newtons.
 
     Args:
-        network: fitted.
         metadata: whatever else is worth keeping.
     """
 

@@ -126,8 +126,6 @@ def force_samples(
     """Samples of episodes: a step each.
 
     Args:
-        trajectories: of one kind.
-        inputs: what is seen of each step.
         features: the expert's Z of each episode's moments, (T + 1, z), or None.
 
     Raises:
@@ -172,7 +170,6 @@ def matched_features(trajectories: Sequence[Trajectory], expert: FeatureSource) 
 
     Args:
         trajectories: with the expert's observations, and `shape`.
-        expert: whose features are taken.
 
     Returns:
         (T + 1, z) an episode.

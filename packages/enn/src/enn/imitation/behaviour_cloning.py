@@ -27,8 +27,6 @@ class BehaviourCloningSettings:
     """How an expert is cloned.
 
     Attributes:
-        network: of the student.
-        fit: of the fit.
         entropy: beta, weight of the policy's entropy.
         l2: lambda, weight of the sum of the squared weights.
         feature_matching: weight of the mean squared difference to the expert's features, both normalised, where these
@@ -94,7 +92,6 @@ def clone(
         settings: of network, loss and fit; the network's image shape and actions are taken from the episodes.
         expert_features: Z of each episode's moments, (T, z) or (T + 1, z); without, features are not matched.
         initial: student to go on from instead of fresh weights.
-        seed: of weights, shuffling and augmentation.
         folder: for a checkpoint, from which an interrupted fit goes on.
         progress: called after every epoch.
         device: where the student is fitted and stays.
@@ -189,7 +186,6 @@ def normalised_features(trajectories: Sequence[Trajectory], features: Sequence[N
     """The expert's features of every sample, each with mean 0 and standard deviation 1.
 
     Args:
-        trajectories: the episodes.
         features: of each, (T, z) or (T + 1, z).
 
     Returns:

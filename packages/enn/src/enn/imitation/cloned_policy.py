@@ -28,7 +28,6 @@ class CloningNetworkSettings:
     Attributes:
         keys: image observations, stacked as channels: "image" alone as in the thesis, ("image", "mask"), ...
         shape: channels of all together, height, width.
-        actions: number of actions.
         variant: "thesis" or "desk", see `enn.networks.image_network`.
         features: Z of the student.
         expert_features: size of the expert's Z that is matched; 0: none.
@@ -48,11 +47,7 @@ class CloningNetworkSettings:
 
 
 class CloningNetwork(nn.Module):
-    """Images to features Z, and these to the mean of a Gaussian over actions.
-
-    Args:
-        settings: of the network.
-    """
+    """Images to features Z, and these to the mean of a Gaussian over actions."""
 
     def __init__(self, settings: CloningNetworkSettings) -> None:
         super().__init__()
@@ -89,7 +84,6 @@ class ClonedPolicy:
     """A student: image observations to actions.
 
     Args:
-        network: fitted.
         metadata: whatever else is worth keeping.
     """
 
@@ -107,11 +101,6 @@ class ClonedPolicy:
         generator: np.random.Generator | None = None,
     ) -> NDArray[np.float32]:
         """The action for one observation.
-
-        Args:
-            observation: by name, as the environment gives it.
-            deterministic: the mean instead of a draw.
-            generator: of the draw.
 
         Returns:
             Within -1 and 1. Shape (actions,).

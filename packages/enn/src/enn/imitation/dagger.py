@@ -31,7 +31,6 @@ class DaggerSettings:
     """How episodes are aggregated.
 
     Attributes:
-        rounds: of roll-outs and fits.
         episodes: a round.
         expert_share: chance that the expert steers a step of the first round, beside the student; it falls by half
             from round to round.
@@ -85,11 +84,7 @@ def record(
 
     Args:
         environment: with dictionary observations that both actors can see, and `tip` and `force` in its info.
-        steers: whose actions are carried out.
-        seed: of the reset.
-        keys: observations to keep.
         labels: whose actions are kept; None: the steering actor's.
-        metadata: of the trajectory.
 
     Returns:
         The episode.
@@ -127,11 +122,6 @@ class Disturbed:
 
     With some probability a spell of a few steps begins in which a random action is carried out instead; between
     spells Gaussian noise is added.
-
-    Args:
-        actor: to be disturbed.
-        generator: of the disturbance.
-        disturbance: its size.
 
     Source: M. Laskey et al., DART: Noise injection for robust imitation learning, CoRL 2017, for the idea.
     """
@@ -181,13 +171,8 @@ def dagger(
         make_environment: makes an environment with the observations of both expert and student.
         expert: says what to do at an observation.
         trajectories: the expert's own episodes; may be none.
-        settings: of the rounds.
-        cloning: of each fit.
         student: to start from; None: it is cloned from `trajectories`, of which there must be some then.
-        seed: of roll-outs and fits.
-        folder: for checkpoints of the fits, one each.
         progress: called with the round (0: the first clone) after every epoch.
-        device: where the student is fitted.
 
     Returns:
         The student, what each round came to, and all episodes that it has learnt from.

@@ -26,10 +26,7 @@ class Distilled:
     """A student and what it learnt from.
 
     Attributes:
-        student: fitted.
-        fit: the last one.
         episodes: all that it learnt from.
-        samples: their steps.
         rounds: of DAgger.
     """
 
@@ -59,15 +56,10 @@ def distil(
 
     Args:
         expert: that is learnt from.
-        episodes: of the expert, with the student's observations.
-        settings: of the cloning.
         make_environment: makes an environment for disturbed episodes and DAgger.
         disturbed_seeds: starts of further episodes with disturbed actions, one each.
         rounds: of DAgger; None: none.
-        seed: of weights, shuffling and disturbance.
-        folder: for a checkpoint of the first fit.
         progress: called after every epoch with the share done, 0 to 1, and a few words.
-        device: where the student is fitted.
 
     Raises:
         ValueError: no episodes, or episodes of different kinds.

@@ -38,8 +38,6 @@ class PathFollowerSettings:
         history: tip positions, the present one included.
         waypoints: points of the path ahead of the tip.
         spacing: between them, m.
-        hidden: units of the hidden layers.
-        fit: of the fit.
     """
 
     history: Count = 5
@@ -95,9 +93,7 @@ def describe(
 
     Args:
         tips: (3,) m each, positions up to now, the present one last.
-        path: to be followed.
         progress: along it, m.
-        settings: what is seen.
 
     Returns:
         Former tip positions, nearest point, points ahead, all from the tip, and the length left. Shape (size,).
@@ -114,7 +110,6 @@ class PathFollower:
 
     Args:
         network: (N, size) to (N, actions).
-        settings: what it sees.
     """
 
     def __init__(self, network: nn.Sequential, settings: PathFollowerSettings) -> None:
@@ -216,7 +211,6 @@ def fit_path_follower(
         trajectories: of the expert; only tips and actions are used.
         paths: the planned path of each episode, (n, 3) m.
         settings: what is seen and how it is learnt from.
-        seed: of weights and shuffling.
         folder: for a checkpoint, from which an interrupted fit goes on.
         progress: called after every epoch.
         device: where the network is fitted and stays.

@@ -18,7 +18,6 @@ class PerturbedController:
 
     Args:
         policy: that steers; each action is held for its action repeat.
-        generator: of the share and of the noise.
     """
 
     def __init__(self, policy: Policy, generator: np.random.Generator) -> None:

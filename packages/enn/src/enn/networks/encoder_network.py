@@ -31,17 +31,13 @@ class EncoderSettings:
 
     Attributes:
         keys: observations that it sees; `fit_encoder` fills in keys and shapes.
-        shapes: of those observations.
         pool: side of the squares over which pictures are averaged first.
         channels: of the convolutions of 4 px that then halve the picture; none: dense layers alone.
         hidden: units of the layer after the convolutions, and of the MLP for vectors.
-        features: size of the bottleneck.
         epochs: passes over the samples; 0: 10 with pictures, 30 without.
-        batch_size: samples an update.
         learning_rate: highest one, of a cycle that rises and falls.
         weight_decay: of AdamW.
         held_out: share of the roll-outs that judge and do not train.
-        seed: of weights and batches.
     """
 
     keys: tuple[str, ...] = ()

@@ -233,7 +233,6 @@ def layer_table(module: nn.Module, inputs: tuple[int, ...] | torch.Tensor) -> di
     """A network's layers as the thesis's tables list them, measured by a forward pass.
 
     Args:
-        module: the network.
         inputs: shape of one sample, or a batch.
 
     Returns:

@@ -38,11 +38,7 @@ class ImageSettings:
 
 
 class ImageNetwork(nn.Module):
-    """Images (N, channels, height, width) of uint8 to features (N, features), which are not negative.
-
-    Args:
-        settings: of the network.
-    """
+    """Images (N, channels, height, width) of uint8 to features (N, features), which are not negative."""
 
     background: Tensor
 

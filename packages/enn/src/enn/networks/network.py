@@ -35,8 +35,6 @@ class NetworkSettings:
         extractor: "vectors" (flat, normalised) or "multimodal" (`enn.networks.features`).
         variant: of the multimodal extractor: "thesis", "desk", or "baselines".
         image_features: of the multimodal extractor: features an image, 128 in the thesis's table, 256 in its text.
-        hidden: units of the hidden layers of actor and critic.
-        critic_hidden: of the critic alone, where they differ.
         shared: features that actor and critic share, by whose loss they are trained: "actor", "critic", or "": each has
             its own (SAC; PPO always shares them).
         activation: "relu" or "tanh".
@@ -75,10 +73,6 @@ class NetworkSettings:
 
 def network_class(settings: NetworkSettings, space: gymnasium.Space[Any]) -> tuple[type[BasePolicy], dict[str, Any]]:
     """The policy class of stable-baselines3 and its arguments.
-
-    Args:
-        settings: of the network.
-        space: of the observations that reach it.
 
     Raises:
         ValueError: an observation is missing in the space, or an image has no extractor for images.

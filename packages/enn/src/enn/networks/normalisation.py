@@ -22,7 +22,6 @@ class VectorExtractor(BaseFeaturesExtractor):
     Mean 0 and scale 1 until `fit`; both are buffers, so that they are saved with the network.
 
     Args:
-        observation_space: a `Dict`, or one `Box`.
         keys: the observations of a `Dict` to use, in this order; none: all.
 
     Raises:

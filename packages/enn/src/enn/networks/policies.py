@@ -72,7 +72,6 @@ class LayerNormSACPolicy(SACPolicy):
 
     Args:
         arguments: of stable-baselines3's `SACPolicy`.
-        critic_layer_norm: layer normalisation in the critics.
     """
 
     def __init__(self, *arguments: Any, critic_layer_norm: bool = False, **named: Any) -> None:
@@ -99,7 +98,6 @@ class AsymmetricSACPolicy(LayerNormSACPolicy):
 
     Args:
         observation_space: a Dict with the keys of both.
-        action_space: of the environment.
         lr_schedule: learning rate by remaining progress.
         actor_keys: that the actor sees; all when None.
         critic_keys: that the critic sees; the actor's when None.

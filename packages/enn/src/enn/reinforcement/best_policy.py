@@ -50,10 +50,7 @@ class BestPolicy:
         """Evaluates a policy and keeps its weights if it is the best so far.
 
         Args:
-            policy: to evaluate.
             envs: to play in; they are reset.
-            decisions: that it was trained with.
-            tick: called after every decision.
 
         Returns:
             Columns of the training's curve.

@@ -66,7 +66,6 @@ class CheckpointFolder:
     them.
 
     Args:
-        folder: where it lives.
         architecture: what has to agree between the training that wrote it and the one that goes on.
     """
 

@@ -28,11 +28,8 @@ def demonstration_replay(
 
     Args:
         trajectories: with rewards of the task that is trained; at least one.
-        space: of the observations that reach the network.
-        action_space: of the environment.
         action_repeat: environment steps a decision.
         encode: observations, name to (T + 1, ...), to those that reach the network.
-        seed: of the draws.
 
     Raises:
         ValueError: there are no trajectories, or one lacks an observation.

@@ -17,8 +17,6 @@ class EpisodeOutcome:
     """How one episode went.
 
     Attributes:
-        success: whether the target was reached.
-        steps: environment steps.
         reward: their sum.
         path_mm: path length of the tip; 0 where the environment's info has no `tip`.
         force_mean: mean contact force, N.
@@ -84,11 +82,8 @@ def run_episodes(
     """Plays one episode from each seed, as many side by side as there are environments.
 
     Args:
-        policy: that acts.
         envs: environments to play in; they are reset.
         seeds: of the episodes; the same seeds give the same episodes.
-        deterministic: the mean action instead of a draw.
-        tick: called after every decision.
     """
     generator = np.random.default_rng(list(seeds))
     outcomes: dict[int, EpisodeOutcome] = {}

@@ -29,7 +29,6 @@ class ObservationStore:
 
     Args:
         name: of the observation; one that starts with "mask" and is a uint8 image is kept as bits.
-        space: of one observation.
         shape: of the rows, such as (slots, environments).
         half: keeps floating-point values in half precision.
 
@@ -51,7 +50,6 @@ class ObservationStore:
         """Writes one row.
 
         Args:
-            row: which.
             values: what belongs there. Shape (environments, ...), or of one observation.
 
         Raises:
@@ -110,7 +108,6 @@ class FrameStore:
     A stack of images that goes on from the one written before it, for the same environment, shares their frames.
 
     Args:
-        name: of the observation.
         space: of one observation, (channels, height, width) uint8.
         shape: of the rows: (slots, environments) or (slots,).
     """
@@ -141,7 +138,6 @@ class FrameStore:
         """Writes one row.
 
         Args:
-            row: which.
             values: what belongs there. Shape (environments, channels, height, width), or of one observation.
         """
         values = values.reshape(self.envs, *self.space_shape)
@@ -201,7 +197,6 @@ class FrameStore:
         """Puts rows back.
 
         Args:
-            first: of the rows.
             last: the row after them.
             packed: from `saved` for so many rows.
 
@@ -228,8 +223,6 @@ def make_store(
     """The store of an observation: a `FrameStore` for images that are no masks.
 
     Args:
-        name: of the observation.
-        space: of one observation.
         shape: of the rows, (slots, environments) or (slots,).
         half: keeps floating-point values in half precision.
     """

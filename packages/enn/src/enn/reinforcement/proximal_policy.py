@@ -22,13 +22,7 @@ STORED = ("actions", "rewards", "episode_starts", "values", "log_probs")
 
 
 class PpoLearner:
-    """PPO's part in a training: acts, fills a roll-out, updates when it is full.
-
-    Args:
-        settings: of the training.
-        envs: whose spaces and number it is for.
-        seed: of weights, noise and the order of batches.
-    """
+    """PPO's part in a training: acts, fills a roll-out, updates when it is full."""
 
     def __init__(self, settings: TrainingSettings, envs: VecEnv, seed: int) -> None:
         self.settings, self.n_envs = settings, envs.num_envs

@@ -29,12 +29,6 @@ class ReplayBuffer(BaseReplayBuffer):
 
     Args:
         buffer_size: number of transitions kept, all environments together.
-        observation_space: a `Dict`, or one `Box`.
-        action_space: a `Box`.
-        device: of the tensors drawn.
-        n_envs: number of environments.
-        half: keeps vectors in half precision.
-        seed: of the draws.
         demonstrations: a filled buffer of the same spaces.
         demonstration_share: of each batch, drawn from the demonstrations.
 
@@ -157,12 +151,7 @@ class ReplayBuffer(BaseReplayBuffer):
         return self._free.pop()
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> Any:
-        """Draws transitions, each equally likely; the demonstrations' share of them from there.
-
-        Args:
-            batch_size: number of transitions.
-            env: not used; observations are stored as they are drawn.
-        """
+        """Draws transitions, each equally likely; the demonstrations' share of them from there."""
         there = min(self.added, self.buffer_size)
         if there == 0:
             raise ValueError("the replay buffer is empty: nothing can be drawn from it")
@@ -278,10 +267,7 @@ def nbytes_needed(
     """Bytes of a replay buffer of a capacity, all environments together.
 
     Args:
-        space: of the observations.
-        capacity: number of transitions.
         action_space: of the actions; without it, two of them.
-        half: vectors in half precision.
     """
     boxes = space.spaces.values() if isinstance(space, gymnasium.spaces.Dict) else [space]
     names = list(space) if isinstance(space, gymnasium.spaces.Dict) else [""]

@@ -24,7 +24,6 @@ class ResetBank:
     Args:
         share: probability that `draw` gives a state, once there is one; from 0 to 1.
         capacity: number of states kept.
-        seed: of the draws.
 
     Raises:
         ValueError: a share outside 0 to 1, or a capacity below 1.
@@ -123,7 +122,6 @@ class CaseResetBank(ResetBank):
         cases: how many there are.
         share: probability that `draw` gives a state, once there is one; from 0 to 1.
         capacity: number of states kept of each case.
-        seed: of the draws.
 
     Raises:
         ValueError: a share outside 0 to 1, or a capacity below 1.

@@ -35,8 +35,6 @@ class SampledEnvs(VecEnv):
 
     Args:
         factories: each makes one environment; all with the same spaces.
-        seed: of the environments' starts.
-        threads: number of threads that step them.
         action_repeat: environment steps a decision, each with the same action; rewards are added up.
         reset_bank: states to start from; own successes from the usual start are added to it. Needs
             `env.unwrapped.start_state()` or `env.unwrapped.simulation.state()`, and `reset(options={"start": state})`.

@@ -105,9 +105,6 @@ class SacLearner:
     """SAC's part in a training: acts, remembers, updates.
 
     Args:
-        settings: of the training.
-        envs: whose spaces and number it is for.
-        seed: of weights, noise and draws.
         demonstrations: a filled replay buffer to draw from beside the own one.
     """
 

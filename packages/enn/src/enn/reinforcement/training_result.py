@@ -33,7 +33,6 @@ class Progress:
 
     Attributes:
         decisions: taken so far.
-        total: the budget.
         success: share of the latest training episodes from the usual start that succeeded; None before the first.
         best_success: deterministic success of the best policy so far; None before the first evaluation.
         wall_s: since the training began, all its runs together.
@@ -54,7 +53,6 @@ class TrainingResult:
 
     Attributes:
         policy: the best by evaluation (or the last, when there were none).
-        curve: rows of training.csv.
         timings: seconds in all and in parts, and what was done in them.
         evaluation: of the best policy: success, stochastic_success, steps, path_mm, force_mean, force_max, decisions.
     """

@@ -54,10 +54,8 @@ class TrainingInputs:
     """What a training starts from.
 
     Attributes:
-        settings: of the training.
         make_env: makes one environment; called for each of those sampled, and for evaluation.
         folder: where it is kept; None: only in memory.
-        seed: of everything.
         demonstrations: their states enter the reset bank; their steps the replay buffer, if the settings say so.
         encoder: frozen, turns observations into features.
         metadata: kept in the policy's file, with the seed.

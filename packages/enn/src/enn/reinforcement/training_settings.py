@@ -39,20 +39,16 @@ class TrainingSettings:
         passthrough: observations beside the encoder's features.
         extractor: "vectors" or "multimodal"; see `enn.networks.network`.
         image_features: features an image in the multimodal extractor.
-        hidden: units of the hidden layers.
-        critic_hidden: of the critic alone, where they differ.
         shared: features that actor and critic share, by whose loss they are trained; see `enn.networks.network`.
         activation: "relu" or "tanh".
         critic_layer_norm: layer normalisation in SAC's critics.
         normalise: fits mean and scale of vector observations to the first decisions; never with an encoder, whose
             features are normalised.
         decisions: budget, all environments together.
-        n_envs: environments sampled together.
         threads: that step them.
         action_repeat: environment steps a decision.
         learning_rate: of Adam.
         final_learning_rate: share of it that is left at the end of the budget, to which it falls evenly.
-        batch_size: transitions an update.
         gamma: discount a decision.
         learning_starts: random decisions at the start.
         gradient_steps: updates a decision (SAC); may be a fraction.
@@ -60,7 +56,6 @@ class TrainingSettings:
         tau: share of the new weights in the target critic.
         ent_coef: weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05; for PPO a number.
         target_entropy: that "auto" aims at; None: minus the number of actions. A fixed weight has none.
-        buffer_size: transitions in the replay buffer.
         half: vectors of the replay buffer in half precision.
         demonstrations_in_replay: share of each batch drawn from demonstrations.
         n_steps: decisions of each environment between PPO's updates.
