@@ -16,7 +16,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -163,6 +163,43 @@ def read_network(
         return network.to(device), dict(content["metadata"])
     except UNFIT as error:
         raise another_architecture(path, error, verb=verb) from error
+
+
+class FittedNetwork(Generic[Network]):
+    """A fitted network that predicts, kept in one file; a subclass names the file and builds the network.
+
+    Args:
+        network: with a dataclass `settings` that says how to build it.
+        metadata: whatever else is worth keeping: numbers, strings, lists and dictionaries.
+    """
+
+    FORMAT: ClassVar[str]
+    KIND: ClassVar[str]  # of model, as messages call it
+    VERB: ClassVar[str]  # what makes one
+
+    def __init__(self, network: Network, metadata: dict[str, Any] | None = None) -> None:
+        self.network = network.eval()
+        self.metadata = dict(metadata or {})
+
+    @classmethod
+    def build(cls, settings: dict[str, Any]) -> Network:
+        """The network with fresh weights, from the fields of its settings."""
+        raise NotImplementedError
+
+    def save(self, path: Path | str) -> None:
+        """Writes settings and weights into one file, atomically."""
+        write_network(path, self.FORMAT, self.network, self.metadata)
+
+    @classmethod
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> Self:
+        """Reads a file of `save` onto a device.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged, holds something else, or its weights do not fit its settings.
+        """
+        network, metadata = read_network(path, cls.FORMAT, cls.build, kind=cls.KIND, verb=cls.VERB, device=device)
+        return cls(network, metadata)
 
 
 def _digest_line(body: bytes | memoryview) -> bytes:

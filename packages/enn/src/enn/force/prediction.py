@@ -15,12 +15,11 @@ from torch import Tensor, nn
 from enn.devices import device_of, seeded
 from enn.fitting import FitProgress, FitReport, FitSettings, fit
 from enn.force.samples import ForceSamples
-from enn.model_file import read_network, write_network
+from enn.model_file import FittedNetwork
 from enn.networks.image_network import ImageNetwork, ImageSettings
 from enn.networks.normalisation import standardised
 from enn.setting_kinds import PixelsOrNone, Units, UnitsOrNone, Weight, settings
 
-FORMAT = "enn-force-predictor-1"
 _CLIP = 8.0  # standard deviations: beyond them a vector entry says nothing more
 
 
@@ -187,16 +186,15 @@ def fit_force(
     return ForcePredictor(network), report
 
 
-class ForcePredictor:
-    """A fitted network: what is seen in a step to the contact force, in newtons.
+class ForcePredictor(FittedNetwork[ForceNetwork]):
+    """A fitted network: what is seen in a step to the contact force, in newtons."""
 
-    Args:
-        metadata: whatever else is worth keeping.
-    """
+    FORMAT, KIND, VERB = "enn-force-predictor-1", "force predictor", "fit"
 
-    def __init__(self, network: ForceNetwork, metadata: dict[str, Any] | None = None) -> None:
-        self.network = network.eval()
-        self.metadata = dict(metadata or {})
+    @classmethod
+    def build(cls, settings: dict[str, Any]) -> ForceNetwork:
+        """The network with fresh weights, from the fields of its settings."""
+        return ForceNetwork(ForceNetworkSettings(**settings))
 
     def predict(self, images: NDArray[np.uint8], vectors: NDArray[np.float32] | None = None) -> NDArray[np.float64]:
         """Forces of N samples.
@@ -228,26 +226,3 @@ class ForcePredictor:
                 _, force = self.network(*seen)
                 parts.append(force.cpu().double() * self.network.force_scale.cpu().double())
         return np.clip(torch.cat(parts).numpy() if parts else np.zeros(0), 0.0, None)
-
-    def save(self, path: Path | str) -> None:
-        """Writes settings and weights into one file, atomically."""
-        write_network(path, FORMAT, self.network, self.metadata)
-
-    @classmethod
-    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> ForcePredictor:
-        """Reads a predictor onto a device.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is damaged, no predictor, or its weights do not fit its settings.
-        """
-        return cls(
-            *read_network(
-                path,
-                FORMAT,
-                lambda settings: ForceNetwork(ForceNetworkSettings(**settings)),
-                kind="force predictor",
-                verb="fit",
-                device=device,
-            )
-        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.devices import device_of
-from enn.model_file import read_network, write_network
+from enn.model_file import FittedNetwork
 from enn.networks.image_network import ImageNetwork, ImageSettings
 from enn.setting_kinds import Pixels, Units, UnitsOrNone, settings
 
-FORMAT = "enn-cloned-policy-1"
 KEYS = ("image", "mask", "sequential")
 _LOG_STD_RANGE = (-4.0, 1.0)  # a deterministic expert would drive the likelihood to infinity
 
@@ -80,19 +78,21 @@ class CloningNetwork(nn.Module):
         return nn.Sequential(*self.images.layers, self.head)
 
 
-class ClonedPolicy:
-    """A student: image observations to actions.
+class ClonedPolicy(FittedNetwork[CloningNetwork]):
+    """A student: image observations to actions."""
 
-    Args:
-        metadata: whatever else is worth keeping.
-    """
-
+    FORMAT, KIND, VERB = "enn-cloned-policy-1", "cloned policy", "clone"
     action_repeat = 1
 
-    def __init__(self, network: CloningNetwork, metadata: dict[str, Any] | None = None) -> None:
-        self.network = network.eval()
-        self.keys = network.settings.keys
-        self.metadata = dict(metadata or {})
+    @classmethod
+    def build(cls, settings: dict[str, Any]) -> CloningNetwork:
+        """The network with fresh weights, from the fields of its settings."""
+        return CloningNetwork(CloningNetworkSettings(**settings))
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the observations that it sees."""
+        return self.network.settings.keys
 
     def act(
         self,
@@ -168,26 +168,3 @@ class ClonedPolicy:
         if images.dtype.kind == "f" and not np.isfinite(images).all():
             raise ValueError("an image is not finite: look at what makes the observations")
         return torch.as_tensor(images).to(device_of(self.network))
-
-    def save(self, path: Path | str) -> None:
-        """Writes settings and weights into one file, atomically."""
-        write_network(path, FORMAT, self.network, self.metadata)
-
-    @classmethod
-    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> ClonedPolicy:
-        """Reads a student onto a device.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is damaged, no student, or its weights do not fit its settings.
-        """
-        return cls(
-            *read_network(
-                path,
-                FORMAT,
-                lambda settings: CloningNetwork(CloningNetworkSettings(**settings)),
-                kind="cloned policy",
-                verb="clone",
-                device=device,
-            )
-        )

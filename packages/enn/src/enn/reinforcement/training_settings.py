@@ -9,7 +9,7 @@ from typing import Annotated
 from annotated_types import Interval
 
 from enn.networks.network import NetworkSettings
-from enn.setting_kinds import Count, CountOrNone, LearningRate, Seconds, Share, Units, Weight, settings
+from enn.setting_kinds import Count, CountOrNone, LearningRate, Seconds, Share, Weight, settings
 
 _LEARNT_ENTROPY = re.compile(r"auto(_(?P<start>[0-9.]+(e-?[0-9]+)?))?")
 # Settings that an algorithm does not look at: another value than the default would say what is not done.
@@ -28,20 +28,11 @@ UNUSED = {
 
 
 @settings
-class TrainingSettings:
+class TrainingSettings(NetworkSettings):
     """A reinforcement learning run; one decision is one action of one environment, held for `action_repeat` steps.
 
-    Attributes:
-        algorithm: "sac" or "ppo".
-        variant: of the networks: "thesis", "desk" or "baselines".
-        keys: observations that the actor sees, without an encoder; none: all.
-        critic_keys: observations that the critic sees where they differ (SAC).
+    Attributes, beside those of the network:
         passthrough: observations beside the encoder's features.
-        extractor: "vectors" or "multimodal"; see `enn.networks.network`.
-        image_features: features an image in the multimodal extractor.
-        shared: features that actor and critic share, by whose loss they are trained; see `enn.networks.network`.
-        activation: "relu" or "tanh".
-        critic_layer_norm: layer normalisation in SAC's critics.
         normalise: fits mean and scale of vector observations to the first decisions; never with an encoder, whose
             features are normalised.
         decisions: budget, all environments together.
@@ -77,18 +68,7 @@ class TrainingSettings:
         device: of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one.
     """
 
-    algorithm: str = "sac"
-    variant: str = "desk"
-    keys: tuple[str, ...] = ()
-    critic_keys: tuple[str, ...] = ()
     passthrough: tuple[str, ...] = ()
-    extractor: str = "vectors"
-    image_features: Units = 128
-    hidden: tuple[Units, ...] = (128, 128)
-    critic_hidden: tuple[Units, ...] | None = None
-    shared: str = ""
-    activation: str = "relu"
-    critic_layer_norm: bool = False
     normalise: bool = True
     decisions: Count = 6000
     n_envs: Annotated[int, Interval(ge=1, le=4096)] = 8
@@ -158,19 +138,7 @@ class TrainingSettings:
     @property
     def network(self) -> NetworkSettings:
         """The part that shapes of weights depend on."""
-        return NetworkSettings(
-            algorithm=self.algorithm,
-            keys=self.keys,
-            critic_keys=self.critic_keys,
-            extractor=self.extractor,
-            variant=self.variant,
-            image_features=self.image_features,
-            hidden=self.hidden,
-            critic_hidden=self.critic_hidden,
-            shared=self.shared,
-            activation=self.activation,
-            critic_layer_norm=self.critic_layer_norm,
-        )
+        return NetworkSettings(**{field.name: getattr(self, field.name) for field in fields(NetworkSettings)})
 
 
 # Thesis, table of SAC's hyper-parameters, features of its architecture table; the layers after them, which it does not
