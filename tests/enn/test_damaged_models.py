@@ -140,4 +140,4 @@ def test_a_wrong_bit_in_the_checkpoint_of_a_fit_is_refused(tmp_path: Path) -> No
             attempt(stop=False)
         raise ValueError(str(refused.value))
 
-    assert all("remove it to start anew" in message for message in refusals(path, load))
+    assert all("remove it to start again" in message for message in refusals(path, load))

@@ -137,10 +137,7 @@ def test_samples_need_their_truth() -> None:
         scripted_samples(Rod, 0, seed=0)
 
 
-def test_joined_and_taken_samples_keep_their_rows(samples: Samples) -> None:
-    joined = Samples.joined([samples.take(np.arange(100)), samples])
-    assert len(joined) == 1100
-    assert len(np.unique(joined.episode)) == len(np.unique(samples.episode[:100])) + len(np.unique(samples.episode))
+def test_samples_need_as_many_rows_in_every_array(samples: Samples) -> None:
     with pytest.raises(ValueError, match="expected 3 rows in every array, got direction 2"):
         dataclasses.replace(samples.take(np.arange(3)), direction=samples.direction[:2])
 

@@ -30,13 +30,6 @@ def arrays(steps: int = 4, side: int = 8) -> dict[str, Any]:
     }
 
 
-def test_keeps_its_arrays_and_measures_its_way() -> None:
-    given = arrays() | {"tips": np.array([[0, 0, 0], [3, 4, 0], [3, 4, 0], [3, 4, 1], [3, 4, 2.0]])}
-    episode = Trajectory(**given)
-    assert len(episode) == 4
-    assert episode.path_length == pytest.approx(7.0)
-
-
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [

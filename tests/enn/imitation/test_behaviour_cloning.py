@@ -108,7 +108,7 @@ def test_checkpoint_of_another_architecture_is_refused(episodes: list[Trajectory
     with pytest.raises(KeyboardInterrupt):
         clone(episodes[:5], settings, folder=tmp_path, progress=stop)
     other = replace(settings, network=CloningNetworkSettings(features=64))
-    with pytest.raises(FitError, match="is of another architecture: remove it to start anew"):
+    with pytest.raises(FitError, match="is of another architecture: remove it to start again"):
         clone(episodes[:5], other, folder=tmp_path)
     (tmp_path / "fit.pt").write_bytes(b"nothing")
     with pytest.raises(FitError, match="damaged"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,26 +56,6 @@ class Samples:
         observations = {name: array[rows] for name, array in self.observations.items()}
         fields = ("points_mm", "direction", "feeder", "force", "episode")
         return Samples(observations, **{name: getattr(self, name)[rows] for name in fields})
-
-    @staticmethod
-    def joined(parts: Sequence[Samples]) -> Samples:
-        """Several sets as one; their roll-outs are numbered on.
-
-        Raises:
-            ValueError: there is none, or they hold different observations.
-        """
-        if not parts:
-            raise ValueError("there are no samples to join")
-        names = list(parts[0].observations)
-        for part in parts:
-            if list(part.observations) != names:
-                raise ValueError(f"expected samples of {', '.join(names)}, got {', '.join(part.observations)}")
-        observations = {name: np.concatenate([part.observations[name] for part in parts]) for name in names}
-        fields = ("points_mm", "direction", "feeder", "force")
-        others = {field: np.concatenate([getattr(part, field) for part in parts]) for field in fields}
-        firsts = np.cumsum([0, *(int(part.episode.max(initial=-1)) + 1 for part in parts[:-1])])
-        episode = np.concatenate([part.episode + first for part, first in zip(parts, firsts, strict=True)])
-        return Samples(observations, **others, episode=episode)
 
 
 def points_behind_tip(shape: np.ndarray, arc_lengths: np.ndarray) -> np.ndarray:

@@ -79,11 +79,6 @@ class FitReport:
     cpu_s: float = 0.0
     samples: int = 0
 
-    @property
-    def validation(self) -> float | None:
-        """Validation loss of the epoch that is kept."""
-        return self.rows[self.best_epoch - 1]["validation"] if self.rows else None
-
 
 class FitError(ValueError):
     """A fit cannot go on: its checkpoint is of something else, or its loss is no number."""
@@ -256,7 +251,7 @@ def _resume(
         for name, mine in identity.items():
             if content["identity"][name] != mine:
                 what = "another architecture" if name == "weights" else f"a fit with other {name}"
-                raise FitError(f"{file} is of {what}: remove it to start anew, or take another folder")
+                raise FitError(f"{file} is of {what}: remove it to start again, or take another folder")
         module.load_state_dict(content["module"])
         optimiser.load_state_dict(content["optimiser"])
         generator.bit_generator.state = content["generator"]
@@ -267,5 +262,5 @@ def _resume(
     except FitError:
         raise
     except UNFIT as error:
-        raise FitError(f"{file} is damaged or no checkpoint of a fit: remove it to start anew") from error
+        raise FitError(f"{file} is damaged or no checkpoint of a fit: remove it to start again") from error
     return best

@@ -74,11 +74,6 @@ class Trajectory:
         """Number of steps T."""
         return len(self.actions)
 
-    @property
-    def path_length(self) -> float:
-        """Length of the way the tip went, m."""
-        return float(np.linalg.norm(np.diff(self.tips.astype(np.float64), axis=0), axis=1).sum())
-
     def require(self, keys: Sequence[str]) -> None:
         """Refuses a trajectory that lacks an observation.
 
