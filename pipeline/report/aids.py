@@ -46,13 +46,13 @@ def of_training(job: PolicyTrainingJob) -> list[str]:
     """What a policy was trained with."""
     settings, task, aids = job.settings, job.task, []
     if task.reward != REWARD_OF_EVALUATION:
-        price = f", less {task.path_penalty:g} a metre of the tip's way" if task.path_penalty else ""
+        price = f", less {task.path_penalty:g} a metre of the tip's path" if task.path_penalty else ""
         aids.append(f"shaped reward of training ({task.reward}{price})")
     if task.force_penalty:
         aids.append(f"a newton costs {task.force_penalty:g} in the reward")
     if settings.reset_bank_share:
         states = "demonstrations and own successes" if job.demonstrations else "own successes"
-        aids.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the way, to states of {states}")
+        aids.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the path, to states of {states}")
     if settings.demonstrations_in_replay and job.demonstrations:
         share, count = 100 * settings.demonstrations_in_replay, len(job.demonstrations)
         aids.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")

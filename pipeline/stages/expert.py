@@ -160,7 +160,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
         draw_task(phantom, target, arrays, folder / task / "episodes.png")
         shown.append(
             Figure(
-                f"{task}: way of the tip and contact force",
+                f"{task}: path of the tip and contact force",
                 f"{len(arrays)} episodes, demonstrations among them; the target's sphere of success is dashed.",
                 f"{task}/episodes.png",
                 group,

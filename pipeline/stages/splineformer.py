@@ -24,8 +24,8 @@ LABELS = {
 }
 _ERRORS = ("tip_px", "mean_px", "max_px", "tip_mm", "mean_mm", "max_mm", "chamfer_px", "dice_pct")
 _ALONE = (
-    "round_trip_px", "tokens_mean", "tokens_max", "told_one_pct", "told_none_pct", "told_several_pct",
-    "told_inverted_pct", "image_px", "epochs", "cpu_min", "latency_ms", "images_per_s",
+    "round_trip_px", "tokens_mean", "tokens_max", "recognised_one_pct", "recognised_none_pct",
+    "recognised_several_pct", "recognised_inverted_pct", "image_px", "epochs", "cpu_min", "latency_ms", "images_per_s",
 )  # fmt: skip
 
 

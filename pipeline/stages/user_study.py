@@ -170,7 +170,7 @@ def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Fig
         draw_task(load_phantom(name), target, arrays, folder / file, radius_mm=settings.success_radius_mm)
         caption = f"{len(arrays)} procedures at the console; the target's sphere of success is dashed."
         shown.append(
-            Figure(f"Human, {name}, {target.upper()}: way of the tip and contact force", caption, file, "Human")
+            Figure(f"Human, {name}, {target.upper()}: path of the tip and contact force", caption, file, "Human")
         )
     return shown
 

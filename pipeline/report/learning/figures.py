@@ -24,7 +24,7 @@ from pipeline.report.tables import group_labels, row_labels
 
 CURVES_GROUP = "Learning: training"
 FORCES_GROUP = "Learning: forces"
-PATHS_GROUP = "Learning: ways in the vessel"
+PATHS_GROUP = "Learning: paths in the vessel"
 BEYOND_GROUP = "Learning: beyond the thesis"
 HEAT_EPISODES = 42  # logs behind a heat map, evenly taken from all rows
 PATHS_SHOWN = 10  # of each who steered
@@ -167,14 +167,14 @@ def _paths(material: Material, folder: Path) -> list[Figure]:
                 with EpisodeReader(material.run_path / one.log) as log:
                     tips = log.load_arrays(pictures=False)["tip"]
                 paths.setdefault(who, []).append((tips, one.metrics.success))
-        file = f"ways_{phantom}_{target}.png"
+        file = f"paths_{phantom}_{target}.png"
         radius_mm = MM * steered["ENN"][0].success_radius
         plots.draw_paths(vessel, target, paths, folder / file, radius_mm=radius_mm)
         caption = (
-            f"Ways of the tip, at most {PATHS_SHOWN} episodes each; they end in a dot on success, in a cross "
+            f"Paths of the tip, at most {PATHS_SHOWN} episodes each; they end in a dot on success, in a cross "
             "otherwise. The target's sphere of success is dashed."
         )
-        shown.append(Figure(f"{task_words(phantom, target)}: ways of the tip", caption, file, PATHS_GROUP))
+        shown.append(Figure(f"{task_words(phantom, target)}: paths of the tip", caption, file, PATHS_GROUP))
     return shown
 
 

@@ -37,7 +37,7 @@ def draw_task(
         vessel.plot(tips[:, 0], tips[:, 2], linewidth=1.2, color=f"C{index % 10}")
         norms = np.linalg.norm(arrays["resultant_force"], axis=1)
         force.plot(np.arange(len(norms)), norms, linewidth=1.0, color=f"C{index % 10}", label=f"episode {index}")
-    vessel.set(title="way of the tip")
+    vessel.set(title="path of the tip")
     force.set(xlabel="step (0.1 s)", ylabel="resultant contact force (N)", title="largest force of each step")
     force.set_ylim(bottom=0.0)
     force.grid(alpha=0.3)

@@ -59,7 +59,10 @@ def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
         **training_figures(training, predictor),
         **speed(Predictor.load(job.folder / PREDICTOR), data.frames[0].image("a")),
         **{name: trips[name] for name in ("round_trip_px", "tokens_mean", "tokens_max")},
-        **{f"told_{k}_pct": share for k, share in kind_accuracy(predictor, data, items, job.seed, progress).items()},
+        **{
+            f"recognised_{k}_pct": share
+            for k, share in kind_accuracy(predictor, data, items, job.seed, progress).items()
+        },
     }
     write_json(file, outcome)
     return outcome

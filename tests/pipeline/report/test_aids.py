@@ -35,10 +35,10 @@ THESIS = replace(
 
 
 def test_a_desk_training_names_every_aid() -> None:
-    told = training_note([DESK])
+    note = training_note([DESK])
     for aid in (
-        "shaped reward of training (geodesic, less 40 a metre of the tip's way)",
-        f"{100 * DESK_SAC.reset_bank_share:.0f} % of the resets along the way, to states of demonstrations and own "
+        "shaped reward of training (geodesic, less 40 a metre of the tip's path)",
+        f"{100 * DESK_SAC.reset_bank_share:.0f} % of the resets along the path, to states of demonstrations and own "
         "successes",
         "25 % of each batch are steps of the planner's demonstrations (3)",
         "an encoder fitted beforehand and frozen",
@@ -48,12 +48,12 @@ def test_a_desk_training_names_every_aid() -> None:
         "starts turned by up to 180 degrees either way",
         f"{DESK_SAC.decisions:,} decisions",
     ):
-        assert aid in told, aid
+        assert aid in note, aid
 
 
 def test_what_a_training_does_not_have_is_not_named() -> None:
-    told = training_note([THESIS])
-    assert told == f"How the measured rows were made: 2 actions; images of 80 px; {THESIS_SAC.decisions:,} decisions."
+    note = training_note([THESIS])
+    assert note == f"How the measured rows were made: 2 actions; images of 80 px; {THESIS_SAC.decisions:,} decisions."
     alone = training_note([replace(DESK, demonstrations=(), keys=("joints",))])
     assert "planner" not in alone
     assert "demonstrations" not in alone
@@ -62,10 +62,10 @@ def test_what_a_training_does_not_have_is_not_named() -> None:
 
 def test_rows_that_were_made_alike_are_named_together() -> None:
     other = replace(DESK, origin=Origin("enn", "V", 0, "desk"))
-    odd = replace(DESK, origin=Origin("enn", "I", 0, "desk"), keys=("joints",))
-    told = training_note([DESK, other, odd])
-    assert told.count("shaped reward") == 1
-    assert told.endswith("I+V+M, V: images of 80 px.")
+    other_observation = replace(DESK, origin=Origin("enn", "I", 0, "desk"), keys=("joints",))
+    note = training_note([DESK, other, other_observation])
+    assert note.count("shaped reward") == 1
+    assert note.endswith("I+V+M, V: images of 80 px.")
     assert (
         note_of({"a": ["one"], "b": ["two"]})
         == "How the measured rows were made: with nothing in common. a: one. b: two."
@@ -76,10 +76,10 @@ def test_imitation_says_whose_weight_matches_features() -> None:
     cloning = cloning_settings("thesis", ("image",), feature_matching=0.1)
     job = ImitationJob(Path("s"), Origin("imitation", "dagger", 0, "thesis"), cloning, LearningTask("type_1", "bca"),
                        Path("e"), episodes=10, rounds=DaggerSettings(rounds=3))  # fmt: skip
-    told = imitation_note([job])
-    assert "thesis network, from 10 episodes" in told
-    assert "features matched with weight 0.1, which is ours" in told
-    assert "3 rounds of 10 own episodes" in told
+    note = imitation_note([job])
+    assert "thesis network, from 10 episodes" in note
+    assert "features matched with weight 0.1, which is ours" in note
+    assert "3 rounds of 10 own episodes" in note
     assert "features" not in imitation_note([replace(job, settings=replace(cloning, feature_matching=0.0))])
 
 

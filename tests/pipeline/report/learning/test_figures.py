@@ -56,7 +56,7 @@ def test_each_figure_appears_when_there_is_something_for_it(tmp_path: Path, monk
         "Episode length during training",
         "Largest forces of the baselines",
         "Type I arch, BCA: contact forces of the baselines",
-        "Type I arch, BCA: ways of the tip",
+        "Type I arch, BCA: paths of the tip",
         "Success against force",
         "Success against training anatomies",
     ]
