@@ -5,7 +5,7 @@
 
 Reads {"units": ..., "pairs": [{"pair", "camera_a": [[x, y]], "camera_b"}]}, tip first. DIR holds the files of
 both cameras (*16710*.txt is A, *16709*.txt is B, world unit cm), and may hold X-rays of a perforated sheet
-(undistort_<detector>.*): then raw annotations are told from undistorted ones, and undistorted. Prints a table, and as
+(undistort_<detector>.*): then it is found out whether annotations are raw, and raw ones are undistorted. Prints a table, and as
 the last line one JSON object. Times are processor time of one thread.
 """
 

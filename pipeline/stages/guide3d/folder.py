@@ -20,7 +20,7 @@ class Source:
     Attributes:
         root: of the data set.
         images: folder of its images, where they lie elsewhere.
-        calibration: folder of its cameras, likewise.
+        calibration: folder of its cameras, where they lie elsewhere.
         undistorted: whether its annotations are undistorted, where somebody said so or the residuals did.
     """
 
@@ -42,8 +42,8 @@ class Source:
         """
         if name == "curves":
             return folder / RECONSTRUCTIONS if (folder / RECONSTRUCTIONS).exists() else None
-        told = getattr(self, name)
-        return None if told is None else folder / told
+        path = getattr(self, name)
+        return None if path is None else folder / path
 
     def open(self, folder: Path) -> Dataset:
         """Opens the data set.

@@ -1,7 +1,7 @@
 """Reconstruction over a data set: every pair's wire in space, what it misses in the images and of the truth.
 
 Four ways stand beside each other: the global one and the thesis's greedy one, on the annotations as they are and, where
-the truth is known, on clicks of a shaky hand. The global one on the annotations takes every pair; the others take pairs
+the truth is known, on noisy clicks. The global one on the annotations takes every pair; the others take pairs
 spread over the data.
 """
 

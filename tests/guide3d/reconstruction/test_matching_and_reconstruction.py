@@ -9,17 +9,17 @@ from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.metrics import max_ed, mers, mete
 from guide3d.geometry.polyline import arc_length, at_length, resample
 from guide3d.native_library import HOME, library, sources_digest
-from guide3d.reconstruction.curve_fitting import FitSettings
+from guide3d.reconstruction.curve_fitting import CurveFitSettings
 from guide3d.reconstruction.matching import Match, MatchingSettings, complete, image_curve, match_curves
 from guide3d.reconstruction.reconstruction import ReconstructionSettings, reconstruct, reconstruct_greedy
 from guide3d.reconstruction.reprojection import distances_to, numbers, picture
-from guide3d.reconstruction.synthetic_scene import KINDS, Scene, clicked, rig, scenes, wire
+from guide3d.reconstruction.synthetic_scene import KINDS, SyntheticScene, clicked, rig, scenes, wire
 
 EXACT = list(scenes(16, seed=5))
 CLICKED = list(scenes(40, seed=5, noise_px=1.0))
 
 
-def of(scene: Scene, **settings: object):
+def of(scene: SyntheticScene, **settings: object):
     return reconstruct(*scene.cameras, *scene.points, settings=ReconstructionSettings(**settings))  # type: ignore[arg-type]
 
 
@@ -162,7 +162,7 @@ def test_settings_are_checked() -> None:
     with pytest.raises(ValueError, match="match_px must be greater than 0, got 0"):
         MatchingSettings(match_px=0.0)
     with pytest.raises(ValueError, match="bending_per_mm must be greater than 0, got -1"):
-        FitSettings(bending_per_mm=-1.0)
+        CurveFitSettings(bending_per_mm=-1.0)
 
 
 def test_the_report_has_plain_numbers_and_a_picture() -> None:

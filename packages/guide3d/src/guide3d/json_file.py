@@ -8,13 +8,7 @@ from typing import Any
 
 
 def read_json(path: Path, what: str) -> Any:
-    """Reads a file.
-
-    Args:
-        what: it is, for messages: "annotation file".
-
-    Returns:
-        What it holds.
+    """Reads a file; `what` it is, for messages: "annotation file".
 
     Raises:
         FileNotFoundError: there is no such file.

@@ -18,15 +18,12 @@ class ViewStruct(ctypes.Structure):
 
     _fields_ = (
         ("count", ctypes.c_int),
-        ("angle", ctypes.c_void_p),
-        ("slope_squared", ctypes.c_void_p),
-        ("rays", ctypes.c_void_p),
-        ("source", ctypes.c_void_p),
+        *((name, ctypes.c_void_p) for name in ("angle", "slope_squared", "rays", "source")),
     )
 
 
 class WeightsStruct(ctypes.Structure):
-    """How a match is judged (struct Weights of matching.c)."""
+    """Weights of a match (struct Weights of matching.c)."""
 
     _fields_ = tuple(
         (name, ctypes.c_double) for name in ("spacing", "match", "reach", "noise", "length", "uneven", "start")
@@ -38,9 +35,7 @@ class ImageStruct(ctypes.Structure):
 
     _fields_ = (
         ("count", ctypes.c_int),
-        ("P", ctypes.c_void_p),
-        ("points", ctypes.c_void_p),
-        ("along", ctypes.c_void_p),
+        *((name, ctypes.c_void_p) for name in ("P", "points", "along")),
         ("tip", ctypes.c_int),
         ("off", ctypes.c_void_p),
     )
@@ -50,19 +45,15 @@ class SplineStruct(ctypes.Structure):
     """A uniform cubic B-spline (struct Spline of fitting.c)."""
 
     _fields_ = (
-        ("count", ctypes.c_int),
-        ("pitch", ctypes.c_double),
-        ("points", ctypes.c_void_p),
-        ("band", ctypes.c_void_p),
-    )
+        ("count", ctypes.c_int), ("pitch", ctypes.c_double), ("points", ctypes.c_void_p), ("band", ctypes.c_void_p),
+    )  # fmt: skip
 
 
 class PriorStruct(ctypes.Structure):
     """What is known of a wire and its annotation beforehand (struct Prior of fitting.c)."""
 
     _fields_ = (
-        ("noise", ctypes.c_double),
-        ("least_noise", ctypes.c_double),
+        *((name, ctypes.c_double) for name in ("noise", "least_noise")),
         ("estimate", ctypes.c_int),
         *((name, ctypes.c_double) for name in ("outlier", "bending", "bend", "changing", "change", "speed")),
         ("iterations", ctypes.c_int),

@@ -186,27 +186,30 @@ def calibrate_cube(
             )
     sizes = {detector: (d.width, d.height) for detector, d in distortions.items()}
     rig = calibrate_rig(lattice.points_mm, _sightings(views.values()), sizes, swirl)
-    swirled = {d: distortions[d].swirled(shift) for d, shift in rig.swirl_px.items()}
+    swirled = _swirled(distortions, rig)
     views = {
-        key: _second_look(view, rig, {**distortions, **swirled}[view.detector], lattice.points_mm)
-        if key in rig.used
-        else view
+        key: _second_look(view, rig, swirled[view.detector], lattice.points_mm) if key in rig.used else view
         for key, view in views.items()
     }
-    # pixels before the swirl again, which the rig estimates anew
-    views = {
-        key: replace(view, pixels=distortions[view.detector].undistort_points(view.beads.centres_px))
-        for key, view in views.items()
-    }
+    views = _undistorted(views, distortions)  # without the swirl, which the rig estimates once more
     rig = calibrate_rig(lattice.points_mm, _sightings(views.values()), sizes, swirl)
     warnings += [f"pose {pose}: left out, it {why}" for pose, why in rig.left_out.items()]
-    swirled = {d: distortions[d].swirled(shift) for d, shift in rig.swirl_px.items()}
-    distortions = {**distortions, **swirled}
-    views = {
+    distortions = _swirled(distortions, rig)
+    return CubeCalibration(rig, dict(holes), distortions, _undistorted(views, distortions), lattice.points_mm, warnings)
+
+
+def _swirled(distortions: dict[str, Distortion], rig: RigCalibration) -> dict[str, Distortion]:
+    return distortions | {detector: distortions[detector].swirled(shift) for detector, shift in rig.swirl_px.items()}
+
+
+def _undistorted(
+    views: dict[tuple[str, str], CubeView], distortions: dict[str, Distortion]
+) -> dict[tuple[str, str], CubeView]:
+    """The views, their discs undistorted by these maps."""
+    return {
         key: replace(view, pixels=distortions[view.detector].undistort_points(view.beads.centres_px))
         for key, view in views.items()
     }
-    return CubeCalibration(rig, dict(holes), distortions, views, lattice.points_mm, warnings)
 
 
 def _named(path: object, error: Exception) -> str:

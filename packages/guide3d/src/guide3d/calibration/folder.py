@@ -50,16 +50,10 @@ def cameras_in(folder: Path) -> tuple[Camera, Camera] | None:
 
 
 def distortions_in(folder: Path) -> tuple[Distortion, Distortion] | None:
-    """Maps of both detectors' distortion in a folder, or in its sub-folder "calibration".
-
-    Args:
-        folder: with *16710*.npz and *16709*.npz, as `Distortion.save` writes them.
-
-    Returns:
-        Those of cameras A and B; None unless both are there.
+    """Maps of both detectors' distortion in a folder, or in its sub-folder "calibration"; None unless both are there.
 
     Raises:
-        ValueError: several files of one detector, or one that cannot be understood.
+        ValueError: several files *16710*.npz or *16709*.npz, or one that `Distortion.save` did not write.
     """
     for place in (folder / "calibration", folder):
         files = [_only(place, DETECTOR[view], ("npz",)) for view in ("a", "b")]

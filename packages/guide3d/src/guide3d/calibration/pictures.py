@@ -15,14 +15,7 @@ _ENLARGED = 2
 
 
 def draw_holes(image: np.ndarray, holes: SheetHoles) -> Image.Image:
-    """The sheet with every hole marked: whole ones green, those cut by the border red.
-
-    Args:
-        image: (h, w) grey, raw.
-
-    Returns:
-        A picture twice as large.
-    """
+    """The sheet (h, w), twice as large, with every hole marked: whole ones green, those cut by the border red."""
     picture, draw = _ground(image, _ENLARGED)
     for (x, y), partial in zip(holes.centres_px, holes.partial, strict=True):
         _cross(draw, x, y, 2, _RED if partial else _GREEN)

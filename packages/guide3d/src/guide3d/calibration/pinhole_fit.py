@@ -53,6 +53,28 @@ def turned(R: np.ndarray, rotation_vector: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(rotation_vector).as_matrix() @ R
 
 
+def turn_jacobian(points: np.ndarray) -> np.ndarray:
+    """How points (n, 3) move with a small rotation vector w: d(w x p)/dw = -[p]x, (n, 3, 3)."""
+    a, b, c = points.T
+    zero = np.zeros_like(a)
+    return np.stack([np.stack([zero, c, -b], -1), np.stack([-c, zero, a], -1), np.stack([b, -a, zero], -1)], axis=1)
+
+
+def changed_intrinsics(K: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """K (3, 3) with (fx, fy, skew, cx, cy) changed by a step (5,), px."""
+    changed = K.copy()
+    changed[[0, 1, 0, 0, 1], [0, 1, 1, 2, 2]] += step
+    return changed
+
+
+def huber(size: np.ndarray, limit: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (n,) and costs (n,) of residuals of sizes (n,): quadratic, linear beyond a limit if there is one."""
+    if limit is None:
+        return np.ones_like(size), size**2
+    weight = np.minimum(1.0, limit / np.maximum(size, 1e-12))
+    return weight, np.where(size > limit, 2 * limit * size - limit**2, size**2)
+
+
 def projection_jacobian(
     K: np.ndarray, R: np.ndarray, t_mm: np.ndarray, points_mm: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -77,10 +99,7 @@ def projection_jacobian(
     place = np.zeros((len(points_mm), 2, 3))  # by the point in the camera frame
     place[:, 0, 0], place[:, 0, 1], place[:, 0, 2] = fx / Z, skew / Z, -(fx * x + skew * y) / Z
     place[:, 1, 1], place[:, 1, 2] = fy / Z, -fy * y / Z
-    a, b, c = turned_mm.T
-    zero = np.zeros_like(a)
-    turn = np.stack([np.stack([zero, c, -b], -1), np.stack([-c, zero, a], -1), np.stack([b, -a, zero], -1)], axis=1)
-    J[:, :, 5:8] = place @ turn  # d(w x p)/dw = -[p]x
+    J[:, :, 5:8] = place @ turn_jacobian(turned_mm)
     J[:, :, 8:] = place
     return pixels, J
 
@@ -149,7 +168,7 @@ def ransac_camera(
     points_mm, pixels = np.asarray(points_mm, float), np.asarray(pixels, float)
     rng = np.random.default_rng(seed)
     n = len(points_mm)
-    # more than the six of a minimal sample: linear cameras of six noisy points are poor judges
+    # more than the six of a minimal sample: linear cameras of six noisy points agree with few pairs
     size = min(max(6, n // 3), 10)
     best = np.zeros(n, bool)
     samples = [np.arange(n)] + [rng.choice(n, size, replace=False) for _ in range(rounds if n > size else 0)]
@@ -215,15 +234,8 @@ def refine_camera(
         seen, J = projection_jacobian(K, R, t, points_mm)
         off = (seen - pixels) / noise_px
         size = np.linalg.norm(off, axis=1)
-        limit = np.inf if robust_px is None else robust_px / noise_px
-        weight = (
-            np.where(size > limit, limit / np.maximum(size, 1e-12), 1.0) if np.isfinite(limit) else np.ones_like(size)
-        )
-        cost = (
-            float(np.where(size > limit, 2 * limit * size - limit**2, size**2).sum())
-            if np.isfinite(limit)
-            else float((size**2).sum())
-        )
+        weight, costs = huber(size, None if robust_px is None else robust_px / noise_px)
+        cost = float(costs.sum())
         J = J / noise_px
         gradient = np.einsum("n,nij,ni->j", weight, J, off)
         normal = np.einsum("n,nij,nik->jk", weight, J, J)
@@ -237,8 +249,7 @@ def refine_camera(
     damping = 1e-4
     for _ in range(rounds):
         step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-12 * np.eye(11), gradient)
-        K2 = K.copy()
-        K2[0, 0], K2[1, 1], K2[0, 1], K2[0, 2], K2[1, 2] = K[[0, 1, 0, 0, 1], [0, 1, 1, 2, 2]] + step[:5]
+        K2 = changed_intrinsics(K, step[:5])
         R2, t2 = turned(R, step[5:8]), t + step[8:]
         if min(K2[0, 0], K2[1, 1]) <= 0 or (points_mm @ R2[2] + t2[2] <= 0).any():
             damping *= 10

@@ -85,13 +85,8 @@ def write_report(calibration: CubeCalibration, source: str | Path, folder: str |
     calibration.write(folder)
     parts = ["<h1>Calibration</h1>", f"<p>From the images in {html.escape(Path(source).name)}.</p>"]
     parts += [f'<p class="warning">{html.escape(warning)}.</p>' for warning in calibration.warnings]
-    parts += [
-        "<h2>Figures</h2>",
-        _distortion_table(numbers),
-        _cube_table(numbers),
-        "<h2>Cameras</h2>",
-        _camera_table(calibration),
-    ]
+    parts += ["<h2>Figures</h2>", _distortion_table(numbers), _cube_table(numbers)]
+    parts += ["<h2>Cameras</h2>", _camera_table(calibration)]
     for detector, holes in calibration.holes.items():
         parts.append(f"<h2>Detector {html.escape(detector)}</h2>")
         distortion = calibration.distortions[detector]
@@ -130,46 +125,22 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _distortion_table(numbers: dict) -> str:
+    keys = ("leave_out_px", "leave_out_rms_px", "spline_leave_out_px")
     rows = [
-        [
-            d,
-            str(n["holes"]),
-            f"{n['leave_out_px']:.3f}",
-            f"{n['leave_out_rms_px']:.3f}",
-            f"{n['spline_leave_out_px']:.3f}",
-            f"{n['swirl_px']:.2f}",
-        ]
-        for d, n in numbers.items()
+        [d, str(n["holes"]), *(f"{n[key]:.3f}" for key in keys), f"{n['swirl_px']:.2f}"] for d, n in numbers.items()
     ]
     return _table(["detector", "holes", "leave-out mean, px", "RMS, px", "smooth spline, mean, px", "swirl, px"], rows)
 
 
 def _cube_table(numbers: dict) -> str:
+    digits = {"beads": "d", "used": "d", "mean_px": ".3f", "rms_px": ".3f", "max_px": ".2f", "alone_mean_px": ".3f"}
     rows = [
-        [
-            name,
-            d,
-            str(i["beads"]),
-            str(i["used"]),
-            f"{i['mean_px']:.3f}",
-            f"{i['rms_px']:.3f}",
-            f"{i['max_px']:.2f}",
-            f"{i['alone_mean_px']:.3f}",
-        ]
-        for d, n in numbers.items()
-        for name, i in n["images"].items()
+        [pose, detector, *(format(image[key], form) for key, form in digits.items())]
+        for detector, own in numbers.items()
+        for pose, image in own["images"].items()
     ]
-    header = [
-        "pose",
-        "detector",
-        "beads labelled",
-        "used",
-        "mean, px",
-        "RMS, px",
-        "largest, px",
-        "camera of this image alone, px",
-    ]
-    return _table(header, rows)
+    header = ("pose", "detector", "beads labelled", "used", "mean, px", "RMS, px", "largest, px")
+    return _table([*header, "camera of this image alone, px"], rows)
 
 
 def _camera_table(calibration: CubeCalibration) -> str:

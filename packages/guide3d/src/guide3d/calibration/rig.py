@@ -14,7 +14,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from guide3d.calibration.pinhole_fit import projection_jacobian, ransac_camera, refine_camera, turned
+from guide3d.calibration.pinhole_fit import (
+    changed_intrinsics,
+    huber,
+    projection_jacobian,
+    ransac_camera,
+    refine_camera,
+    turn_jacobian,
+    turned,
+)
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import swirl_pattern
 
@@ -210,20 +218,10 @@ class _Bundle:
             if p:
                 at = 12 * len(self.detectors) + 6 * (p - 1)
                 place = own[:, :, 8:] @ camera.R
-                a, b, c = moved.T
-                zero = np.zeros_like(a)
-                cross = np.stack(
-                    [np.stack([zero, c, -b], -1), np.stack([-c, zero, a], -1), np.stack([b, -a, zero], -1)], 1
-                )
-                J[:, :, at : at + 3], J[:, :, at + 3 : at + 6] = place @ cross, place
-            size = np.linalg.norm(residual, axis=1)
-            weight = agree.astype(float)
-            if robust_px is not None:
-                weight = weight * np.minimum(1.0, robust_px / np.maximum(size, 1e-9))
-                pull = np.where(size > robust_px, 2 * robust_px * size - robust_px**2, size**2)
-                cost += float(pull[agree].sum())
-            else:
-                cost += float((size[agree] ** 2).sum())
+                J[:, :, at : at + 3], J[:, :, at + 3 : at + 6] = place @ turn_jacobian(moved), place
+            weight, costs = huber(np.linalg.norm(residual, axis=1), robust_px)
+            cost += float(costs[agree].sum())
+            weight = agree * weight
             normal += np.einsum("n,nij,nik->jk", weight, J, J)
             gradient += np.einsum("n,nij,ni->j", weight, J, residual)
             residuals.append(residual)
@@ -243,8 +241,7 @@ class _Bundle:
         cameras, poses, swirl = self._state()
         for d, detector in enumerate(self.detectors):
             own, camera = step[12 * d : 12 * d + 12], cameras[detector]
-            K = camera.K.copy()
-            K[0, 0], K[1, 1], K[0, 1], K[0, 2], K[1, 2] = K[[0, 1, 0, 0, 1], [0, 1, 1, 2, 2]] + own[:5]
+            K = changed_intrinsics(camera.K, own[:5])
             if min(K[0, 0], K[1, 1]) <= 0:
                 return False
             cameras[detector] = _placed(camera, turned(camera.R, own[6:9]), camera.t_mm + own[9:12], K)
@@ -329,16 +326,9 @@ class _Bundle:
             )
             sds[detector] = float(np.sqrt(whole[12 * d + 5, 12 * d + 5]))
         keys = [(s.pose, s.detector) for s in self.sightings]
+        kept, residual = dict(zip(keys, used, strict=True)), dict(zip(keys, residuals, strict=True))
         return RigCalibration(
-            cameras,
-            dict(self.swirl),
-            sds,
-            dict(self.poses),
-            dict(zip(keys, residuals, strict=True)),
-            dict(zip(keys, used, strict=True)),
-            alone,
-            float(np.sqrt(variance)),
-            left_out,
+            cameras, dict(self.swirl), sds, dict(self.poses), residual, kept, alone, float(np.sqrt(variance)), left_out
         )
 
 

@@ -1,4 +1,4 @@
-"""Wires that mark single beads of a calibration cube: thin lines found in the image, told apart by their form.
+"""Wires that mark single beads of a calibration cube: thin lines found in the image, classified by their form.
 
 A single straight wire, two parallel ones and a bent one are the marks that a reference file calls single, double and
 circle. Lead letters are as dark as the beads and are left out; so is the rim of the field.

@@ -38,10 +38,7 @@ class PlannedAcquisition:
 
 
 def composition(images: int) -> dict[tuple[bool, str], int]:
-    """Divides pairs of images among the kinds of acquisitions, in the thesis's proportions.
-
-    Args:
-        images: of both cameras together, at least 8.
+    """Divides images (of both cameras, at least 8) among the kinds of acquisitions, in the thesis's proportions.
 
     Returns:
         (fluid, wire) to pairs, at least one each; they add up to half of `images`.

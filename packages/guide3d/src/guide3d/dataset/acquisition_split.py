@@ -12,7 +12,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Split:
-    """Names of the acquisitions to learn from, to choose by, and to be judged on."""
+    """Names of the acquisitions to train with, to choose the best epoch by, and to evaluate with."""
 
     train: tuple[str, ...]
     validation: tuple[str, ...]

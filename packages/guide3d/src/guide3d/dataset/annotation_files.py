@@ -38,9 +38,9 @@ class Annotation:
         fluid: whether the phantom was filled.
         wire: "angled" or "straight".
         image_a: path of camera A's image below the folder of images.
-        image_b: likewise.
+        image_b: path of camera B's image.
         points_a: (n, 2) px, tip first.
-        points_b: (m, 2) px, likewise.
+        points_b: (m, 2) px, tip first.
     """
 
     acquisition: str
@@ -68,12 +68,7 @@ class Views:
 
 
 def acquisition_name(fluid: bool, target: str, wire: str, number: int) -> str:
-    """The public name of an acquisition, e.g. "1-bca-angle-5".
-
-    Args:
-        fluid: whether the phantom is filled.
-        wire: "angled" or "straight".
-    """
+    """The public name of an acquisition, e.g. "1-bca-angle-5" of the "angled" wire."""
     return f"{int(fluid)}-{target}-{'angle' if wire == 'angled' else wire}-{number}"
 
 

@@ -22,14 +22,7 @@ def undistorted_or_raw(data: Dataset) -> Verdict | None:
 
 
 def swapped_cameras(data: Dataset, undistorted: bool | None) -> Verdict | None:
-    """Tells whether the cameras belong to each other's images.
-
-    Args:
-        undistorted: whether its annotations are undistorted; None counts as yes.
-
-    Returns:
-        answer "as given" or "swapped"; None without cameras.
-    """
+    """Tells whether the cameras are "as given" or "swapped"; None without cameras. `undistorted` None counts as yes."""
     if data.camera_a is None or data.camera_b is None:
         return None
     pairs = _pairs(data)

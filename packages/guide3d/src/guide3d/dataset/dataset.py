@@ -38,7 +38,7 @@ from guide3d.json_file import read_json
 RAW, CURVES, SPACE, TRUTH, PROPERTIES = "raw.json", "b_spline.json", "sphere.json", "truth.json", "dataset.json"
 PUBLIC_SIZE_PX = 1024
 LARGEST_SIDE_PX = 8192
-OUTSIDE_PX = 20.0  # an annotation further outside the image is damaged; nearer it is a shaky hand at the border
+OUTSIDE_PX = 20.0  # an annotation further outside the image is damaged; nearer it is a click's noise at the border
 _NAMED = 5  # damaged entries that the log names one by one
 
 _LOGGER = logging.getLogger(__name__)
@@ -143,29 +143,16 @@ class Dataset:
         return found
 
     def undistort(self, camera: str, points: np.ndarray) -> np.ndarray:
-        """Annotated pixels as a pinhole camera would see them.
+        """Annotated pixels (n, 2) of camera "a" or "b" as a pinhole camera would see them, (n, 2) px.
 
-        Args:
-            camera: "a" or "b".
-            points: (n, 2) px, as annotated.
-
-        Returns:
-            (n, 2) px; the same points where the data set is undistorted or its distortion is not known.
+        They stay where they are where the data set is undistorted or its distortion is not known.
         """
         if self.undistorted is not False or self.distortions is None:
             return points
         return self.distortions[VIEWS.index(camera)].undistort_points(points)
 
     def distort(self, camera: str, points: np.ndarray) -> np.ndarray:
-        """Pixels of a pinhole camera as the images show them: the inverse of `undistort`.
-
-        Args:
-            camera: "a" or "b".
-            points: (n, 2) px.
-
-        Returns:
-            (n, 2) px.
-        """
+        """Pixels (n, 2) of a pinhole camera "a" or "b" as the images show them: the inverse of `undistort`."""
         if self.undistorted is not False or self.distortions is None:
             return points
         return self.distortions[VIEWS.index(camera)].distort_points(points)
@@ -176,9 +163,6 @@ def split(data: Dataset, shares: tuple[float, float, float] = (0.8, 0.1, 0.1), s
 
     Args:
         shares: of the frames in train, validation and test.
-
-    Returns:
-        The names of the acquisitions in each part.
     """
     kinds = {}
     for name, indices in data.acquisitions.items():
@@ -188,10 +172,7 @@ def split(data: Dataset, shares: tuple[float, float, float] = (0.8, 0.1, 0.1), s
 
 
 def images_of(data: Dataset, acquisitions: Sequence[str], at_most: int = 0) -> NDArray[np.int64]:
-    """Lists the images of acquisitions, both cameras.
-
-    Args:
-        at_most: so many, evenly chosen; 0: all.
+    """Lists the images of acquisitions, both cameras; at most some of them, evenly chosen (0: all).
 
     Returns:
         (n,) indices: camera times the number of frames, plus frame.

@@ -128,14 +128,7 @@ class Frame:
         return fit_bspline(points, smoothing=SPLINE_SMOOTHING_PX**2 * len(points), what=f"frame {self.label}")
 
     def mask(self, camera: str, width_px: float = 6.0) -> NDArray[np.uint8]:
-        """The wire's mask along the annotation.
-
-        Args:
-            camera: "a" or "b".
-
-        Returns:
-            (height, width) uint8, 255 on the wire.
-        """
+        """The wire's mask along the annotation of camera "a" or "b": (height, width) uint8, 255 on the wire."""
         width, height = self.size_px[camera]
         return strip_mask(self.polyline(camera), width, height, width_px)
 
@@ -145,10 +138,7 @@ class Frame:
         return None if self.truth is None else self.visible_curve_mm(*VIEWS)
 
     def visible_curve_mm(self, *cameras: str) -> Array | None:
-        """The true wire from the tip to where it first leaves the image of one of some cameras.
-
-        Args:
-            cameras: "a", "b" or both.
+        """The true wire from the tip to where it first leaves the image of one of some cameras ("a", "b" or both).
 
         Returns:
             (n, 3) world, mm, a point every 0.5 mm; None for real images.

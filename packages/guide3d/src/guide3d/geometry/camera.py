@@ -79,13 +79,7 @@ class Camera:
         return np.asarray(points_mm, float) @ self.R[2] + self.t_mm[2]
 
     def project(self, points_mm: np.ndarray) -> np.ndarray:
-        """Pixels of points in space.
-
-        Args:
-            points_mm: (..., 3), world, mm.
-
-        Returns:
-            (..., 2), undistorted px.
+        """Pixels (..., 2), undistorted, of points (..., 3) in the world, mm.
 
         Raises:
             ValueError: The points are not three-dimensional.

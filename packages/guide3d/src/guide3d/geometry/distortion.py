@@ -136,13 +136,7 @@ class Distortion:
         return np.asarray(np.linalg.norm(self.raw_px - self.ideal_px, axis=1))
 
     def undistort_points(self, raw_points: np.ndarray) -> np.ndarray:
-        """Raw pixels to undistorted ones.
-
-        Args:
-            raw_points: (..., 2) px as annotated on the image.
-
-        Returns:
-            (..., 2) px; beyond the holes an almost linear continuation.
+        """Raw pixels (..., 2) to undistorted ones; beyond the holes an almost linear continuation.
 
         Raises:
             ValueError: The points are not two-dimensional.
@@ -199,7 +193,7 @@ class Distortion:
         return values.astype(image.dtype)
 
     def swirled(self, shift_px: float) -> Distortion:
-        """This map followed by a swirl of `shift_px` at the border, as `guide3d.calibration.rig` finds it."""
+        """This map followed by a swirl of `shift_px` at the border, as `guide3d.calibration.rig` estimates it."""
         ideal = self.ideal_px + shift_px * swirl_pattern(self.ideal_px, self.width, self.height)
         return replace(self, ideal_px=ideal)
 
@@ -239,17 +233,9 @@ class Distortion:
 def leave_out_errors(
     holes: SheetHoles, method: str = "local weighted mean", neighbours: int = 25, spans: int = 24
 ) -> np.ndarray:
-    """How far the map puts holes that it was not fitted to from where they should be.
+    """How far (n,) px `Distortion.from_holes` puts holes that it was not fitted to from where they should be.
 
-    A thirteenth of the holes at a time, no two of them near each other.
-
-    Args:
-        method: As in `Distortion`.
-        neighbours: As in `Distortion`.
-        spans: As in `Distortion`.
-
-    Returns:
-        (n,) px, in the undistorted frame.
+    A thirteenth of the holes at a time, no two of them near each other; in the undistorted frame.
     """
     whole = Distortion.from_holes(holes, method, neighbours, spans)
     fold = (holes.indices[:, 0] + 3 * holes.indices[:, 1]) % _FOLDS
@@ -262,18 +248,11 @@ def leave_out_errors(
 
 
 def swirl_pattern(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Shift of undistorted pixels by a swirl of one pixel.
+    """Shift (..., 2) px of undistorted pixels (..., 2) of an image by a swirl of one pixel.
 
     The part of an image intensifier's distortion that turns the image more the farther from its middle; it follows the
-    magnetic field, so it need not be the same when the cube is imaged as when the sheet was.
-
-    Args:
-        pixels: (..., 2) undistorted px.
-        width: Of the image, px.
-        height: Of the image, px.
-
-    Returns:
-        (..., 2) px, of length one at half the longer side from the middle, growing with the cube of the distance.
+    magnetic field, so it need not be the same when the cube is imaged as when the sheet was. Its length is one at half
+    the longer side from the middle, and grows with the cube of the distance.
     """
     half = max(width, height) / 2
     away = (np.asarray(pixels, float) - (np.array([width, height]) - 1) / 2) / half

@@ -42,28 +42,13 @@ def checked(points: ArrayLike, dimension: int | None = None, what: str = "polyli
 
 
 def arc_length(points: ArrayLike) -> Array:
-    """Returns the length of the polyline up to each of its points.
-
-    Args:
-        points: (n, d) points.
-
-    Returns:
-        (n,) lengths in the unit of the points, from 0.
-    """
+    """Returns the length (n,) of a polyline (n, d) up to each of its points, in their unit, from 0."""
     array = np.asarray(points, dtype=float)
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(array, axis=0), axis=1))])
 
 
 def at_length(points: ArrayLike, lengths: ArrayLike) -> Array:
-    """Returns the points that lie at given lengths along a polyline, by linear interpolation.
-
-    Args:
-        points: (n, d) points.
-        lengths: (m,) lengths from the first point; those beyond an end give that end.
-
-    Returns:
-        (m, d) points.
-    """
+    """Returns the points (m, d) at lengths (m,) along a polyline (n, d); lengths beyond an end give that end."""
     array = np.asarray(points, dtype=float)
     along = arc_length(array)
     wanted = np.asarray(lengths, dtype=float)

@@ -117,11 +117,7 @@ def build_shape_network(
 
 
 def build_segmenter(name: str, image_px: int, **sizes: Any) -> nn.Module:
-    """Builds a segmentation network of one channel in and one logit a pixel out.
-
-    Args:
-        name: "unet", "transunet" or "swinunet".
-        sizes: of its parts, see `SEGMENTER_SIZES`.
+    """Builds a segmentation network ("unet", "transunet", "swinunet"): one channel in, one logit a pixel out.
 
     Raises:
         ValueError: an unknown name.
@@ -140,10 +136,10 @@ def described(size: ShapeSize, form: SphericalForm | None, positions: int) -> di
     return {"size": asdict(size), "form": None if form is None else asdict(form), "positions": positions}
 
 
-def rebuilt(told: Mapping[str, Any]) -> ShapeNetwork:
-    """Builds a shape network from what `described` told."""
-    form = None if told["form"] is None else SphericalForm(**told["form"])
-    return build_shape_network(ShapeSize(**told["size"]), form, told["positions"])
+def rebuilt(description: Mapping[str, Any]) -> ShapeNetwork:
+    """Builds a shape network from what `described` gave."""
+    form = None if description["form"] is None else SphericalForm(**description["form"])
+    return build_shape_network(ShapeSize(**description["size"]), form, description["positions"])
 
 
 def build_fgrn(points: int, **sizes: Any) -> FGRN:

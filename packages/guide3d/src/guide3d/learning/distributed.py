@@ -65,9 +65,9 @@ class Ranks:
         """Sums of numbers over the ranks."""
         if self.count == 1:
             return list(values)
-        told: Tensor = torch.tensor(values, dtype=torch.float64, device=self.device)
-        distributed.all_reduce(told)
-        return [float(value) for value in told]
+        sums: Tensor = torch.tensor(values, dtype=torch.float64, device=self.device)
+        distributed.all_reduce(sums)
+        return [float(value) for value in sums]
 
     def wait(self) -> None:
         """Waits until every rank is here."""

@@ -23,7 +23,7 @@ class ShapeLoss:
         offset: of the offsets' mean squared error; Cartesian offsets are points, in cm.
         stop: of the binary cross-entropy of each position's stop.
         curve: of the mean squared distance of the decoded curve from the true one; 0 as in the thesis.
-        length: of the distance of the mean stop from the true one, in positions; likewise.
+        length: of the distance of the mean stop from the true one, in positions; 0 as in the thesis.
         robust: whether tip and curve count by their distance, not its square: one lost loop must not drown the rest.
     """
 
@@ -41,7 +41,7 @@ class ShapeLoss:
 
         Args:
             points_mm: (n, M, 3) from the anchor on, padded.
-            offsets: (n, M - 1, 2 or 3), padded likewise.
+            offsets: (n, M - 1, 2 or 3), padded as they are.
             last: (n,) index of each curve's last point.
             anchor: of `modeling.shape_network.ANCHORS`: the first point is the tip, or the last.
 
@@ -97,7 +97,7 @@ def fgrn_loss(
 
     Args:
         predicted_mm: (n, points, 3).
-        points_mm: likewise, padded.
+        points_mm: (n, points, 3), padded.
         last: (n,) index of each curve's last point: those beyond do not count.
         alpha: weight of the Huber loss (threshold 1 m: it is quadratic throughout).
         beta: weight of the spacing.
@@ -119,11 +119,8 @@ def segmentation_loss(logits: Tensor, masks: Tensor, *, dice: float = 0.5) -> Te
 
     Args:
         logits: (batch, 1, h, w).
-        masks: likewise, the share of each pixel that is wire, 0 to 1.
+        masks: (batch, 1, h, w) share of each pixel that is wire, 0 to 1.
         dice: share of the second.
-
-    Returns:
-        The loss.
     """
     logits = logits.float()
     entropy = functional.binary_cross_entropy_with_logits(logits, masks)

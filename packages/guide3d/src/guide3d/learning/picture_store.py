@@ -50,14 +50,7 @@ class PictureStore:
         self._damaged: set[int] = set()
 
     def healthy(self, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Reads what has not been read yet.
-
-        Args:
-            indices: of frames, of any shape.
-
-        Returns:
-            Whether each can be used.
-        """
+        """Reads what has not been read yet of frames (indices of any shape); returns whether each can be used."""
         for index in np.unique(indices).tolist():
             # A picture found damaged by an earlier run may have been mended.
             if self._state[index] != READY and index not in self._damaged:
@@ -65,14 +58,7 @@ class PictureStore:
         return np.asarray(self._state[indices] == READY)
 
     def pictures(self, indices: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Gives pictures.
-
-        Args:
-            indices: of frames, of any shape.
-
-        Returns:
-            (..., size_px, size_px) uint8; of damaged images zeros.
-        """
+        """Returns pictures (..., size_px, size_px) uint8 of frames (indices of any shape); of damaged images zeros."""
         self.healthy(indices)
         return np.asarray(self._pictures[indices])
 
@@ -114,7 +100,7 @@ class ReadableItems(Protocol):
         """Names of the frames whose image could not be read so far."""
 
     def healthy(self, items: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Returns whether each item can be used, (n,)."""
+        """Reads what has not been read yet of frames (indices of any shape); returns whether each can be used."""
 
 
 def replace_unreadable(

@@ -94,14 +94,7 @@ class ShapePredictor(_Predictor):
         return self.predict_pictures(np.stack(pictures)[None])[0]
 
     def predict_pictures(self, windows: Images) -> list[Array]:
-        """Predicts from windows of pictures that are prepared already.
-
-        Args:
-            windows: (n, frames, size_px, size_px) uint8.
-
-        Returns:
-            A curve a window, (m, 3) mm each.
-        """
+        """Predicts a curve (m, 3) mm for each prepared window, of windows (n, frames, size_px, size_px) uint8."""
         curves: list[Array] = []
         device = next(self.network.parameters()).device
         with torch.inference_mode():

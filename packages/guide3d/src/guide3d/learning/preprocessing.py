@@ -92,14 +92,7 @@ def _averaged(image: NDArray[Any], size_px: int) -> NDArray[Any]:
 
 
 def dark_lines(image: NDArray[np.uint8], width_px: int) -> Picture:
-    """Keeps what is darker than its surroundings and narrower than a square of some width.
-
-    Args:
-        image: (h, w) uint8.
-
-    Returns:
-        (h, w) uint8, how much darker.
-    """
+    """How much darker (h, w) uint8 images are than their surroundings, where narrower than a square of some width."""
     smooth = ndimage.uniform_filter(image, 3, mode="nearest")  # one bright pixel must not open a line
     closed = ndimage.minimum_filter(ndimage.maximum_filter(smooth, width_px, mode="nearest"), width_px, mode="nearest")
     return closed - smooth

@@ -72,7 +72,7 @@ class Clips:
 
     Attributes:
         frames: (n, frames - 1 + targets) indices of frames in time order; an acquisition's first is repeated.
-        targets: (n, targets) indices of the frames whose curves are told: the last of `frames`.
+        targets: (n, targets) indices of the frames whose curves are predicted: the last of `frames`.
     """
 
     frames: NDArray[np.int64]
@@ -88,9 +88,9 @@ def clips_of(
         frames: of a window.
         targets: windows a clip.
     """
-    seen, told = [], []
+    seen, predicted = [], []
     for name in acquisitions:
-        # the frames between may be without a curve: they are seen, not told
+        # the frames between may be without a curve: they are seen, not predicted
         order = data.acquisitions[name]
         places = [place for place, index in enumerate(order) if index in known]
         for start in range(0, len(places), targets):
@@ -103,9 +103,9 @@ def clips_of(
                 group = group + [group[-1]] * (targets - len(group))
                 first = [max(group[0] - back, 0) for back in range(frames - 1, 0, -1)]
                 seen.append([order[place] for place in (*first, *group)])
-                told.append([order[place] for place in group])
+                predicted.append([order[place] for place in group])
     return Clips(
-        np.array(seen, np.int64).reshape(-1, frames - 1 + targets), np.array(told, np.int64).reshape(-1, targets)
+        np.array(seen, np.int64).reshape(-1, frames - 1 + targets), np.array(predicted, np.int64).reshape(-1, targets)
     )
 
 
@@ -168,11 +168,11 @@ class ShapeObjective:
         self._last = np.zeros(len(store.frames), np.int64)
         for index, walk in walks.items():
             cut = walk[:positions] if anchor == "tip" else walk[::-1][:positions]
-            told = cut[1:] - cut[0] if form is None else form.encode(walk)
+            offsets = cut[1:] - cut[0] if form is None else form.encode(walk)
             if form is not None:
-                told = (told if anchor == "tip" else told[::-1])[: positions - 1]
+                offsets = (offsets if anchor == "tip" else offsets[::-1])[: positions - 1]
             self._points[index, : len(cut)] = cut
-            self._offsets[index, : len(told)] = told
+            self._offsets[index, : len(offsets)] = offsets
             self._last[index] = len(cut) - 1
 
     def batch(self, items: NDArray[np.int64], generator: np.random.Generator | None) -> dict[str, Tensor]:
@@ -226,16 +226,16 @@ class ShapeObjective:
             mean[few], spread[few] = mean[source], spread[source]
         points = np.concatenate((np.zeros((1, 3)), mean)) if self.form is None else None
         sample = self.store.pictures(targets[:: max(1, len(targets) // 64)]).astype(np.float32)
-        told = {
+        values = {
             "tip_mean": tips.mean(0), "tip_scale": np.maximum(tips.std(0), 1.0),
             "entry_mean": entries.mean(0), "entry_scale": np.maximum(entries.std(0), 1.0),
             "offset_mean": mean, "offset_scale": np.maximum(spread, 1e-2),
             "pixel_mean": sample.mean(), "pixel_scale": max(float(sample.std()), 1.0),
         }  # fmt: skip
         if points is not None:
-            told["point_mean"] = points + firsts.mean(0)
-            told["point_scale"] = max(float(tips.std(0).mean()), 1.0)
-        return {name: torch.as_tensor(np.asarray(value, np.float32)) for name, value in told.items()}
+            values["point_mean"] = points + firsts.mean(0)
+            values["point_scale"] = max(float(tips.std(0).mean()), 1.0)
+        return {name: torch.as_tensor(np.asarray(value, np.float32)) for name, value in values.items()}
 
     def _varied(
         self, pictures: NDArray[np.float32], points: NDArray[np.float32], generator: np.random.Generator
@@ -262,15 +262,7 @@ class ShapeObjective:
 
 
 def sideways(camera: Camera, point_mm: Array, shift_px: tuple[float, float]) -> Array:
-    """The way in space, parallel to the image, that shifts a point's projection by so many pixels.
-
-    Args:
-        point_mm: (3,) world.
-        shift_px: to the right and down.
-
-    Returns:
-        (3,) mm.
-    """
+    """Shift (3,) mm in space, parallel to the image, that moves a point's projection by `shift_px` (right, down)."""
     depth = float(camera.R[2] @ point_mm + camera.t_mm[2])
     across = np.linalg.solve(camera.K[:2, :2], np.asarray(shift_px, float)) * depth
     return camera.R.T @ np.array([across[0], across[1], 0.0])

@@ -214,7 +214,7 @@ def fit(
     try:
         module.load_state_dict(read_content(folder / BEST))
     except (OSError, *UNFIT) as error:
-        raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start anew") from error
+        raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start again") from error
     module.eval()
     return report
 
@@ -299,11 +299,11 @@ def _resume(file: Path, identity: dict[str, Any], parts: dict[str, Any], report:
         for name, mine in identity.items():
             if content["identity"][name] != mine:
                 what = "another architecture" if name == "weights" else f"a training with other {name}"
-                raise TrainingError(f"{file} is of {what}: remove it to start anew, or take another folder")
+                raise TrainingError(f"{file} is of {what}: remove it to start again, or take another folder")
         for name, part in parts.items():
             part.load_state_dict(content[name])
         report.rows, report.best_epoch = content["report"]["rows"], content["report"]["best_epoch"]
     except TrainingError:
         raise
     except (OSError, *UNFIT) as error:
-        raise TrainingError(f"{file} is damaged or no checkpoint of a training: remove it to start anew") from error
+        raise TrainingError(f"{file} is damaged or no checkpoint of a training: remove it to start again") from error

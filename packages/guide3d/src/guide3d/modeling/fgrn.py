@@ -46,15 +46,8 @@ class FGRN(nn.Module):
             self.register_buffer(name, value)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Tells the points.
-
-        Args:
-            images: (batch, image_px, image_px) grey values of 0 to 255.
-
-        Returns:
-            (batch, points, 3) in mm.
-        """
+        """(batch, image_px, image_px) grey values of 0 to 255 to (batch, points, 3) mm."""
         if images.shape[-2:] != (self.image_px, self.image_px):
             raise ValueError(f"expected images of {self.image_px} x {self.image_px} px, got {tuple(images.shape[-2:])}")
-        told = self.layers((images[:, None] - self.pixel_mean) / self.pixel_scale)
-        return self.point_mean + self.point_scale * told.float().unflatten(1, (self.points, 3))
+        points = self.layers((images[:, None] - self.pixel_mean) / self.pixel_scale)
+        return self.point_mean + self.point_scale * points.float().unflatten(1, (self.points, 3))

@@ -17,31 +17,21 @@ from torch.nn import functional
 
 from guide3d.modeling.vision_transformer import VisionTransformer
 
-_TIMM = (
-    (r"cls_token", "class_token"),
-    (r"pos_embed", "positions"),
-    (r"patch_embed\.proj\.(.+)", r"patches.\1"),
-    (r"blocks\.(\d+)\.norm1\.(.+)", r"blocks.\1.attention_norm.\2"),
-    (r"blocks\.(\d+)\.attn\.qkv\.(.+)", r"blocks.\1.attention.query_key_value.\2"),
-    (r"blocks\.(\d+)\.attn\.proj\.(.+)", r"blocks.\1.attention.projection.\2"),
-    (r"blocks\.(\d+)\.norm2\.(.+)", r"blocks.\1.feedforward_norm.\2"),
-    (r"blocks\.(\d+)\.mlp\.fc1\.(.+)", r"blocks.\1.feedforward.expand.\2"),
-    (r"blocks\.(\d+)\.mlp\.fc2\.(.+)", r"blocks.\1.feedforward.contract.\2"),
-    (r"norm\.(.+)", r"norm.\1"),
+# this package's name, timm's pattern, torchvision's pattern
+_NAMES = (
+    ("class_token", r"cls_token", r"class_token"),
+    ("positions", r"pos_embed", r"encoder\.pos_embedding"),
+    (r"patches.\1", r"patch_embed\.proj\.(.+)", r"conv_proj\.(.+)"),
+    (r"blocks.\1.attention_norm.\2", r"BLOCK\.norm1\.(.+)", r"LAYER\.ln_1\.(.+)"),
+    (r"blocks.\1.attention.query_key_value.\2", r"BLOCK\.attn\.qkv\.(.+)", r"LAYER\.self_attention\.in_proj_(.+)"),
+    (r"blocks.\1.attention.projection.\2", r"BLOCK\.attn\.proj\.(.+)", r"LAYER\.self_attention\.out_proj\.(.+)"),
+    (r"blocks.\1.feedforward_norm.\2", r"BLOCK\.norm2\.(.+)", r"LAYER\.ln_2\.(.+)"),
+    (r"blocks.\1.feedforward.expand.\2", r"BLOCK\.mlp\.fc1\.(.+)", r"LAYER\.mlp\.(?:linear_1|0)\.(.+)"),
+    (r"blocks.\1.feedforward.contract.\2", r"BLOCK\.mlp\.fc2\.(.+)", r"LAYER\.mlp\.(?:linear_2|3)\.(.+)"),
+    (r"norm.\1", r"norm\.(.+)", r"encoder\.ln\.(.+)"),
 )
-_LAYER = r"encoder\.layers\.encoder_layer_(\d+)"
-_TORCHVISION = (
-    (r"class_token", "class_token"),
-    (r"encoder\.pos_embedding", "positions"),
-    (r"conv_proj\.(.+)", r"patches.\1"),
-    (rf"{_LAYER}\.ln_1\.(.+)", r"blocks.\1.attention_norm.\2"),
-    (rf"{_LAYER}\.self_attention\.in_proj_(.+)", r"blocks.\1.attention.query_key_value.\2"),
-    (rf"{_LAYER}\.self_attention\.out_proj\.(.+)", r"blocks.\1.attention.projection.\2"),
-    (rf"{_LAYER}\.ln_2\.(.+)", r"blocks.\1.feedforward_norm.\2"),
-    (rf"{_LAYER}\.mlp\.(?:linear_1|0)\.(.+)", r"blocks.\1.feedforward.expand.\2"),
-    (rf"{_LAYER}\.mlp\.(?:linear_2|3)\.(.+)", r"blocks.\1.feedforward.contract.\2"),
-    (r"encoder\.ln\.(.+)", r"norm.\1"),
-)
+_TIMM = tuple((name.replace("BLOCK", r"blocks\.(\d+)"), own) for own, name, _ in _NAMES)
+_TORCHVISION = tuple((name.replace("LAYER", r"encoder\.layers\.encoder_layer_(\d+)"), own) for own, _, name in _NAMES)
 # Of classification: nothing here classifies.
 _UNUSED = re.compile(r"(head|heads|pre_logits|fc_norm)\..+")
 

@@ -102,7 +102,7 @@ class ShapeNetwork(nn.Module):
         form: how angles make a curve; None: the Cartesian twin.
         positions: M, points of the longest curve.
         size: of `features`.
-        frames: of a window; the last is the one whose curve is told.
+        frames: of a window; the last is the one whose curve is predicted.
         dropout: of heads, and between time steps.
         anchor: of `ANCHORS`.
         """
@@ -135,7 +135,7 @@ class ShapeNetwork(nn.Module):
 
         Args:
             clips: (batch, length, h, w) grey values of 0 to 255, in time order; length at least `frames`.
-            last: (windows,) positions at which the curves are known to end; None: where they are told to.
+            last: (windows,) positions at which the curves are known to end; None: where the network ends them.
 
         Returns:
             One curve a window, (batch * (length - frames + 1)) of them, clip by clip.
@@ -178,10 +178,7 @@ class ShapeNetwork(nn.Module):
 
     @torch.no_grad()
     def curves(self, windows: Tensor) -> list[Tensor]:
-        """Predicts the wires of windows of pictures, each cut where it most likely ends.
-
-        Args:
-            windows: (n, frames, h, w) grey values of 0 to 255.
+        """Predicts the wires of windows of pictures (n, frames, h, w) of 0 to 255, each cut where it most likely ends.
 
         Returns:
             A curve a window, (m, 3) mm, world, tip first.
@@ -205,9 +202,6 @@ def closed(points_mm: Tensor, tip_mm: Tensor, last: Tensor) -> Tensor:
         points_mm: (n, M, 3) from the anchor on.
         tip_mm: (n, 3).
         last: (n,) positions that are the tips.
-
-    Returns:
-        (n, M, 3).
     """
     gap = tip_mm - points_mm.gather(1, last[:, None, None].expand(-1, 1, 3))[:, 0]
     positions = torch.arange(points_mm.shape[1], dtype=points_mm.dtype, device=points_mm.device)

@@ -65,7 +65,7 @@ Axis = tuple[Direction, Direction, Direction]
 
 @settings
 class SphericalForm:
-    """How curves are told by angles.
+    """How angles describe curves.
 
     Attributes:
         radius_mm: of a step.
@@ -113,14 +113,7 @@ class SphericalForm:
         return cls(radius_mm, rows, float(cut - np.pi), float(np.pi / 2), cumulative)  # type: ignore[arg-type]
 
     def encode(self, walk_mm: Array) -> Array:
-        """Tells a curve's steps by angles.
-
-        Args:
-            walk_mm: (n, 3) as `steps_of_radius` gives it.
-
-        Returns:
-            (n - 1, 2) offsets (Δφ, Δθ), rad.
-        """
+        """Turns a walk (n, 3) of `steps_of_radius` into offsets (Δφ, Δθ) (n - 1, 2), rad."""
         steps = np.diff(walk_mm, axis=0) @ np.asarray(self.axes).T
         azimuth = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
         azimuth = azimuth - azimuth[-1] + (azimuth[-1] - self.azimuth + np.pi) % (2 * np.pi) - np.pi
@@ -129,15 +122,7 @@ class SphericalForm:
         return np.diff(offsets, axis=0, prepend=0.0) if self.cumulative else offsets
 
     def decode(self, tip_mm: Tensor, offsets: Tensor) -> Tensor:
-        """Integrates offsets from the tip; differentiable.
-
-        Args:
-            tip_mm: (..., 3).
-            offsets: (..., n - 1, 2) Δφ and Δθ, rad.
-
-        Returns:
-            (..., n, 3) points in mm.
-        """
+        """Integrates offsets (..., n - 1, 2), rad, from tips (..., 3) to points (..., n, 3), mm; differentiable."""
         walked = self.steps(offsets).cumsum(dim=-2)
         return torch.cat((tip_mm[..., None, :], tip_mm[..., None, :] + walked), dim=-2)
 

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 @settings
-class FitSettings:
+class CurveFitSettings:
     """What is known of a wire and of its annotation beforehand.
 
     pitch_mm: distance of the spline's knots
@@ -107,7 +107,7 @@ def fit_curve(
     along: Sequence[Array],
     start_mm: ArrayLike,
     tip_seen: Sequence[bool],
-    settings: FitSettings | None = None,
+    settings: CurveFitSettings | None = None,
 ) -> FittedCurve:
     """Fits a curve in space to its annotations in two images.
 
@@ -123,7 +123,7 @@ def fit_curve(
     Raises:
         ValueError: the images do not determine a curve.
     """
-    chosen = settings or FitSettings()
+    chosen = settings or CurveFitSettings()
     start = np.asarray(start_mm, dtype=float)
     length = float(arc_length(start)[-1])
     control = _first_control_points(start, length, chosen)
@@ -140,18 +140,9 @@ def fit_curve(
         images[view] = ImageStruct(len(points), *fields)
     spline = SplineStruct(len(control), chosen.pitch_mm, address(control), address(band))
     prior = PriorStruct(
-        chosen.noise_px,
-        chosen.least_noise_px,
-        int(chosen.estimate_noise),
-        chosen.outlier,
-        chosen.bending_per_mm,
-        chosen.bend_per_mm,
-        chosen.changing_per_mm3,
-        chosen.change_per_mm2,
-        chosen.speed,
-        chosen.iterations,
-        0.0,
-    )
+        chosen.noise_px, chosen.least_noise_px, int(chosen.estimate_noise), chosen.outlier, chosen.bending_per_mm,
+        chosen.bend_per_mm, chosen.changing_per_mm3, chosen.change_per_mm2, chosen.speed, chosen.iterations, 0.0,
+    )  # fmt: skip
     iterations = library().guide3d_fit(images, ctypes.byref(spline), ctypes.byref(prior))
     if iterations < 0 or not np.isfinite(control).all():
         raise ValueError(
@@ -188,7 +179,7 @@ def _basis(s: Array, pitch: float, count: int) -> tuple[NDArray[np.int64], Array
     return cell, np.stack([v**3, 3 * u**3 - 6 * u**2 + 4, 3 * v**3 - 6 * v**2 + 4, u**3], axis=1) / 6
 
 
-def _first_control_points(start: Array, length: float, settings: FitSettings) -> Array:
+def _first_control_points(start: Array, length: float, settings: CurveFitSettings) -> Array:
     """Least squares of the spline through the first curve; beyond its end the spline goes straight on."""
     count = int(np.ceil((length + settings.margin_mm) / settings.pitch_mm)) + 3
     s = np.linspace(0.0, length, max(50, 4 * count))

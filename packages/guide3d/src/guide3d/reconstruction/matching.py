@@ -10,7 +10,7 @@ kept and not the place.
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -117,7 +117,7 @@ def match_curves(
 
     Args:
         curve_a: (n, 2) px in view A every `settings.sample_px`, tip first.
-        curve_b: (m, 2) px in view B, likewise.
+        curve_b: (m, 2) px in view B every `settings.sample_px`, tip first.
 
     Returns:
         The match. It may be empty (no pairs) where no stretch of one lies on the epilines of the other.
@@ -131,14 +131,9 @@ def match_curves(
         held.append(arrays)  # the structs hold addresses only
         views.append(ViewStruct(len(coordinate.angle), *(address(array) for array in arrays)))
     weights = WeightsStruct(
-        chosen.sample_px,
-        chosen.match_px,
-        chosen.crossing_px,
-        chosen.noise_px,
-        chosen.length_per_mm,
-        chosen.uneven_per_px,
-        chosen.tip_reach_px,
-    )
+        chosen.sample_px, chosen.match_px, chosen.crossing_px, chosen.noise_px, chosen.length_per_mm,
+        chosen.uneven_per_px, chosen.tip_reach_px,
+    )  # fmt: skip
     path = np.empty((len(curve_a) + len(curve_b), 2), dtype=np.int32)
     squares = ctypes.c_double()
     count = library().guide3d_match(
@@ -203,17 +198,8 @@ def complete(match: Match, curve_a: Array, curve_b: Array, sample_px: float) -> 
         new[inside][open_] = PchipInterpolator(both[known], along[known])(both[inside][open_])
         index = np.arange(len(curve)) * sample_px
         moved.append((new, np.stack([np.interp(new, index, column) for column in curve.T], axis=-1)))
-    return Match(
-        moved[0][0],
-        moved[1][0],
-        moved[0][1],
-        moved[1][1],
-        match.distance_px,
-        match.measured,
-        match.length_a,
-        match.length_b,
-        match.residual_px,
-    )
+    (along_a, points_a), (along_b, points_b) = moved
+    return replace(match, along_a=along_a, along_b=along_b, points_a=points_a, points_b=points_b)
 
 
 def _without_tail(path: NDArray[np.int32]) -> NDArray[np.int32]:

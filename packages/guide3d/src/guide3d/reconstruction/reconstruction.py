@@ -13,7 +13,7 @@ from guide3d.geometry.camera import Camera
 from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.polyline import Array, arc_length, checked, resample
 from guide3d.geometry.triangulation import calibration_covariance, point_covariance, triangulate
-from guide3d.reconstruction.curve_fitting import FitSettings, fit_curve, smoothed
+from guide3d.reconstruction.curve_fitting import CurveFitSettings, fit_curve, smoothed
 from guide3d.reconstruction.greedy_matching import match_greedily
 from guide3d.reconstruction.matching import Match, MatchingSettings, clearly_better, image_curve, match_curves
 from guide3d.reconstruction.reprojection import distances_to
@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 REJECTION_PX = 25.0  # of a mean reprojection error, as in the thesis
 TIPS_PX = 8.0  # epipolar distance of the tips above which something is wrong with cameras or annotation
-LEAST_COVERAGE = 0.8  # below this, likewise
+LEAST_COVERAGE = 0.8  # below this, too
 OPEN_SHARE = 0.8  # of the wire along the epilines in both views, above which depth is open
 START_STIFFNESS_PX = 20.0  # length over which triangulated pairs are smoothed for a start
 NEAR_PX = 4.0  # before the start of the match, annotated points still belong to it
@@ -44,7 +44,7 @@ class ReconstructionSettings:
     """
 
     matching: MatchingSettings = field(default_factory=MatchingSettings)
-    fit: FitSettings = field(default_factory=FitSettings)
+    fit: CurveFitSettings = field(default_factory=CurveFitSettings)
     annotation_px: PixelDistanceOrNone = 6.0
     spacing_mm: Millimetres = 0.5
     rejection_px: PixelDistance = REJECTION_PX
@@ -65,7 +65,7 @@ class Reconstruction:
     tangent_share: per view, share of the reconstructed stretch within 10 degrees of the epilines, where depth is open
     noise_px: noise of the annotation as the fit sees it; None of the greedy variant
     accepted: whether both mean reprojection errors stay within the limit
-    warnings: sentences on what is odd
+    warnings: sentences
     """
 
     curve_mm: Array

@@ -42,7 +42,7 @@ def distances_to(polyline: ArrayLike, points: ArrayLike) -> Array:
 
 
 def numbers(result: Reconstruction) -> dict[str, Any]:
-    """Returns a reconstruction's figures as plain numbers: reprojection, coverage, uncertainty and what is odd."""
+    """Returns a reconstruction's figures as plain numbers: reprojection, coverage, uncertainty and warnings."""
     figures: dict[str, Any] = {}
     for letter, residual in (("a", result.residual_a_px), ("b", result.residual_b_px)):
         figures[f"mean_px_{letter}"] = float(residual.mean())

@@ -29,7 +29,7 @@ KINDS = ("arch", "hook", "loop", "shaft")
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class SyntheticScene:
     """A wire in space and what a person annotates of it.
 
     kind: one of KINDS
@@ -179,7 +179,7 @@ def scenes(
     noise_px: float | None = None,
     kinds: tuple[str, ...] = KINDS,
     distort: tuple[Callable[[Array], Array], Callable[[Array], Array]] | None = None,
-) -> Iterator[Scene]:
+) -> Iterator[SyntheticScene]:
     """Draws scenes, each with a rig and a wire of its own.
 
     Args:
@@ -208,4 +208,4 @@ def scenes(
             points = [clicked(view, clicks, noise_px) for view in views]
         if distort is not None:
             points = [np.asarray(move(view)) for move, view in zip(distort, points, strict=True)]
-        yield Scene(kind, cameras, curve, (points[0], points[1]))
+        yield SyntheticScene(kind, cameras, curve, (points[0], points[1]))

@@ -62,15 +62,12 @@ def epipolar_residuals(
 
 
 def swapped_cameras(camera_a: Camera, camera_b: Camera, pairs: Sequence[Pair]) -> Verdict:
-    """Tells whether the cameras belong to each other's images.
+    """Tells whether the cameras belong to each other's images: "as given" or "swapped".
 
     Args:
         camera_a: thought to have taken the first of each pair.
         camera_b: thought to have taken the second.
         pairs: annotations ((n, 2), (m, 2)) px, tip first.
-
-    Returns:
-        answer "as given" or "swapped".
     """
     given = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
     other = float(np.median(epipolar_residuals(camera_b, camera_a, pairs)))
@@ -84,17 +81,14 @@ def undistorted_or_raw(
     undistort_a: Callable[[Array], Array],
     undistort_b: Callable[[Array], Array],
 ) -> Verdict:
-    """Tells whether annotations are undistorted already, or raw pixels of the image intensifier.
+    """Tells whether annotations are "undistorted" already, or "raw" pixels of the image intensifier.
 
     Args:
         camera_a: of undistorted pixels.
         camera_b: of undistorted pixels.
         pairs: annotations ((n, 2), (m, 2)) px, tip first.
         undistort_a: takes raw px (n, 2) of A to undistorted ones.
-        undistort_b: the same of B.
-
-    Returns:
-        answer "undistorted" or "raw".
+        undistort_b: takes those of B.
     """
     moved = [(undistort_a(np.asarray(a, dtype=float)), undistort_b(np.asarray(b, dtype=float))) for a, b in pairs]
     given = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
