@@ -37,7 +37,7 @@ EVERYTHING: dict[Any, str] = {
     Distortion(POINTS, POINTS, 64, 64): "",
     IntrinsicPrior(): "",
     MatchingSettings(): "length_per_mm=0 tip_reach_px=0 uneven_per_px=0",
-    curve_fitting.FitSettings(): "",
+    curve_fitting.CurveFitSettings(): "",
     ReconstructionSettings(): "annotation_px=0 outside_px=0",
     SyntheticDetector(): "pincushion=0 swirl=-1 swirl=0",
     Preprocessing(64): "flat_px=0 line_px=0",

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from guide3d.dataset.simulated_annotation import annotate, click, fit_annotation, thin_by_turning, visible_part
-from guide3d.geometry.polyline import arc_length
-from guide3d.reconstruction.reprojection import distances_to
+from guide3d.geometry.polyline import arc_length, distances_to
 
 SIZE = 256
 

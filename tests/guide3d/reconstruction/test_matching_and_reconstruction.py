@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.guide3d.reconstruction import numbers, picture
 from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.metrics import max_ed, mers, mete
-from guide3d.geometry.polyline import arc_length, at_length, resample
+from guide3d.geometry.polyline import arc_length, at_length, distances_to, resample
 from guide3d.native_library import HOME, library, sources_digest
 from guide3d.reconstruction.curve_fitting import CurveFitSettings
 from guide3d.reconstruction.matching import Match, MatchingSettings, complete, image_curve, match_curves
 from guide3d.reconstruction.reconstruction import ReconstructionSettings, reconstruct, reconstruct_greedy
-from guide3d.reconstruction.reprojection import distances_to, numbers, picture
 from guide3d.reconstruction.synthetic_scene import KINDS, SyntheticScene, clicked, rig, scenes, wire
 
 EXACT = list(scenes(16, seed=5))

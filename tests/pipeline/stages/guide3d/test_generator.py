@@ -11,7 +11,7 @@ from guide3d.dataset.acquisition_plan import COMPOSITION, plan_acquisitions
 from guide3d.dataset.annotation_files import read_curves
 from guide3d.dataset.cvat import read_cvat
 from guide3d.dataset.dataset import Dataset
-from guide3d.reconstruction.reprojection import distances_to
+from guide3d.geometry.polyline import distances_to
 from pipeline.jobs.worker import Report
 from pipeline.stages.guide3d.generator import TAKES, GenerationJob, Recording, assemble, generate
 

@@ -1,4 +1,4 @@
-"""Polylines: checked arrays of points along a curve, their arc length and their resampling.
+"""Polylines: checked arrays of points along a curve, their arc length, their resampling, and distances from them.
 
 A polyline is an (n, d) array, tip first, in pixels (d = 2) or millimetres (d = 3).
 """
@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
+
+_FINE = 1000  # vertices at least, for `distances_to`
 
 
 def checked(points: ArrayLike, dimension: int | None = None, what: str = "polyline", minimum: int = 2) -> Array:
@@ -106,3 +109,18 @@ def thinned(points: ArrayLike, closest: float) -> Array:
         else:
             kept.append(len(array) - 1)
     return array[kept]
+
+
+def distances_to(polyline: ArrayLike, points: ArrayLike) -> Array:
+    """Returns the distances (m,) of points (m, d) from a polyline (n, d)."""
+    line, wanted = np.asarray(polyline, dtype=float), np.asarray(points, dtype=float)
+    # the nearest vertex belongs to the nearest segment only where vertices are dense
+    along = arc_length(line)
+    line = at_length(line, np.union1d(along, np.linspace(0.0, along[-1], _FINE)))
+    near = np.atleast_1d(cKDTree(line).query(wanted)[1])
+    best = np.full(len(wanted), np.inf)
+    for first in (np.clip(near - 1, 0, len(line) - 2), np.clip(near, 0, len(line) - 2)):
+        start, step = line[first], line[first + 1] - line[first]
+        share = np.clip(((wanted - start) * step).sum(1) / np.maximum((step * step).sum(1), 1e-300), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(wanted - start - share[:, None] * step, axis=1))
+    return best
