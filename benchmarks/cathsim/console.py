@@ -1,6 +1,6 @@
 """The console in a headless Chromium: pictures a second and the time from a key to its picture.
 
-Chromium draws without a graphics card here, so a desk with one does better. `--picture FILE` keeps a screenshot.
+Chromium draws without a graphics card here, so a machine with one does better. `--picture FILE` keeps a screenshot.
 """
 
 from __future__ import annotations

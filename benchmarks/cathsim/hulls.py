@@ -2,7 +2,7 @@
 
     python benchmarks/cathsim/hulls.py [--quick] [--phantom NAME]
 
-Each decomposition is made anew and timed, then driven with the same wire and actions as the grid, in turns. Prints
+Each decomposition is made again and timed, then driven with the same wire and actions as the grid, in turns. Prints
 tables and, as its last line, one JSON object; of the default decomposition (quick: coarser, searched less):
     hulls                                 number of hulls
     build_s, build_cpu_s                  time to make them, two threads at most; processor time

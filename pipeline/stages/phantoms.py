@@ -84,15 +84,7 @@ def check_phantoms(settings: PhantomsSettings) -> None:
 
 
 def require_known_phantoms(names: list[str], *, hint: str = "") -> None:
-    """Refuses unknown names.
-
-    Args:
-        names: of phantoms.
-        hint: added after the list of valid names.
-
-    Raises:
-        ConfigurationError: one is unknown; the message lists the valid names.
-    """
+    """Refuses unknown names with a `ConfigurationError` that lists the valid ones, followed by a hint."""
     from cathsim.anatomy import PHANTOMS
 
     unknown = [name for name in names if name not in PHANTOMS]

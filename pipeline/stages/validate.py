@@ -74,13 +74,8 @@ def validate_forces(
 ) -> dict[str, Any]:
     """Tests the expert's forces against the real distribution and writes the verdict.
 
-    Only episodes in the phantom of the real experiments count, unless there are none.
-
-    Args:
-        episodes: of the expert.
-        settings: the real distribution.
-        folder: where the verdict is written.
-        seed: of the draws from the real distribution, and of the pushed wire.
+    Only episodes in the phantom of the real experiments count, unless there are none. The seed is that of draws from the
+    real distribution, and of the pushed wire.
 
     Returns:
         Table to row to column to cell.
@@ -157,14 +152,11 @@ def speed_rows(settings: ValidateSettings, *, seed: int) -> dict[str, dict[str, 
 
 
 def physics_rows(folder: RunFolder, laws: tuple[str, ...] = ()) -> dict[str, dict[str, Any]]:
-    """Checks the wire against the theory of rods, in a process of its own.
+    """Checks the wire against the theory of rods, in a process of its own: rows of the table `wire_physics`.
 
     Args:
         folder: of the stage.
         laws: keys of `cathsim.physics_checks.LAWS`; none: all.
-
-    Returns:
-        Rows of the table `wire_physics`: the worst error of each law, percent.
 
     Raises:
         StageError: a check failed.
@@ -186,12 +178,7 @@ def check_laws(laws: tuple[str, ...], report: Report) -> dict[str, dict[str, flo
 
 
 def wall_vertices(phantoms: Path, name: str) -> np.ndarray:
-    """Vertices of a phantom's lumen surface, (v, 3) m: from the phantoms stage, or built where it is not there.
-
-    Args:
-        phantoms: folder of the phantoms stage.
-        name: of the phantom.
-    """
+    """Vertices (v, 3) m of a phantom's lumen surface: from the phantoms stage, or built where it is not there."""
     stored = phantoms / name / "lumen.stl"
     if stored.is_file():
         import trimesh
@@ -203,14 +190,7 @@ def wall_vertices(phantoms: Path, name: str) -> np.ndarray:
 
 
 def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms: Path, folder: Path) -> list[Figure]:
-    """Draws distribution, box plots, and a heat map for each phantom.
-
-    Args:
-        episodes: of the expert.
-        settings: the real distribution.
-        phantoms: folder of the phantoms stage.
-        folder: where the pictures are written.
-    """
+    """Draws distribution, box plots, and a heat map for each phantom."""
     real = settings.real_mean_n, settings.real_sd_n
     in_phantom = [episode for episode in episodes if episode.phantom == settings.phantom]
     chosen = in_phantom or episodes

@@ -39,7 +39,7 @@ def type_1() -> Phantom:
 
 @pytest.fixture
 def make_env() -> Iterator[MakeEnv]:
-    """Makes environments with the fast preset unless told otherwise, and closes them."""
+    """Makes environments with the fast preset unless asked otherwise, and closes them."""
     made: list[NavigateEnv] = []
 
     def make(**arguments: Any) -> NavigateEnv:
@@ -53,7 +53,7 @@ def make_env() -> Iterator[MakeEnv]:
 
 @pytest.fixture
 def make_simulation(type_1: Phantom) -> MakeSimulation:
-    """Makes simulations of a preset wire in the Type I arch with the fast preset, unless told otherwise."""
+    """Makes simulations of a preset wire in the Type I arch with the fast preset, unless asked otherwise."""
 
     def make(wire: str = "default", accuracy: str = "fast", **arguments: Any) -> Simulation:
         numerics = arguments.pop("numerics", ACCURACY[accuracy])

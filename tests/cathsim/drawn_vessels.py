@@ -16,7 +16,7 @@ TUBE_RADIUS = 0.006
 def sampled(
     distance: Callable[[np.ndarray], np.ndarray], low: float, high: float, spacing: float, **sheath: Any
 ) -> Vessel:
-    """A vessel over a cube, from a signed distance of points (n, 3); without a sheath unless told."""
+    """A vessel over a cube, from a signed distance of points (n, 3); without a sheath by default."""
     axis = np.arange(low, high + spacing / 2, spacing)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     values = distance(points.reshape(-1, 3)).reshape(points.shape[:3])

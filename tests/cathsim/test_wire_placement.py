@@ -1,4 +1,4 @@
-"""A wire laid along a way: it lies there before it rests, and stays in the branch afterwards."""
+"""A wire placed along a way: it lies there before it rests, and stays in the branch afterwards."""
 
 from __future__ import annotations
 

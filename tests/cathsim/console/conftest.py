@@ -18,7 +18,7 @@ from cathsim.metrics import EpisodeMetrics
 
 
 class Memory:
-    """A recorder that notes what it is told."""
+    """A recorder that keeps its episodes in lists."""
 
     def __init__(self, *, fails_at: int | None = None) -> None:
         self.fails_at = fails_at
@@ -46,7 +46,7 @@ class Memory:
 
 
 class Collector:
-    """A page that keeps all it is shown and told."""
+    """A page that keeps all pictures and messages."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -69,7 +69,7 @@ class Collector:
         else:
             self.messages.append(message)
 
-    def told(self, kind: str) -> list[dict[str, Any]]:
+    def messages_of(self, kind: str) -> list[dict[str, Any]]:
         return [message for message in self.messages if message["type"] == kind]
 
     @property

@@ -58,7 +58,7 @@ def resident_mb(process: subprocess.Popen[str]) -> float:
     return int(found.group(1)) / 1024
 
 
-def told(page: ClientConnection, kind: str, seconds: float = 20.0) -> dict[str, Any]:
+def next_message(page: ClientConnection, kind: str, seconds: float = 20.0) -> dict[str, Any]:
     """Waits for a message of a kind."""
     while True:
         message = page.recv(timeout=seconds)
@@ -69,9 +69,9 @@ def told(page: ClientConnection, kind: str, seconds: float = 20.0) -> dict[str, 
 def assert_works(address: str) -> None:
     """A page is introduced, may choose, and sees pictures."""
     with connect(address, max_size=None) as page:
-        told(page, "task")
+        next_message(page, "task")
         page.send(json.dumps({"type": "choose", "phantom": "type_1", "target": "lcca"}))
-        assert told(page, "task")["target"] == "lcca"
+        assert next_message(page, "task")["target"] == "lcca"
         while not (isinstance(frame := page.recv(timeout=20), bytes) and frame.startswith(b"FRME")):
             pass
 
@@ -100,11 +100,11 @@ def test_a_hundred_malformed_messages_leave_the_console_working(console: Console
     _, address = console
     rng = random.Random(20)
     with connect(address, max_size=None) as page:
-        told(page, "task")
+        next_message(page, "task")
         for _ in range(100):
             page.send(malformed(rng))
         page.send(json.dumps({"type": "choose", "phantom": "type_1", "target": 5}))
-        while "target should be a valid string, got 5" not in told(page, "notice")["text"]:
+        while "target should be a valid string, got 5" not in next_message(page, "notice")["text"]:
             pass
     assert_works(address)
 
@@ -127,7 +127,7 @@ def test_a_flood_is_refused_with_a_sentence_and_memory_stays(console: Console) -
                 sent += 1
         grown = resident_mb(process) - before
         with pytest.raises(ConnectionClosed) as ended:
-            told(page, "nothing of that name")
+            next_message(page, "nothing of that name")
     assert sent > MOST_AT_ONCE
     assert grown < MEGABYTES
     assert ended.value.rcvd is not None

@@ -37,7 +37,7 @@ def finish(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
 
     def held() -> Any:
         hold(loop, 3)
-        return page.told("ended")
+        return page.messages_of("ended")
 
     wait_until(held)
 
@@ -45,7 +45,7 @@ def finish(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
 def test_the_page_is_told_the_task_and_the_clock_waits_for_the_operator(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
 ) -> None:
-    task = wait_until(lambda: page.told("task"))[0]
+    task = wait_until(lambda: page.messages_of("task"))[0]
     assert (task["phantom"], task["target"], task["recording"]) == ("type_1", "bca", "somewhere")
     assert {"bca", "lcca", "lsa"} <= set(task["targets"])
     assert all(0 < x < task["size"] for x in task["mark"]["pixel"])
@@ -71,7 +71,7 @@ def test_three_pictures_a_step_and_ten_steps_a_second(
     # never faster than real time; slower only on a machine that does not keep up
     assert page.times[running[-1]] - page.times[running[0]] > 0.9 * (len(running) - 1) / 30
     assert len(memory.episodes[0]["actions"]) == 6
-    ended = page.told("ended")
+    ended = page.messages_of("ended")
     assert len(ended) == 1
     assert (ended[0]["success"], ended[0]["recorded"]) == (False, "0.memory")
     assert ended[0]["metrics"]["steps"] == 6
@@ -81,18 +81,18 @@ def test_replay_shows_the_same_and_answers_are_kept(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
 ) -> None:
     loop.request({"type": "replay"})
-    wait_until(lambda: page.told("notice"))
-    assert "finish a procedure first" in page.told("notice")[0]["text"]
+    wait_until(lambda: page.messages_of("notice"))
+    assert "finish a procedure first" in page.messages_of("notice")[0]["text"]
     finish(loop, page, wait_until)
     loop.request({"type": "replay"})
-    wait_until(lambda: page.told("replayed"))
+    wait_until(lambda: page.messages_of("replayed"))
     shown = [header for header in page.headers if header["state"] == "replay"]
     assert shown[0]["time_s"] == 0
     assert shown[-1]["time_s"] == pytest.approx(0.6)
     assert shown[-1]["insertion_mm"] == page.last["insertion_mm"]
     assert (np.diff([header["insertion_mm"] for header in shown]) >= 0).all()
     loop.request({"type": "answers", "answers": ANSWERS})
-    wait_until(lambda: page.told("saved"))
+    wait_until(lambda: page.messages_of("saved"))
     assert memory.episodes[0]["answers"] == {**ANSWERS, "participant": ""}
 
 
@@ -109,13 +109,13 @@ def test_an_operator_who_leaves_lets_go_and_breaks_off(
 
 
 def test_phantom_and_target_are_chosen(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
-    wait_until(lambda: page.told("task"))
+    wait_until(lambda: page.messages_of("task"))
     loop.request({"type": "choose", "phantom": "type_1", "target": "lcca"})
-    wait_until(lambda: page.told("task")[-1]["target"] == "lcca")
+    wait_until(lambda: page.messages_of("task")[-1]["target"] == "lcca")
     assert page.surfaces == 1, "the same vessel is not sent again"
     loop.request({"type": "choose", "phantom": "type_1", "target": "nowhere"})
-    wait_until(lambda: len(page.told("task")) == 3)
-    assert page.told("task")[-1]["target"] in page.told("task")[0]["targets"]
+    wait_until(lambda: len(page.messages_of("task")) == 3)
+    assert page.messages_of("task")[-1]["target"] in page.messages_of("task")[0]["targets"]
     with pytest.raises(ValueError, match="unknown phantom 'moon'; there are type_1"):
         loop.request({"type": "choose", "phantom": "moon", "target": "bca"})
     with pytest.raises(ValueError, match="answers should be a valid dictionary"):
@@ -125,7 +125,7 @@ def test_phantom_and_target_are_chosen(loop: RealTimeLoop, page: Any, wait_until
 def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wait_until(lambda: page.told("task"))
+    wait_until(lambda: page.messages_of("task"))
     for request in ({"type": "choose", "phantom": "type_1", "target": 5}, {"type": "choose"}, {"type": 5}, {}):
         with pytest.raises(ValueError, match="request"):
             loop.request(request)
@@ -135,9 +135,9 @@ def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
 
     monkeypatch.setattr(loop, "_choose", broken)
     loop.request({"type": "choose", "phantom": "type_1", "target": "lcca"})
-    wait_until(lambda: [n for n in page.told("notice") if "'choose' failed (KeyError" in n["text"]])
+    wait_until(lambda: [n for n in page.messages_of("notice") if "'choose' failed (KeyError" in n["text"]])
     monkeypatch.setattr(loop, "_next_picture", broken)
-    wait_until(lambda: [n for n in page.told("notice") if "it starts again" in n["text"]])
+    wait_until(lambda: [n for n in page.messages_of("notice") if "it starts again" in n["text"]])
     monkeypatch.setattr(loop, "_restart", broken)
     time.sleep(0.1)
     monkeypatch.undo()
@@ -146,7 +146,7 @@ def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
 
 
 def test_a_thousand_wishes_are_one_of_each_kind(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
-    wait_until(lambda: page.told("task"))
+    wait_until(lambda: page.messages_of("task"))
     for number in range(1000):
         loop.request({"type": "restart"})
         loop.request({"type": "choose", "phantom": "type_1", "target": "lcca" if number == 999 else "bca"})
@@ -154,7 +154,7 @@ def test_a_thousand_wishes_are_one_of_each_kind(loop: RealTimeLoop, page: Any, w
         assert len(loop._inbox) <= 4
     loop.request({"type": "release"})
     assert not loop.panel.touched, "a release is obeyed at once, whatever waits"
-    wait_until(lambda: page.told("task")[-1]["target"] == "lcca")
+    wait_until(lambda: page.messages_of("task")[-1]["target"] == "lcca")
 
 
 def test_stopping_keeps_what_was_going_on(page: Any, memory: Any, wait_until: Wait) -> None:

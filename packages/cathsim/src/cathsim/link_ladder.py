@@ -69,10 +69,8 @@ def pass_on(source: np.ndarray, size: int, *, bend: bool) -> np.ndarray:
 
     Args:
         source: positions, velocities or accelerations. Shape (2 + 2 joints,).
+        size: of the result, which has shape (size,).
         bend: positions: the bend of dropped joints goes to the first that stays, so that the wire keeps its direction.
-
-    Returns:
-        Shape (size,).
     """
     extra = size - len(source)
     if extra >= 0:

@@ -41,7 +41,7 @@ def arch_tree(stub: float, narrowed: float | None = None) -> VesselTree:
 
 
 def arch_mesh(stub: float, narrowed: float | None = None, *, cut_open: bool = True) -> trimesh.Trimesh:
-    """The lumen's surface of `arch_tree`, in metres; cut open at its ends unless told."""
+    """The lumen's surface of `arch_tree`, in metres; cut open at its ends by default."""
     tree = arch_tree(stub, narrowed)
     mesh = lumen_surface(build_lumen(tree, resolution=1e-3, fillet_radius=2e-3))
     for centre, normal, radius in open_ends(tree) if cut_open else []:

@@ -75,12 +75,7 @@ class PhantomCache:
         return self.directory / "phantoms" / f"{digest}.npz"
 
     def read(self, name: str, digest: str, parameters: ArchParameters | None) -> Phantom | None:
-        """Reads a phantom; its geodesic fields are read at first use.
-
-        Args:
-            name: given to the phantom.
-            digest: its hash.
-            parameters: its measures, None for a mesh's.
+        """Reads a phantom and names it; its geodesic fields are read at first use.
 
         Returns:
             The phantom, or None where there is no sound file (a damaged one is reported with a warning).

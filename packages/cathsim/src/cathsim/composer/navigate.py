@@ -202,20 +202,14 @@ def load(
     task: NavigationTask | None = None,
     **task_fields: Any,
 ) -> composer.Environment:
-    """Makes the environment.
+    """Makes the environment; arguments are those of `NavigateEnv`, except for these.
 
     Args:
-        phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), or a `Phantom`.
-        target: one of the phantom's targets, "bca" by default, or a point in the lumen, (3,) m.
         seed: of the starts; the same seed gives the same episodes to the same actions.
-        entry: "descending" (femoral access) or "ascending".
-        wire: a preset's name or a `Guidewire`.
-        actions: "feeder" (translation, rotation) or "tip_motors" (20 motors, translation).
-        image_size: side of the fluoroscopic image, px.
+        numerics: time stepping.
         visual: with the lumen's surface and a camera for `environment.physics.render(camera_id="frontal")`.
         task: the task, a `NavigationTask` or of a subclass.
-        task_fields: fields of the task, over its own: success_radius, max_steps, start_jitter, start_rotation, reward,
-            force_penalty, path_penalty.
+        task_fields: fields of the task, over its own.
 
     Returns:
         The environment. It does not compile its model again at a reset; should the state become invalid, the episode

@@ -91,15 +91,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def start(options: argparse.Namespace, factory: Any, folder: Path) -> int:
-    """Runs the console with parsed options.
+    """Runs the console with options of `parser`: 0, or 1 with one sentence on the standard error.
 
     Args:
-        options: as `parser` gives them.
         factory: makes a recorder of a folder.
         folder: where episodes go.
-
-    Returns:
-        The exit code: 0, or 1 with one sentence on the standard error.
     """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
     try:

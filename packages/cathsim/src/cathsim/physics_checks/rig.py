@@ -91,15 +91,11 @@ def feeder_force(data: mujoco.MjData) -> float:
 
 
 def settle(model: mujoco.MjModel, data: mujoco.MjData, *, speed: float = 1e-6, limit: float = 120.0) -> float:
-    """Steps until the wire rests.
+    """Steps until the wire rests; returns the simulated time that it took, s.
 
     Args:
-        data: its state, advanced.
         speed: the wire rests below this joint speed, rad/s.
         limit: longest simulated time, s.
-
-    Returns:
-        Simulated time until rest, s.
 
     Raises:
         RuntimeError: it did not come to rest.

@@ -86,11 +86,7 @@ def described(value: Any) -> Any:
 
 
 def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], Kind]) -> Kind:
-    """An argument that is a name, an object, or an object's description.
-
-    Args:
-        argument: its name.
-        named: gives the object of a name.
+    """An argument that is a name, an object of a kind, or an object's description; `named` gives the object of a name.
 
     Raises:
         ValueError: it is something else.

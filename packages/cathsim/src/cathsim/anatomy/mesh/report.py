@@ -70,11 +70,9 @@ def draw_refusal(surface: Array, found: Array, reason: str, path: Path) -> Path 
     Args:
         surface: (n, 3) points on the surface, any unit.
         found: (m, 3) points inside the lumen, in the same unit; may be empty.
-        reason: the picture's title.
-        path: PNG file to write.
 
     Returns:
-        The path, or None where it cannot be drawn (no matplotlib, no room).
+        The PNG file, or None where it cannot be drawn (no matplotlib, no room).
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
