@@ -74,8 +74,8 @@ def validate_forces(
 ) -> dict[str, Any]:
     """Tests the expert's forces against the real distribution and writes the verdict.
 
-    Only episodes in the phantom of the real experiments count, unless there are none. The seed is that of draws from the
-    real distribution, and of the pushed wire.
+    Only episodes in the phantom of the real experiments count, unless there are none. The seed is that of the real
+    sample, and of the pushed wire.
 
     Returns:
         Table to row to column to cell.
