@@ -7,7 +7,7 @@ import pytest
 
 from cathsim import NavigateEnv
 from cathsim.arena import PROTRUSION
-from cathsim.wire_placement import lay_wire, plan_way
+from cathsim.wire_placement import place_wire, plan_way
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def way(environment: NavigateEnv) -> np.ndarray:
 @pytest.mark.parametrize("short_of_end", [0.01, 0.05, 0.12])
 def test_every_node_lies_on_the_way(environment: NavigateEnv, way: np.ndarray, short_of_end: float) -> None:
     simulation = environment.simulation
-    lay_wire(simulation, way, short_of_end, rest_steps=0)
+    place_wire(simulation, way, short_of_end, rest_steps=0)
     arcs = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))))
     expected = [np.interp(arcs[-1] - short_of_end, arcs, way[:, axis]) for axis in range(3)]
     assert np.linalg.norm(simulation.tip - expected) < 2e-3  # links are chords of the way
@@ -33,7 +33,7 @@ def test_every_node_lies_on_the_way(environment: NavigateEnv, way: np.ndarray, s
     assert max(np.linalg.norm(fine - node, axis=1).min() for node in inside) < 2e-3
 
 
-def test_a_laid_wire_is_where_the_simulator_puts_it(environment: NavigateEnv) -> None:
+def test_a_placed_wire_is_where_the_simulator_puts_it(environment: NavigateEnv) -> None:
     simulation = environment.simulation
     simulation.reset(0.0)
     for _ in range(40):
@@ -42,33 +42,33 @@ def test_a_laid_wire_is_where_the_simulator_puts_it(environment: NavigateEnv) ->
     assert insertion > 0.07
     entry, direction = simulation.vessel.entry, simulation.vessel.direction
     beyond = driven[(driven - entry) @ direction > 1e-3]
-    lay_wire(simulation, np.vstack((entry, beyond[::-1])), 0.0, rest_steps=0)
+    place_wire(simulation, np.vstack((entry, beyond[::-1])), 0.0, rest_steps=0)
     assert simulation.insertion == pytest.approx(insertion, abs=2e-4)
     count = min(len(driven), simulation.active_links + 1)
     assert np.linalg.norm(simulation.inserted_points()[:count] - driven[:count], axis=1).max() < 3e-4
 
 
-def test_a_straight_wire_is_laid_where_a_reset_puts_it(environment: NavigateEnv) -> None:
+def test_a_straight_wire_is_placed_where_a_reset_puts_it(environment: NavigateEnv) -> None:
     simulation = environment.simulation
     entry, direction = simulation.vessel.entry, simulation.vessel.direction
-    lay_wire(simulation, entry + np.linspace(0.0, 0.05, 51)[:, None] * direction, 0.0, rest_steps=0)
+    place_wire(simulation, entry + np.linspace(0.0, 0.05, 51)[:, None] * direction, 0.0, rest_steps=0)
     assert simulation.insertion == pytest.approx(0.05 - PROTRUSION, abs=1e-6)
     np.testing.assert_allclose(simulation.tip, entry + 0.05 * direction, atol=1e-6)
 
 
 def test_a_way_that_begins_elsewhere_is_refused(environment: NavigateEnv, way: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"begins at the vessel's entry, this one begins 5\.0 mm from it"):
-        lay_wire(environment.simulation, way[1:], 0.012)
+        place_wire(environment.simulation, way[1:], 0.012)
 
 
 def test_wire_rests_in_the_branch_and_an_episode_can_start_there(environment: NavigateEnv, way: np.ndarray) -> None:
     simulation = environment.simulation
-    lay_wire(simulation, way, 0.012)
+    place_wire(simulation, way, 0.012)
     assert simulation.valid
     assert simulation.summary.force_max < 0.5
     assert environment.task.remaining(environment.phantom, simulation.tip) < 0.03
     start = simulation.state()
-    lay_wire(simulation, way, 0.012)
+    place_wire(simulation, way, 0.012)
     assert np.array_equal(simulation.state(), start)
     _, info = environment.reset(options={"start": start})
     assert info["distance"] < 0.03
@@ -76,7 +76,7 @@ def test_wire_rests_in_the_branch_and_an_episode_can_start_there(environment: Na
 
 def test_a_way_too_long_or_too_short_is_refused(environment: NavigateEnv, way: np.ndarray) -> None:
     with pytest.raises(ValueError, match="this one asks for -"):
-        lay_wire(environment.simulation, way[:2], 0.002)
+        place_wire(environment.simulation, way[:2], 0.002)
     onwards = np.vstack((way, way[-1] + (0.0, 0.0, 0.5)))
     with pytest.raises(ValueError, match=r"the wire can lie 0 to 0\.\d+ m along a way"):
-        lay_wire(environment.simulation, onwards, 0.0)
+        place_wire(environment.simulation, onwards, 0.0)

@@ -83,7 +83,7 @@ def _laid(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generator:
     """Pictures of wires that are laid along ways and moved on from there."""
     from cathsim import ACCURACY, Simulation
     from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
-    from cathsim.wire_placement import lay_wire
+    from cathsim.wire_placement import place_wire
 
     phantom, rules = phantom_of(anatomy), job.rules_in(anatomy)
     wire, rig = rules.task.guidewire(), rules.rig(job.rig)
@@ -96,7 +96,7 @@ def _laid(anatomy: Anatomy, job: ReaderJob, size_px: int, count: int, generator:
         way = ways[int(generator.integers(len(ways)))]
         length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
         try:
-            lay_wire(simulation, way, generator.uniform(0.005, length - _SHALLOWEST))
+            place_wire(simulation, way, generator.uniform(0.005, length - _SHALLOWEST))
         except ValueError:  # too short a wire for this one
             continue
         turn, lean = generator.uniform(-1, 1), generator.uniform(*_LEAN)

@@ -84,7 +84,7 @@ def laid_states(environment: NavigateEnv, generator: np.random.Generator) -> np.
         Shape (k, n); none where the wire is too short, or there is no way with a clearance.
     """
     from cathsim.planning.path import UnreachableError
-    from cathsim.wire_placement import lay_wire, plan_way
+    from cathsim.wire_placement import place_wire, plan_way
 
     simulation, target = environment.simulation, environment.task.target
     states: list[np.ndarray] = []
@@ -95,7 +95,7 @@ def laid_states(environment: NavigateEnv, generator: np.random.Generator) -> np.
         return np.empty((0, len(simulation.state())))
     for short in SHORT_OF_END:
         try:
-            lay_wire(simulation, way, short)
+            place_wire(simulation, way, short)
         except ValueError:  # the wire is too short for this one
             continue
         kept = [simulation.state()] if _at_rest(environment) else []

@@ -36,7 +36,7 @@ def plan_way(simulation: Simulation, place: ArrayLike) -> np.ndarray:
     return np.vstack((vessel.entry, path.points))
 
 
-def lay_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, rest_steps: int = REST_STEPS) -> None:
+def place_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, rest_steps: int = REST_STEPS) -> None:
     """Places the wire along a way, its tip some distance short of the way's end, and lets it come to rest.
 
     Each joint turns so that its link points along the way; twist and the pre-shaped tip settle during the

@@ -14,7 +14,7 @@ from cathsim.lifetime_cache import kept_with_owner
 from cathsim.planning.path import plan_path
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
-from cathsim.wire_placement import lay_wire
+from cathsim.wire_placement import place_wire
 
 WIRES = {"angled": "radifocus_angled", "straight": "nitrex_straight"}  # kind to preset
 # Links from the proximal end, m: for smooth loops shorter than the presets', and 0.42 m in all, long enough for loops.
@@ -160,7 +160,7 @@ class ScriptedOperator:
         path = paths[int(generator.integers(len(paths)))]
         length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         deepest = min(length - 0.07, 0.12) if motion != "withdraw" else min(length - 0.1, 0.05)
-        lay_wire(simulation, path, generator.uniform(0.004, 0.03 if motion == "buckle" else deepest))
+        place_wire(simulation, path, generator.uniform(0.004, 0.03 if motion == "buckle" else deepest))
         # the same shape, but with the tip turned another way
         turn = generator.uniform(-np.pi, np.pi)
         for _ in range(15):
