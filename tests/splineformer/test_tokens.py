@@ -1,13 +1,11 @@
-"""Tokens of curves: round trips, loops, stubs, curves that leave the image, and their decoding in torch."""
+"""Tokens of curves: round trips, loops, stubs, curves that leave the image."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from guide3d.geometry.bspline import BSplineCurve
-from splineformer.decoding import basis, collocation, decode, padded, uniform_knots
 from splineformer.tokens import (
     TokenSettings,
     curve_of_tokens,
@@ -83,45 +81,3 @@ def test_what_is_no_curve() -> None:
     line = BSplineCurve(np.array([0.0, 0, 1, 1]), np.array([[0.0, 0], [1, 1]]), 1)
     with pytest.raises(ValueError, match="expected a cubic"):
         tokens_of_curve(line)
-
-
-def test_decoding_agrees_with_scipy() -> None:
-    every = [tokens_of_polyline(points) for points in (wavy_wire(4, SIDE), loop(SIDE), np.array([[1.0, 1], [5, 9]]))]
-    tokens, lengths = padded([torch.from_numpy(one) for one in every], 23)
-    points = decode(tokens, lengths, 40).numpy()
-    for decoded, one in zip(points, every, strict=True):
-        assert np.abs(decoded - curve_of_tokens(one).sample(40)).max() < 2e-2
-
-
-def test_decoding_is_differentiable_in_knots_and_points() -> None:
-    tokens = torch.from_numpy(tokens_of_polyline(loop(SIDE)) / SIDE)[None]
-    n = tokens.shape[1]
-    inner, points = tokens[..., : n - 4, 0].clone().requires_grad_(), tokens[..., 1:].clone().requires_grad_()
-
-    def curve(inner: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-        # the last four knots are one number: moving one of them alone is no derivative
-        knots = torch.cat([inner, tokens[..., n - 4 :, 0]], 1)
-        return decode(torch.cat([knots[..., None], points], -1), torch.tensor([n]), 7)
-
-    assert torch.autograd.gradcheck(curve, (inner, points), eps=1e-7, atol=1e-4)
-    gradients = torch.autograd.grad(curve(inner, points).square().sum(), (inner, points))
-    assert all((gradient != 0).any() for gradient in gradients)
-
-
-def test_padding_does_not_matter() -> None:
-    one = torch.from_numpy(tokens_of_polyline(wavy_wire(5, SIDE)))
-    n = torch.tensor([len(one)])
-    short, long = decode(one[None], n, 30), decode(padded([one], 40)[0], n, 30)
-    assert torch.allclose(short, long)
-    with pytest.raises(ValueError, match="expected 1 to 5"):
-        padded([one], 5)
-
-
-def test_basis_sums_to_one_and_fixed_knots_interpolate_the_ends() -> None:
-    knots = uniform_knots(12, 0.5, torch.float64)
-    assert len(knots) == 16
-    assert (torch.diff(knots) >= 0).all()
-    matrix = collocation(knots, torch.linspace(0, 1, 50, dtype=torch.float64))
-    assert torch.allclose(matrix.sum(1), torch.ones(50, dtype=torch.float64))
-    assert torch.allclose(matrix[[0, -1], [0, -1]], torch.ones(2, dtype=torch.float64), atol=1e-4)
-    assert basis(knots[None], torch.tensor([[0.3]], dtype=torch.float64)).shape == (1, 1, 12)

@@ -39,15 +39,7 @@ def fused(weights: Tensor, discard: float = DISCARD) -> Tensor:
 
 
 def attention_map(network: CurveNetwork, image: ArrayLike, discard: float = DISCARD) -> NDArray[np.float32]:
-    """Where the network looks in an image.
-
-    Args:
-        network: either variant, its weights trained.
-        image: (h, w) grey levels.
-        discard: see `fused`.
-
-    Returns:
-        (h, w) in 0 to 1, brought up bilinearly.
+    """Where the network looks in (h, w) grey levels: (h, w) in 0 to 1, enlarged bilinearly; `discard` as in `fused`.
 
     Raises:
         ValueError: no image.

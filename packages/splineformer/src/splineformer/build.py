@@ -1,4 +1,4 @@
-"""Sizes of the networks: `thesis` as published, `desk` for a processor in minutes, `smoke` to prove the plumbing."""
+"""Sizes of the networks: `thesis` as published, `desk` for minutes on a processor, `smoke` for tests."""
 
 from __future__ import annotations
 

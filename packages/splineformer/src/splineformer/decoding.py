@@ -10,14 +10,9 @@ _BEFORE_END = 1e-6  # share of the length: the basis is open at its end
 
 
 def padded(tokens: list[Tensor], limit: int) -> tuple[Tensor, Tensor]:
-    """Puts sequences of tokens into one tensor; each is continued by its last token, which adds nothing to the curve.
+    """Puts (n_i, 3) sequences of tokens into one (B, limit, 3) tensor; gives their (B,) lengths, too.
 
-    Args:
-        tokens: (n_i, 3) each.
-        limit: length of the longest that may come.
-
-    Returns:
-        (B, limit, 3) tokens and (B,) lengths.
+    Each is continued by its last token, which adds nothing to the curve.
 
     Raises:
         ValueError: a sequence is empty or longer than the limit.
@@ -30,14 +25,11 @@ def padded(tokens: list[Tensor], limit: int) -> tuple[Tensor, Tensor]:
 
 
 def basis(knots: Tensor, u: Tensor) -> Tensor:
-    """Values of the cubic basis functions by the recursion of Cox and de Boor.
+    """(B, S, n) values of the cubic basis functions by the recursion of Cox and de Boor.
 
     Args:
         knots: (B, n + 4), ascending.
         u: (B, S) parameters, from the first knot to just before the last.
-
-    Returns:
-        (B, S, n).
 
     Source:
         de Boor, A Practical Guide to Splines (1978), chapter IX.
@@ -54,15 +46,12 @@ def basis(knots: Tensor, u: Tensor) -> Tensor:
 
 
 def decode(tokens: Tensor, lengths: Tensor, count: int) -> Tensor:
-    """Points of the tokens' curves at equal steps of the parameter.
+    """(B, count, 2) points of the tokens' curves at equal steps of the parameter, tip first, both ends among them.
 
     Args:
         tokens: (B, n, 3) knot, x, y, of any scale; what lies beyond the lengths is not looked at.
         lengths: (B,) tokens of each, at least four.
         count: points wanted.
-
-    Returns:
-        (B, count, 2) points, tip first, both ends among them.
     """
     place = torch.arange(tokens.shape[1], device=tokens.device)[None]
     last = (lengths - 1)[:, None].to(tokens.device)
@@ -82,7 +71,7 @@ def uniform_knots(count: int, denser_at_tip: float = 1.0, dtype: torch.dtype = t
     Args:
         count: of control points.
         denser_at_tip: length of the first span over that of equal spans; 1: all are equal.
-        dtype: of the result.
+        dtype: number type.
     """
     inner = torch.linspace(0.0, 1.0, count - DEGREE + 1, dtype=torch.float64)
     inner = inner * (denser_at_tip + (1.0 - denser_at_tip) * inner)

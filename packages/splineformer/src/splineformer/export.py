@@ -22,16 +22,10 @@ _GREYEST = 255.0
 
 @dataclass(frozen=True)
 class Graph:
-    """A network with tensors in and tensors out.
-
-    Attributes:
-        module: that computes it.
-        inputs: names and examples.
-        outputs: names.
-    """
+    """A network with tensors in and tensors out."""
 
     module: nn.Module
-    inputs: dict[str, Tensor]
+    inputs: dict[str, Tensor]  # examples by name
     outputs: tuple[str, ...]
 
 
@@ -85,15 +79,7 @@ def graph_of(network: CurveNetwork, batch: int = 1, seed: int = 0) -> Graph:
 
 
 def export_onnx(network: CurveNetwork, path: Path | str, batch: int = 1) -> list[Path]:
-    """Writes a network as ONNX, for a fixed number of images.
-
-    Args:
-        network: either variant.
-        path: of the file, ``model.onnx``; it appears whole or not at all.
-        batch: images at once.
-
-    Returns:
-        The files that were written.
+    """Writes a network as ONNX, for a fixed number of images; returns the files that were written, whole.
 
     Raises:
         ModuleNotFoundError: the extra `splineformer[onnx]` is not installed.
@@ -117,12 +103,6 @@ def export_onnx(network: CurveNetwork, path: Path | str, batch: int = 1) -> list
 
 def onnx_difference(network: CurveNetwork, path: Path | str, batch: int = 1, seed: int = 1) -> dict[str, float]:
     """Compares an ONNX file with the network it was made of, on random inputs.
-
-    Args:
-        network: that was exported.
-        path: of the file, as `export_onnx` got it.
-        batch: images at once, as `export_onnx` got it.
-        seed: of the inputs.
 
     Returns:
         The largest absolute difference of each output.

@@ -113,11 +113,7 @@ class Predictor:
 
     @classmethod
     def load(cls, path: Path | str, **options: Any) -> Predictor:
-        """Reads a model file.
-
-        Args:
-            path: that `save` wrote.
-            options: of the predictor.
+        """Reads a model file that `save` wrote; the options are those of a new predictor.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -134,12 +130,7 @@ class Predictor:
         return cls(network, source_px=source_px, **options)
 
     def save(self, path: Path | str, **metadata: Any) -> None:
-        """Writes the network with its settings, whole or not at all.
-
-        Args:
-            path: of the file.
-            metadata: what else is known: numbers and strings.
-        """
+        """Writes the network with its settings and metadata (numbers and strings), whole or not at all."""
         size = self.network.settings.image_px
         write_model(
             path,
@@ -159,13 +150,7 @@ class Predictor:
         return self.batch([image])[0]
 
     def batch(self, images: Sequence[ArrayLike] | NDArray[Any]) -> list[Prediction]:
-        """Reads images, several at once.
-
-        Args:
-            images: (h, w) each; they may differ in size.
-
-        Returns:
-            A prediction each.
+        """Reads several (h, w) images, which may differ in size.
 
         Raises:
             ValueError: which image is none, and why.

@@ -25,7 +25,6 @@ def disturbed(kind: str, image: Image, wire_px: Array, generator: np.random.Gene
         kind: one of `KINDS`.
         image: (h, w) uint8.
         wire_px: (n, 2) the true wire, tip first: bars lie on it.
-        generator: of the draws.
 
     Returns:
         (h, w) uint8, a new image unless the kind is "none".

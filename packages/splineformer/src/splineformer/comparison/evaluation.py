@@ -56,7 +56,7 @@ def mask_reader(segmenter: SegmentationPredictor, data: Dataset, training: Seque
     Args:
         segmenter: that gives masks.
         data: the data set.
-        training: acquisitions whose wires tell where wires enter the images: the other end is the tip.
+        training: acquisitions whose wires show where wires enter the images: the other end is the tip.
     """
     frames = [data.frames[index] for name in training for index in data.acquisitions[name]]
     ends = {camera: np.mean([frame.polyline(camera)[-1] for frame in frames], axis=0) for camera in VIEWS}

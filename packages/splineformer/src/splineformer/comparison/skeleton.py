@@ -1,4 +1,4 @@
-"""From a wire's mask to a curve: the rival's way. Skeleton, its longest way, gaps joined, the tip told from the end."""
+"""Traces the wire in a mask: its skeleton, the longest way through it, gaps joined, the tip found."""
 
 from __future__ import annotations
 
@@ -57,10 +57,6 @@ def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | 
     Args:
         mask: (h, w), not 0 on the wire.
         end_px: (2,) where wires of this camera usually enter the image: the traced end nearer to it is not the tip.
-        settings: of the tracing.
-
-    Returns:
-        The curve, and how many pieces the mask has.
 
     Raises:
         ValueError: a mask of another shape.

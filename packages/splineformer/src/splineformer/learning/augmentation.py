@@ -89,7 +89,7 @@ def moved(points: Points, settings: Augmentation, generator: np.random.Generator
     Args:
         points: (n, 2) shares of the side.
         settings: how far.
-        generator: of the draws.
+        generator: draws.
 
     Returns:
         The moved curve's part inside the image, and the (2, 3) map from old to new places.
@@ -115,13 +115,7 @@ def warped(images: Tensor, maps: NDArray[np.float64]) -> Tensor:
 
 
 def without_wire(image: Tensor, points: Points, generator: np.random.Generator) -> Tensor:
-    """Fills in the wire of a (1, s, s) image from its surroundings, with noise like theirs.
-
-    Args:
-        image: grey levels.
-        points: (n, 2) dense, shares of the side.
-        generator: of the noise.
-    """
+    """Fills in the wire of (1, s, s) grey levels from its surroundings, with noise like theirs; (n, 2) shares."""
     side = image.shape[-1]
     length = arc_length(points)[-1]
     dense = at_shares(points, np.linspace(0, 1, max(int(2 * side * length), 2)))
@@ -165,14 +159,7 @@ def recoloured(images: Tensor, settings: Augmentation, generator: np.random.Gene
 def perturbed(points: Tensor, generator: np.random.Generator) -> Tensor:
     """Moves curves off their places smoothly, as predicted ones are, for refinements to learn from.
 
-    The size of the offsets differs from curve to curve.
-
-    Args:
-        points: (B, n, 2) shares of the image's side.
-        generator: of the draws.
-
-    Returns:
-        (B, n, 2).
+    The size of the offsets differs from curve to curve. The points are (B, n, 2) shares of the image's side.
     """
     batch, count = points.shape[:2]
     size = np.exp(generator.uniform(np.log(_LEAST), np.log(_MOST), (batch, 1, 1)))

@@ -12,8 +12,8 @@ from torch.nn import functional as F
 from guide3d.setting_kinds import Count, Weight, settings
 from splineformer.decoding import decode
 from splineformer.modeling.image_head import ImageKind
-from splineformer.modeling.ordered import Ordered
-from splineformer.modeling.published import Taught
+from splineformer.modeling.ordered import OrderedPrediction
+from splineformer.modeling.published import TaughtTokens
 
 _ONE_WIRE = 1
 _SOFT = 0.1  # hundredths of the side: below, a distance falls like its square
@@ -77,36 +77,27 @@ class OrderedWeights:
 
 
 def kind_loss(kind: ImageKind, wires: Tensor, inverted: Tensor) -> Tensor:
-    """Cross-entropy of the number of wires and of the inversion.
-
-    Args:
-        kind: logits.
-        wires: (B,) 0, 1 or 2.
-        inverted: (B,) 0 or 1.
-    """
+    """Cross-entropy of the number of `wires` (B,), 0 to 2, and of the inversion (B,), 0 or 1."""
     return F.cross_entropy(kind.wires, wires) + F.binary_cross_entropy_with_logits(kind.inverted, inverted)
 
 
-def published_loss(taught: Taught, batch: Mapping[str, Tensor], weights: PublishedWeights) -> Tensor:
+def published_loss(taught: TaughtTokens, batch: Mapping[str, Tensor], weights: PublishedWeights) -> Tensor:
     """The published loss; images without exactly one wire count only for the kind of image.
 
-    Args:
-        taught: what the network says.
-        batch: "tokens" (B, limit, 3), "lengths", "wires" and "inverted" (B,).
-        weights: of the terms.
+    The batch holds "tokens" (B, limit, 3), "lengths", "wires" and "inverted" (B,).
     """
     tokens, lengths = batch["tokens"], batch["lengths"]
     one = (batch["wires"] == _ONE_WIRE).to(tokens.dtype)
     place = torch.arange(1, tokens.shape[1], device=tokens.device)[None]
     there = (place < lengths[:, None]) * one[:, None]
     count = there.sum().clamp_min(1.0)
-    said, true = taught.following.tokens, tokens[:, 1:]
-    knots = (F.huber_loss(said[..., 0], true[..., 0], reduction="none") * there).sum() / count
-    points = ((said[..., 1:] - true[..., 1:]).square().mean(-1) * there).sum() / count
+    predicted, true = taught.following.tokens, tokens[:, 1:]
+    knots = (F.huber_loss(predicted[..., 0], true[..., 0], reduction="none") * there).sum() / count
+    points = ((predicted[..., 1:] - true[..., 1:]).square().mean(-1) * there).sum() / count
     last = (place == lengths[:, None] - 1).to(tokens.dtype)
     end = F.binary_cross_entropy_with_logits(taught.following.end, last, reduction="none")
     tip = ((taught.first - tokens[:, 0]).square().mean(-1) * one).sum() / one.sum().clamp_min(1.0)
-    whole = torch.cat([taught.first[:, None], said], 1).float()
+    whole = torch.cat([taught.first[:, None], predicted], 1).float()
     curves = decode(whole, lengths, weights.samples) - decode(tokens, lengths, weights.samples)
     curve = (curves.square().mean((1, 2)) * one).sum() / one.sum().clamp_min(1.0)
     return (
@@ -120,14 +111,9 @@ def published_loss(taught: Taught, batch: Mapping[str, Tensor], weights: Publish
 
 
 def attention_loss(logits: Tensor, points: Tensor) -> Tensor:
-    """Cross-entropy of attention with the four cells round each true place, by their bilinear shares.
+    """(B, n) cross-entropy of attention with the four cells round each true place, by their bilinear shares.
 
-    Args:
-        logits: (B, n, side²), row by row.
-        points: (B, n, 2) shares of the side.
-
-    Returns:
-        (B, n).
+    The logits are (B, n, side²), row by row; the points (B, n, 2) shares of the side.
     """
     side = round(logits.shape[-1] ** 0.5)
     place = (points * side - 0.5).clamp(0.0, side - 1.0)
@@ -142,23 +128,18 @@ def attention_loss(logits: Tensor, points: Tensor) -> Tensor:
 
 
 def offset_loss(offsets: Tensor, points: Tensor) -> Tensor:
-    """Distance to true places from what the four cells round them say, in hundredths of the side.
+    """(B,) distances of true places from those that the four cells round them predict, in hundredths of the side.
 
-    Args:
-        offsets: (B, side², 2) from the centres of cells, in cells.
-        points: (B, 2) shares of the side.
-
-    Returns:
-        (B,).
+    The offsets are (B, side², 2) from the centres of cells, in cells; the points (B, 2) shares of the side.
     """
     side = round(offsets.shape[1] ** 0.5)
     low = (points * side - 0.5).floor().clamp(0.0, side - 2.0).long()
     total = torch.zeros_like(points[:, 0])
     for down, right in itertools.product((0, 1), repeat=2):
         column, row = low[:, 0] + right, low[:, 1] + down
-        said = offsets.gather(1, (row * side + column)[:, None, None].expand(-1, 1, 2))[:, 0]
+        predicted = offsets.gather(1, (row * side + column)[:, None, None].expand(-1, 1, 2))[:, 0]
         centre = torch.stack([column, row], -1) + 0.5
-        total = total + distance((centre + said) / side, points) / 4
+        total = total + distance((centre + predicted) / side, points) / 4
     return total
 
 
@@ -194,7 +175,7 @@ def nearest_on_curve(points: Tensor, curve: Tensor, shares: Tensor | None = None
 
 
 def ordered_loss(
-    said: Ordered,
+    predicted: OrderedPrediction,
     batch: Mapping[str, Tensor],
     weights: OrderedWeights,
     bases: Tensor,
@@ -208,10 +189,8 @@ def ordered_loss(
     own places. Points out of its sight do not count.
 
     Args:
-        said: by the network.
         batch: "course" (B, steps, 2), "length" (B,), "points" (B, queries, 2) true places, "curve" (B, S, 2), the true
             curve at equal shares of its length, "wires" and "inverted" (B,).
-        weights: of the terms.
         bases: (S, control points), takes control points to curve points.
         shares: (queries,) of the length.
         sights: of the refinements, shares of the side.
@@ -220,31 +199,33 @@ def ordered_loss(
     one = ((batch["wires"] == _ONE_WIRE) & (batch["inverted"] < 0.5)).to(points.dtype)
     share = one / one.sum().clamp_min(1.0)
     true = batch["length"]
-    steps = torch.arange(said.course.shape[1], device=true.device)
+    steps = torch.arange(predicted.course.shape[1], device=true.device)
     there = (steps < true[:, None] + 1.0) * one[:, None]
-    total = weights.course * (distance(said.course, batch["course"]) * there).sum() / there.sum().clamp_min(1.0)
-    total = total + weights.length * (F.smooth_l1_loss(said.length, true, reduction="none", beta=0.1) * share).sum()
-    total = total + weights.overview * (distance(said.overview, points).mean(-1) * share).sum()
+    total = weights.course * (distance(predicted.course, batch["course"]) * there).sum() / there.sum().clamp_min(1.0)
+    total = (
+        total + weights.length * (F.smooth_l1_loss(predicted.length, true, reduction="none", beta=0.1) * share).sum()
+    )
+    total = total + weights.overview * (distance(predicted.overview, points).mean(-1) * share).sum()
     # what looks from near by is learnt from the first images of the batch
-    near = len(said.tip.place)
+    near = len(predicted.tip.place)
     points, curve, one = points[:near], curve[:near], one[:near]
     share = one / one.sum().clamp_min(1.0)
-    tip = attention_loss(said.tip.logits[:, None], points[:, :1])[:, 0]
+    tip = attention_loss(predicted.tip.logits[:, None], points[:, :1])[:, 0]
     total = total + weights.tip * (tip * share).sum()
-    total = total + weights.offset * (offset_loss(said.tip.offsets, points[:, 0]) * share).sum()
-    for revised in said.revised:
+    total = total + weights.offset * (offset_loss(predicted.tip.offsets, points[:, 0]) * share).sum()
+    for revised in predicted.revised:
         total = total + weights.revised * (distance(revised, points).mean(-1) * share).sum()
     target = points
-    for sight, former, stage in zip(sights, said.begun, said.stages, strict=True):
+    for sight, former, stage in zip(sights, predicted.begun, predicted.stages, strict=True):
         target = nearest_on_curve(former.detach(), curve, shares, _SLIDE)
         target = torch.cat([points[:, :1], target[:, 1:-1], points[:, -1:]], 1)
         seen = ((target - former).norm(dim=-1) < sight) * one[:, None]
         total = total + weights.refined * (distance(stage, target) * seen).sum() / seen.sum().clamp_min(1.0)
-    total = total + weights.curve * (distance(bases @ said.control, curve).mean(-1) * share).sum()
-    off = (100 * (said.stages[-1] - target).norm(dim=-1)).detach()
-    likelihood = off * torch.exp(-said.spread) + said.spread
+    total = total + weights.curve * (distance(bases @ predicted.control, curve).mean(-1) * share).sum()
+    off = (100 * (predicted.stages[-1] - target).norm(dim=-1)).detach()
+    likelihood = off * torch.exp(-predicted.spread) + predicted.spread
     total = total + weights.spread * (likelihood.mean(-1) * share).sum()
     right = (off < _ON_WIRE).to(off.dtype)
-    on_wire = F.binary_cross_entropy_with_logits(said.on_wire, right, reduction="none").mean(-1)
+    on_wire = F.binary_cross_entropy_with_logits(predicted.on_wire, right, reduction="none").mean(-1)
     total = total + weights.on_wire * (on_wire * share).sum()
-    return total + weights.kind * kind_loss(said.kind, batch["wires"], batch["inverted"])
+    return total + weights.kind * kind_loss(predicted.kind, batch["wires"], batch["inverted"])

@@ -1,4 +1,4 @@
-"""Recipes: size, loss, variety and training of each variant: as published, for a desk, and for a test."""
+"""Recipes: size, loss, augmentation and training of each variant, by size."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PLAIN = Augmentation(
     shift=0.0, turn_deg=0.0, stretch=0.0, gain=0.0, offset=0.0, noise=0.0, hidden=0.0, inverted=0.0, empty=0.0,
     several=0.0,
 )  # fmt: skip
-# at a desk a network sees few images: it learns the cameras as they stand, and every image counts
+# of the size desk a network sees few images: it learns the cameras as they stand, and every image counts
 _NEARLY_STILL = Augmentation(
     shift=0.01, turn_deg=2.0, stretch=0.02, inverted=0.05, empty=0.04, several=0.04, turn_a_pass=3.0,
 )  # fmt: skip
@@ -32,7 +32,7 @@ class Recipe:
         weights: of its loss.
         augmentation: of the samples.
         images: to learn from, at most; 0: all.
-        validation_images: likewise.
+        validation_images: at most; 0: all.
     """
 
     settings: SplineFormerSettings | OrderedSettings
@@ -51,7 +51,7 @@ def recipe_of(variant: str, size: str) -> Recipe:
         size: "thesis", "thesis_large" (published only), "desk" or "smoke".
 
     Returns:
-        At the thesis's sizes the published variant is trained as there, without variety: Adam, 1e-5, 300 epochs.
+        At the thesis's sizes the published variant is trained as there, without augmentation: Adam, 1e-5, 300 epochs.
 
     Raises:
         ValueError: an unknown variant or size.

@@ -111,16 +111,7 @@ TARGETS: dict[str, Any] = {"published": PublishedTargets, "ordered": OrderedTarg
 
 
 def course_of(curve: Curve, steps: int, step: float) -> Curve:
-    """A curve from its end on, in equal steps; beyond the tip it goes straight on.
-
-    Args:
-        curve: (n, 2) tip first.
-        steps: how many points.
-        step: between them, in the curve's unit.
-
-    Returns:
-        (steps, 2).
-    """
+    """(steps, 2) points of an (n, 2) curve from its end on, a step apart; beyond the tip it goes straight on."""
     length = arc_length(curve)[-1]
     at = length - step * np.arange(steps)
     ahead = curve[0] - at_length(curve, min(step, length))

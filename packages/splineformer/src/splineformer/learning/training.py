@@ -43,7 +43,7 @@ def train(
     """Trains a variant on both cameras' images.
 
     Args:
-        data: the data set.
+        data: square images.
         split: of its acquisitions.
         recipe: of network and training.
         folder: of the checkpoints, which `guide3d.learning.training.finished` removes.

@@ -83,7 +83,7 @@ class OrderedSettings:
     refinement_width: Units = 64
 
 
-class Ordered(NamedTuple):
+class OrderedPrediction(NamedTuple):
     """What the ordered network predicts from pictures."""
 
     course: Tensor  # (B, steps, 2) from where the wire comes in, beyond its tip, too; shares of the side
@@ -217,7 +217,9 @@ class OrderedSplineFormer(CurveNetwork):
             stages.append(points)
         return begun, stages, hidden
 
-    def _predicted(self, image: Tensor, starts: Tensor | None, begins: Tensor | None) -> tuple[Ordered, Tensor]:
+    def _predicted(
+        self, image: Tensor, starts: Tensor | None, begins: Tensor | None
+    ) -> tuple[OrderedPrediction, Tensor]:
         pyramid = self.normalised(image)
         features, maps = self._encoded(image, pyramid)
         course, length = self._course(features)
@@ -241,10 +243,12 @@ class OrderedSplineFormer(CurveNetwork):
         spread, on_wire = self.to_quality(hidden).unbind(-1)
         control = self.to_control @ at_equal_shares(stages[-1], self.shares)
         kind = self.kind(features)
-        prediction = Ordered(course, length, overview, tip, revised, begun, stages, control, spread, on_wire, kind)
+        prediction = OrderedPrediction(
+            course, length, overview, tip, revised, begun, stages, control, spread, on_wire, kind
+        )
         return prediction, features
 
-    def forward(self, image: Tensor, starts: Tensor | None = None, begins: Tensor | None = None) -> Ordered:
+    def forward(self, image: Tensor, starts: Tensor | None = None, begins: Tensor | None = None) -> OrderedPrediction:
         """Reads pictures.
 
         Args:

@@ -119,7 +119,7 @@ class Decoded(NamedTuple):
     attention: Tensor | None  # (B, heads, limit, N) of the last layer over the features
 
 
-class Taught(NamedTuple):
+class TaughtTokens(NamedTuple):
     """Predictions in training: every token from the true ones before it."""
 
     first: Tensor  # (B, 3) the tip predictor's token
@@ -151,24 +151,17 @@ class SplineFormer(CurveNetwork):
         """(B, 1, h, w) grey levels of 0 to 255, to -1 to 1."""
         return image / 127.5 - 1.0
 
-    def forward(self, image: Tensor, tokens: Tensor) -> Taught:
-        """Teacher forcing.
-
-        Args:
-            image: (B, 1, image_px, image_px) grey levels of 0 to 255.
-            tokens: (B, limit - 1, 3) true tokens, padded.
-        """
+    def forward(self, image: Tensor, tokens: Tensor) -> TaughtTokens:
+        """Teacher forcing: (B, 1, image_px, image_px) grey levels of 0 to 255, (B, limit - 1, 3) padded true tokens."""
         x = self.normalised(image)
         features = self.encoder(x)
-        return Taught(self.tip(x), self.decoder(tokens, features), self.kind(features))
+        return TaughtTokens(self.tip(x), self.decoder(tokens, features), self.kind(features))
 
     @torch.no_grad()
     def decode(self, image: Tensor, attention: bool = False) -> Decoded:
-        """Reads the curves off images; each sequence goes on until its end probability passes one half.
+        """Reads the curves off (B, 1, image_px, image_px) grey levels of 0 to 255.
 
-        Args:
-            image: (B, 1, image_px, image_px) grey levels of 0 to 255.
-            attention: return the last layer's attention, too.
+        Each sequence goes on until its end probability passes one half. With `attention` the last layer's is kept.
         """
         x = self.normalised(image)
         features = self.encoder(x)

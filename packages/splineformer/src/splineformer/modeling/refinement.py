@@ -25,7 +25,7 @@ class Revision(nn.Module):
         channels: of the fine map.
         width: of the features and of the points' tokens.
         heads: of attention.
-        layers: how many.
+        layers: of attention.
         queries: points.
         cell: distance of the places looked at, as a share of the image's side.
         reach: such places to each side of a point.

@@ -18,7 +18,7 @@ _SPREAD = 0.06  # of the side: that of the bell before training
 
 
 class TipSeen(NamedTuple):
-    """What the cells say of the tip."""
+    """What the cells predict of the tip."""
 
     logits: Tensor  # (B, cells), row by row, the bell among them
     offsets: Tensor  # (B, cells, 2) from a cell's centre to the tip, in cells
@@ -26,14 +26,7 @@ class TipSeen(NamedTuple):
 
 
 class TipMap(nn.Module):
-    """A fine feature map and the encoder's features to the place of the tip.
-
-    Args:
-        channels: of the fine map.
-        width: of the features.
-        side: cells of the fine map.
-        hidden: channels between.
-    """
+    """A fine feature map of `channels` and side², and the encoder's features of `width`, to the place of the tip."""
 
     cells: Tensor
 
@@ -57,10 +50,10 @@ class TipMap(nn.Module):
             expected: (B, 2) where the curve has its tip, shares of the side.
         """
         known = F.interpolate(self.far(coarse), (self.side, self.side), mode="bilinear", align_corners=False)
-        said = self.out(self.mix(F.relu(self.near(fine) + known))).flatten(2)
+        predicted = self.out(self.mix(F.relu(self.near(fine) + known))).flatten(2)
         away = (self.cells - expected[:, None]).square().sum(-1)
-        logits = said[:, 0] - away * (0.5 * torch.exp(-2.0 * self.spread))
-        offsets = said[:, 1:].transpose(1, 2)
+        logits = predicted[:, 0] - away * (0.5 * torch.exp(-2.0 * self.spread))
+        offsets = predicted[:, 1:].transpose(1, 2)
         best = logits.argmax(-1)[:, None, None].expand(-1, 1, 2)
         place = self.cells[best[:, 0, 0]] + offsets.gather(1, best)[:, 0] / self.side
         return TipSeen(logits, offsets, place)
