@@ -34,41 +34,27 @@ _LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class RecordingJob:
-    """Disturbed episodes of one task.
+    """Disturbed episodes of one task."""
 
-    Attributes:
-        folder: gets ``000.mcap``, ``001.mcap``, …
-        expert: folder of the policy that steers.
-        steps: to be recorded at least.
-    """
-
-    folder: Path
+    folder: Path  # gets ``000.mcap``, ``001.mcap``, …
     settings: DisturbanceSettings
     task: LearningTask
-    expert: Path
-    steps: int
+    expert: Path  # folder of the policy that steers
+    steps: int  # to be recorded at least
     seed: int
 
 
 @dataclass(frozen=True)
 class ForceJob:
-    """A network to fit.
-
-    Attributes:
-        logs: folders of the disturbed episodes.
-        expert: folder of the policy whose features are matched, in the episodes of every target.
-        inputs: a key of `enn.force.FORCE_INPUTS`.
-        samples: to learn from.
-        test_samples: to test with, at most.
-    """
+    """A network to fit."""
 
     folder: Path
     settings: ForcePredictionSettings
-    logs: tuple[Path, ...]
-    expert: Path
-    inputs: str
-    samples: int
-    test_samples: int
+    logs: tuple[Path, ...]  # folders of the disturbed episodes
+    expert: Path  # folder of the policy whose features are matched, in the episodes of every target
+    inputs: str  # a key of `enn.force.FORCE_INPUTS`
+    samples: int  # to learn from
+    test_samples: int  # to test with, at most
     seed: int
 
 

@@ -38,26 +38,17 @@ _FITTING = 0.6  # share of a job's time
 
 @dataclass(frozen=True)
 class ImitationJob:
-    """A student to fit and to evaluate.
-
-    Attributes:
-        origin: row, seed of the fit and variant; kept in the logs.
-        expert: folder of the expert's training, with its policy and episodes.
-        episodes: of the expert to learn from.
-        disturbed_episodes: further ones with disturbed actions.
-        rounds: of DAgger; None: none.
-        evaluation_episodes: deterministic, and as many stochastic ones.
-    """
+    """A student to fit and to evaluate."""
 
     folder: Path
-    origin: Origin
+    origin: Origin  # row, seed of the fit and variant; kept in the logs
     settings: BehaviourCloningSettings
     task: LearningTask
-    expert: Path
-    episodes: int
-    disturbed_episodes: int = 0
-    rounds: DaggerSettings | None = None
-    evaluation_episodes: int = 30
+    expert: Path  # folder of the expert's training, with its policy and episodes
+    episodes: int  # of the expert to learn from
+    disturbed_episodes: int = 0  # further ones with disturbed actions
+    rounds: DaggerSettings | None = None  # of DAgger; None: none
+    evaluation_episodes: int = 30  # deterministic, and as many stochastic ones
 
 
 def cloning_settings(

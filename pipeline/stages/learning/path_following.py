@@ -21,19 +21,13 @@ _FIT_SHARE = 0.1
 
 @dataclass(frozen=True)
 class PathJob:
-    """A path follower to fit and to evaluate.
-
-    Attributes:
-        origin: row, seed of the fit and variant; kept in the logs.
-        demonstrations: logs of the sampling expert's episodes of the task.
-        evaluation_episodes: all deterministic: the network gives one action.
-    """
+    """A path follower to fit and to evaluate."""
 
     folder: Path
-    origin: Origin
+    origin: Origin  # row, seed of the fit and variant; kept in the logs
     task: LearningTask
-    demonstrations: tuple[Path, ...]
-    evaluation_episodes: int
+    demonstrations: tuple[Path, ...]  # logs of the sampling expert's episodes of the task
+    evaluation_episodes: int  # all deterministic: the network gives one action
 
 
 def follow(job: PathJob, report: Report) -> dict[str, Any]:

@@ -17,23 +17,15 @@ REWARD_OF_TRAINING, REWARD_OF_EVALUATION = "geodesic", "distance"  # the latter 
 
 @dataclass(frozen=True)
 class LearningTask:
-    """A task in an anatomy, with what only its training knows.
-
-    Attributes:
-        task: wire, actions, images, limits and start.
-        accuracy: preset of the simulator.
-        reward: of training: "geodesic", shaped, or "distance", the thesis's.
-        force_penalty: of the training's reward, a newton.
-        path_penalty: of the training's reward, a metre of the tip's way: what makes ways short.
-    """
+    """A task in an anatomy, with what only its training knows."""
 
     phantom: str
     target: str
-    task: Task = field(default_factory=Task)
-    accuracy: str = "accurate"
-    reward: str = REWARD_OF_TRAINING
-    force_penalty: float = 0.0
-    path_penalty: float = 0.0
+    task: Task = field(default_factory=Task)  # wire, actions, images, limits and start
+    accuracy: str = "accurate"  # preset of the simulator
+    reward: str = REWARD_OF_TRAINING  # of training: "geodesic", shaped, or "distance", the thesis's
+    force_penalty: float = 0.0  # of the training's reward, a newton
+    path_penalty: float = 0.0  # of the training's reward, a metre of the tip's way: what makes ways short
 
     @property
     def name(self) -> str:

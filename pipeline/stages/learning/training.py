@@ -51,42 +51,29 @@ _NEVER = 100_000  # steps that no roll-out takes
 
 @dataclass(frozen=True)
 class EncoderJob:
-    """An encoder to fit.
+    """An encoder to fit."""
 
-    Attributes:
-        file: where it goes, with its report beside it as JSON.
-        task: whose anatomy it is to see; the target does not matter.
-        settings: of the fit; their seed is that of the roll-outs, too.
-        demonstrations: logs of an expert's episodes, along which some of the roll-outs start.
-    """
-
-    file: Path
-    task: LearningTask
+    file: Path  # where it goes, with its report beside it as JSON
+    task: LearningTask  # whose anatomy it is to see; the target does not matter
     keys: tuple[str, ...]
-    settings: EncoderSettings
+    settings: EncoderSettings  # of the fit; their seed is that of the roll-outs, too
     samples: int
-    demonstrations: tuple[Path, ...]
+    demonstrations: tuple[Path, ...]  # logs of an expert's episodes, along which some of the roll-outs start
 
 
 @dataclass(frozen=True)
 class PolicyTrainingJob:
-    """A policy to train and to evaluate.
-
-    Attributes:
-        origin: row, seed and variant of the training; kept in the logs.
-        encoder: file of a fitted encoder; None: the policy sees the observations themselves.
-        expert_episodes: with images, for imitation.
-    """
+    """A policy to train and to evaluate."""
 
     folder: Path
-    origin: Origin
+    origin: Origin  # row, seed and variant of the training; kept in the logs
     settings: TrainingSettings
     task: LearningTask
     keys: tuple[str, ...]
-    encoder: Path | None = None
+    encoder: Path | None = None  # file of a fitted encoder; None: the policy sees the observations themselves
     demonstrations: tuple[Path, ...] = ()
     evaluation_episodes: int = 30
-    expert_episodes: int = 0
+    expert_episodes: int = 0  # with images, for imitation
 
     @property
     def name(self) -> str:

@@ -22,23 +22,14 @@ JUMP = 0.35  # share of roll-outs that start at a demonstration's state, where t
 
 @dataclass(frozen=True)
 class Samples:
-    """Observations, and what is to be read off them.
+    """Observations, and what is to be read off them."""
 
-    Attributes:
-        observations: by name. Shapes (n, ...), images uint8.
-        points_mm: wire points at `ARC_LENGTHS_MM` behind the tip, world frame. Shape (n, points, 3).
-        direction: unit vector along the tip. Shape (n, 3).
-        feeder: insertion in mm, cosine and sine of the rotation. Shape (n, 3).
-        force: contact force, N, world frame. Shape (n, 3).
-        episode: number of the roll-out that a sample is from. Shape (n,).
-    """
-
-    observations: dict[str, np.ndarray]
-    points_mm: np.ndarray
-    direction: np.ndarray
-    feeder: np.ndarray
-    force: np.ndarray
-    episode: np.ndarray
+    observations: dict[str, np.ndarray]  # by name. Shapes (n, ...), images uint8.
+    points_mm: np.ndarray  # wire points at `ARC_LENGTHS_MM` behind the tip, world frame. Shape (n, points, 3).
+    direction: np.ndarray  # unit vector along the tip. Shape (n, 3).
+    feeder: np.ndarray  # insertion in mm, cosine and sine of the rotation. Shape (n, 3).
+    force: np.ndarray  # contact force, N, world frame. Shape (n, 3).
+    episode: np.ndarray  # number of the roll-out that a sample is from. Shape (n,).
 
     def __post_init__(self) -> None:
         count = len(self.points_mm)

@@ -27,26 +27,17 @@ _RISE = 0.3  # share of a one-cycle schedule in which the rate rises, from a 25t
 
 @settings
 class FitSettings:
-    """How a network is fitted to samples.
+    """How a network is fitted to samples."""
 
-    Attributes:
-        epochs: passes over the training samples at most.
-        learning_rate: of Adam; the highest one of a schedule.
-        weight_decay: decoupled, of AdamW; the L2 term of a loss is another thing.
-        schedule: "constant", or "one_cycle" (rises, then falls to nothing along a cosine).
-        validation_share: share of the episodes that is held out to choose the best epoch; 0: the last epoch is kept.
-        patience: epochs without a better validation after which fitting stops; 0: never.
-        checkpoint_seconds: between checkpoints; 0: after every epoch.
-    """
-
-    epochs: Count = 30
+    epochs: Count = 30  # passes over the training samples at most
     batch_size: Count = 64
-    learning_rate: LearningRate = 1e-3
-    weight_decay: Weight = 0.0
-    schedule: str = "one_cycle"
+    learning_rate: LearningRate = 1e-3  # of Adam; the highest one of a schedule
+    weight_decay: Weight = 0.0  # decoupled, of AdamW; the L2 term of a loss is another thing
+    schedule: str = "one_cycle"  # "constant", or "one_cycle" (rises, then falls to nothing along a cosine)
+    # share of the episodes that is held out to choose the best epoch; 0: the last epoch is kept
     validation_share: Annotated[float, Interval(ge=0, lt=1)] = 0.1
-    patience: CountOrNone = 0
-    checkpoint_seconds: Seconds = 20.0
+    patience: CountOrNone = 0  # epochs without a better validation after which fitting stops; 0: never
+    checkpoint_seconds: Seconds = 20.0  # between checkpoints; 0: after every epoch
 
     def __post_init__(self) -> None:
         """Refuses an unknown schedule."""

@@ -14,27 +14,18 @@ from numpy.typing import NDArray
 class Trajectory:
     """One episode of T >= 1 steps; what is observed has one entry more, the last moment.
 
-    Attributes:
-        observations: name to (T + 1, ...), the episode's start and the moment after every step.
-        actions: (T, a), within -1 and 1.
-        rewards: (T,).
-        terminated: whether the target was reached (an episode that was cut off was not).
-        forces: (T,) N, largest contact force of each step.
-        tips: (T + 1, 3) m, tip positions, world frame.
-        simulation_states: (T + 1, n) states that an episode can be started from, or None.
-        metadata: whatever else belongs to it: phantom, target, seed, wire, file.
-
     Raises:
         ValueError: when lengths disagree, or a value is not finite; the message names the array and both sides.
     """
 
-    observations: dict[str, NDArray[Any]]
-    actions: NDArray[Any]
-    rewards: NDArray[Any]
-    terminated: bool
-    forces: NDArray[Any]
-    tips: NDArray[Any]
-    simulation_states: NDArray[Any] | None = None
+    observations: dict[str, NDArray[Any]]  # name to (T + 1, ...), the episode's start and the moment after every step
+    actions: NDArray[Any]  # (T, a), within -1 and 1
+    rewards: NDArray[Any]  # (T,)
+    terminated: bool  # whether the target was reached (an episode that was cut off was not)
+    forces: NDArray[Any]  # (T,) N, largest contact force of each step
+    tips: NDArray[Any]  # (T + 1, 3) m, tip positions, world frame
+    simulation_states: NDArray[Any] | None = None  # (T + 1, n) states that an episode can be started from, or None
+    # whatever else belongs to it: phantom, target, seed, wire, file
     metadata: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

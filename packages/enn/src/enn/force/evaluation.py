@@ -52,17 +52,11 @@ def evaluate_predictor(
 
 @dataclass(frozen=True)
 class ForceScore:
-    """How well forces are predicted.
+    """How well forces are predicted."""
 
-    Attributes:
-        mse_n2: mean squared error, N².
-        variance_n2: of the true forces, N²: the error of always predicting their own mean.
-        correlation: of predicted and true forces; 0 where one of them is constant.
-    """
-
-    mse_n2: float
-    variance_n2: float
-    correlation: float
+    mse_n2: float  # mean squared error, N²
+    variance_n2: float  # of the true forces, N²: the error of always predicting their own mean
+    correlation: float  # of predicted and true forces; 0 where one of them is constant
     samples: int
 
     @property

@@ -25,22 +25,15 @@ _CLIP = 8.0  # standard deviations: beyond them a vector entry says nothing more
 
 @settings
 class ForceNetworkSettings:
-    """What shapes of weights depend on.
+    """What shapes of weights depend on."""
 
-    Attributes:
-        image_shape: channels, height, width; all 0: no images.
-        vector: numbers beside the images (joints, feeder, action); 0: images alone, as in the thesis.
-        matched: size of the feature vector that is predicted too; 0: none.
-        variant: of the image network, "thesis" or "desk".
-        hidden: units of the head's layers.
-    """
-
+    # channels, height, width; all 0: no images
     image_shape: tuple[UnitsOrNone, PixelsOrNone, PixelsOrNone] = (1, 80, 80)
-    vector: UnitsOrNone = 0
-    matched: UnitsOrNone = 0
-    variant: str = "desk"
+    vector: UnitsOrNone = 0  # numbers beside the images (joints, feeder, action); 0: images alone, as in the thesis
+    matched: UnitsOrNone = 0  # size of the feature vector that is predicted too; 0: none
+    variant: str = "desk"  # of the image network, "thesis" or "desk"
     image_features: Units = 256
-    hidden: tuple[Units, ...] = (128, 128)
+    hidden: tuple[Units, ...] = (128, 128)  # units of the head's layers
 
     def __post_init__(self) -> None:
         """Refuses a network without input."""

@@ -16,22 +16,15 @@ SHAPE_COMPONENTS = 24  # principal components of the wire's shape that are match
 
 @dataclass(frozen=True)
 class ForceInputs:
-    """What a force network sees of a step.
+    """What a force network sees of a step."""
 
-    Attributes:
-        images: names of image observations, of the end of the step.
-        vectors: names of further observations of that moment.
-        frames: images of that moment and of so many less one before it; an episode's first image stands in for those
-            before the start.
-        actions: whether the action of the step is seen, too.
-        matched: whether the expert's features are predicted, too.
-    """
-
-    images: tuple[str, ...] = ("image",)
-    vectors: tuple[str, ...] = ()
+    images: tuple[str, ...] = ("image",)  # names of image observations, of the end of the step
+    vectors: tuple[str, ...] = ()  # names of further observations of that moment
+    # images of that moment and of so many less one before it; an episode's first image stands in for those before the
+    # start
     frames: int = 1
-    actions: bool = False
-    matched: bool = True
+    actions: bool = False  # whether the action of the step is seen, too
+    matched: bool = True  # whether the expert's features are predicted, too
 
 
 FORCE_INPUTS = {
@@ -58,22 +51,15 @@ class FeatureSource(Protocol):
 class ForceSamples:
     """Samples to learn forces from.
 
-    Attributes:
-        images: (N, channels, height, width) uint8; no channels where none are used.
-        vectors: (N, v) float32; v may be 0.
-        forces: (N,) float32, N, largest resultant contact force of the step.
-        episodes: (N,) number of the episode of each sample.
-        features: (N, z) float32, the expert's feature vector Z, or None.
-
     Raises:
         ValueError: lengths disagree, or a value is not finite.
     """
 
-    images: NDArray[np.uint8]
-    vectors: NDArray[np.float32]
-    forces: NDArray[np.float32]
-    episodes: NDArray[np.int64]
-    features: NDArray[np.float32] | None = None
+    images: NDArray[np.uint8]  # (N, channels, height, width) uint8; no channels where none are used
+    vectors: NDArray[np.float32]  # (N, v) float32; v may be 0
+    forces: NDArray[np.float32]  # (N,) float32, N, largest resultant contact force of the step
+    episodes: NDArray[np.int64]  # (N,) number of the episode of each sample
+    features: NDArray[np.float32] | None = None  # (N, z) float32, the expert's feature vector Z, or None
 
     def __post_init__(self) -> None:
         """Checks lengths and values."""

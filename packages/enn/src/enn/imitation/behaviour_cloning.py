@@ -26,23 +26,17 @@ from enn.trajectory import Trajectory, episode_numbers, join
 class BehaviourCloningSettings:
     """How an expert is cloned.
 
-    Attributes:
-        entropy: beta, weight of the policy's entropy.
-        l2: lambda, weight of the sum of the squared weights.
-        feature_matching: weight of the mean squared difference to the expert's features, both normalised, where these
-            are given.
-        shift_px: images are moved by up to this much either way, as augmentation.
-        noise: standard deviation of the grey values' noise, as augmentation.
-
     Source: thesis, section Downstream Tasks, Imitation Learning.
     """
 
     network: CloningNetworkSettings = field(default_factory=CloningNetworkSettings)
     fit: FitSettings = field(default_factory=FitSettings)
-    entropy: Weight = 1e-3
-    l2: Weight = 0.0
+    entropy: Weight = 1e-3  # beta, weight of the policy's entropy
+    l2: Weight = 0.0  # lambda, weight of the sum of the squared weights
+    # weight of the mean squared difference to the expert's features, both normalised, where these are given
     feature_matching: Weight = 0.1
-    shift_px: PixelsOrNone = 0
+    shift_px: PixelsOrNone = 0  # images are moved by up to this much either way, as augmentation
+    # standard deviation of the grey values' noise, as augmentation
     noise: Annotated[float, Interval(ge=0, le=255)] = 0.0
 
 

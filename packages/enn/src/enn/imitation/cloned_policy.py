@@ -21,22 +21,15 @@ _LOG_STD_RANGE = (-4.0, 1.0)  # a deterministic expert would drive the likelihoo
 
 @settings
 class CloningNetworkSettings:
-    """What shapes of weights depend on.
+    """What shapes of weights depend on."""
 
-    Attributes:
-        keys: image observations, stacked as channels: "image" alone as in the thesis, ("image", "mask"), ...
-        shape: channels of all together, height, width.
-        variant: "thesis" or "desk", see `enn.networks.image_network`.
-        features: Z of the student.
-        expert_features: size of the expert's Z that is matched; 0: none.
-    """
-
+    # image observations, stacked as channels: "image" alone as in the thesis, ("image", "mask"),
     keys: tuple[str, ...] = ("image",)
-    shape: tuple[Units, Pixels, Pixels] = (1, 80, 80)
+    shape: tuple[Units, Pixels, Pixels] = (1, 80, 80)  # channels of all together, height, width
     actions: Units = 2
-    variant: str = "desk"
-    features: Units = 128
-    expert_features: UnitsOrNone = 0
+    variant: str = "desk"  # "thesis" or "desk", see `enn.networks.image_network`
+    features: Units = 128  # Z of the student
+    expert_features: UnitsOrNone = 0  # size of the expert's Z that is matched; 0: none
 
     def __post_init__(self) -> None:
         """Refuses what it cannot see."""

@@ -28,35 +28,24 @@ Act = Callable[[Mapping[str, NDArray[Any]], Mapping[str, Any]], NDArray[Any]]  #
 
 @settings
 class DaggerSettings:
-    """How episodes are aggregated.
-
-    Attributes:
-        episodes: a round.
-        expert_share: chance that the expert steers a step of the first round, beside the student; it falls by half
-            from round to round.
-        warm_start: fits go on from the student of the round before.
-    """
+    """How episodes are aggregated."""
 
     rounds: Count = 3
-    episodes: Count = 10
+    episodes: Count = 10  # a round
+    # chance that the expert steers a step of the first round, beside the student; it falls by half from round to
+    # round
     expert_share: Share = 0.0
-    warm_start: bool = True
+    warm_start: bool = True  # fits go on from the student of the round before
 
 
 @settings
 class DisturbanceSettings:
-    """How the actions of an actor are disturbed.
+    """How the actions of an actor are disturbed."""
 
-    Attributes:
-        noise: standard deviation added to each action.
-        spell_chance: that a spell of a random action begins at a step.
-        spell_steps: longest length of a spell.
-        push: mean of the first action in a spell; above zero, spells press the tip forwards, into whatever is there.
-    """
-
-    noise: Annotated[float, Interval(ge=0, le=10)] = 0.3
-    spell_chance: Share = 0.05
-    spell_steps: Count = 8
+    noise: Annotated[float, Interval(ge=0, le=10)] = 0.3  # standard deviation added to each action
+    spell_chance: Share = 0.05  # that a spell of a random action begins at a step
+    spell_steps: Count = 8  # longest length of a spell
+    # mean of the first action in a spell; above zero, spells press the tip forwards, into whatever is there
     push: Annotated[float, Interval(ge=-10, le=10)] = 0.2
 
 

@@ -23,18 +23,13 @@ MakeEnvironment = Callable[[Sequence[str]], gymnasium.Env[Any, Any]]  # names of
 
 @dataclass(frozen=True)
 class Distilled:
-    """A student and what it learnt from.
-
-    Attributes:
-        episodes: all that it learnt from.
-        rounds: of DAgger.
-    """
+    """A student and what it learnt from."""
 
     student: ClonedPolicy
     fit: FitReport
-    episodes: int
+    episodes: int  # all that it learnt from
     samples: int
-    rounds: tuple[DaggerRound, ...] = ()
+    rounds: tuple[DaggerRound, ...] = ()  # of DAgger
 
 
 def distil(

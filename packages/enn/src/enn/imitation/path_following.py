@@ -32,17 +32,11 @@ _BACKWARDS = 0.005  # m that the nearest point may go back along the path in a s
 
 @settings
 class PathFollowerSettings:
-    """What is seen of tip and path, and how it is learnt from.
+    """What is seen of tip and path, and how it is learnt from."""
 
-    Attributes:
-        history: tip positions, the present one included.
-        waypoints: points of the path ahead of the tip.
-        spacing: between them, m.
-    """
-
-    history: Count = 5
-    waypoints: Count = 5
-    spacing: Annotated[float, Interval(gt=0, le=1)] = 0.008
+    history: Count = 5  # tip positions, the present one included
+    waypoints: Count = 5  # points of the path ahead of the tip
+    spacing: Annotated[float, Interval(gt=0, le=1)] = 0.008  # between them, m
     hidden: tuple[Units, ...] = (128, 128)
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(epochs=60, batch_size=64, learning_rate=1e-3, weight_decay=1e-3)

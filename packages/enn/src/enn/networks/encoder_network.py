@@ -27,30 +27,20 @@ CLIP = 5.0  # standard deviations beyond which an input or a feature is cut off
 
 @settings
 class EncoderSettings:
-    """Everything an encoder is built and trained from.
+    """Everything an encoder is built and trained from."""
 
-    Attributes:
-        keys: observations that it sees; `fit_encoder` fills in keys and shapes.
-        pool: side of the squares over which pictures are averaged first.
-        channels: of the convolutions of 4 px that then halve the picture; none: dense layers alone.
-        hidden: units of the layer after the convolutions, and of the MLP for vectors.
-        epochs: passes over the samples; 0: 10 with pictures, 30 without.
-        learning_rate: highest one, of a cycle that rises and falls.
-        weight_decay: of AdamW.
-        held_out: share of the roll-outs that judge and do not train.
-    """
-
-    keys: tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()  # observations that it sees; `fit_encoder` fills in keys and shapes
     shapes: tuple[tuple[Units, ...], ...] = ()
-    pool: Pixels = 2
+    pool: Pixels = 2  # side of the squares over which pictures are averaged first
+    # of the convolutions of 4 px that then halve the picture; none: dense layers alone
     channels: tuple[Units, ...] = ()
-    hidden: Units = 256
+    hidden: Units = 256  # units of the layer after the convolutions, and of the MLP for vectors
     features: Units = 64
-    epochs: CountOrNone = 0
+    epochs: CountOrNone = 0  # passes over the samples; 0: 10 with pictures, 30 without
     batch_size: Count = 64
-    learning_rate: LearningRate = 2e-3
-    weight_decay: Weight = 1e-4
-    held_out: Annotated[float, Interval(gt=0, lt=1)] = 0.1
+    learning_rate: LearningRate = 2e-3  # highest one, of a cycle that rises and falls
+    weight_decay: Weight = 1e-4  # of AdamW
+    held_out: Annotated[float, Interval(gt=0, lt=1)] = 0.1  # share of the roll-outs that judge and do not train
     seed: Seed = 0
 
     def __post_init__(self) -> None:

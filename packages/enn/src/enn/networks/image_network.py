@@ -16,18 +16,13 @@ CONTRAST = 20.0
 
 @settings
 class ImageSettings:
-    """What shapes of weights depend on.
+    """What shapes of weights depend on."""
 
-    Attributes:
-        shape: channels, height, width of the input.
-        variant: "thesis", the network of its tables on intensities of 0 to 1; or "desk", a lighter one on the
-            difference to the mean training image.
-        features: at the network's end; the thesis's table says 128.
-    """
-
-    shape: tuple[Units, Pixels, Pixels] = (1, 80, 80)
+    shape: tuple[Units, Pixels, Pixels] = (1, 80, 80)  # channels, height, width of the input
+    # "thesis", the network of its tables on intensities of 0 to 1; or "desk", a lighter one on the difference to the
+    # mean training image
     variant: str = "desk"
-    features: Units = 128
+    features: Units = 128  # at the network's end; the thesis's table says 128
 
     def __post_init__(self) -> None:
         """Refuses what cannot be built."""

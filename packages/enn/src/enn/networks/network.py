@@ -26,32 +26,22 @@ ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 @settings
 class NetworkSettings:
-    """Everything that shapes of weights depend on, besides the spaces.
+    """Everything that shapes of weights depend on, besides the spaces."""
 
-    Attributes:
-        algorithm: "sac" or "ppo".
-        keys: observations that the actor sees; none: all.
-        critic_keys: observations that the critic sees, where they differ; SAC only.
-        extractor: "vectors" (flat, normalised) or "multimodal" (`enn.networks.features`).
-        variant: of the multimodal extractor: "thesis", "desk", or "baselines".
-        image_features: of the multimodal extractor: features an image, 128 in the thesis's table, 256 in its text.
-        shared: features that actor and critic share, by whose loss they are trained: "actor", "critic", or "": each has
-            its own (SAC; PPO always shares them).
-        activation: "relu" or "tanh".
-        critic_layer_norm: layer normalisation in the critics; SAC only.
-    """
-
-    algorithm: str = "sac"
-    keys: tuple[str, ...] = ()
-    critic_keys: tuple[str, ...] = ()
-    extractor: str = "vectors"
-    variant: str = "desk"
+    algorithm: str = "sac"  # "sac" or "ppo"
+    keys: tuple[str, ...] = ()  # observations that the actor sees; none: all
+    critic_keys: tuple[str, ...] = ()  # observations that the critic sees, where they differ; SAC only
+    extractor: str = "vectors"  # "vectors" (flat, normalised) or "multimodal" (`enn.networks.features`)
+    variant: str = "desk"  # of the multimodal extractor: "thesis", "desk", or "baselines"
+    # of the multimodal extractor: features an image, 128 in the thesis's table, 256 in its text
     image_features: Units = 128
     hidden: tuple[Units, ...] = (128, 128)
     critic_hidden: tuple[Units, ...] | None = None
+    # features that actor and critic share, by whose loss they are trained: "actor", "critic", or "": each has its own
+    # (SAC; PPO always shares them)
     shared: str = ""
-    activation: str = "relu"
-    critic_layer_norm: bool = False
+    activation: str = "relu"  # "relu" or "tanh"
+    critic_layer_norm: bool = False  # layer normalisation in the critics; SAC only
 
     def __post_init__(self) -> None:
         """Refuses unknown names."""

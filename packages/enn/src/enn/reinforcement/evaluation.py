@@ -14,21 +14,14 @@ from enn.policy import Policy
 
 @dataclass(frozen=True)
 class EpisodeOutcome:
-    """How one episode went.
-
-    Attributes:
-        reward: their sum.
-        path_mm: path length of the tip; 0 where the environment's info has no `tip`.
-        force_mean: mean contact force, N.
-        force_max: largest contact force, N.
-    """
+    """How one episode went."""
 
     success: bool
     steps: int
-    reward: float
-    path_mm: float
-    force_mean: float
-    force_max: float
+    reward: float  # their sum
+    path_mm: float  # path length of the tip; 0 where the environment's info has no `tip`
+    force_mean: float  # mean contact force, N
+    force_max: float  # largest contact force, N
 
 
 @dataclass(frozen=True)

@@ -29,37 +29,25 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training stands.
+    """Where a training stands."""
 
-    Attributes:
-        decisions: taken so far.
-        success: share of the latest training episodes from the usual start that succeeded; None before the first.
-        best_success: deterministic success of the best policy so far; None before the first evaluation.
-        wall_s: since the training began, all its runs together.
-        remaining_s: estimate to the end of the budget.
-    """
-
-    decisions: int
+    decisions: int  # taken so far
     total: int
+    # share of the latest training episodes from the usual start that succeeded; None before the first
     success: float | None
-    best_success: float | None
-    wall_s: float
-    remaining_s: float
+    best_success: float | None  # deterministic success of the best policy so far; None before the first evaluation
+    wall_s: float  # since the training began, all its runs together
+    remaining_s: float  # estimate to the end of the budget
 
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """What a training gives.
+    """What a training gives."""
 
-    Attributes:
-        policy: the best by evaluation (or the last, when there were none).
-        timings: seconds in all and in parts, and what was done in them.
-        evaluation: of the best policy: success, stochastic_success, steps, path_mm, force_mean, force_max, decisions.
-    """
-
-    policy: Policy
+    policy: Policy  # the best by evaluation (or the last, when there were none)
     curve: list[dict[str, Any]]
-    timings: dict[str, float]
+    timings: dict[str, float]  # seconds in all and in parts, and what was done in them
+    # of the best policy: success, stochastic_success, steps, path_mm, force_mean, force_max, decisions
     evaluation: dict[str, float] | None
 
 

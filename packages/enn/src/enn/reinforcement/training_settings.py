@@ -29,78 +29,52 @@ UNUSED = {
 
 @settings
 class TrainingSettings(NetworkSettings):
-    """A reinforcement learning run; one decision is one action of one environment, held for `action_repeat` steps.
+    """A reinforcement learning run; one decision is one action of one environment, held for `action_repeat` steps."""
 
-    Attributes, beside those of the network:
-        passthrough: observations beside the encoder's features.
-        normalise: fits mean and scale of vector observations to the first decisions; never with an encoder, whose
-            features are normalised.
-        decisions: budget, all environments together.
-        threads: that step them.
-        action_repeat: environment steps a decision.
-        learning_rate: of Adam.
-        final_learning_rate: share of it that is left at the end of the budget, to which it falls evenly.
-        gamma: discount a decision.
-        learning_starts: random decisions at the start.
-        gradient_steps: updates a decision (SAC); may be a fraction.
-        actor_every: updates of the critic for one of the actor and of the entropy's weight (SAC).
-        tau: share of the new weights in the target critic.
-        ent_coef: weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05; for PPO a number.
-        target_entropy: that "auto" aims at; None: minus the number of actions. A fixed weight has none.
-        half: vectors of the replay buffer in half precision.
-        demonstrations_in_replay: share of each batch drawn from demonstrations.
-        n_steps: decisions of each environment between PPO's updates.
-        epochs: of PPO over each roll-out.
-        gae_lambda: of PPO.
-        clip_range: of PPO.
-        reset_bank_share: share of the resets that start from the reset bank; 0: there is none.
-        reset_bank_capacity: states in the reset bank; with cases, of each of them.
-        reset_bank_cases: how many cases (an anatomy and a target each, say) the environment chooses from; each then has
-            room of its own, and episodes take place more often where they fail. 0: the environment has no cases.
-        evaluate_every: decisions between evaluations; 0: none, the last policy is kept.
-        evaluation_episodes: deterministic episodes, and as many stochastic ones where those were no worse than the best
-            so far; when the first three fail, the rest are not played.
-        stop_after: evaluations in a row that are perfect and no shorter than the best, after which training stops
-            early; 0: never.
-        curve_every: decisions between rows of the curve.
-        checkpoint_seconds: between checkpoints; 0: after every decision.
-        tensorboard: writes event files into the folder.
-        device: of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one.
-    """
-
-    passthrough: tuple[str, ...] = ()
+    passthrough: tuple[str, ...] = ()  # observations beside the encoder's features
+    # fits mean and scale of vector observations to the first decisions; never with an encoder, whose features are
+    # normalised
     normalise: bool = True
-    decisions: Count = 6000
+    decisions: Count = 6000  # budget, all environments together
     n_envs: Annotated[int, Interval(ge=1, le=4096)] = 8
-    threads: Annotated[int, Interval(ge=1, le=4096)] = 1
-    action_repeat: Count = 3
-    learning_rate: LearningRate = 1e-3
+    threads: Annotated[int, Interval(ge=1, le=4096)] = 1  # that step them
+    action_repeat: Count = 3  # environment steps a decision
+    learning_rate: LearningRate = 1e-3  # of Adam
+    # share of it that is left at the end of the budget, to which it falls evenly
     final_learning_rate: Annotated[float, Interval(gt=0, le=1e3)] = 1.0
     batch_size: Count = 128
-    gamma: Annotated[float, Interval(gt=0, le=1)] = 0.99
-    learning_starts: CountOrNone = 304
-    gradient_steps: Annotated[float, Interval(ge=0, le=1e4)] = 1.0
-    actor_every: Count = 1
-    tau: Annotated[float, Interval(gt=0, le=1)] = 0.005
+    gamma: Annotated[float, Interval(gt=0, le=1)] = 0.99  # discount a decision
+    learning_starts: CountOrNone = 304  # random decisions at the start
+    gradient_steps: Annotated[float, Interval(ge=0, le=1e4)] = 1.0  # updates a decision (SAC); may be a fraction
+    actor_every: Count = 1  # updates of the critic for one of the actor and of the entropy's weight (SAC)
+    tau: Annotated[float, Interval(gt=0, le=1)] = 0.005  # share of the new weights in the target critic
+    # weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05; for PPO a number
     ent_coef: str | Weight = "auto_0.05"
+    # that "auto" aims at; None: minus the number of actions. A fixed weight has none.
     target_entropy: Annotated[float, Interval(ge=-1e4, le=1e4)] | None = None
     buffer_size: Count = 50_000
-    half: bool = False
+    half: bool = False  # vectors of the replay buffer in half precision
+    # share of each batch drawn from demonstrations
     demonstrations_in_replay: Annotated[float, Interval(ge=0, lt=1)] = 0.0
-    n_steps: Count = 256
-    epochs: Count = 10
-    gae_lambda: Share = 0.95
-    clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2
-    reset_bank_share: Share = 0.75
-    reset_bank_capacity: Count = 4096
+    n_steps: Count = 256  # decisions of each environment between PPO's updates
+    epochs: Count = 10  # of PPO over each roll-out
+    gae_lambda: Share = 0.95  # of PPO
+    clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2  # of PPO
+    reset_bank_share: Share = 0.75  # share of the resets that start from the reset bank; 0: there is none
+    reset_bank_capacity: Count = 4096  # states in the reset bank; with cases, of each of them
+    # how many cases (an anatomy and a target each, say) the environment chooses from; each then has room of its own,
+    # and episodes take place more often where they fail. 0: the environment has no cases.
     reset_bank_cases: CountOrNone = 0
-    evaluate_every: CountOrNone = 1000
+    evaluate_every: CountOrNone = 1000  # decisions between evaluations; 0: none, the last policy is kept
+    # deterministic episodes, and as many stochastic ones where those were no worse than the best so far; when the
+    # first three fail, the rest are not played
     evaluation_episodes: Count = 10
+    # evaluations in a row that are perfect and no shorter than the best, after which training stops early; 0: never
     stop_after: CountOrNone = 0
-    curve_every: Count = 200
-    checkpoint_seconds: Seconds = 60.0
-    tensorboard: bool = False
-    device: str = "cpu"
+    curve_every: Count = 200  # decisions between rows of the curve
+    checkpoint_seconds: Seconds = 60.0  # between checkpoints; 0: after every decision
+    tensorboard: bool = False  # writes event files into the folder
+    device: str = "cpu"  # of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one
 
     def __post_init__(self) -> None:
         """Refuses what cannot be trained with."""
