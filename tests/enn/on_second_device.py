@@ -13,7 +13,7 @@ import torch
 
 from enn.devices import device_of, on_cpu
 from enn.encoder import EncoderSettings, fit_encoder, scripted_samples
-from enn.fitting import FitSettings
+from enn.fitting import EpisodeFitSettings
 from enn.force.prediction import DESK_FORCE, ForcePredictor, fit_force
 from enn.force.samples import force_samples
 from enn.imitation.behaviour_cloning import DESK_CLONING, clone
@@ -111,7 +111,7 @@ def _episodes(count: int = 6) -> tuple[Trajectory, ...]:
 
 
 def test_cloning_and_dagger(tmp_path: Path) -> None:
-    fit = FitSettings(epochs=2, batch_size=32, validation_share=0.3)
+    fit = EpisodeFitSettings(epochs=2, batch_size=32, validation_share=0.3)
     settings = dataclasses.replace(DESK_CLONING, fit=fit, shift_px=2, noise=1.0)
     episodes, told = _episodes(), {}
     features = [episode.observations["place"] for episode in episodes]
@@ -136,7 +136,7 @@ def test_force(tmp_path: Path) -> None:
     episodes = list(_episodes())
     features = [episode.observations["place"] for episode in episodes]
     samples = force_samples(episodes, features=features)
-    settings = dataclasses.replace(DESK_FORCE, fit=FitSettings(epochs=2, batch_size=32, validation_share=0.0))
+    settings = dataclasses.replace(DESK_FORCE, fit=EpisodeFitSettings(epochs=2, batch_size=32, validation_share=0.0))
     told = {}
     with second_device() as device:
         for place in ("cpu", device):
@@ -150,7 +150,7 @@ def test_force(tmp_path: Path) -> None:
 
 
 def test_path_follower(tmp_path: Path) -> None:
-    settings = PathFollowerSettings(fit=FitSettings(epochs=2, batch_size=32), hidden=(16,))
+    settings = PathFollowerSettings(fit=EpisodeFitSettings(epochs=2, batch_size=32), hidden=(16,))
     episodes = list(_episodes())
     paths = [np.array([[0.0, 0, 0], [10, 5, 0], [20, 0, 0]])] * len(episodes)
     seen, told = np.ones((3, settings.size), np.float32), {}

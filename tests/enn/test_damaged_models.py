@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from enn.encoder import Encoder, EncoderSettings
-from enn.fitting import FitError, FitProgress, FitSettings, fit
+from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitError, fit
 from enn.force.prediction import ForceNetwork, ForceNetworkSettings, ForcePredictor
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.imitation.lumen_segmentation import LumenSegmenter
@@ -121,11 +121,11 @@ def test_a_wrong_bit_in_the_checkpoint_of_a_fit_is_refused(tmp_path: Path) -> No
         def loss(samples: Any, training: bool, generator: Any) -> torch.Tensor:
             return (layer(torch.as_tensor(samples).float()[:, None]) ** 2).mean()
 
-        def progress(moment: FitProgress) -> None:
+        def progress(moment: EpisodeFitProgress) -> None:
             if stop or moment.epoch > 1:
                 raise KeyboardInterrupt
 
-        settings = FitSettings(epochs=5, batch_size=4, checkpoint_seconds=1e6)
+        settings = EpisodeFitSettings(epochs=5, batch_size=4, checkpoint_seconds=1e6)
         fit(layer, loss, np.arange(8) // 2, settings, folder=tmp_path, progress=progress)
 
     with pytest.raises(KeyboardInterrupt):

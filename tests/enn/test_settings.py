@@ -9,7 +9,7 @@ import pkgutil
 from typing import Any
 
 import enn
-from enn.fitting import FitSettings
+from enn.fitting import EpisodeFitSettings
 from enn.force.prediction import ForceNetworkSettings, ForcePredictionSettings
 from enn.imitation.behaviour_cloning import BehaviourCloningSettings
 from enn.imitation.cloned_policy import CloningNetworkSettings
@@ -30,7 +30,7 @@ EVERYTHING: dict[Any, str] = {
     "evaluate_every=0 gae_lambda=0 learning_starts=0 stop_after=0",
     NetworkSettings(): "",
     EncoderSettings(keys=("joints",), shapes=((4,),), channels=(4,)): "epochs=0 seed=0 weight_decay=0",
-    FitSettings(): "checkpoint_seconds=0 patience=0 validation_share=0 weight_decay=0",
+    EpisodeFitSettings(): "checkpoint_seconds=0 patience=0 validation_share=0 weight_decay=0",
     PathFollowerSettings(): "",
     DaggerSettings(): "expert_share=0",
     DisturbanceSettings(): "noise=0 push=-1 push=0 spell_chance=0",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from enn.fitting import FitSettings
+from enn.fitting import EpisodeFitSettings
 from guide3d.learning.build import SEGMENTER_SIZES, SHAPE_SIZES, build_shape_network
 from guide3d.learning.predictor import SegmentationPredictor, ShapePredictor, built
 from guide3d.learning.preprocessing import Preprocessing
@@ -98,7 +98,7 @@ SMALLER = {
     "decisions=3000": "decisions=64, evaluation_episodes=1",
     "held_out_seeds(0, 30)": "held_out_seeds(0, 1)",
     "range(100)": "range(2)",
-    "DESK_CLONING, expert": "dataclasses.replace(DESK_CLONING, fit=FitSettings(epochs=1)), expert",
+    "DESK_CLONING, expert": "dataclasses.replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=1)), expert",
 }
 
 
@@ -132,7 +132,12 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
     for page in (*PAGES, "../README.md", "../packages/enn/README.md"):
         blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
         assert blocks, page
-        results[page] = {"__name__": page, "FitSettings": FitSettings, "dataclasses": dataclasses, **frames}
+        results[page] = {
+            "__name__": page,
+            "EpisodeFitSettings": EpisodeFitSettings,
+            "dataclasses": dataclasses,
+            **frames,
+        }
         for block in blocks:
             if "pipeline.episodes.rerun" in block:
                 try:

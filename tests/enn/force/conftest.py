@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from enn.fitting import FitSettings
+from enn.fitting import EpisodeFitSettings
 from enn.force.prediction import DESK_FORCE, ForcePredictor, fit_force
 from enn.force.samples import ForceSamples, force_samples
 from enn.imitation.dagger import DisturbanceSettings, Disturbed, record
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
 
-QUICK = replace(DESK_FORCE, fit=FitSettings(epochs=12, batch_size=32, learning_rate=3e-3, validation_share=0.0))
+QUICK = replace(DESK_FORCE, fit=EpisodeFitSettings(epochs=12, batch_size=32, learning_rate=3e-3, validation_share=0.0))
 
 
 @pytest.fixture(scope="module")

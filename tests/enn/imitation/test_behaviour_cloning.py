@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from enn.fitting import FitError, FitProgress, FitSettings
+from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitError
 from enn.imitation.behaviour_cloning import (
     DESK_CLONING,
     THESIS_CLONING,
@@ -25,7 +25,9 @@ from enn.networks.image_network import shifted
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import SIDE, DrawnPoint, expert
 
-QUICK = replace(DESK_CLONING, fit=FitSettings(epochs=12, batch_size=32, learning_rate=3e-3, checkpoint_seconds=0))
+QUICK = replace(
+    DESK_CLONING, fit=EpisodeFitSettings(epochs=12, batch_size=32, learning_rate=3e-3, checkpoint_seconds=0)
+)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +88,7 @@ def test_interrupted_fit_goes_on_to_the_same_student(episodes: list[Trajectory],
     settings = replace(QUICK, fit=replace(QUICK.fit, epochs=4), noise=2.0)
     straight, told = clone(episodes[:10], settings, seed=1)
 
-    def stop(progress: FitProgress) -> None:
+    def stop(progress: EpisodeFitProgress) -> None:
         if progress.epoch == 2:
             raise KeyboardInterrupt
 
@@ -102,7 +104,7 @@ def test_interrupted_fit_goes_on_to_the_same_student(episodes: list[Trajectory],
 def test_checkpoint_of_another_architecture_is_refused(episodes: list[Trajectory], tmp_path: Path) -> None:
     settings = replace(QUICK, fit=replace(QUICK.fit, epochs=3))
 
-    def stop(progress: FitProgress) -> None:
+    def stop(progress: EpisodeFitProgress) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from enn.fitting import FitSettings
+from enn.fitting import EpisodeFitSettings
 from enn.imitation.behaviour_cloning import DESK_CLONING
 from enn.imitation.dagger import DaggerSettings, DisturbanceSettings, Disturbed, dagger, record
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
 
-QUICK = replace(DESK_CLONING, fit=FitSettings(epochs=6, batch_size=32, learning_rate=3e-3))
+QUICK = replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=6, batch_size=32, learning_rate=3e-3))
 
 
 def test_labels_are_the_experts_and_the_way_is_the_students() -> None:

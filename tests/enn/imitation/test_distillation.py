@@ -10,14 +10,14 @@ import gymnasium
 import numpy as np
 import pytest
 
-from enn.fitting import FitSettings
+from enn.fitting import EpisodeFitSettings
 from enn.imitation.behaviour_cloning import DESK_CLONING
 from enn.imitation.dagger import DaggerSettings, record
 from enn.imitation.distillation import distil
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
 
-QUICK = replace(DESK_CLONING, fit=FitSettings(epochs=1, batch_size=32))
+QUICK = replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=1, batch_size=32))
 
 
 class PlaceExpert:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enn.fitting import FitSettings
+from enn.fitting import EpisodeFitSettings
 from enn.imitation.path_following import (
     PathFollower,
     PathFollowerSettings,
@@ -19,7 +19,7 @@ from enn.model_file import decoded, write_model
 from enn.trajectory import Trajectory
 
 STEP = 0.002  # m a full action, in x and y
-SETTINGS = PathFollowerSettings(fit=FitSettings(epochs=40, batch_size=64, learning_rate=3e-3))
+SETTINGS = PathFollowerSettings(fit=EpisodeFitSettings(epochs=40, batch_size=64, learning_rate=3e-3))
 
 
 def bent_path(angle: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from stable_baselines3 import SAC
 
 from enn.networks.network import action_distribution
 from enn.policy import Policy
-from enn.reinforcement.evaluation import EpisodeOutcome, Evaluation, run_episodes
+from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult, run_episodes
 from enn.reinforcement.sampling import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
@@ -149,16 +149,18 @@ def test_log_probability_is_that_of_the_squashed_gaussian(point_env: Any) -> Non
 def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     successes, weights = iter([1, 2, 2, 1]), []
 
-    def judged(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> Evaluation:
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
         if not deterministic:
-            return Evaluation((EpisodeOutcome(True, 10, 0.0, 0.0, 0.0, 0.0),))
+            return EvaluationResult((EpisodeOutcome(True, 10, 0.0, 0.0, 0.0, 0.0),))
         assert len(seeds) == 3
         weights.append(torch.cat([value.flatten().clone() for value in policy.module.actor.parameters()]))
         success = next(successes)
         path_mm = 30.0 if len(weights) == 2 else 25.0
-        return Evaluation(tuple(EpisodeOutcome(number < success, 20, 0.0, path_mm, 0.0, 0.0) for number in range(3)))
+        return EvaluationResult(
+            tuple(EpisodeOutcome(number < success, 20, 0.0, path_mm, 0.0, 0.0) for number in range(3))
+        )
 
-    monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", judged)
+    monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", played)
     settings = dataclasses.replace(SMALL, decisions=800, evaluate_every=200, evaluation_episodes=3)
     result = Training(settings, point_env, None, seed=1).run()
     kept = torch.cat([value.flatten() for value in result.policy.module.actor.parameters()])
@@ -344,9 +346,9 @@ def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env
 def test_a_few_hard_episodes_do_not_end_an_evaluation(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     played: list[int] = []
 
-    def hard_first(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> Evaluation:
+    def hard_first(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
         played.append(len(seeds))
-        return Evaluation(tuple(EpisodeOutcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
+        return EvaluationResult(tuple(EpisodeOutcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
 
     monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", hard_first)
     settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, evaluation_episodes=24)

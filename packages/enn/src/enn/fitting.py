@@ -26,7 +26,7 @@ _RISE = 0.3  # share of a one-cycle schedule in which the rate rises, from a 25t
 
 
 @settings
-class FitSettings:
+class EpisodeFitSettings:
     """How a network is fitted to samples."""
 
     epochs: Count = 30  # passes over the training samples at most
@@ -46,7 +46,7 @@ class FitSettings:
 
 
 @dataclass(frozen=True)
-class FitProgress:
+class EpisodeFitProgress:
     """How far a fit is."""
 
     epoch: int  # finished ones
@@ -82,11 +82,11 @@ def fit(
     module: nn.Module,
     loss: Loss,
     episodes: NDArray[Any],
-    settings: FitSettings,
+    settings: EpisodeFitSettings,
     *,
     seed: int = 0,
     folder: Path | str | None = None,
-    progress: Callable[[FitProgress], None] | None = None,
+    progress: Callable[[EpisodeFitProgress], None] | None = None,
 ) -> FitReport:
     """Fits a module in place and leaves it with the weights of its best epoch.
 
@@ -152,7 +152,7 @@ def fit(
             done = epoch + 1 - resumed_at
             left = (time.monotonic() - began) / done * (settings.epochs - epoch - 1)
             try:
-                progress(FitProgress(epoch + 1, settings.epochs, mean, validation, left))
+                progress(EpisodeFitProgress(epoch + 1, settings.epochs, mean, validation, left))
             except BaseException:
                 if file is not None:
                     _write(file, identity, module, best, optimiser, generator, report)
@@ -195,7 +195,7 @@ def validate(module: nn.Module, loss: Loss, samples: NDArray[np.int64], batch: i
     return sum(parts) / len(samples)
 
 
-def _rate(settings: FitSettings, share: float) -> float:
+def _rate(settings: EpisodeFitSettings, share: float) -> float:
     if settings.schedule == "constant":
         return settings.learning_rate
     if share < _RISE:
@@ -203,7 +203,7 @@ def _rate(settings: FitSettings, share: float) -> float:
     return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * (share - _RISE) / (1 - _RISE)))
 
 
-def _out_of_patience(report: FitReport, settings: FitSettings) -> bool:
+def _out_of_patience(report: FitReport, settings: EpisodeFitSettings) -> bool:
     return bool(settings.patience) and len(report.rows) - report.best_epoch >= settings.patience
 
 

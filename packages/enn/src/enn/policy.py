@@ -109,9 +109,9 @@ class Policy:
         with torch.inference_mode():
             return actor_features(self.module, self._encoded(observations)).cpu().numpy()
 
-    def controller(self, deterministic: bool = True, seed: int = 0) -> Controller:
+    def controller(self, deterministic: bool = True, seed: int = 0) -> PolicyController:
         """The policy over an episode, with its action repeat; call `reset()` at the start of each."""
-        return Controller(self, deterministic, seed)
+        return PolicyController(self, deterministic, seed)
 
     def _bounded(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.network.algorithm == "sac":
@@ -213,7 +213,7 @@ class Policy:
             raise another_architecture(path, error, verb="train") from error
 
 
-class Controller:
+class PolicyController:
     """A policy over an episode: holds each action for the policy's action repeat."""
 
     def __init__(self, policy: Policy, deterministic: bool = True, seed: int = 0) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.devices import device_of, seeded
-from enn.fitting import FitProgress, FitReport, FitSettings, fit
+from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
 from enn.force.samples import ForceSamples
 from enn.model_file import FittedNetwork
 from enn.networks.image_network import ImageNetwork, ImageSettings
@@ -56,18 +56,18 @@ class ForcePredictionSettings:
     """
 
     network: ForceNetworkSettings = field(default_factory=ForceNetworkSettings)
-    fit: FitSettings = field(default_factory=FitSettings)
+    fit: EpisodeFitSettings = field(default_factory=EpisodeFitSettings)
     feature_weight: Weight = 1.0
 
 
 DESK_FORCE = ForcePredictionSettings(
-    fit=FitSettings(
+    fit=EpisodeFitSettings(
         epochs=15, batch_size=128, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle", validation_share=0.0
     )
 )
 THESIS_FORCE = ForcePredictionSettings(
     network=ForceNetworkSettings(variant="thesis", image_features=128, hidden=(128,)),
-    fit=FitSettings(epochs=100, batch_size=32, learning_rate=1e-3, schedule="one_cycle", validation_share=0.0),
+    fit=EpisodeFitSettings(epochs=100, batch_size=32, learning_rate=1e-3, schedule="one_cycle", validation_share=0.0),
 )
 
 
@@ -134,7 +134,7 @@ def fit_force(
     *,
     seed: int = 0,
     folder: Path | str | None = None,
-    progress: Callable[[FitProgress], None] | None = None,
+    progress: Callable[[EpisodeFitProgress], None] | None = None,
     device: torch.device | str = "cpu",
 ) -> tuple[ForcePredictor, FitReport]:
     """Learns to predict contact forces.

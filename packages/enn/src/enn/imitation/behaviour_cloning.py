@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.devices import seeded
-from enn.fitting import FitProgress, FitReport, FitSettings, fit
+from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.networks.image_network import shifted
 from enn.networks.normalisation import standardised
@@ -30,7 +30,7 @@ class BehaviourCloningSettings:
     """
 
     network: CloningNetworkSettings = field(default_factory=CloningNetworkSettings)
-    fit: FitSettings = field(default_factory=FitSettings)
+    fit: EpisodeFitSettings = field(default_factory=EpisodeFitSettings)
     entropy: Weight = 1e-3  # beta, weight of the policy's entropy
     l2: Weight = 0.0  # lambda, weight of the sum of the squared weights
     # weight of the mean squared difference to the expert's features, both normalised, where these are given
@@ -43,7 +43,7 @@ class BehaviourCloningSettings:
 # Thesis, table of behaviour cloning's hyper-parameters.
 THESIS_CLONING = BehaviourCloningSettings(
     network=CloningNetworkSettings(variant="thesis"),
-    fit=FitSettings(
+    fit=EpisodeFitSettings(
         epochs=800,
         batch_size=32,
         learning_rate=1e-3,
@@ -55,7 +55,7 @@ THESIS_CLONING = BehaviourCloningSettings(
 )
 DESK_CLONING = BehaviourCloningSettings(
     network=CloningNetworkSettings(variant="desk"),
-    fit=FitSettings(epochs=20, batch_size=64, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle"),
+    fit=EpisodeFitSettings(epochs=20, batch_size=64, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle"),
     shift_px=1,
 )
 
@@ -76,7 +76,7 @@ def clone(
     initial: ClonedPolicy | None = None,
     seed: int = 0,
     folder: Path | str | None = None,
-    progress: Callable[[FitProgress], None] | None = None,
+    progress: Callable[[EpisodeFitProgress], None] | None = None,
     device: torch.device | str = "cpu",
 ) -> tuple[ClonedPolicy, FitReport]:
     """Clones an expert.

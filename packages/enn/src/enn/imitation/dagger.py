@@ -17,7 +17,7 @@ import torch
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from enn.fitting import FitProgress, FitReport
+from enn.fitting import EpisodeFitProgress, FitReport
 from enn.imitation.behaviour_cloning import DESK_CLONING, BehaviourCloningSettings, clone
 from enn.imitation.cloned_policy import ClonedPolicy
 from enn.setting_kinds import Count, Share, settings
@@ -151,7 +151,7 @@ def dagger(
     student: ClonedPolicy | None = None,
     seed: int = 0,
     folder: Path | str | None = None,
-    progress: Callable[[int, FitProgress], None] | None = None,
+    progress: Callable[[int, EpisodeFitProgress], None] | None = None,
     device: torch.device | str = "cpu",
 ) -> tuple[ClonedPolicy, list[DaggerRound], list[Trajectory]]:
     """Improves a student where it goes itself.

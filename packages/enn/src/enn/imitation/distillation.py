@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 import torch
 
-from enn.fitting import FitProgress, FitReport
+from enn.fitting import EpisodeFitProgress, FitReport
 from enn.imitation.behaviour_cloning import BehaviourCloningSettings, clone
 from enn.imitation.cloned_policy import ClonedPolicy
 from enn.imitation.dagger import Act, DaggerRound, DaggerSettings, Disturbed, dagger, record
@@ -68,7 +68,7 @@ def distil(
         features = [expert.features({key: one.observations[key] for key in expert.keys}) for one in episodes]
     parts = 1 if rounds is None else rounds.rounds + 1
 
-    def tell(index: int, fit: FitProgress) -> None:
+    def tell(index: int, fit: EpisodeFitProgress) -> None:
         name = f"DAgger round {index}, epoch {fit.epoch}" if index else f"epoch {fit.epoch}, loss {fit.loss:.3f}"
         if progress is not None:
             progress((index + fit.epoch / fit.epochs) / parts, name)

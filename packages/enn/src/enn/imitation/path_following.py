@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from enn.devices import device_of, seeded
-from enn.fitting import FitProgress, FitReport, FitSettings, fit
+from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
 from enn.setting_kinds import Count, Units, settings
 from enn.trajectory import Trajectory, episode_numbers
@@ -38,8 +38,8 @@ class PathFollowerSettings:
     waypoints: Count = 5  # points of the path ahead of the tip
     spacing: Annotated[float, Interval(gt=0, le=1)] = 0.008  # between them, m
     hidden: tuple[Units, ...] = (128, 128)
-    fit: FitSettings = field(
-        default_factory=lambda: FitSettings(epochs=60, batch_size=64, learning_rate=1e-3, weight_decay=1e-3)
+    fit: EpisodeFitSettings = field(
+        default_factory=lambda: EpisodeFitSettings(epochs=60, batch_size=64, learning_rate=1e-3, weight_decay=1e-3)
     )
 
     @property
@@ -196,7 +196,7 @@ def fit_path_follower(
     *,
     seed: int = 0,
     folder: Path | str | None = None,
-    progress: Callable[[FitProgress], None] | None = None,
+    progress: Callable[[EpisodeFitProgress], None] | None = None,
     device: torch.device | str = "cpu",
 ) -> tuple[PathFollower, FitReport]:
     """Learns to follow paths from an expert's episodes.

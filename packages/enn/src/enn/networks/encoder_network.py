@@ -40,7 +40,7 @@ class EncoderSettings:
     batch_size: Count = 64
     learning_rate: LearningRate = 2e-3  # highest one, of a cycle that rises and falls
     weight_decay: Weight = 1e-4  # of AdamW
-    held_out: Annotated[float, Interval(gt=0, lt=1)] = 0.1  # share of the roll-outs that judge and do not train
+    held_out: Annotated[float, Interval(gt=0, lt=1)] = 0.1  # share of the roll-outs for the test
     seed: Seed = 0
 
     def __post_init__(self) -> None:
@@ -48,8 +48,8 @@ class EncoderSettings:
             raise ValueError(f"expected a shape for each of {len(self.keys)} keys, got {len(self.shapes)}")
 
 
-class Pictures(nn.Module):
-    """Pictures of one size as channels: background removed, pooled, light convolutions if any, a dense layer."""
+class ImagePart(nn.Module):
+    """Images of one size as channels: background removed, pooled, light convolutions if any, a dense layer."""
 
     background: Tensor
     gain: Tensor
@@ -78,7 +78,7 @@ class Pictures(nn.Module):
         return self.body(prepared)
 
 
-class Vector(nn.Module):
+class VectorPart(nn.Module):
     """A vector: centred, scaled, cut off, two dense layers."""
 
     centre: Tensor
@@ -138,9 +138,9 @@ class Encoder(nn.Module):
         for name, members in self.groups.items():
             if len(shapes[name]) == 3:
                 channels = sum(shapes[member][0] for member in members)
-                parts[name] = Pictures(channels, shapes[name][1:], settings)
+                parts[name] = ImagePart(channels, shapes[name][1:], settings)
             else:
-                parts[name] = Vector(int(np.prod(shapes[name])), settings, angle=name in JOINT_LIKE)
+                parts[name] = VectorPart(int(np.prod(shapes[name])), settings, angle=name in JOINT_LIKE)
         self.parts = nn.ModuleDict(parts)
         self.trunk = nn.Sequential(
             nn.Linear(settings.hidden * len(parts), 128), nn.ReLU(), nn.Linear(128, settings.features)
@@ -188,14 +188,14 @@ class Encoder(nn.Module):
         """Sets what is subtracted and scaled in the inputs from samples."""
         some = np.linspace(0, len(samples) - 1, min(len(samples), 400)).astype(int)
         for name, part in self.parts.items():
-            if isinstance(part, Vector):
+            if isinstance(part, VectorPart):
                 values = torch.from_numpy(samples.observations[name])
                 unwound = part.unwound(values)
                 spread = unwound.std(0, correction=0)
                 part.centre.copy_(unwound.mean(0))
                 # a number that hardly moves tells nothing, and its noise is not to be blown up
                 part.scale.copy_(torch.where(spread > 1e-6, 1.0 / spread.clamp(min=1e-4), torch.zeros(())))
-            elif isinstance(part, Pictures):
+            elif isinstance(part, ImagePart):
                 backgrounds, gains = [], []
                 for key in self.groups[name]:
                     frames = samples.observations[key][some]

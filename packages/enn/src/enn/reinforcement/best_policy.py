@@ -9,7 +9,7 @@ import gymnasium
 from torch import nn
 
 from enn.policy import Policy
-from enn.reinforcement.evaluation import Evaluation, run_episodes
+from enn.reinforcement.evaluation import EvaluationResult, run_episodes
 
 EVALUATION_SEEDS, SEEDS_A_TRAINING = 500_000, 1_000  # of evaluations while training: tables need other ones
 SCOUTS, SCOUT_SHARE = 3, 0.25  # evaluation episodes, at least so many, of which one has to succeed for the others
@@ -60,8 +60,8 @@ class BestPolicy:
         mean = run_episodes(policy, envs, self.seeds[:scouts], deterministic=True, tick=tick)
         if mean.success > 0 and len(self.seeds) > scouts:
             rest = run_episodes(policy, envs, self.seeds[scouts:], deterministic=True, tick=tick)
-            mean = Evaluation((*mean.outcomes, *rest.outcomes))
-        drawn: Evaluation | None = None
+            mean = EvaluationResult((*mean.outcomes, *rest.outcomes))
+        drawn: EvaluationResult | None = None
         if mean.success > 0 and mean.success >= (self.success or 0.0):
             drawn = run_episodes(policy, envs, self.seeds, deterministic=False, tick=tick)
         stochastic = 0.0 if drawn is None else drawn.success

@@ -25,7 +25,7 @@ class EpisodeOutcome:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class EvaluationResult:
     """What a policy reached over episodes."""
 
     outcomes: tuple[EpisodeOutcome, ...]
@@ -71,7 +71,7 @@ def run_episodes(
     *,
     deterministic: bool,
     tick: Callable[[], None] | None = None,
-) -> Evaluation:
+) -> EvaluationResult:
     """Plays one episode from each seed, as many side by side as there are environments.
 
     Args:
@@ -104,7 +104,7 @@ def run_episodes(
         running = still
         if tick is not None:
             tick()
-    return Evaluation(tuple(outcomes[number] for number in range(len(seeds))))
+    return EvaluationResult(tuple(outcomes[number] for number in range(len(seeds))))
 
 
 class _RunningEpisode:
