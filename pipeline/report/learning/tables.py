@@ -18,7 +18,7 @@ the denominator.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,8 @@ THESIS_PHANTOM, THESIS_TARGETS = "type_1", ("bca", "lcca")  # of the thesis's ab
 ABLATION_COLUMNS = ("force_n", "path_length_cm", "episode_length_steps", "safety_pct", "success_pct", "spl_pct")
 OWN_COLUMNS = ("episode_length_steps", "path_length_cm", "spl_pct", "safety_pct", "force_n", "force_p95_n",
                "force_max_n", "contact_force_n")  # fmt: skip
-EXPERT_ROW, IMAGE_ROW = "I+V+M", "V"  # of the ablation, which the table of imitation repeats
+EXPERT_ROW = "I+V+M"
+_REPEATED = {EXPERT_ROW: "enn", "V": "image_wo_enn"}  # rows of the ablation in the table of imitation
 MISREGISTERED = "misregistered"  # test sets of unseen arches in which the roadmap is displaced: a group of their own
 _ROW_ORDER = ("H", "sampling_expert", "V", "V+M", "I", "I+V", "I+V+M", "ppo_internal", "sac_internal", "ppo_image",
               "sac_image", "ppo_sequential", "sac_sequential", "path_follower", "image_w_enn")  # fmt: skip
@@ -114,8 +115,8 @@ def learning_tables(evaluations: Sequence[Evaluation], shortest: Shortest) -> di
     rows = named_rows(evaluations)
     tables = {
         "cathsim_results": _baselines(rows, shortest),
-        "ablation": _ablation(rows, shortest),
-        "imitation": _imitation(rows, shortest),
+        "ablation": _thesis(rows, shortest, _in_ablation),
+        "imitation": _thesis(rows, shortest, _in_imitation) if any(stage == "imitation" for stage, *_ in rows) else {},
         **{OWN_TABLES[stage]: _own(rows, stage, shortest) for stage in LEARNING_STAGES},
         **{OWN_TABLES[stage]: _of_operator(rows, stage, shortest) for stage in COMPARED},
     }
@@ -193,32 +194,26 @@ def _baselines(rows: Rows, shortest: Shortest) -> Table:
     return table
 
 
-def _ablation(rows: Rows, shortest: Shortest) -> Table:
+def _in_ablation(stage: str, row: str) -> str | None:
+    """What a stage's row is called in the thesis's ablation; None where it does not stand there."""
+    return row if stage in ("enn", *COMPARED) else None
+
+
+def _in_imitation(stage: str, row: str) -> str | None:
+    """What a stage's row is called in the thesis's table of imitation, which repeats two of the ablation."""
+    return row if stage == "imitation" else _REPEATED.get(row) if stage == "enn" else None
+
+
+def _thesis(rows: Rows, shortest: Shortest, named: Callable[[str, str], str | None]) -> Table:
+    """The columns of the thesis's ablation for every row with a name there and with deterministic episodes."""
     table: Table = {}
-    for (stage, phantom, target, name), evaluations in rows.items():
-        if stage in ("enn", *COMPARED) and phantom == THESIS_PHANTOM and target in THESIS_TARGETS:
-            table |= _thesis_row(f"{target}/{name}", evaluations, shortest)
+    for (stage, phantom, target, row), evaluations in rows.items():
+        name, chosen = named(stage, row), of_mode(evaluations, DETERMINISTIC)
+        if name and chosen and phantom == THESIS_PHANTOM and target in THESIS_TARGETS:
+            values = summary(chosen, shortest)
+            cells = {column: values[column] for column in ABLATION_COLUMNS}
+            table[f"{target}/{name}"] = {**cells, SAMPLES: len(chosen)}
     return table
-
-
-def _imitation(rows: Rows, shortest: Shortest) -> Table:
-    table: Table = {}
-    for (stage, phantom, target, name), evaluations in rows.items():
-        if phantom != THESIS_PHANTOM or target not in THESIS_TARGETS:
-            continue
-        repeated = {EXPERT_ROW: "enn", IMAGE_ROW: "image_wo_enn"}.get(name) if stage == "enn" else None
-        if stage == "imitation" or repeated:
-            table |= _thesis_row(f"{target}/{repeated or name}", evaluations, shortest)
-    return table if any(stage == "imitation" for stage, *_ in rows) else {}
-
-
-def _thesis_row(key: str, evaluations: Sequence[Evaluation], shortest: Shortest) -> Table:
-    """A row in the columns of the thesis's ablation; none without deterministic episodes."""
-    chosen = of_mode(evaluations, DETERMINISTIC)
-    if not chosen:
-        return {}
-    values = summary(chosen, shortest)
-    return {key: {**{column: values[column] for column in ABLATION_COLUMNS}, SAMPLES: len(chosen)}}
 
 
 def _own(rows: Rows, stage: str, shortest: Shortest) -> Table:
