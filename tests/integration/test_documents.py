@@ -155,11 +155,10 @@ def sources_of(command: str) -> str:
     module = re.search(r"-m ((?:cathsim|enn|guide3d|splineformer|pipeline|tests\.fuzz)\b[\w.]*)", command)
     if not module:
         return ""
-    spec = importlib.util.find_spec(module[1].split(".")[0] if "fuzz" not in module[1] else module[1])
-    assert spec, module[1]
-    return "".join(
-        read(path) for folder in spec.submodule_search_locations or () for path in Path(folder).rglob("*.py")
-    )
+    name = module[1] if "fuzz" in module[1] else module[1].split(".")[0]
+    names = [name, "guide3d"] if name == "splineformer" else [name]  # whose options of a training it shares
+    folders = [folder for one in names for folder in importlib.import_module(one).__path__]
+    return "".join(read(path) for folder in folders for path in Path(folder).rglob("*.py"))
 
 
 @documents

@@ -154,6 +154,6 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
     assert results["enn/imitation.md"]["policy"].keys == ("image",)
     assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]
     assert results["guide3d/networks.md"]["mask"].shape == (128, 128)
-    assert results["guide3d/dataset.md"]["small"].shape == (24, 256, 256)
+    assert len(results["guide3d/dataset.md"]["data"].frames) == 24
     assert results["guide3d/overview.md"]["P"].shape == (3, 4)
     assert results["guide3d/overview.md"]["mask"].shape == results["guide3d/overview.md"]["image"].shape
