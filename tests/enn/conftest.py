@@ -11,6 +11,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+from enn.exploration import Samples
+from tests.enn.rod import drawn
+
 
 class PointEnv(gymnasium.Env):
     """A point that is to reach the centre of a square; it can be saved, restored and started anywhere."""
@@ -75,3 +78,9 @@ class PointEnv(gymnasium.Env):
 def point_env() -> type[PointEnv]:
     """The class of the toy environment."""
     return PointEnv
+
+
+@pytest.fixture(scope="session")
+def samples() -> Samples:
+    """Scripted samples of the rod; treated as read-only."""
+    return drawn()

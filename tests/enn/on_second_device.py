@@ -29,7 +29,7 @@ from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
 from tests.enn.imitation.test_recurrent_policy import WireEnv, lessons_of, vessels
 from tests.enn.reinforcement.small_training import SMALL
-from tests.enn.test_encoder import Rod
+from tests.enn.rod import Rod
 from tests.second_device import second_device
 
 

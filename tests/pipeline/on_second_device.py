@@ -13,7 +13,7 @@ from pipeline.jobs.pool import Job
 from pipeline.jobs.worker import Report
 from pipeline.stages import force, imitation
 from pipeline.store.run_folder import RunFolder
-from tests.pipeline.stages import test_force_stage as force_tests
+from tests.pipeline.stages import test_force as force_tests
 from tests.pipeline.stages import test_imitation as imitation_tests
 from tests.pipeline.stages.small_expert import context, write_expert
 from tests.second_device import second_device

@@ -1,4 +1,4 @@
-"""Reinforcement learning: it learns, keeps the best, reports its curve, and updates as stable-baselines3 does."""
+"""Reinforcement learning: it learns, reports its curve, and keeps to its settings."""
 
 from __future__ import annotations
 
@@ -11,17 +11,13 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import SAC
 
-from enn.networks.network import action_distribution
 from enn.policy import Policy
-from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult, run_episodes
-from enn.reinforcement.sampling import SampledEnvs
+from enn.reinforcement.evaluation import run_episodes
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
     DESK_PPO,
     DESK_SAC,
-    THESIS_PPO,
     THESIS_SAC,
     Progress,
     Training,
@@ -86,113 +82,6 @@ def test_the_same_seed_gives_the_same_training(point_env: Any) -> None:
     assert not torch.equal(weights[0], weights[2])
 
 
-@pytest.mark.parametrize("ent_coef", ["auto_0.05", 0.2])
-def test_one_update_is_the_librarys(ent_coef: str | float, point_env: Any) -> None:
-    settings = dataclasses.replace(SMALL, ent_coef=ent_coef, normalise=False, batch_size=64)
-    envs = SampledEnvs([point_env] * 2, seed=0)
-    learner = SacLearner(settings, envs, 0)
-    observations = envs.reset()
-    for _ in range(60):
-        actions = learner.act(observations, explore=True)
-        after, rewards, dones, infos = envs.step(actions)
-        learner.observe(observations, rewards, dones, after, infos, explore=True)
-        observations = after
-    model = learner.model
-    library = SAC(
-        type(model.policy),
-        envs,
-        learning_rate=settings.learning_rate,
-        batch_size=64,
-        ent_coef=ent_coef,
-        policy_kwargs=dict(model.policy_kwargs),
-        device="cpu",
-    )
-    library.policy.load_state_dict(model.policy.state_dict())
-    data = learner.replay.gather(np.arange(60), np.zeros(60, int))
-
-    class Fixed:
-        def sample(self, *arguments: Any, **keywords: Any) -> Any:
-            return data
-
-    learner.replay.sample = Fixed().sample  # type: ignore[method-assign]
-    library.replay_buffer = Fixed()
-    from stable_baselines3.common.logger import Logger
-
-    library.set_logger(Logger(None, []))
-    model.noise = None  # the global generator, as the library
-    for one in (library, model):
-        torch.manual_seed(5)
-        one.train(3, 64)
-    theirs = library.policy.state_dict()
-    before = dict(SacLearner(settings, envs, 0).policy.state_dict())
-    for name, value in model.policy.state_dict().items():
-        torch.testing.assert_close(value, theirs[name], atol=2e-5, rtol=2e-4)
-        if name.endswith("weight"):
-            assert not torch.equal(value, before[name])
-    if ent_coef == "auto_0.05":
-        assert library.log_ent_coef is not None
-        assert model.log_ent_coef is not None
-        torch.testing.assert_close(model.log_ent_coef, library.log_ent_coef, atol=1e-5, rtol=1e-4)
-
-
-def test_log_probability_is_that_of_the_squashed_gaussian(point_env: Any) -> None:
-    learner = SacLearner(SMALL, SampledEnvs([point_env], seed=0), 0)
-    observations = {"place": torch.randn(50, 2, generator=torch.Generator().manual_seed(0))}
-    actions, log_prob = learner.model.sample_actions(observations)
-    mean, log_std = action_distribution(learner.policy, observations)
-    raw = torch.atanh(actions.double().clamp(-1 + 1e-9, 1 - 1e-9))
-    expected = torch.distributions.Normal(mean.double(), log_std.double().exp()).log_prob(raw)
-    expected -= torch.log(1 - actions.double() ** 2)
-    torch.testing.assert_close(log_prob[:, 0].double(), expected.sum(1), atol=1e-3, rtol=1e-3)
-
-
-def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    successes, weights = iter([1, 2, 2, 1]), []
-
-    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
-        if not deterministic:
-            return EvaluationResult((EpisodeOutcome(True, 10, 0.0, 0.0, 0.0, 0.0),))
-        assert len(seeds) == 3
-        weights.append(torch.cat([value.flatten().clone() for value in policy.module.actor.parameters()]))
-        success = next(successes)
-        path_mm = 30.0 if len(weights) == 2 else 25.0
-        return EvaluationResult(
-            tuple(EpisodeOutcome(number < success, 20, 0.0, path_mm, 0.0, 0.0) for number in range(3))
-        )
-
-    monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", played)
-    settings = dataclasses.replace(SMALL, decisions=800, evaluate_every=200, evaluation_episodes=3)
-    result = Training(settings, point_env, None, seed=1).run()
-    kept = torch.cat([value.flatten() for value in result.policy.module.actor.parameters()])
-    # as successful as the second, but shorter
-    assert [torch.equal(kept, one) for one in weights] == [False, False, True, False]
-    assert result.evaluation is not None
-    assert result.evaluation["decisions"] == 600
-    assert result.evaluation["path_mm"] == 25
-
-
-def test_evaluation_is_the_same_for_the_same_seeds(point_env: Any) -> None:
-    result = Training(dataclasses.replace(SMALL, decisions=800, evaluate_every=800), point_env, None, seed=1).run()
-    assert result.evaluation is not None
-    for count in (1, 3):  # environments side by side
-        again = run_episodes(
-            result.policy, [point_env() for _ in range(count)], range(501_000, 501_005), deterministic=True
-        )
-        assert (again.success, again.steps) == (result.evaluation["success"], result.evaluation["steps"])
-        assert again.path_mm == pytest.approx(result.evaluation["path_mm"])
-    drawn = run_episodes(result.policy, [point_env()], range(9), deterministic=False)
-    assert drawn == run_episodes(result.policy, [point_env()], range(9), deterministic=False)
-    assert drawn != run_episodes(result.policy, [point_env()], range(9), deterministic=True)
-
-
-def test_stops_early_once_perfect_and_no_shorter(point_env: Any) -> None:
-    settings = dataclasses.replace(SMALL, decisions=100_000, evaluate_every=200, stop_after=2)
-    result = Training(settings, point_env, None, seed=1).run()
-    assert result.timings["decisions"] < 4000
-    assert result.evaluation is not None
-    assert result.evaluation["success"] == 1.0
-
-
 def test_action_repeat_counts_steps_and_is_played_in_evaluation(point_env: Any) -> None:
     settings = dataclasses.replace(SMALL, action_repeat=2, decisions=400, evaluate_every=400)
     result = Training(settings, point_env, None, seed=0).run()
@@ -210,23 +99,6 @@ def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
     events.Reload()
     assert [event.step for event in events.Scalars("curve/reward")] == [104, 200, 240]
     assert "train/critic_loss" in events.Tags()["scalars"]
-
-
-def test_the_thesis_presets_are_its_tables() -> None:
-    table = {
-        "learning_rate": 3e-4,
-        "buffer_size": 1_000_000,
-        "batch_size": 256,
-        "tau": 0.005,
-        "gamma": 0.99,
-        "gradient_steps": 1,
-        "ent_coef": "auto_1.0",  # its 1, where the learning starts
-        "target_entropy": None,  # its -2, for two actions
-    }
-    assert {name: getattr(THESIS_SAC, name) for name in table} == table
-    assert THESIS_SAC.decisions == THESIS_PPO.decisions == 600_000
-    assert THESIS_PPO.learning_rate == 3e-4
-    assert THESIS_PPO.variant == THESIS_SAC.variant == "thesis"
 
 
 def test_the_thesis_preset_learns_its_entropy(point_env: Any) -> None:
@@ -269,19 +141,6 @@ def test_entropy_of_each_number_of_actions(preset: TrainingSettings, point_env: 
     assert run.learner.model.target_entropy == -21.0
     assert run.learner.model.ent_coef_optimizer is not None
     run.close()
-
-
-def test_settings_that_contradict_each_other_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"a fixed ent_coef of 1\.0 aims at no entropy"):
-        dataclasses.replace(THESIS_SAC, ent_coef=1.0, target_entropy=-2.0)
-    for odd in ("auto_0", "auto_-1", "auto_x", "fixed", "auto_nan"):
-        with pytest.raises(ValueError, match="ent_coef must be a number, auto, or auto_ and the positive number"):
-            dataclasses.replace(THESIS_SAC, ent_coef=odd)
-    with pytest.raises(ValueError, match="sac does not use n_steps: leave it at 256, got 128"):
-        dataclasses.replace(THESIS_SAC, n_steps=128)
-    for name, value in {"target_entropy": -2.0, "buffer_size": 9, "tau": 0.5, "gradient_steps": 2.0}.items():
-        with pytest.raises(ValueError, match=f"ppo does not use {name}"):
-            dataclasses.replace(THESIS_PPO, **{name: value})
 
 
 def test_refusals_say_why() -> None:
@@ -341,18 +200,3 @@ def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env
     made.clear()
     training.run()
     assert made == ["training", "training", "validation", "validation"]
-
-
-def test_a_few_hard_episodes_do_not_end_an_evaluation(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    played: list[int] = []
-
-    def hard_first(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
-        played.append(len(seeds))
-        return EvaluationResult(tuple(EpisodeOutcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
-
-    monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", hard_first)
-    settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, evaluation_episodes=24)
-    result = Training(settings, point_env, seed=0).run()
-    assert played == [6, 18, 24]
-    assert result.evaluation is not None
-    assert result.evaluation["success"] == pytest.approx(20 / 24)

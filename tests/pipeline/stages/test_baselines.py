@@ -21,7 +21,7 @@ from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
-from tests.pipeline.stages.test_enn_stage import expert_run  # noqa: F401 - a fixture
+from tests.pipeline.stages.test_enn import expert_run  # noqa: F401 - a fixture
 
 
 def settings(**changed) -> BaselinesSettings:

@@ -1,0 +1,76 @@
+"""Soft actor-critic: an update equal to stable-baselines3's, the log-probability of squashed actions."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import SAC
+
+from enn.networks.network import action_distribution
+from enn.reinforcement.sampling import SampledEnvs
+from enn.reinforcement.soft_actor_critic import SacLearner
+from tests.enn.reinforcement.small_training import SMALL
+
+
+@pytest.mark.parametrize("ent_coef", ["auto_0.05", 0.2])
+def test_one_update_is_the_librarys(ent_coef: str | float, point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, ent_coef=ent_coef, normalise=False, batch_size=64)
+    envs = SampledEnvs([point_env] * 2, seed=0)
+    learner = SacLearner(settings, envs, 0)
+    observations = envs.reset()
+    for _ in range(60):
+        actions = learner.act(observations, explore=True)
+        after, rewards, dones, infos = envs.step(actions)
+        learner.observe(observations, rewards, dones, after, infos, explore=True)
+        observations = after
+    model = learner.model
+    library = SAC(
+        type(model.policy),
+        envs,
+        learning_rate=settings.learning_rate,
+        batch_size=64,
+        ent_coef=ent_coef,
+        policy_kwargs=dict(model.policy_kwargs),
+        device="cpu",
+    )
+    library.policy.load_state_dict(model.policy.state_dict())
+    data = learner.replay.gather(np.arange(60), np.zeros(60, int))
+
+    class Fixed:
+        def sample(self, *arguments: Any, **keywords: Any) -> Any:
+            return data
+
+    learner.replay.sample = Fixed().sample  # type: ignore[method-assign]
+    library.replay_buffer = Fixed()
+    from stable_baselines3.common.logger import Logger
+
+    library.set_logger(Logger(None, []))
+    model.noise = None  # the global generator, as the library
+    for one in (library, model):
+        torch.manual_seed(5)
+        one.train(3, 64)
+    theirs = library.policy.state_dict()
+    before = dict(SacLearner(settings, envs, 0).policy.state_dict())
+    for name, value in model.policy.state_dict().items():
+        torch.testing.assert_close(value, theirs[name], atol=2e-5, rtol=2e-4)
+        if name.endswith("weight"):
+            assert not torch.equal(value, before[name])
+    if ent_coef == "auto_0.05":
+        assert library.log_ent_coef is not None
+        assert model.log_ent_coef is not None
+        torch.testing.assert_close(model.log_ent_coef, library.log_ent_coef, atol=1e-5, rtol=1e-4)
+
+
+def test_log_probability_is_that_of_the_squashed_gaussian(point_env: Any) -> None:
+    learner = SacLearner(SMALL, SampledEnvs([point_env], seed=0), 0)
+    observations = {"place": torch.randn(50, 2, generator=torch.Generator().manual_seed(0))}
+    actions, log_prob = learner.model.sample_actions(observations)
+    mean, log_std = action_distribution(learner.policy, observations)
+    raw = torch.atanh(actions.double().clamp(-1 + 1e-9, 1 - 1e-9))
+    expected = torch.distributions.Normal(mean.double(), log_std.double().exp()).log_prob(raw)
+    expected -= torch.log(1 - actions.double() ** 2)
+    torch.testing.assert_close(log_prob[:, 0].double(), expected.sum(1), atol=1e-3, rtol=1e-3)
