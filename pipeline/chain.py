@@ -34,11 +34,7 @@ _WORKED = 0.3  # of what a stage is known to take: less, and it was up to date o
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the command line.
-
-    Returns:
-        0, or the exit code of the stage that failed.
-    """
+    """Runs the command line; gives 0, or the exit code of the stage that failed."""
     if "--help" in arguments or "-h" in arguments:
         _say(_USAGE)
         return 0

@@ -18,19 +18,12 @@ from pipeline.store.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class SeedRange:
-    """Seeds of one purpose.
+    """Seeds of one purpose."""
 
-    Attributes:
-        first: of all of them.
-        width: how many a part has.
-        parts: one for each run seed or training seed; 1: all share them.
-        of: what a seed stands for, for messages.
-    """
-
-    first: int
-    width: int
-    parts: int
-    of: str
+    first: int  # of all of them
+    width: int  # how many a part has
+    parts: int  # one for each run seed or training seed; 1: all share them
+    of: str  # what a seed stands for, for messages
 
     @property
     def all(self) -> range:
@@ -70,9 +63,8 @@ RETIRED_ARCHES = range(30_000, 32_000), range(33_000, 34_000)
 
 EPISODES = {
     "sampling expert": SeedRange(0, 1_000, _TRAININGS, "demonstrations"),
-    "evaluation while training": SeedRange(
-        500_000, 1_000, _TRAININGS, "evaluations"
-    ),  # as enn.reinforcement.best_policy counts
+    # as enn.reinforcement.best_policy counts
+    "evaluation while training": SeedRange(500_000, 1_000, _TRAININGS, "evaluations"),
     "expert": SeedRange(2_000_000, 1_000, _TRAININGS, "expert episodes"),
     "disturbed expert": SeedRange(2_500_000, 1_000, _TRAININGS, "disturbed expert episodes"),
     "navigation, expert goes on": SeedRange(3_000_000, 1_000, _TRAININGS, "further expert episodes"),

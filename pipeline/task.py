@@ -37,27 +37,17 @@ _SAME = 1e-9  # relative: lengths come back from logs in metres
 
 @validated("task.")
 class Task:
-    """What an episode asks for, whatever the anatomy and the target; treated as immutable once it is made.
+    """What an episode asks for, whatever the anatomy and the target; treated as immutable once it is made."""
 
-    Attributes:
-        wire: preset of the guidewire.
-        wire_length_mm: to which it is scaled; 0: as long as the preset.
-        actions: "feeder" (two: translation, rotation) or "tip_motors" (the thesis's twenty-one).
-        image_size_px: side of the images.
-        max_steps: an episode is cut off after so many steps of 0.1 s.
-        success_radius_mm: the target is reached within this distance of the tip.
-        start_jitter_mm: the wire starts advanced by up to this much.
-        start_rotation_deg: ... and turned by up to this much either way.
-    """
-
-    wire: FolderName = "default"  # checked by `require_known_task`, which imports the simulator
-    wire_length_mm: WireLength = 0.0
+    wire: FolderName = "default"  # preset of the guidewire; checked by `require_known_task`
+    wire_length_mm: WireLength = 0.0  # to which it is scaled; 0: as long as the preset
+    # "feeder" (two: translation, rotation) or "tip_motors" (the thesis's twenty-one)
     actions: Annotated[str, one_of(FEEDER, TIP_MOTORS)] = FEEDER
-    image_size_px: ImageSize = 80
-    max_steps: Count = 300
-    success_radius_mm: SuccessRadius = 8.0
-    start_jitter_mm: StartJitter = 1.0
-    start_rotation_deg: StartRotation = 180.0
+    image_size_px: ImageSize = 80  # side of the images
+    max_steps: Count = 300  # of 0.1 s, after which an episode is cut off
+    success_radius_mm: SuccessRadius = 8.0  # the target is reached within this distance of the tip
+    start_jitter_mm: StartJitter = 1.0  # the wire starts advanced by up to this much
+    start_rotation_deg: StartRotation = 180.0  # ... and turned by up to this much either way
 
     @property
     def success_radius(self) -> float:

@@ -161,11 +161,7 @@ def _run(arguments: argparse.Namespace, path: Path) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Returns:
-        The exit code: 0 fine, 1 damaged, 2 usage.
-    """
+    """Run the command line; give the exit code: 0 fine, 1 damaged, 2 usage."""
     arguments = _parser().parse_args(argv)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a path or a log's text may hold what the terminal cannot

@@ -89,11 +89,7 @@ def _offset(part: ChunkIndex | MetadataIndex) -> int:
 
 
 def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | None:
-    """Read an annotation of a log.
-
-    Returns:
-        Its values, or None when the log has none of that key.
-    """
+    """Read an annotation of a log: its values, or None when the log has none of that key."""
     name = annotation_name(key)
     try:
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 MOST_STEPS = 1_000_000
 """Of an episode: 28 hours at ten steps a second. A log that claims more is damaged, not long."""
 
+# of a step: length, where it is known
+_VECTORS = {"action": None, "joint_positions": None, "joint_velocities": None, "tip": 3, "resultant_force": 3}
 _CHECKED = ConfigDict(allow_inf_nan=False, extra="forbid")
 _Step = Annotated[int, Ge(0), Le(MOST_STEPS)]
 _Truth = Annotated[bool, BeforeValidator(lambda value: bool(value) if isinstance(value, np.bool_) else value)]
@@ -80,15 +82,10 @@ class StepRecord:
     def __post_init__(self) -> None:
         if not 0 <= self.step <= MOST_STEPS:
             raise ValueError(f"step must lie in 0 to {MOST_STEPS}, got {self.step}")
-        put = object.__setattr__
-        put(self, "action", _vector("action", self.action, None))
-        put(self, "joint_positions", _vector("joint_positions", self.joint_positions, None))
-        put(self, "joint_velocities", _vector("joint_velocities", self.joint_velocities, None))
-        put(self, "wire_points", _points("wire_points", self.wire_points))
-        put(self, "tip", _vector("tip", self.tip, 3))
-        put(self, "contact_positions", _points("contact_positions", self.contact_positions))
-        put(self, "contact_forces", _points("contact_forces", self.contact_forces))
-        put(self, "resultant_force", _vector("resultant_force", self.resultant_force, 3))
+        for name, length in _VECTORS.items():
+            object.__setattr__(self, name, _vector(name, getattr(self, name), length))
+        for name in ("wire_points", "contact_positions", "contact_forces"):
+            object.__setattr__(self, name, _points(name, getattr(self, name)))
         if len(self.contact_positions) != len(self.contact_forces):
             raise ValueError(
                 f"every contact needs a position and a force, got {len(self.contact_positions)} positions "

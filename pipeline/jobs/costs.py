@@ -21,23 +21,14 @@ OWN_PROCESS = ""  # key of the stage's own process
 
 @dataclass(frozen=True)
 class Cost:
-    """Of a job, in its own process.
+    """Of a job, in its own process."""
 
-    Attributes:
-        wall_s: from its start to its end.
-        cpu_s: of all its threads.
-        memory_mb: the most that its process had in memory, what was imported before included.
-        gpu_mb: the most that torch had allocated on a GPU; 0: it used none.
-        device: "cpu", or the name of the GPU.
-        outcome: "ok", or why the job failed.
-    """
-
-    wall_s: float
-    cpu_s: float
-    memory_mb: float
-    gpu_mb: float
-    device: str
-    outcome: str = OK
+    wall_s: float  # from its start to its end
+    cpu_s: float  # of all its threads
+    memory_mb: float  # the most that its process had in memory, what was imported before included
+    gpu_mb: float  # the most that torch had allocated on a GPU; 0: it used none
+    device: str  # "cpu", or the name of the GPU
+    outcome: str = OK  # "ok", or why the job failed
 
 
 class CostMeter:

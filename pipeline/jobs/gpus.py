@@ -30,18 +30,12 @@ print(json.dumps([[torch.cuda.get_device_name(k), *torch.cuda.mem_get_info(k)] f
 
 @dataclass(frozen=True)
 class Gpu:
-    """A GPU.
+    """A GPU."""
 
-    Attributes:
-        visible: what `CUDA_VISIBLE_DEVICES` calls it.
-        free_bytes: of its memory when the stage looked.
-        total_bytes: of its memory.
-    """
-
-    visible: str
+    visible: str  # what `CUDA_VISIBLE_DEVICES` calls it
     name: str
-    free_bytes: int
-    total_bytes: int
+    free_bytes: int  # of its memory when the stage looked
+    total_bytes: int  # of its memory
 
 
 def find_gpus() -> list[Gpu]:

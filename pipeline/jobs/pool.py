@@ -50,27 +50,18 @@ _LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Job:
-    """A piece of work.
+    """A piece of work."""
 
-    Attributes:
-        key: its name in messages and in the run folder; no two of a stage share one.
-        run: a module's function: what it is given, and where it reports its progress, to a JSON value.
-        given: to `run`; picklable.
-        after: keys of jobs that must be done before.
-        weight: how long it takes beside the others, for the estimate of the end.
-        memory_gb: memory that it is expected to need; 0: too little to mind.
-        gpu_gb: GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none.
-        gpus: how many GPUs it computes on.
-    """
-
-    key: str
+    key: str  # its name in messages and in the run folder; no two of a stage share one
+    # a module's function: what it is given, and where it reports its progress, to a JSON value
     run: Callable[[Any, Report], Any]
-    given: Any = None
-    after: tuple[str, ...] = ()
-    weight: float = 1.0
-    memory_gb: float = 0.0
+    given: Any = None  # to `run`; picklable
+    after: tuple[str, ...] = ()  # keys of jobs that must be done before
+    weight: float = 1.0  # how long it takes beside the others, for the estimate of the end
+    memory_gb: float = 0.0  # memory that it is expected to need; 0: too little to mind
+    # GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none
     gpu_gb: float = 0.0
-    gpus: int = 1
+    gpus: int = 1  # how many GPUs it computes on
 
 
 @dataclass

@@ -27,19 +27,13 @@ Controller = Callable[[Any, Mapping[str, Any]], np.ndarray]  # observation, info
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a log comes from: what the report's tables group by.
-
-    Attributes:
-        row: of the stage's table, e.g. "I+V+M" or "ppo_image".
-        variant: "thesis" or "desk".
-        further: whatever else is worth keeping.
-    """
+    """Where a log comes from: what the report's tables group by."""
 
     stage: str
-    row: str
+    row: str  # of the stage's table, e.g. "I+V+M" or "ppo_image"
     training_seed: int
-    variant: str
-    further: Mapping[str, Any] = field(default_factory=dict)
+    variant: str  # "thesis" or "desk"
+    further: Mapping[str, Any] = field(default_factory=dict)  # whatever else is worth keeping
 
     def configuration(self, mode: str) -> dict[str, Any]:
         """As the log's configuration holds it."""
@@ -108,11 +102,7 @@ def run_trials(
 
 
 def recorded(path: Path, seed: int) -> EpisodeMetrics | None:
-    """The metrics of a log that an interrupted run has left.
-
-    Returns:
-        None: there is no whole log of that seed.
-    """
+    """The metrics of a log that an interrupted run has left; None where there is no whole log of that seed."""
     from cathsim.metrics import EpisodeMetrics
 
     if not path.exists():

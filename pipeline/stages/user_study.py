@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.report.learning.logs import COUNTED
 from pipeline.report.results import Figure, write_figures, write_results
@@ -14,6 +14,9 @@ from pipeline.settings.kinds import Count, SuccessRadius
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_json
 from pipeline.store.provenance import hash_file
+
+if TYPE_CHECKING:
+    from pipeline.episodes import EpisodeInfo
 
 _MM = 1e3
 
@@ -31,23 +34,14 @@ class UserStudySettings:
 
 @dataclass
 class Study:
-    """What was found in the recordings.
+    """What was found in the recordings."""
 
-    Attributes:
-        counted: logs of finished procedures under the study's settings.
-        logs: task ("type_1/bca") to all its finished logs.
-        broken_off: procedures that were left before they ended.
-        other_settings: finished ones with another limit or radius.
-        unreadable: logs that are damaged or not a human's.
-        answers: the questionnaires, oldest first.
-    """
-
-    counted: list[Path] = field(default_factory=list)
-    logs: dict[str, list[Path]] = field(default_factory=dict)
-    broken_off: int = 0
-    other_settings: int = 0
-    unreadable: int = 0
-    answers: list[dict[str, Any]] = field(default_factory=list)
+    counted: list[Path] = field(default_factory=list)  # logs of finished procedures under the study's settings
+    logs: dict[str, list[Path]] = field(default_factory=dict)  # task ("type_1/bca") to all its finished logs
+    broken_off: int = 0  # procedures that were left before they ended
+    other_settings: int = 0  # finished ones with another limit or radius
+    unreadable: int = 0  # logs that are damaged or not a human's
+    answers: list[dict[str, Any]] = field(default_factory=list)  # the questionnaires, oldest first
 
 
 def logs_of(run_path: Path) -> list[Path]:
@@ -58,43 +52,25 @@ def logs_of(run_path: Path) -> list[Path]:
 
 
 def gather(logs: list[Path], settings: UserStudySettings) -> Study:
-    """Reads the logs."""
-    from cathsim.console.questionnaire import check_answers
-    from cathsim.console.recorder import OPERATOR
-    from cathsim.metrics import EpisodeMetrics
-    from pipeline.episodes import EpisodeReader, EpisodeReadError
-    from pipeline.episodes.annotate import read_annotation
-    from pipeline.recording.human import QUESTIONNAIRE
+    """Reads the logs; those that are no human's or cannot be used are left out with a warning."""
+    from pipeline.episodes import EpisodeReadError
 
     study, answers = Study(), []
     for path in logs:
         try:
-            with EpisodeReader(path) as log:
-                info, outcome = log.info, log.outcome
-            answered = read_annotation(path, QUESTIONNAIRE)
+            info, finished, answered = _read(path)
+            radius_mm = _MM * float(info.configuration.get("success_radius", 0.0))
         except EpisodeReadError as error:
             _LOGGER.warning("left out: %s", error)
             study.unreadable += 1
             continue
-        if info.operator != OPERATOR:
-            _LOGGER.warning("left out: %s is an episode of %s", path, info.operator)
-            study.unreadable += 1
-            continue
-        try:
-            if outcome.metrics:
-                EpisodeMetrics(**outcome.metrics)  # a log with other metrics is not one of the console
-            for name, value in outcome.metrics.items():
-                if name != "target" and not isinstance(value, int | float):
-                    raise ValueError(f"the metric {name} is {value!r}")
-            radius_mm = _MM * float(info.configuration.get("success_radius", 0.0))
-            checked = None if answered is None else check_answers(answered)
         except (TypeError, ValueError, OverflowError) as error:
             _LOGGER.warning("left out: %s says what cannot be used (%s)", path, error)
             study.unreadable += 1
             continue
-        if checked is not None:
-            answers.append((info.start_time_ns, checked))
-        if outcome.status != "finished" or not outcome.metrics:
+        if answered is not None:
+            answers.append((info.start_time_ns, answered))
+        if not finished:
             study.broken_off += 1
             continue
         task = f"{info.phantom}/{info.target}"
@@ -106,6 +82,29 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
             study.other_settings += 1
     study.answers = [answered for _, answered in sorted(answers, key=lambda entry: entry[0])]
     return study
+
+
+def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
+    """What a log holds: its information, whether the procedure was finished, and the questionnaire."""
+    from cathsim.console.questionnaire import check_answers
+    from cathsim.console.recorder import OPERATOR
+    from cathsim.metrics import EpisodeMetrics
+    from pipeline.episodes import EpisodeReader, EpisodeReadError
+    from pipeline.episodes.annotate import read_annotation
+    from pipeline.recording.human import QUESTIONNAIRE
+
+    with EpisodeReader(path) as log:
+        info, outcome = log.info, log.outcome
+    answered = read_annotation(path, QUESTIONNAIRE)
+    if info.operator != OPERATOR:
+        raise EpisodeReadError(f"{path} is an episode of {info.operator}")
+    for name, value in outcome.metrics.items():
+        if name != "target" and not isinstance(value, int | float):
+            raise ValueError(f"the metric {name} is {value!r}")
+    if outcome.metrics:
+        EpisodeMetrics(**outcome.metrics)  # a log with other metrics is not one of the console
+    finished = outcome.status == "finished" and bool(outcome.metrics)
+    return info, finished, None if answered is None else check_answers(answered)
 
 
 def tables(study: Study) -> dict[str, Any]:

@@ -43,11 +43,7 @@ class FileCache:
                 pass
 
     def recall(self, file: Path) -> Any | None:
-        """The value that is remembered of a file.
-
-        Returns:
-            None: nothing is remembered, or the file has changed since.
-        """
+        """The value that is known of a file; None where there is none, or the file has changed since."""
         entry = self._known.get(self._name(file))
         return entry[1] if entry is not None and entry[0] == _stamp(file.stat()) else None
 

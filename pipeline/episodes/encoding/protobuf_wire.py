@@ -9,11 +9,7 @@ VARINT, FIXED64, DELIMITED, FIXED32 = 0, 1, 2, 5
 
 @lru_cache(maxsize=4096)  # the lengths in a log repeat from step to step
 def varint(value: int) -> bytes:
-    """Encode a non-negative integer.
-
-    Returns:
-        Its base-128 bytes, least significant group first.
-    """
+    """Encode a non-negative integer: its base-128 bytes, least significant group first."""
     if value < 0x80:
         return bytes((value,))
     out = bytearray()

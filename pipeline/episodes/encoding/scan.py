@@ -66,11 +66,7 @@ def parse_record(kind: Any, content: bytes) -> Any:
 
 
 def check_magic(fd: int) -> int:
-    """Check that a file begins as MCAP.
-
-    Returns:
-        The file's size in bytes.
-    """
+    """Check that a file begins as MCAP, and give its size in bytes."""
     size = os.fstat(fd).st_size
     if size == 0:
         raise ContainerError("it is empty")
@@ -80,11 +76,7 @@ def check_magic(fd: int) -> int:
 
 
 def read_summary(fd: int) -> Summary:
-    """Read the index at the end of a file.
-
-    Returns:
-        The index, its checksum verified.
-    """
+    """Read the index at the end of a file, its checksum verified."""
     size = check_magic(fd)
     tail = _FOOTER.size + len(MCAP0_MAGIC)
     ending = os.pread(fd, tail, size - tail) if size >= tail + len(MCAP0_MAGIC) else b""
@@ -128,11 +120,7 @@ def read_metadata(fd: int, index: MetadataIndex) -> Metadata:
 
 
 def read_chunk(fd: int, index: ChunkIndex) -> bytes:
-    """Read and decompress the chunk that an index names.
-
-    Returns:
-        The chunk's records, checksum verified.
-    """
+    """Read and decompress the chunk that an index names, its checksum verified."""
     data = _read(fd, index.chunk_length, index.chunk_start_offset)
     if data[:1] != bytes((Opcode.CHUNK,)):
         raise ContainerError(f"the chunk at byte {index.chunk_start_offset} is not where the index says")
@@ -172,11 +160,7 @@ def open_chunk(content: bytes, offset: int) -> bytes:
 
 
 def messages(chunk: bytes) -> Iterator[MessageSpan]:
-    """List the messages of a chunk.
-
-    Yields:
-        Channel, time, and where the payload lies in `chunk`.
-    """
+    """List the messages of a chunk: channel, time, and where the payload lies in `chunk`."""
     position, size, count = 0, len(chunk), 0
     unpack, head = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size
     while position < size:
@@ -196,11 +180,7 @@ def messages(chunk: bytes) -> Iterator[MessageSpan]:
 
 
 def walk(data: Any, start: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Walk over the records of a buffer.
-
-    Yields:
-        Opcode, and where the record's content begins and ends.
-    """
+    """Walk over the records of a buffer: opcode, and where the record's content begins and ends."""
     position, size = start, len(data)
     while position < size:
         if position + 9 > size:

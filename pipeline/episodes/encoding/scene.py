@@ -17,7 +17,7 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from numpy.typing import NDArray
 
-from pipeline.episodes.encoding.protobuf_wire import DELIMITED, delimited, tag, timestamp, varint
+from pipeline.episodes.encoding.protobuf_wire import DELIMITED, delimited, timestamp
 from pipeline.episodes.encoding.schema import WORLD_FRAME
 
 FloatArray = NDArray[np.float64]
@@ -152,23 +152,19 @@ def _entity_names(entity_id: str) -> bytes:
     )
 
 
-@lru_cache(maxsize=64)
-def _line_parts(count: int) -> tuple[bytes, bytes, int]:
-    """What stands before and after the points of a line of `count` points, and the entity's size without its time."""
+@lru_cache(maxsize=1)
+def _line_style() -> bytes:
+    """All of a line but its points."""
     line = LinePrimitive(
         type=LinePrimitive.LINE_STRIP, thickness=_LINE_PIXELS, scale_invariant=True, color=_WIRE_COLOUR
     )
     line.pose.CopyFrom(_identity_pose())
-    tail = line.SerializeToString()
-    size = count * _POINT_BYTES + len(tail)
-    names = _entity_names("wire")
-    head = names + tag(SceneEntity.DESCRIPTOR.fields_by_name["lines"].number, DELIMITED) + varint(size)
-    return head, tail, len(head) + size
+    return bytes(line.SerializeToString())
 
 
 _LINE_POINTS = LinePrimitive.DESCRIPTOR.fields_by_name["points"].number
-_ENTITY_KEY = tag(SceneUpdate.DESCRIPTOR.fields_by_name["entities"].number, DELIMITED)
-_ENTITY_TIME = SceneEntity.DESCRIPTOR.fields_by_name["timestamp"].number
+_ENTITIES = SceneUpdate.DESCRIPTOR.fields_by_name["entities"].number
+_ENTITY_LINES = SceneEntity.DESCRIPTOR.fields_by_name["lines"].number
 _CLOUD_TIME = PointCloud.DESCRIPTOR.fields_by_name["timestamp"].number
 _CLOUD_DATA = PointCloud.DESCRIPTOR.fields_by_name["data"].number
 
@@ -182,10 +178,8 @@ def encode_wire_line(points: FloatArray, time_ns: int) -> bytes:
     Returns:
         Protobuf bytes; the entity "wire" replaces that of the step before.
     """
-    head, tail, size = _line_parts(len(points))
-    time = timestamp(_ENTITY_TIME, time_ns)
-    line = _points_field(_LINE_POINTS, points)
-    return b"".join((_ENTITY_KEY, varint(size + len(time)), time, head, line, tail))
+    line = delimited(_ENTITY_LINES, _points_field(_LINE_POINTS, points) + _line_style())
+    return delimited(_ENTITIES, _entity_head("wire", time_ns) + line)
 
 
 @lru_cache(maxsize=1)
