@@ -6,7 +6,6 @@ from pathlib import Path
 
 from pipeline.settings.checks import settings_that_matter
 from pipeline.stages.expert import ExpertSettings
-from pipeline.store.progress import progress, progress_line
 from pipeline.store.provenance import git_state, hash_file, hash_value, machine, software_versions
 
 
@@ -31,10 +30,3 @@ def test_settings_that_cannot_change_results_stay_out_of_the_hash() -> None:
     settings = ExpertSettings(phantoms=["type_1"], targets=["bca"], threads=2)
     assert "threads" not in settings_that_matter(settings)
     assert settings_that_matter(settings)["targets"] == ["bca"]
-
-
-def test_progress_passes_everything_on_and_estimates_the_rest() -> None:
-    assert list(progress([3, 1, 2], "numbers")) == [3, 1, 2]
-    assert progress_line("phantoms", 2, 6, 8.0, 2) == "phantoms 2/6, 8 s, about 16 s left"
-    assert progress_line("phantoms", 4, 6, 4.0, 1) == "phantoms 4/6, 4 s, about 8 s left"  # three were done before
-    assert progress_line("phantoms", 6, 6, 9.0, 3) == "phantoms 6/6, 9 s"
