@@ -18,7 +18,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY
-from pipeline.stages import available_stages, load_stage
+from pipeline.stages import available_stages, load_stage, settings_of
 
 _USAGE = """\
 python -m pipeline.chain all|[--inputs] STAGE ... -- [OVERRIDE ...]
@@ -73,7 +73,7 @@ def concerns(override: str, stage: str) -> bool:
     group, _, only = group.partition("@")
     if group != "stage" or not key:
         return True
-    names = {item.name for item in fields(load_stage(stage).settings)}
+    names = {item.name for item in fields(settings_of(stage))}
     return only in ("", stage) and key.partition(".")[0] in names
 
 

@@ -18,7 +18,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from pipeline.settings.checks import shown, validated
 from pipeline.settings.kinds import BranchNames, FolderName, PathText, Seed, folder_name, path_text
-from pipeline.stages import available_stages, load_stage
+from pipeline.stages import available_stages, settings_of
 from pipeline.stages.guide3d.settings import Guide3dSource
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
@@ -81,7 +81,7 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     store = ConfigStore.instance()
     store.store(name="schema", node=RunConfig)
     for name in available_stages() if stages is None else stages:
-        store.store(group="schema/stage", name=name, node=load_stage(name).settings)
+        store.store(group="schema/stage", name=name, node=settings_of(name))
 
 
 def _by_budget(*values: Any, _root_: DictConfig) -> Any:

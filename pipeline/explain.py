@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig
 from pipeline.settings.checks import sentence
-from pipeline.stages import available_stages, load_stage
+from pipeline.stages import available_stages, settings_of
 from pipeline.store.atomic_files import is_no_room
 from pipeline.store.errors import PipelineError
 from pipeline.task import PARTS, TASK
@@ -140,7 +140,7 @@ def _only_by_key() -> str:
 
 def _unknown_key(key: str, overrides: list[str]) -> str:
     stage = next((o.split("=", 1)[1] for o in overrides if o.startswith("stage=")), "")
-    settings = load_stage(stage).settings if stage in available_stages() else None
+    settings = settings_of(stage) if stage in available_stages() else None
     owner, _, last = key.rpartition(".")
     if key == TASK:
         return _only_by_key()

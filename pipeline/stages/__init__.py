@@ -91,11 +91,33 @@ def load_stage(name: str) -> Stage:
         ConfigurationError: for an unknown name; the message lists the valid ones.
         StageError: when the stage needs a package that is not installed.
     """
-    try:
-        stage: Stage = importlib.import_module(stage_module(name)).STAGE
-    except ModuleNotFoundError as error:
-        raise missing_module(name, error) from error
+    stage: Stage = _imported(name, stage_module(name), "STAGE")
     return stage
+
+
+def settings_of(name: str) -> type:
+    """The dataclass of a stage's settings; where a module beside the stage declares it, the stage is not imported.
+
+    Raises:
+        ConfigurationError: for an unknown name; the message lists the valid ones.
+        StageError: when the stage needs a package that is not installed.
+    """
+    module = stage_module(name)
+    file = Path(__file__).parent.joinpath(*module.removeprefix(__name__).split(".")).with_suffix(".py")
+    text = file.read_text(encoding="utf-8")
+    declared = _keywords(text.partition(_DECLARATION)[2])["settings"]
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.ImportFrom) and ast.unparse(declared) in (alias.name for alias in node.names):
+            settings: type = _imported(name, node.module or "", ast.unparse(declared))
+            return settings
+    return load_stage(name).settings
+
+
+def _imported(stage: str, module: str, name: str) -> Any:
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as error:
+        raise missing_module(stage, error) from error
 
 
 def missing_module(stage: str, error: ModuleNotFoundError) -> StageError:
@@ -113,7 +135,8 @@ def _modules() -> Mapping[str, str]:
         if found:
             name, inside = (file.stem, "") if file.parent == folder else (file.parent.name, ".stage")
             modules[name] = f"{__name__}.{name}{inside}"
-            declared[name] = _literals(declaration)
+            words = _keywords(declaration)
+            declared[name] = {word: ast.literal_eval(words[word]) for word in ("reads", "place") if word in words}
     graph = graphlib.TopologicalSorter({name: values.get("reads", ()) for name, values in declared.items()})
     graph.prepare()
     ready, order = [*graph.get_ready()], {}
@@ -126,10 +149,9 @@ def _modules() -> Mapping[str, str]:
     return order
 
 
-def _literals(declaration: str) -> dict[str, Any]:
-    """The keywords ``reads`` and ``place`` of the call that a text begins with."""
+def _keywords(declaration: str) -> dict[str | None, ast.expr]:
+    """The keywords of the call that a text begins with."""
     statement = ast.parse(declaration).body[0]
     if not isinstance(statement, ast.Expr) or not isinstance(statement.value, ast.Call):
         raise TypeError(f"STAGE must be Stage(...), got {shown(declaration)}")
-    words = {word.arg: word.value for word in statement.value.keywords}
-    return {name: ast.literal_eval(words[name]) for name in ("reads", "place") if name in words}
+    return {word.arg: word.value for word in statement.value.keywords}

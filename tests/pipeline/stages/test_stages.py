@@ -13,7 +13,7 @@ import pytest
 
 import pipeline
 from pipeline.config import CONFIG_DIRECTORY
-from pipeline.stages import available_stages, load_stage
+from pipeline.stages import available_stages, load_stage, settings_of
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.manifest import read_manifest
 
@@ -121,6 +121,7 @@ def test_stages_come_after_what_they_read() -> None:
     for position, name in enumerate(order):
         stage = load_stage(name)
         assert stage.name == name
+        assert stage.settings is settings_of(name)
         assert set(stage.reads) <= set(order[:position])
 
 
@@ -131,7 +132,7 @@ def test_an_unknown_stage_is_refused_with_the_valid_ones() -> None:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["stage=navigation", "--cfg", "job"]])
 def test_nothing_heavy_is_imported_before_a_stage_runs(arguments: list[str], run_python: Callable[[str], str]) -> None:
-    heavy = ("torch", "mujoco", "stable_baselines3", "matplotlib")
+    heavy = ("torch", "mujoco", "stable_baselines3", "matplotlib", "scipy", "cathsim", "guide3d")
     told = run_python(
         "import sys\nfrom pipeline.launch import main\n"
         f"main({arguments})\nprint([name for name in {heavy} if name in sys.modules])"
