@@ -39,11 +39,10 @@ from guide3d.dataset.masks import strip_mask
 from guide3d.reconstruction.synthetic_scene import scenes
 from splineformer.build import build, size_of
 from splineformer.comparison.curve_errors import curve_errors
+from splineformer.comparison.variant_figures import round_trips, speed
 from splineformer.export import export_onnx, graph_of, onnx_difference
 from splineformer.predictor import SOURCE_PX, Predictor
-from splineformer.tokens import round_trip_px, tokens_of_polyline
-
-BATCH = 8
+from splineformer.tokens import tokens_of_polyline
 
 
 def cpu_ms(call: Callable[[], Any], times: int) -> float:
@@ -66,21 +65,6 @@ def curves(arguments: argparse.Namespace) -> list[np.ndarray]:
     return [frames[index].polyline(camera) for index in chosen for camera in VIEWS]
 
 
-def round_trips(arguments: argparse.Namespace) -> dict[str, float]:
-    """Curves to tokens and back."""
-    errors, counts = [], []
-    for points in curves(arguments):
-        tokens = tokens_of_polyline(points)
-        errors.append(round_trip_px(points, tokens))
-        counts.append(len(tokens))
-    return {
-        "round_trip_px": float(np.mean(errors)),
-        "round_trip_max_px": float(np.max(errors)),
-        "tokens_mean": float(np.mean(counts)),
-        "tokens_max": max(counts),
-    }
-
-
 def drawn_image() -> np.ndarray:
     """A 1,024 px image of a wire."""
     x = np.linspace(0, 700, 200)
@@ -89,35 +73,26 @@ def drawn_image() -> np.ndarray:
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
-def speed(predictor: Predictor, times: int, label: str = "") -> dict[str, float]:
-    """One image, and batches."""
-    image = drawn_image()
-    return {
-        f"{label}latency_ms": cpu_ms(lambda: predictor(image), times),
-        f"{label}images_per_s": 1e3 * BATCH / cpu_ms(lambda: predictor.batch([image] * BATCH), max(times // 2, 2)),
-    }
-
-
 def exports(predictor: Predictor, times: int) -> dict[str, float]:
     """The ordered variant by other ways of computing it, and how far they differ."""
     import onnxruntime  # type: ignore[import-untyped]
 
     network, image = predictor.network, drawn_image()
     compiled = Predictor(network, compiled=True)
-    told = {"compiled_latency_ms": cpu_ms(lambda: compiled(image), times)}
+    measured = {"compiled_latency_ms": cpu_ms(lambda: compiled(image), times)}
     plain, other = predictor(image), compiled(image)
     if plain.tokens is not None and other.tokens is not None:
-        told["compiled_difference_px"] = float(np.abs(plain.tokens - other.tokens).max())
+        measured["compiled_difference_px"] = float(np.abs(plain.tokens - other.tokens).max())
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.onnx"
         export_onnx(network, file)
-        told["onnx_difference_px"] = SOURCE_PX * onnx_difference(network, file)["control"]
+        measured["onnx_difference_px"] = SOURCE_PX * onnx_difference(network, file)["control"]
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
         seen = {name: value.numpy() for name, value in graph_of(network).inputs.items()}
-        told["onnx_latency_ms"] = cpu_ms(lambda: session.run(["control"], seen), times)
-    return told
+        measured["onnx_latency_ms"] = cpu_ms(lambda: session.run(["control"], seen), times)
+    return measured
 
 
 def accuracy(predictor: Predictor, arguments: argparse.Namespace) -> dict[str, float]:
@@ -126,9 +101,9 @@ def accuracy(predictor: Predictor, arguments: argparse.Namespace) -> dict[str, f
     rows = []
     for item in images_of(data, split(data).test, 24 if arguments.quick else 0).tolist():
         camera, index = divmod(item, len(data.frames))
-        told = predictor(data.frames[index].image(VIEWS[camera]))
-        if told.tokens is not None:
-            rows.append(curve_errors(told.points(), data.frames[index].polyline(VIEWS[camera])))
+        prediction = predictor(data.frames[index].image(VIEWS[camera]))
+        if prediction.tokens is not None:
+            rows.append(curve_errors(prediction.points(), data.frames[index].polyline(VIEWS[camera])))
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
 
@@ -143,13 +118,14 @@ def main() -> None:
     torch.set_num_threads(1)
     torch.manual_seed(0)
     times = 4 if arguments.quick else 20
-    measured: dict[str, Any] = round_trips(arguments)
+    measured: dict[str, Any] = round_trips(tokens_of_polyline, curves(arguments))
     if arguments.model is not None:
         predictor = Predictor.load(arguments.model)
     else:
         predictor = Predictor(build(size_of("ordered", "desk")))
-        measured |= speed(Predictor(build(size_of("published", "desk"))), times, "published_")
-    measured |= speed(predictor, times)
+        published = speed(Predictor(build(size_of("published", "desk"))), drawn_image(), times)
+        measured |= {f"published_{name}": value for name, value in published.items()}
+    measured |= speed(predictor, drawn_image(), times)
     if arguments.exports and predictor.network.variant == "ordered":
         measured |= exports(predictor, times)
     if arguments.data is not None and arguments.model is not None:

@@ -46,7 +46,7 @@ EVERYTHING: dict[Any, str] = {
     ShapeLoss(): "curve=0 length=0 offset=0 stop=0 tip=0",
     ShapeAugmentation(): "gain=0 noise=0 shift_px=0",
     SegmentationAugmentation(): "gain=0 noise=0 offset=0 on_wire=0",
-    training.FitSettings(): "clip=0 patience=0 plateau_patience=0 weight_decay=0",
+    training.NetworkFitSettings(): "clip=0 patience=0 plateau_patience=0 weight_decay=0",
     shape_recipe("desk"): "",
 }
 RECIPES = (fgrn_recipe("desk"), segmentation_recipe("unet", "desk"))  # with dictionaries: not to be hashed

@@ -1,4 +1,4 @@
-"""Predictor: an image in, a curve out; what is said of an image, batches, files of models, the compiler."""
+"""Predictor: an image in, a curve out; warnings, batches, files of models, the compiler."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def untrained(variant: str) -> Predictor:
     return Predictor(build(size_of(variant, "smoke")), source_px=256)
 
 
-def saying(predictor: Predictor, wires: int = 1, inverted: bool = False) -> Predictor:
+def answering(predictor: Predictor, wires: int = 1, inverted: bool = False) -> Predictor:
     """The predictor with a head that always says the same."""
     head = predictor.network.kind
     for layer in (head.wires, head.inverted):
@@ -34,32 +34,32 @@ def saying(predictor: Predictor, wires: int = 1, inverted: bool = False) -> Pred
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_prediction_is_a_curve_in_pixels(variant: str) -> None:
-    predictor = saying(untrained(variant))
+    predictor = answering(untrained(variant))
     image = image_of(wavy_wire(0))
-    told = predictor(image)
-    assert told.wires == "one"
-    assert not told.warnings
-    assert np.allclose(told.curve.at(0.0), told.tip_px)
-    assert len(told.knots_px) == len(told.control_points_px) + 4
-    points = told.points(50)
+    prediction = predictor(image)
+    assert prediction.wires == "one"
+    assert not prediction.warnings
+    assert np.allclose(prediction.curve.at(0.0), prediction.tip_px)
+    assert len(prediction.knots_px) == len(prediction.control_points_px) + 4
+    points = prediction.points(50)
     assert points.shape == (50, 2)
-    steps = np.linalg.norm(np.diff(told.curve.sample(2000), axis=0), axis=1).sum()
-    assert told.knots_px[-1] == pytest.approx(steps, rel=0.02)  # knots are the way along the curve
-    assert 0 <= told.confidence <= 1
+    steps = np.linalg.norm(np.diff(prediction.curve.sample(2000), axis=0), axis=1).sum()
+    assert prediction.knots_px[-1] == pytest.approx(steps, rel=0.02)  # knots are the way along the curve
+    assert 0 <= prediction.confidence <= 1
     batch = predictor.batch([image, image_of(wavy_wire(1)), image])
-    assert np.allclose(batch[0].tokens, told.tokens, atol=1e-3)
+    assert np.allclose(batch[0].tokens, prediction.tokens, atol=1e-3)
     assert np.allclose(batch[0].tokens, batch[2].tokens, atol=1e-3)
 
 
 def test_no_wire_and_several_wires_are_said() -> None:
     image = image_of(wavy_wire(0))
-    none = saying(untrained("ordered"), 0)(image)
+    none = answering(untrained("ordered"), 0)(image)
     assert none.wires == "none"
     assert none.tokens is None
     assert "no wire" in none.warnings[0]
     with pytest.raises(ValueError, match="shows no wire"):
         none.points()
-    several = saying(untrained("ordered"), 2)(image)
+    several = answering(untrained("ordered"), 2)(image)
     assert several.tokens is not None
     assert several.confidence < 0.01
     assert "more than one wire" in several.warnings[0]
@@ -68,15 +68,15 @@ def test_no_wire_and_several_wires_are_said() -> None:
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_inverted_images_are_turned_over(variant: str) -> None:
     image = image_of(wavy_wire(0, 64), 64)  # the network's own size: averaging would round
-    plain, turned = saying(untrained(variant)), saying(untrained(variant), inverted=True)
-    told = turned(255 - image)
-    assert told.inverted
-    assert "inverted" in told.warnings[-1]
-    assert np.allclose(told.tokens, plain(image).tokens, atol=1e-3)
+    plain, turned = answering(untrained(variant)), answering(untrained(variant), inverted=True)
+    prediction = turned(255 - image)
+    assert prediction.inverted
+    assert "inverted" in prediction.warnings[-1]
+    assert np.allclose(prediction.tokens, plain(image).tokens, atol=1e-3)
 
 
 def test_other_sizes_and_depths() -> None:
-    predictor = saying(untrained("ordered"))
+    predictor = answering(untrained("ordered"))
     points = wavy_wire(0)
     image = image_of(points)
     deep = predictor(image.astype(np.uint16) * 200 + 1000)
@@ -109,7 +109,7 @@ def test_what_is_no_image(image: np.ndarray, message: str) -> None:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_file_of_a_model(variant: str, tmp_path: Path) -> None:
-    predictor = saying(untrained(variant))
+    predictor = answering(untrained(variant))
     predictor.save(tmp_path / "model.pt", epochs=3)
     again = Predictor.load(tmp_path / "model.pt")
     assert again.source_px == 256
@@ -145,7 +145,7 @@ def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
 
 def test_graph_for_the_compiler_agrees() -> None:
     image = image_of(wavy_wire(0))
-    plain = saying(untrained("ordered"))
+    plain = answering(untrained("ordered"))
     # the machine code is checked by benchmarks/splineformer/reading.py: making it takes too long here
     calls: list[int] = []
 

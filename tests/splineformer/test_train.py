@@ -22,8 +22,8 @@ def test_command_refuses_with_one_sentence(
     given = [word.format(none=tmp_path / "none", file=tmp_path / "file") for word in more]
     with caplog.at_level("ERROR"):
         assert command([*words, *given]) == 2
-    said = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
-    assert len(said) == 1
-    assert "\n" not in said[0]
+    messages = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
+    assert len(messages) == 1
+    assert "\n" not in messages[0]
     with pytest.raises(SystemExit):
         command([*words, "--seed=-1"])

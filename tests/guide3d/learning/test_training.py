@@ -15,9 +15,9 @@ import pytest
 import torch
 
 from guide3d.learning.model_file import read_content
-from guide3d.learning.training import BEST, LAST, FitProgress, FitSettings, TrainingError, finished, fit
+from guide3d.learning.training import BEST, LAST, FitProgress, NetworkFitSettings, TrainingError, finished, fit
 
-SETTINGS = FitSettings(epochs=6, batch_size=8, learning_rate=0.05, schedule="constant", patience=0)
+SETTINGS = NetworkFitSettings(epochs=6, batch_size=8, learning_rate=0.05, schedule="constant", patience=0)
 
 
 class Line:
@@ -73,7 +73,7 @@ def test_plateau_lowers_the_rate_as_in_the_thesis(tmp_path: Path) -> None:
             value = super().loss(module, batch)
             return value if module.training else value * 0 + 1
 
-    settings = FitSettings(epochs=25, batch_size=32, patience=0)
+    settings = NetworkFitSettings(epochs=25, batch_size=32, patience=0)
     rates = [row["learning_rate"] for row in fit(network(), Stuck(), settings, folder=tmp_path).rows]
     assert rates[10] == pytest.approx(1e-4)
     assert rates[11] == pytest.approx(1e-5)  # after more than ten epochs without a better one
@@ -156,4 +156,4 @@ def test_a_loss_that_is_no_number_ends_it(tmp_path: Path) -> None:
 )
 def test_settings_are_checked(changed: dict, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
-        FitSettings(**changed)
+        NetworkFitSettings(**changed)

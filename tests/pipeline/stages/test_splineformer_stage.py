@@ -86,8 +86,8 @@ def test_finished_jobs_are_kept(run: Path, results: dict, monkeypatch: pytest.Mo
     jobs = {job.key: job for job in splineformer.plan(SETTINGS, context(run, "splineformer", reads=READS))}
     assert jobs["comparison"].after == ("published", "ordered")
     monkeypatch.setattr("splineformer.train.train", None)
-    told = learn_variant(jobs["ordered"].given, Report())
-    assert told["round_trip_px"] == results["splineformer_variants"]["ordered"]["round_trip_px"]
+    outcome = learn_variant(jobs["ordered"].given, Report())
+    assert outcome["round_trip_px"] == results["splineformer_variants"]["ordered"]["round_trip_px"]
     monkeypatch.setattr("splineformer.comparison.evaluation.evaluate_readers", None)
     assert compare(jobs["comparison"].given, Report())["none"]["unet"]["n"] == 4
 
@@ -111,7 +111,7 @@ def test_wires_that_no_reader_finds_are_drawn(
     monkeypatch.setattr(splineformer_jobs, "readers_of", blind)
     settings = replace(SETTINGS, disturbances=["none"])
     outcome = compare(replace(job, folder=tmp_path, settings=settings), Report())
-    assert {told["read_pct"] for told in outcome["none"].values()} == {0.0}
+    assert {read["read_pct"] for read in outcome["none"].values()} == {0.0}
     examples = tmp_path / EXAMPLES
     draw_comparison(examples, SETTINGS.rival, SETTINGS.variants, splineformer.LABELS, tmp_path / "comparison.png")
     draw_errors(outcome, splineformer.LABELS, tmp_path / "errors.png")

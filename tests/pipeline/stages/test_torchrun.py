@@ -26,8 +26,8 @@ def talker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_an_error_stream_that_nobody_reads_does_not_stop_the_training(talker: str, tmp_path: Path) -> None:
     looks: list[str] = []
-    train_together(talker, [str(tmp_path / "told")], 1, lambda share, words="": looks.append(words))
-    assert (tmp_path / "told").read_text() == "finished"
+    train_together(talker, [str(tmp_path / "written")], 1, lambda share, words="": looks.append(words))
+    assert (tmp_path / "written").read_text() == "finished"
     assert looks[0] == "1 processes"
 
 

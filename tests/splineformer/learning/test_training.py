@@ -31,8 +31,8 @@ def test_training_resumes_exactly(variant: str, data: Dataset, tmp_path: Path) -
     recipe = replace(recipe, fit=replace(recipe.fit, epochs=2), images=8)
 
     def trained(folder: Path, stop_after: int = 0) -> Predictor:
-        def progress(told: object) -> None:
-            if stop_after and told.epoch == stop_after:  # type: ignore[attr-defined]
+        def progress(now: object) -> None:
+            if stop_after and now.epoch == stop_after:  # type: ignore[attr-defined]
                 raise KeyboardInterrupt
 
         return train(data, parts, recipe, folder=folder, seed=1, progress=progress)[0]

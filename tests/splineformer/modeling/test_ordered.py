@@ -27,16 +27,16 @@ def levels(count: int, side: int) -> torch.Tensor:
 def test_ordered_variant() -> None:
     model = network("ordered")
     assert isinstance(model, OrderedSplineFormer)
-    said = model(levels(3, 64))
+    predicted = model(levels(3, 64))
     s = model.settings
-    assert said.control.shape == (3, s.control_points, 2)
-    assert len(said.stages) == len(said.begun) == len(s.cells)
-    assert torch.equal(said.stages[0], said.begun[0])  # a new refinement moves nothing
-    assert torch.allclose(said.begun[0][:, 0], said.tip.place, atol=1e-6)  # the curve is led to its tip
-    assert torch.allclose(said.begun[0][:, -1], said.overview[:, -1], atol=1e-6)
-    assert said.kind.wires.shape == (3, 3)
+    assert predicted.control.shape == (3, s.control_points, 2)
+    assert len(predicted.stages) == len(predicted.begun) == len(s.cells)
+    assert torch.equal(predicted.stages[0], predicted.begun[0])  # a new refinement moves nothing
+    assert torch.allclose(predicted.begun[0][:, 0], predicted.tip.place, atol=1e-6)  # the curve is led to its tip
+    assert torch.allclose(predicted.begun[0][:, -1], predicted.overview[:, -1], atol=1e-6)
+    assert predicted.kind.wires.shape == (3, 3)
     read = model.read(levels(3, 64))
-    assert torch.allclose(read.tokens[..., 1:], said.control, atol=1e-6)
+    assert torch.allclose(read.tokens[..., 1:], predicted.control, atol=1e-6)
     assert ((read.quality > 0) & (read.quality < 1)).all()
     with pytest.raises(ValueError, match="divisible by 32"):
         OrderedSplineFormer(OrderedSettings(image_px=250))
@@ -48,9 +48,9 @@ def test_overview_starts_at_the_mean_curve() -> None:
     wire, s = wavy_wire(2, 1), model.settings
     mean = torch.from_numpy(course_of(wire, s.steps, model.step)).float()
     model.start_at(mean, float(arc_length(wire)[-1]) / model.step)
-    said = model(levels(2, 64))
-    assert (said.course - mean).abs().max() < 0.3
-    assert (said.overview[0, [0, -1]] - torch.from_numpy(wire[[0, -1]]).float()).abs().max() < 0.3
+    predicted = model(levels(2, 64))
+    assert (predicted.course - mean).abs().max() < 0.3
+    assert (predicted.overview[0, [0, -1]] - torch.from_numpy(wire[[0, -1]]).float()).abs().max() < 0.3
 
 
 def test_course_up_to_the_length_is_the_wire() -> None:
@@ -71,11 +71,11 @@ def test_refinements_begin_where_they_are_told() -> None:
     model = network("ordered")
     assert isinstance(model, OrderedSplineFormer)
     starts = torch.from_numpy(wavy_wire(1, 1, model.settings.queries)).float().expand(2, -1, -1) + 0.01
-    said = model(levels(2, 64), starts, torch.tensor([True, False]))
+    predicted = model(levels(2, 64), starts, torch.tensor([True, False]))
     plain = model(levels(2, 64))
-    assert torch.allclose(said.begun[0][0, -1], starts[0, -1], atol=1e-6)
-    assert torch.equal(said.begun[0][1], plain.begun[0][1])
-    assert torch.equal(said.overview, plain.overview)
+    assert torch.allclose(predicted.begun[0][0, -1], starts[0, -1], atol=1e-6)
+    assert torch.equal(predicted.begun[0][1], plain.begun[0][1])
+    assert torch.equal(predicted.overview, plain.overview)
     first = model(levels(2, 64), starts[:1], torch.tensor([False]))
     assert torch.allclose(first.stages[-1], plain.stages[-1][:1], atol=1e-6)
     assert len(first.course) == len(first.kind.wires) == 2  # the second got an overview

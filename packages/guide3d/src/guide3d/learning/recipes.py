@@ -15,7 +15,7 @@ from guide3d.learning.losses import ShapeLoss
 from guide3d.learning.preprocessing import Preprocessing
 from guide3d.learning.segmentation_samples import SegmentationAugmentation
 from guide3d.learning.shape_samples import ShapeAugmentation
-from guide3d.learning.training import FitSettings
+from guide3d.learning.training import NetworkFitSettings
 from guide3d.setting_kinds import Count, CountOrNone, Millimetres, PixelDistance, Pixels, Share, settings
 
 FORMS = ("spherical", "cartesian")
@@ -39,7 +39,7 @@ class ShapeRecipe:
 
     size: ShapeSize
     preprocessing: Preprocessing
-    fit: FitSettings
+    fit: NetworkFitSettings
     loss: ShapeLoss = field(default_factory=ShapeLoss)
     step_mm: Millimetres = 1.7
     cumulative: bool = True
@@ -53,7 +53,7 @@ class FGRNRecipe:
 
     sizes: dict[str, Any]
     preprocessing: Preprocessing
-    fit: FitSettings
+    fit: NetworkFitSettings
     spacing_mm: Millimetres = 2.0
     augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(0.0, 0.0, 0))
 
@@ -78,7 +78,7 @@ class SegmentationRecipe:
     network: str
     sizes: dict[str, Any]
     preprocessing: Preprocessing
-    fit: FitSettings
+    fit: NetworkFitSettings
     crop_px: Pixels
     mask_px: PixelDistance = 6.0
     dice: Share = 0.5
@@ -92,9 +92,9 @@ def shape_recipe(size: str) -> ShapeRecipe:
     _check(size)
     network = SHAPE_SIZES[size]
     if size == "thesis":
-        return ShapeRecipe(network, Preprocessing(network.image_px, PUBLIC_PX), FitSettings())
+        return ShapeRecipe(network, Preprocessing(network.image_px, PUBLIC_PX), NetworkFitSettings())
     lines = Preprocessing(network.image_px, PUBLIC_PX, line_px=13, gain=8.0, first_px=2 if size == "desk" else 1)
-    fit = FitSettings(
+    fit = NetworkFitSettings(
         epochs=20 if size == "desk" else 1, batch_size=32, optimiser="adamw", learning_rate=2e-3, weight_decay=0.02,
         schedule="one_cycle", patience=0, clip=10.0,
     )  # fmt: skip
@@ -109,9 +109,9 @@ def fgrn_recipe(size: str) -> FGRNRecipe:
     _check(size)
     sizes = FGRN_SIZES[size]
     if size == "thesis":
-        return FGRNRecipe(sizes, Preprocessing(80, PUBLIC_PX), FitSettings(epochs=30, batch_size=16))
+        return FGRNRecipe(sizes, Preprocessing(80, PUBLIC_PX), NetworkFitSettings(epochs=30, batch_size=16))
     lines = Preprocessing(80, PUBLIC_PX, line_px=13, gain=8.0)
-    fit = FitSettings(
+    fit = NetworkFitSettings(
         epochs=20 if size == "desk" else 1, batch_size=16, learning_rate=1e-3, schedule="one_cycle", patience=0
     )
     return FGRNRecipe(sizes, lines, fit, augmentation=ShapeAugmentation())
@@ -130,13 +130,15 @@ def segmentation_recipe(network: str, size: str) -> SegmentationRecipe:
             "swinunet": {"epochs": 299, "learning_rate": 0.01, "optimiser": "sgd", "schedule": "polynomial"},
         }
         decay = 1e-4 if network != "unet" else 0.0
-        fit = FitSettings(**{"batch_size": 24 if network != "unet" else 4, "weight_decay": decay, **rates[network]})
+        fit = NetworkFitSettings(
+            **{"batch_size": 24 if network != "unet" else 4, "weight_decay": decay, **rates[network]}
+        )
         side = 224 if network != "unet" else 512
         # whole images, as the thesis feeds them
         return SegmentationRecipe(network, sizes, Preprocessing(side, PUBLIC_PX), fit, crop_px=side)
     desk = size == "desk"
     side, crop = (512, 128) if desk else (128, 64)
-    fit = FitSettings(
+    fit = NetworkFitSettings(
         epochs=8 if desk else 1, batch_size=8, optimiser="adamw", learning_rate=3e-3, weight_decay=0.01,
         schedule="one_cycle", patience=0, clip=5.0,
     )  # fmt: skip

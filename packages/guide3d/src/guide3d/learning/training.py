@@ -41,7 +41,7 @@ Batch = Mapping[str, Tensor]
 
 
 @settings
-class FitSettings:
+class NetworkFitSettings:
     """How a network is trained; the defaults are those of the thesis's shape network.
 
     Attributes:
@@ -124,7 +124,7 @@ class TrainingError(ValueError):
 def fit(
     module: nn.Module,
     objective: Objective,
-    settings: FitSettings,
+    settings: NetworkFitSettings,
     *,
     folder: Path | str,
     seed: int = 0,
@@ -229,7 +229,7 @@ def finished(folder: Path | str) -> None:
 
 
 @torch.no_grad()
-def validate(module: nn.Module, objective: Objective, settings: FitSettings, ranks: Ranks) -> float | None:
+def validate(module: nn.Module, objective: Objective, settings: NetworkFitSettings, ranks: Ranks) -> float | None:
     """Mean loss of the validation items, not augmented.
 
     Args:
@@ -251,7 +251,9 @@ def validate(module: nn.Module, objective: Objective, settings: FitSettings, ran
     return total / count
 
 
-def _batches(items: Indices, settings: FitSettings, generator: np.random.Generator, ranks: Ranks) -> list[Indices]:
+def _batches(
+    items: Indices, settings: NetworkFitSettings, generator: np.random.Generator, ranks: Ranks
+) -> list[Indices]:
     """This rank's batches of an epoch; every rank has as many of them, of the same sizes."""
     order = generator.permutation(items)
     missing = -len(order) % ranks.count
@@ -260,7 +262,7 @@ def _batches(items: Indices, settings: FitSettings, generator: np.random.Generat
     return [own[start : start + size] for start in range(0, len(own), size)]
 
 
-def _optimiser(module: nn.Module, settings: FitSettings) -> torch.optim.Optimizer:
+def _optimiser(module: nn.Module, settings: NetworkFitSettings) -> torch.optim.Optimizer:
     weights = [weight for weight in module.parameters() if weight.requires_grad]
     if settings.optimiser == "nadam":
         return torch.optim.NAdam(weights, settings.learning_rate, weight_decay=settings.weight_decay)
@@ -269,7 +271,7 @@ def _optimiser(module: nn.Module, settings: FitSettings) -> torch.optim.Optimize
     return torch.optim.SGD(weights, settings.learning_rate, momentum=0.9, weight_decay=settings.weight_decay)
 
 
-def _set_rate(optimiser: torch.optim.Optimizer, settings: FitSettings, share: float) -> None:
+def _set_rate(optimiser: torch.optim.Optimizer, settings: NetworkFitSettings, share: float) -> None:
     if settings.schedule == "one_cycle":
         if share < _RISE:
             factor = 0.04 + 0.96 * 0.5 * (1 - math.cos(math.pi * share / _RISE))
@@ -287,7 +289,7 @@ def _moved(batch: Batch, device: torch.device) -> Batch:
     return {name: value.to(device, non_blocking=True) for name, value in batch.items()}
 
 
-def _out_of_patience(report: FitReport, settings: FitSettings) -> bool:
+def _out_of_patience(report: FitReport, settings: NetworkFitSettings) -> bool:
     return bool(settings.patience) and len(report.rows) - report.best_epoch >= settings.patience
 
 

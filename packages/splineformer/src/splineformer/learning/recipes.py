@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import field, replace
 
-from guide3d.learning.training import FitSettings
+from guide3d.learning.training import NetworkFitSettings
 from guide3d.setting_kinds import CountOrNone, settings
 from splineformer.build import size_of
 from splineformer.learning.augmentation import Augmentation
@@ -36,7 +36,7 @@ class Recipe:
     """
 
     settings: SplineFormerSettings | OrderedSettings
-    fit: FitSettings
+    fit: NetworkFitSettings
     weights: PublishedWeights | OrderedWeights
     augmentation: Augmentation = field(default_factory=Augmentation)
     images: CountOrNone = 0
@@ -61,7 +61,7 @@ def recipe_of(variant: str, size: str) -> Recipe:
     weights = PublishedWeights() if published else OrderedWeights()
     if size.startswith("thesis"):
         # Adam without decay is AdamW with a decay of nothing
-        fit = FitSettings(
+        fit = NetworkFitSettings(
             epochs=300, batch_size=16, optimiser="adamw", learning_rate=1e-5 if published else 5e-4,
             schedule="constant" if published else "one_cycle", patience=0, clip=0.0 if published else 5.0,
             weight_decay=0.0 if published else 0.02,
@@ -70,7 +70,7 @@ def recipe_of(variant: str, size: str) -> Recipe:
         return Recipe(settings, fit, weights, kinds if published else Augmentation())
     desk = size == "desk"
     epochs = {"published": 8, "ordered": 18}[variant] if desk else 1
-    fit = FitSettings(
+    fit = NetworkFitSettings(
         epochs=epochs, batch_size=12 if desk else 8, optimiser="adamw", learning_rate=5e-4 if published else 1.5e-3,
         weight_decay=0.02, schedule="one_cycle", patience=0, clip=1.0 if published else 5.0,
     )  # fmt: skip
