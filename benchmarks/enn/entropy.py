@@ -84,7 +84,7 @@ def measure(weight: str | float, seed: int, decisions: int) -> dict[str, Any]:
     policy = Training(settings, Square, seed=seed).run().policy
     spent = time.process_time() - began
     environment = Square()
-    told: dict[str, Any] = {"ent_coef": weight, "seed": seed, "cpu_s": round(spent, 1)}
+    measured: dict[str, Any] = {"ent_coef": weight, "seed": seed, "cpu_s": round(spent, 1)}
     for mode, deterministic in (("deterministic", True), ("stochastic", False)):
         reached, steps = 0, []
         for episode in range(EPISODES):
@@ -96,9 +96,9 @@ def measure(weight: str | float, seed: int, decisions: int) -> dict[str, Any]:
                 ended = terminated or truncated
             reached += terminated
             steps.append(environment.steps)
-        told[f"{mode}_success_pct"] = round(100 * reached / EPISODES, 1)
-        told[f"{mode}_steps"] = round(float(np.mean(steps)), 1)
-    return told
+        measured[f"{mode}_success_pct"] = round(100 * reached / EPISODES, 1)
+        measured[f"{mode}_steps"] = round(float(np.mean(steps)), 1)
+    return measured
 
 
 def main() -> None:

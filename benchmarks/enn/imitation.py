@@ -62,11 +62,11 @@ def costs(arguments: argparse.Namespace) -> dict[str, float]:
     samples = force_samples(episodes)
     for variant in ("thesis", "desk"):
         preset = cloning_preset(variant)
-        student, told = clone(episodes, replace(preset, fit=replace(preset.fit, epochs=2, validation_share=0.0)))
-        measured[f"clone_{variant}_ms"] = 1e3 * told.cpu_s / (2 * told.samples)
+        student, report = clone(episodes, replace(preset, fit=replace(preset.fit, epochs=2, validation_share=0.0)))
+        measured[f"clone_{variant}_ms"] = 1e3 * report.cpu_s / (2 * report.samples)
         force = force_preset(variant)
-        _, told = fit_force(samples, replace(force, fit=replace(force.fit, epochs=2)))
-        measured[f"force_{variant}_ms"] = 1e3 * told.cpu_s / (2 * told.samples)
+        _, report = fit_force(samples, replace(force, fit=replace(force.fit, epochs=2)))
+        measured[f"force_{variant}_ms"] = 1e3 * report.cpu_s / (2 * report.samples)
     seen = {"image": episodes[0].observations["image"][0]}
     began = time.process_time()
     for _ in range(100):

@@ -37,14 +37,14 @@ def test_a_second_device_is_as_strict_as_a_gpu() -> None:
     with second_device() as device:
         network = torch.nn.Linear(3, 2).to(device)
         assert device_of(network) == torch.device(device)
-        told = network(torch.ones(1, 3).to(device))
+        output = network(torch.ones(1, 3).to(device))
         with pytest.raises(RuntimeError, match="same device"):
             network(torch.ones(1, 3))
         with pytest.raises(TypeError, match="numpy"):
-            told.detach().numpy()
-        told.sum().backward()
+            output.detach().numpy()
+        output.sum().backward()
         assert torch.device(device) == network.weight.grad.device
-        kept = on_cpu({"weights": network.state_dict(), "rest": [1, (told,)]})
+        kept = on_cpu({"weights": network.state_dict(), "rest": [1, (output,)]})
         assert kept["rest"][1][0].device.type == kept["weights"]["weight"].device.type == "cpu"
 
 
@@ -113,23 +113,23 @@ def _episodes(count: int = 6) -> tuple[Trajectory, ...]:
 def test_cloning_and_dagger(tmp_path: Path) -> None:
     fit = EpisodeFitSettings(epochs=2, batch_size=32, validation_share=0.3)
     settings = dataclasses.replace(DESK_CLONING, fit=fit, shift_px=2, noise=1.0)
-    episodes, told = _episodes(), {}
+    episodes, outcomes = _episodes(), {}
     features = [episode.observations["place"] for episode in episodes]
     images = {"image": episodes[0].observations["image"][:3]}
     with second_device() as device:
         for place in ("cpu", device):
             student, _ = clone(episodes, settings, expert_features=features, seed=1, device=place)
             assert device_of(student.network) == torch.device(place)
-            told[place] = student.act_batch(images, False, np.random.default_rng(0)), student.features(images)
+            outcomes[place] = student.act_batch(images, False, np.random.default_rng(0)), student.features(images)
         student.save(tmp_path / "student.pt")
         read = ClonedPolicy.load(tmp_path / "student.pt", device)
         assert device_of(read.network) == torch.device(device)
         taught, _, _ = dagger(DrawnPoint, expert, episodes, DaggerSettings(1, 1), settings, student=read, device=device)
         assert device_of(taught.network) == torch.device(device)
-    for here, there in zip(*told.values(), strict=True):
+    for here, there in zip(*outcomes.values(), strict=True):
         np.testing.assert_allclose(here, there, atol=1e-5)
     acted = ClonedPolicy.load(tmp_path / "student.pt").act_batch(images, False, np.random.default_rng(0))
-    np.testing.assert_allclose(acted, told["cpu"][0], atol=1e-5)
+    np.testing.assert_allclose(acted, outcomes["cpu"][0], atol=1e-5)
 
 
 def test_force(tmp_path: Path) -> None:
@@ -137,50 +137,50 @@ def test_force(tmp_path: Path) -> None:
     features = [episode.observations["place"] for episode in episodes]
     samples = force_samples(episodes, features=features)
     settings = dataclasses.replace(DESK_FORCE, fit=EpisodeFitSettings(epochs=2, batch_size=32, validation_share=0.0))
-    told = {}
+    outcomes = {}
     with second_device() as device:
         for place in ("cpu", device):
             predictor, _ = fit_force(samples, settings, seed=2, device=place)
             assert device_of(predictor.network) == torch.device(place)
-            told[place] = predictor.predict(samples.images)
+            outcomes[place] = predictor.predict(samples.images)
         predictor.save(tmp_path / "force.pt")
         again = ForcePredictor.load(tmp_path / "force.pt", device).predict(samples.images)
-    for other in (told[device], again, ForcePredictor.load(tmp_path / "force.pt").predict(samples.images)):
-        np.testing.assert_allclose(told["cpu"], other, atol=1e-5)
+    for other in (outcomes[device], again, ForcePredictor.load(tmp_path / "force.pt").predict(samples.images)):
+        np.testing.assert_allclose(outcomes["cpu"], other, atol=1e-5)
 
 
 def test_path_follower(tmp_path: Path) -> None:
     settings = PathFollowerSettings(fit=EpisodeFitSettings(epochs=2, batch_size=32), hidden=(16,))
     episodes = list(_episodes())
     paths = [np.array([[0.0, 0, 0], [10, 5, 0], [20, 0, 0]])] * len(episodes)
-    seen, told = np.ones((3, settings.size), np.float32), {}
+    seen, outcomes = np.ones((3, settings.size), np.float32), {}
     with second_device() as device:
         for place in ("cpu", device):
             follower, _ = fit_path_follower(episodes, paths, settings, device=place)
             assert device_of(follower.network) == torch.device(place)
-            told[place] = follower.act(seen)
+            outcomes[place] = follower.act(seen)
         follower.save(tmp_path / "follower.pt")
         again = PathFollower.load(tmp_path / "follower.pt", device).act(seen)
-    for other in (told[device], again, PathFollower.load(tmp_path / "follower.pt").act(seen)):
-        np.testing.assert_allclose(told["cpu"], other, atol=1e-5)
+    for other in (outcomes[device], again, PathFollower.load(tmp_path / "follower.pt").act(seen)):
+        np.testing.assert_allclose(outcomes["cpu"], other, atol=1e-5)
 
 
 def test_encoder_and_what_learns_through_it(tmp_path: Path) -> None:
     samples = scripted_samples(Rod, 300, seed=0)
     settings = EncoderSettings(epochs=1, hidden=16, features=8)
     training = dataclasses.replace(TRAININGS["sac"], evaluate_every=0)
-    told, seen = {}, {}
+    outcomes, seen = {}, {}
     with second_device() as device:
         for place in ("cpu", device):
             encoder, report = fit_encoder(samples, ("image", "joints"), settings, device=place)
             assert device_of(encoder) == torch.device(place)
-            told[place] = report["tip_mm"]
+            outcomes[place] = report["tip_mm"]
             encoder.save(tmp_path / "encoder.pt")
             trained = dataclasses.replace(training, device=place, reset_bank_share=0.0)
             read = Encoder.load(tmp_path / "encoder.pt")  # the training brings it to its own device
             policy = Training(trained, Rod, tmp_path / place[:3], seed=0, encoder=read).run().policy
             seen[place] = policy.act_batch({key: samples.observations[key][:2] for key in policy.keys})
-    assert told["cpu"] == pytest.approx(told[device], rel=1e-4)
+    assert outcomes["cpu"] == pytest.approx(outcomes[device], rel=1e-4)
     np.testing.assert_allclose(seen["cpu"], seen[device], atol=1e-3)
     loaded = Policy.load(tmp_path / device[:3] / "policy.pt")
     acted = loaded.act_batch({key: samples.observations[key][:2] for key in loaded.keys})
@@ -189,7 +189,7 @@ def test_encoder_and_what_learns_through_it(tmp_path: Path) -> None:
 
 def test_segmenter_and_image_student(tmp_path: Path) -> None:
     images, lumens = vessels(4, 0)
-    told = {}
+    outcomes = {}
     with second_device() as device:
         for place in ("cpu", device):
             segmenter, _ = fit_segmenter(images, lumens, epochs=1, working_size=images.shape[-1], device=place)
@@ -198,10 +198,10 @@ def test_segmenter_and_image_student(tmp_path: Path) -> None:
             lessons = lessons_of(student, 0.5, 1, 3)
             loss = student.fit(lessons, 2)
             student.save(tmp_path / f"{place[:3]}.pt")
-            told[place] = loss, student.act(lessons[0].views[:1], None)[0]
+            outcomes[place] = loss, student.act(lessons[0].views[:1], None)[0]
         env = WireEnv()
         observation, _ = env.reset(seed=0)
         ImageStudent.load(tmp_path / "cpu.pt", device).controller()(observation)
-    assert told["cpu"][0] == pytest.approx(told[device][0], rel=1e-3)
-    np.testing.assert_allclose(told["cpu"][1], told[device][1], atol=1e-4)
+    assert outcomes["cpu"][0] == pytest.approx(outcomes[device][0], rel=1e-3)
+    np.testing.assert_allclose(outcomes["cpu"][1], outcomes[device][1], atol=1e-4)
     ImageStudent.load(tmp_path / f"{device[:3]}.pt")

@@ -51,5 +51,5 @@ def _sentence(error: ValidationError) -> str:
     if first["type"] == "value_error":  # of a check in the class itself, which has a sentence of its own
         return str(first["ctx"]["error"])
     name = ".".join(map(str, first["loc"]))
-    told = f"{name} {first['msg']}".replace(f"{name} Input should", f"{name} must")
-    return f"{told}, got {first['input']!r}"
+    sentence = f"{name} {first['msg']}".replace(f"{name} Input should", f"{name} must")
+    return f"{sentence}, got {first['input']!r}"

@@ -179,7 +179,7 @@ def dagger(
             initial=initial if settings.warm_start else None,
             seed=seed + index,
             folder=None if folder is None else Path(folder) / f"round{index}",
-            progress=None if progress is None else lambda told: progress(index, told),
+            progress=None if progress is None else lambda fit: progress(index, fit),
             device=device,
         )
 
