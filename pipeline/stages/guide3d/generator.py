@@ -22,11 +22,14 @@ from guide3d.geometry.camera import Camera, write_camera
 from guide3d.geometry.distortion import Distortion
 from pipeline.jobs.worker import Report
 from pipeline.seeds import acquisition_seed
+from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.store.atomic_files import write_json, write_text
 
 if TYPE_CHECKING:
     from cathsim.fluoroscopy import BiplaneFluoroscope, XRayCamera
     from cathsim.planning.scripted_motions import ScriptedOperator
+
+Centre = tuple[float, float, float]  # (3,) m, where the axes of both cameras meet
 
 DATASET, TAKES = "dataset", ".takes"  # the latter until the stage is done
 _MM = 1e3
@@ -36,41 +39,29 @@ _TIP_MARGIN_PX = 10.0  # a tip nearer to the border than this is drawn back
 
 
 @dataclass(frozen=True)
-class Recording:
-    """How every acquisition of a data set is made.
+class GenerationJob:
+    """Acquisitions to be made by one process.
 
     Attributes:
+        folder: of the stage.
+        acquisitions: to be made.
+        settings: of all of them.
         centre: (3,) m, where the axes of both cameras meet.
-        image_size_px: side of the images.
-        distorted: images as the detectors show them, and annotations on those; or both undistorted.
-        annotation_noise_px: standard deviation of a click; 0: exact annotations.
-        filling: of the lumen with fluid, "fluid" (clear) or "contrast"; without it is air.
-        steps: of 0.1 s from one pair to the next.
         seed: of the run.
     """
 
-    centre: tuple[float, float, float]
-    image_size_px: int
-    distorted: bool
-    annotation_noise_px: float
-    filling: str
-    steps: int
-    seed: int
-
-    def cameras(self) -> dict[str, XRayCamera]:
-        """Cameras "a" and "b" of the public data set's geometry."""
-        from cathsim.fluoroscopy import askew_pair
-
-        return askew_pair(self.centre, self.image_size_px, distorted=self.distorted)
-
-
-@dataclass(frozen=True)
-class GenerationJob:
-    """Acquisitions to be made by one process; `folder` is the stage's."""
-
     folder: Path
     acquisitions: tuple[PlannedAcquisition, ...]
-    recording: Recording
+    settings: Guide3dSettings
+    centre: Centre
+    seed: int
+
+
+def cameras_of(settings: Guide3dSettings, centre: Centre) -> dict[str, XRayCamera]:
+    """Cameras "a" and "b" of the public data set's geometry, whose axes meet in a point (3,) m."""
+    from cathsim.fluoroscopy import askew_pair
+
+    return askew_pair(centre, settings.image_size_px, distorted=settings.distorted)
 
 
 def generate(job: GenerationJob, report: Report) -> dict[str, Any]:
@@ -88,8 +79,7 @@ def generate(job: GenerationJob, report: Report) -> dict[str, Any]:
     for acquisition in job.acquisitions:
         record = _take_path(job.folder, acquisition)
         if not record.exists():
-            images = job.folder / DATASET / "images"
-            take = _film(acquisition, job.recording, images, report.part(pairs / total, 1.0))
+            take = _film(acquisition, job, report.part(pairs / total, 1.0))
             write_text(record, json.dumps(take))  # last: what has no record is made again
         motion = json.loads(record.read_text(encoding="utf-8"))["motion"]
         motions[motion] = motions.get(motion, 0) + 1
@@ -102,12 +92,13 @@ def _take_path(folder: Path, acquisition: PlannedAcquisition) -> Path:
     return folder / TAKES / f"{acquisition.name}.json"
 
 
-def _film(acquisition: PlannedAcquisition, recording: Recording, images: Path, report: Any) -> dict[str, Any]:
+def _film(acquisition: PlannedAcquisition, job: GenerationJob, report: Any) -> dict[str, Any]:
     from cathsim.fluoroscopy.curve import smooth_curve
     from cathsim.planning.scripted_motions import Script
 
-    cameras, operator = recording.cameras(), _operator(acquisition.phantom, acquisition.wire)
-    bounds, grid, size = operator.phantom.bounds, operator.phantom.grid, recording.image_size_px
+    settings, images = job.settings, job.folder / DATASET / "images"
+    cameras, operator = cameras_of(settings, job.centre), _operator(acquisition.phantom, acquisition.wire)
+    bounds, grid, size = operator.phantom.bounds, operator.phantom.grid, settings.image_size_px
     margin = np.array([_TIP_MARGIN_PX, size - 1 - _TIP_MARGIN_PX])
 
     def seen(tip: np.ndarray) -> bool:
@@ -116,10 +107,11 @@ def _film(acquisition: PlannedAcquisition, recording: Recording, images: Path, r
         inside = (bounds[0] < tip).all() and (tip < bounds[1]).all() and float(grid.sample(tip)) > -1e-3
         return bool(inside and (places > margin[0]).all() and (places < margin[1]).all())
 
-    seed = acquisition_seed(recording.seed, acquisition.number)
-    script = Script(acquisition.phantom, acquisition.target, acquisition.wire, acquisition.pairs, recording.steps, seed)
+    seed = acquisition_seed(job.seed, acquisition.number)
+    script = Script(acquisition.phantom, acquisition.target, acquisition.wire, acquisition.pairs, settings.steps, seed)
     motion, shapes = operator.film(script, seen)
-    fluoroscope = _fluoroscope(acquisition.phantom, acquisition.wire, acquisition.fluid, recording)
+    filling = settings.filling if acquisition.fluid else "air"
+    fluoroscope = _fluoroscope(acquisition.phantom, acquisition.wire, filling, size, settings.distorted, job.centre)
     generator = np.random.default_rng((seed, 1_000))
     frames = []
     for number, nodes in enumerate(shapes):
@@ -128,7 +120,7 @@ def _film(acquisition: PlannedAcquisition, recording: Recording, images: Path, r
         for name, camera in cameras.items():
             part = visible_part(camera.pixels(curve), arc, size)
             assert part is not None  # the tip is in view
-            points = annotate(part.points, recording.annotation_noise_px, size, generator)
+            points = annotate(part.points, settings.annotation_noise_px, size, generator)
             frame["points"][name] = np.round(points, 2).tolist()
             frame["visible_mm"][name] = part.length * _MM
         kept = arc <= max(frame["visible_mm"].values()) / _MM + 2 * _CURVE_SPACING
@@ -152,25 +144,30 @@ def _operator(phantom: str, wire: str) -> ScriptedOperator:
 
 
 @functools.lru_cache(maxsize=4)
-def _fluoroscope(phantom: str, wire: str, fluid: bool, recording: Recording) -> BiplaneFluoroscope:
-    from cathsim.fluoroscopy import BiplaneFluoroscope, radiograph, scene, wire_material
+def _fluoroscope(
+    phantom: str, wire: str, filling: str, size: int, distorted: bool, centre: Centre
+) -> BiplaneFluoroscope:
+    from cathsim.fluoroscopy import BiplaneFluoroscope, askew_pair, radiograph, scene, wire_material
     from cathsim.planning.scripted_motions import WIRES
 
     operator = _operator(phantom, wire)
-    anatomy, cameras = operator.phantom, list(recording.cameras().values())
-    what = scene("bath", recording.filling if fluid else "air")
+    anatomy, cameras = operator.phantom, list(askew_pair(centre, size, distorted=distorted).values())
+    what = scene("bath", filling)
     stills = [radiograph(anatomy.grid, camera, what, key=anatomy.hash) for camera in cameras]
     material = wire_material(WIRES[wire], operator.simulation.wire.radius)
-    return BiplaneFluoroscope(cameras, stills, material=material, centre=recording.centre)
+    return BiplaneFluoroscope(cameras, stills, material=material, centre=centre)
 
 
-def assemble(folder: Path, acquisitions: Sequence[PlannedAcquisition], recording: Recording) -> Path:
+def assemble(
+    folder: Path, acquisitions: Sequence[PlannedAcquisition], settings: Guide3dSettings, centre: Centre
+) -> Path:
     """Writes annotations, true curves, cameras and properties of a data set whose acquisitions are made.
 
     Args:
         folder: of the stage.
         acquisitions: all of the data set.
-        recording: how they were made.
+        settings: with which they were made.
+        centre: (3,) m, where the axes of both cameras meet.
 
     Returns:
         The data set's folder.
@@ -190,23 +187,23 @@ def assemble(folder: Path, acquisitions: Sequence[PlannedAcquisition], recording
             a, b = (np.array(frame["points"][view]) for view in VIEWS)
             images = [image_name(key[0], view, key[1]) for view in VIEWS]
             annotations.append(Annotation(*key, acquisition.fluid, acquisition.wire, images[0], images[1], a, b))
-            curves[key] = Views(*(fit_annotation(points, recording.annotation_noise_px) for points in (a, b)))
+            curves[key] = Views(*(fit_annotation(points, settings.annotation_noise_px) for points in (a, b)))
             truths[key] = TrueCurve(
                 np.array(frame["curve_mm"]), (float(frame["visible_mm"]["a"]), float(frame["visible_mm"]["b"]))
             )
-    size = recording.image_size_px
+    size = settings.image_size_px
     write_raw(root / RAW, annotations)
     write_curves(root / CURVES, annotations, curves)
     write_cvat(root / "cvat.xml", annotations, {"a": (size, size), "b": (size, size)})
     write_truth(root / TRUTH, truths)
-    xray = recording.cameras()
+    xray = cameras_of(settings, centre)
     for name, camera in xray.items():
         projector, detector = camera.projector, DETECTOR[name]
         write_camera(
             Camera(projector.K, projector.R, _MM * projector.t, size, size, detector),
             root / "calibration" / f"projection_{detector}.txt",
         )
-        if recording.distorted:
+        if settings.distorted:
             distortion = Distortion.of_function(camera.distortion.distort, size)
             distortion.save(root / "calibration" / f"distortion_{detector}.npz")
     write_json(
@@ -214,8 +211,8 @@ def assemble(folder: Path, acquisitions: Sequence[PlannedAcquisition], recording
         {
             "origin": "cathsim",
             "image_size_px": size,
-            "undistorted": not recording.distorted,
-            "annotation_noise_px": recording.annotation_noise_px,
+            "undistorted": not settings.distorted,
+            "annotation_noise_px": settings.annotation_noise_px,
             "cameras": {DETECTOR[name]: camera.to_json() for name, camera in xray.items()},
             "acquisitions": kinds,
         },

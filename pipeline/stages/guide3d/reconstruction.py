@@ -27,6 +27,7 @@ from guide3d.reconstruction.evaluation import Record, evaluate_pair
 from guide3d.reconstruction.reconstruction import reconstruct
 from pipeline.jobs.worker import Report
 from pipeline.stages.guide3d.folder import RECONSTRUCTIONS, Source
+from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.store.atomic_files import write_text
 
 PARTS, RECORDS = ".parts", "reconstructions.json"  # the former until the stage is done
@@ -44,7 +45,7 @@ class ReconstructionJob:
         part: number of the job.
         frames: indices of frames.
         compared: those of them that all ways take, not only ours.
-        noise_px: standard deviation of a click.
+        settings: with the standard deviation of a click.
         seed: of the clicks.
     """
 
@@ -53,7 +54,7 @@ class ReconstructionJob:
     part: int
     frames: tuple[int, ...]
     compared: frozenset[int]
-    noise_px: float
+    settings: Guide3dSettings
     seed: int
 
 
@@ -77,7 +78,10 @@ def reconstruct_pairs(job: ReconstructionJob, report: Report) -> dict[str, Any]:
             entries += [_entry(data, index, way, drawn) for way in ways if way in ON_ANNOTATION]
             if len(ways) == len(WAYS):
                 generator = np.random.default_rng((job.seed, index))
-                clicks = {view: click(drawn[view], job.noise_px, min(frame.size_px[view]), generator) for view in VIEWS}
+                clicks = {
+                    view: click(drawn[view], job.settings.validation_noise_px, min(frame.size_px[view]), generator)
+                    for view in VIEWS
+                }
                 entries += [_entry(data, index, way, clicks) for way in ON_CLICKS]
             report(place / len(job.frames), f"{place} of {len(job.frames)} pairs")
     write_text(part_file(job.folder, job.part), json.dumps(entries))

@@ -14,7 +14,7 @@ from pipeline.report.results import write_figures, write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.guide3d.figures import reconstruction_figures, sample_figure
 from pipeline.stages.guide3d.folder import Source
-from pipeline.stages.guide3d.generator import DATASET, GenerationJob, Recording, assemble, generate
+from pipeline.stages.guide3d.generator import DATASET, GenerationJob, assemble, generate
 from pipeline.stages.guide3d.own_data import own_source
 from pipeline.stages.guide3d.reconstruction import ReconstructionJob, gather, reconstruct_pairs
 from pipeline.stages.guide3d.settings import Guide3dSettings
@@ -54,12 +54,7 @@ def check_guide3d(settings: Guide3dSettings) -> None:
 
 
 def run_guide3d(settings: Guide3dSettings, context: StageContext) -> None:
-    """Generates a data set or takes one's own, reconstructs its wires and sums them up.
-
-    Args:
-        settings: of the stage.
-        context: where to write.
-    """
+    """Generates a data set or takes one's own, reconstructs its wires and sums them up."""
     source = _generated(settings, context) if settings.root is None else own_source(settings, context.path)
     source.write(context.path)
     data = source.open(context.path)
@@ -86,22 +81,19 @@ def _generated(settings: Guide3dSettings, context: StageContext) -> Source:
 
     # one pair of cameras for all phantoms, which all lie about the world's origin
     x, y, z = load_phantom(settings.phantoms[0]).bounds.mean(axis=0).tolist()
-    recording = Recording(
-        (x, y, z), settings.image_size_px, settings.distorted, settings.annotation_noise_px, settings.filling,
-        settings.steps, context.seed,
-    )  # fmt: skip
+    centre = (x, y, z)
     planned = plan_acquisitions(settings.images, settings.pairs, settings.phantoms, settings.targets)
     jobs = [
         Job(
             f"acquisitions/{number}",
             generate,
-            GenerationJob(context.path, own, recording),
+            GenerationJob(context.path, own, settings, centre, context.seed),
             weight=_SECONDS_A_PAIR * sum(one.pairs for one in own),
         )
         for number, own in enumerate(_chunks(planned))
     ]
     run_jobs(context.folder, jobs, workers=settings.workers, label="acquisitions", preload=PRELOAD)
-    assemble(context.path, planned, recording)
+    assemble(context.path, planned, settings, centre)
     return Source(DATASET)
 
 
@@ -111,16 +103,14 @@ def _chunks(planned: list[PlannedAcquisition]) -> list[tuple[PlannedAcquisition,
     def kind(one: PlannedAcquisition) -> tuple[str, bool]:
         return one.phantom, one.fluid
 
-    chunks: list[tuple[PlannedAcquisition, ...]] = []
+    chunks: list[list[PlannedAcquisition]] = []
     for _, group in groupby(sorted(planned, key=kind), key=kind):
-        chunk: list[PlannedAcquisition] = []
+        chunks.append([])
         for one in group:
-            if chunk and sum(other.pairs for other in chunk) + one.pairs > _PAIRS_A_JOB:
-                chunks.append(tuple(chunk))
-                chunk = []
-            chunk.append(one)
-        chunks.append(tuple(chunk))
-    return chunks
+            if chunks[-1] and sum(other.pairs for other in chunks[-1]) + one.pairs > _PAIRS_A_JOB:
+                chunks.append([])
+            chunks[-1].append(one)
+    return [tuple(chunk) for chunk in chunks]
 
 
 def _reconstructions(settings: Guide3dSettings, context: StageContext, source: Source, count: int) -> list[Job]:
@@ -130,9 +120,7 @@ def _reconstructions(settings: Guide3dSettings, context: StageContext, source: S
         Job(
             f"reconstructions/{number}",
             reconstruct_pairs,
-            ReconstructionJob(
-                context.path, source, number, tuple(part.tolist()), compared, settings.validation_noise_px, context.seed
-            ),
+            ReconstructionJob(context.path, source, number, tuple(part.tolist()), compared, settings, context.seed),
             weight=_SECONDS_A_RECONSTRUCTION * len(part),
         )
         for number, part in enumerate(parts)

@@ -8,11 +8,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from guide3d.calibration.bead_cube import attenuation, find_beads, measure_beads
-from guide3d.calibration.cube_orientation import SeenMark, candidates, decide
+from guide3d.calibration.cube_orientation import candidates, decide
 from guide3d.calibration.lattice_camera import CubeLattice, recognise_lattice
 from guide3d.calibration.pinhole_fit import IntrinsicPrior
 from guide3d.calibration.synthetic_xray import draw_cube
-from guide3d.calibration.wire_marks import find_marks
+from guide3d.calibration.wire_marks import WireMark, find_marks
 from guide3d.geometry.camera import Camera
 from tests.guide3d.calibration.drawn_cube import (
     CAMERAS,
@@ -122,7 +122,7 @@ def test_marks_are_told_apart_and_decide_the_attitude():
         distance, nearest = cKDTree(raw).query(beads.centres_px)
         truth[detector] = np.where(distance < 1, numbers[nearest], -1)
         undistort = DETECTORS[detector].undistort
-        marks = [SeenMark(mark.kind, undistort(mark.pixels)) for mark in find_marks(image, beads)]
+        marks = [WireMark(mark.kind, undistort(mark.pixels)) for mark in find_marks(image, beads)]
         field = np.ones((512, 512), bool)
         fit = recognise_lattice(LATTICE, undistort(beads.centres_px), 512, 512, field)
         options = candidates(LATTICE, fit, field)

@@ -59,8 +59,8 @@ def test_spline_goes_through_its_points_by_chord_length() -> None:
     assert curve.domain == pytest.approx((0.0, arc_length(points)[-1]))
     between = np.linalg.norm(curve.sample(2000), axis=1)
     assert np.abs(between - 100.0).max() < 1e-3
-    speed = np.linalg.norm(curve.derivative(np.linspace(*curve.domain, 50)), axis=1)
-    assert np.abs(speed - 1.0).max() < 2e-3  # chord length is nearly arc length
+    steps = np.linalg.norm(np.diff(curve.sample(2000), axis=0), axis=1)
+    assert np.abs(steps * 1999 / np.ptp(curve.domain) - 1.0).max() < 2e-3  # chord length is nearly arc length
 
 
 def test_smoothing_takes_noise_out() -> None:

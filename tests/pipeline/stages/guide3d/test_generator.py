@@ -13,14 +13,14 @@ from guide3d.dataset.cvat import read_cvat
 from guide3d.dataset.dataset import Dataset
 from guide3d.geometry.polyline import distances_to
 from pipeline.jobs.worker import Report
-from pipeline.stages.guide3d.generator import TAKES, GenerationJob, Recording, assemble, generate
+from pipeline.stages.guide3d.generator import TAKES, GenerationJob, assemble, cameras_of, generate
+from pipeline.stages.guide3d.settings import Guide3dSettings
 
 SIZE = 256
 
 
-RECORDING = Recording(
-    (0.0, 0.0, 0.004), SIZE, distorted=True, annotation_noise_px=0.0, filling="fluid", steps=4, seed=0
-)
+SETTINGS = Guide3dSettings(image_size_px=SIZE, distorted=True)
+CENTRE = (0.0, 0.0, 0.004)
 
 
 @pytest.fixture(scope="module")
@@ -30,17 +30,17 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = plan_acquisitions(24, 2, ["type_1"], ["bca"])
     kinds = {(one.fluid, one.wire): one for one in plan}
     chosen = tuple(kinds.values())
-    result = generate(GenerationJob(folder, chosen, RECORDING), Report())
+    result = generate(GenerationJob(folder, chosen, SETTINGS, CENTRE, 0), Report())
     assert result["pairs"] == sum(one.pairs for one in chosen)
     record = folder / TAKES / f"{chosen[0].name}.json"
     image = next((folder / "dataset" / "images").glob(f"{chosen[0].name}-2/000.png"))
     first = record.read_bytes(), image.read_bytes()
     record.unlink()  # as if killed before the end of this acquisition
     image.write_bytes(b"half")
-    generate(GenerationJob(folder, chosen, RECORDING), Report())
+    generate(GenerationJob(folder, chosen, SETTINGS, CENTRE, 0), Report())
     assert (record.read_bytes(), image.read_bytes()) == first
-    assemble(folder, chosen, RECORDING)
-    assert assemble(folder, chosen, RECORDING) == folder / "dataset"  # done already
+    assemble(folder, chosen, SETTINGS, CENTRE)
+    assert assemble(folder, chosen, SETTINGS, CENTRE) == folder / "dataset"  # done already
     return folder / "dataset"
 
 
@@ -55,7 +55,7 @@ def test_truth_annotation_and_cameras_agree(made: Path) -> None:
             points = frame.polyline(view)
             assert distances_to(seen, data.undistort(view, points)).max() < 0.1
             assert distances_to(points, data.distort(view, seen)).max() < 0.1
-            exact = {one.name: one for one in RECORDING.cameras().values()}[view]
+            exact = {one.name: one for one in cameras_of(SETTINGS, CENTRE).values()}[view]
             assert distances_to(points, exact.pixels(1e-3 * frame.visible_curve_mm(view))).max() < 0.1
 
 

@@ -56,13 +56,11 @@ class Beads:
         return len(self.centres_px)
 
     def __getitem__(self, chosen: np.ndarray) -> Beads:
-        return Beads(
-            self.centres_px[chosen],
-            self.radii_px[chosen],
-            self.contrast[chosen],
-            self.misfit[chosen],
-            self.share[chosen],
-        )
+        return Beads(*(value[chosen] for value in vars(self).values()))
+
+    def joined(self, more: Beads) -> Beads:
+        """These beads, then more."""
+        return Beads(*map(np.concatenate, zip(vars(self).values(), vars(more).values(), strict=True)))
 
 
 def find_beads(image: np.ndarray | Attenuation) -> Beads:
@@ -117,9 +115,7 @@ def _joined(first: Beads, more: Beads) -> Beads:
         if min((np.hypot(*(c - more.centres_px[k])) for c in centres), default=np.inf) > reach:
             kept.append(int(k))
             centres.append(more.centres_px[k])
-    rest = more[np.array(kept, int)]
-    names = ("centres_px", "radii_px", "contrast", "misfit", "share")
-    return Beads(*(np.concatenate([getattr(first, name), getattr(rest, name)]) for name in names))
+    return first.joined(more[np.array(kept, int)])
 
 
 def attenuation(image: np.ndarray) -> Attenuation:

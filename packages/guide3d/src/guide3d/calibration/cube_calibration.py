@@ -15,7 +15,7 @@ import numpy as np
 
 from guide3d.calibration.bead_cube import Attenuation, Beads, attenuation, find_beads, measure_beads
 from guide3d.calibration.cube_files import find_files, read_beads, read_grey, read_references
-from guide3d.calibration.cube_orientation import SeenMark, candidates, decide
+from guide3d.calibration.cube_orientation import candidates, decide
 from guide3d.calibration.lattice_camera import CubeLattice, recognise_lattice
 from guide3d.calibration.perforated_sheet import SheetHoles, find_holes
 from guide3d.calibration.rig import RigCalibration, Sighting, calibrate_rig
@@ -171,7 +171,7 @@ def calibrate_cube(
             raise ValueError(_named(names[pose, detector], error)) from None
         marks = find_marks(light, beads)
         found[pose, detector] = light, beads, marks
-        seen = [SeenMark(mark.kind, distortion.undistort_points(mark.pixels)) for mark in marks]
+        seen = [replace(mark, pixels=distortion.undistort_points(mark.pixels)) for mark in marks]
         poses.setdefault(pose, {})[detector] = (candidates(lattice, fit, field), seen, field)
     chosen, certain = decide(lattice, list(poses.values()), marked)
     warnings = _attitude_warnings(list(poses), certain, marked)
@@ -265,12 +265,7 @@ def _second_look(view: CubeView, rig: RigCalibration, distortion: Distortion, po
     good = near & (measured.misfit < 0.2) & (measured.contrast > 0.5 * typical) & (measured.share >= _LEAST_SHARE)
     clutter = np.flatnonzero(view.numbers < 0)
     rest = np.concatenate([on[~doubtful], clutter])
-    beads = Beads(
-        *(
-            np.concatenate([getattr(view.beads, name)[rest], getattr(measured, name)[good]])
-            for name in ("centres_px", "radii_px", "contrast", "misfit", "share")
-        )
-    )
+    beads = view.beads[rest].joined(measured[good])
     numbers = np.concatenate([view.numbers[rest], again[good]])
     logger.debug("%s_%s: %d looked at again, %d measured", view.pose, view.detector, len(again), good.sum())
     pixels = distortion.undistort_points(beads.centres_px)

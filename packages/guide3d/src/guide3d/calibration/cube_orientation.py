@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from guide3d.calibration.lattice_camera import CubeLattice, LatticeFit
+from guide3d.calibration.wire_marks import WireMark
 from guide3d.geometry.camera import Camera
 
 logger = logging.getLogger(__name__)
@@ -21,14 +22,6 @@ _MARK_REACH = 0.1  # of the lattice's pitch as seen: how far a wire lies from it
 _ABSENT = -0.4  # where a mark should be seen and none of its kind is
 _MEETING_MM = 6.0  # by which the rays through one mark's centres miss each other
 _RIG_DEG, _RIG_MM = 1.5, 25.0  # by which single poses' relative camera places differ
-
-
-@dataclass(frozen=True, eq=False)
-class SeenMark:
-    """A wire mark in undistorted pixels: its kind and its pixels (n, 2)."""
-
-    kind: str
-    pixels: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +75,13 @@ def candidates(lattice: CubeLattice, fit: LatticeFit, field: np.ndarray) -> list
 
 def decide(
     lattice: CubeLattice,
-    poses: Sequence[Mapping[str, tuple[list[Candidate], list[SeenMark], np.ndarray]]],
+    poses: Sequence[Mapping[str, tuple[list[Candidate], list[WireMark], np.ndarray]]],
     marked: Mapping[str, int],
 ) -> tuple[list[dict[str, int]], list[bool]]:
     """Choose one candidate for every image of every pose.
 
     Args:
-        poses: For each pose, by detector: its candidates, the marks seen, and the field (h, w) in undistorted pixels.
+        poses: For each pose, by detector: its candidates, marks seen and field (h, w), both in undistorted pixels.
         marked: Bead number (from 0) of each kind of mark; other kinds are ignored.
 
     Returns:
@@ -130,7 +123,7 @@ def _in_field(pixels: np.ndarray, field: np.ndarray, margin: int = 12) -> np.nda
 
 
 def _mark_score(
-    lattice: CubeLattice, camera: Camera, marks: list[SeenMark], field: np.ndarray, marked: Mapping[str, int]
+    lattice: CubeLattice, camera: Camera, marks: list[WireMark], field: np.ndarray, marked: Mapping[str, int]
 ) -> float:
     """How well the marks seen lie beside the beads that should bear them."""
     score = 0.0
@@ -147,7 +140,7 @@ def _mark_score(
     return float(score)
 
 
-def _distance(place: np.ndarray, mark: SeenMark) -> float:
+def _distance(place: np.ndarray, mark: WireMark) -> float:
     """Of a bead to its wire: a straight one may lie beside it, a pair or a ring lies around it."""
     if mark.kind == "single":
         return float(np.linalg.norm(mark.pixels - place, axis=1).min())
@@ -155,8 +148,8 @@ def _distance(place: np.ndarray, mark: SeenMark) -> float:
 
 
 def _pair_scores(
-    first: tuple[list[Candidate], list[SeenMark], np.ndarray],
-    other: tuple[list[Candidate], list[SeenMark], np.ndarray],
+    first: tuple[list[Candidate], list[WireMark], np.ndarray],
+    other: tuple[list[Candidate], list[WireMark], np.ndarray],
     other_scores: np.ndarray,
     marked: Mapping[str, int],
 ) -> np.ndarray:
@@ -187,7 +180,7 @@ def _relative(first: Sequence[Candidate], other: Sequence[Candidate]) -> tuple[n
 
 def _rigs(
     lattice: CubeLattice,
-    poses: Sequence[Mapping[str, tuple[list[Candidate], list[SeenMark], np.ndarray]]],
+    poses: Sequence[Mapping[str, tuple[list[Candidate], list[WireMark], np.ndarray]]],
     evidence: list[dict[str, np.ndarray]],
     marked: Mapping[str, int],
 ) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:

@@ -25,7 +25,7 @@ class WireMark:
     """One mark.
 
     kind: "single", "double" or "circle"
-    pixels: (n, 2) raw px that it covers
+    pixels: (n, 2) px that it covers, raw as found
     """
 
     kind: str

@@ -56,10 +56,6 @@ class BSplineCurve:
         """Returns the (..., d) points at parameters u, which are kept inside the domain."""
         return np.asarray(self._spline(np.clip(u, *self.domain)))
 
-    def derivative(self, u: ArrayLike, order: int = 1) -> Array:
-        """Returns the (..., d) derivatives by the parameter at u."""
-        return np.asarray(self._spline(np.clip(u, *self.domain), nu=order))
-
     def sample(self, count: int) -> Array:
         """Returns (count, d) points at equal steps of the parameter, both ends among them."""
         return self.at(np.linspace(*self.domain, count))

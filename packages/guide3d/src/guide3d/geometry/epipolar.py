@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from guide3d.geometry.camera import Camera
-
-Array = NDArray[np.float64]
+from guide3d.geometry.polyline import Array
 
 
 def cross_matrix(v: ArrayLike) -> Array:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from guide3d.geometry.camera import Camera
-
-Array = NDArray[np.float64]
+from guide3d.geometry.polyline import Array
 
 
 def triangulate_linear(camera_a: Camera, camera_b: Camera, points_a: ArrayLike, points_b: ArrayLike) -> Array:

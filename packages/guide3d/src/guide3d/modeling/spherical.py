@@ -13,13 +13,12 @@ from typing import Annotated
 import numpy as np
 import torch
 from annotated_types import Interval
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
-from guide3d.geometry.polyline import arc_length, at_length, checked
+from guide3d.geometry.polyline import Array, arc_length, at_length, checked
 from guide3d.setting_kinds import Angle, Millimetres, settings
 
-Array = NDArray[np.float64]
 _ROUNDS = 8
 _CANDIDATES = 400  # polar axes that are tried
 _NEAR_POLE = np.radians(20.0)  # nearer to it a small turn of the wire is a large one of φ

@@ -23,11 +23,9 @@ from scipy.linalg import solveh_banded
 
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.camera import Camera
-from guide3d.geometry.polyline import arc_length, at_length
+from guide3d.geometry.polyline import Array, arc_length, at_length
 from guide3d.native_library import ImageStruct, PriorStruct, SplineStruct, address, library
 from guide3d.setting_kinds import Millimetres, PixelDistance, Positive, settings
-
-Array = NDArray[np.float64]
 
 
 @settings

@@ -8,13 +8,11 @@ unnoticed, for its pairs lie exactly on each other's epilines.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from guide3d.geometry.epipolar import EpipolarGeometry, epilines, fundamental_matrix
+from guide3d.geometry.polyline import Array
 from guide3d.reconstruction.matching import Match
-
-Array = NDArray[np.float64]
 
 REACH_PX = 60.0  # how far beyond the last crossing the next one is looked for, beside the step in A
 TIP_PX = 0.01

@@ -18,11 +18,9 @@ from scipy.interpolate import PchipInterpolator
 
 from guide3d.geometry.bspline import CLOSEST_PX, fit_bspline
 from guide3d.geometry.epipolar import EpipolarGeometry
-from guide3d.geometry.polyline import arc_length, checked, resample
+from guide3d.geometry.polyline import Array, arc_length, checked, resample
 from guide3d.native_library import ViewStruct, WeightsStruct, address, library
 from guide3d.setting_kinds import PixelDistance, PixelDistanceOrNone, Weight, settings
-
-Array = NDArray[np.float64]
 
 DENSE_PX = 4.0  # annotations with closer points are curves already and need no spline through them
 

@@ -9,14 +9,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from guide3d.geometry.camera import Camera
-from guide3d.geometry.polyline import resample
-
-Array = NDArray[np.float64]
+from guide3d.geometry.polyline import Array, resample
 
 FOCAL_PX = (5150.0, 4450.0)
 SIZE_PX = 1024

@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.epipolar import EpipolarGeometry
+from guide3d.geometry.polyline import Array
 from guide3d.reconstruction.matching import MatchingSettings, clearly_better, image_curve, match_curves
 
-Array = NDArray[np.float64]
 Pair = tuple[ArrayLike, ArrayLike]
 
 
