@@ -30,12 +30,7 @@ _BLANK = 230  # grey where a data set has no images
 
 
 def sample_figure(data: Dataset, folder: Path) -> Figure | None:
-    """Draws a pair of images of every kind; None where the data set has no images.
-
-    Args:
-        data: the data set.
-        folder: of the stage.
-    """
+    """Draws a pair of images of every kind; None where the data set has no images."""
     columns = []
     for fluid in (True, False):
         for wire in ("angled", "straight"):
@@ -56,13 +51,7 @@ def sample_figure(data: Dataset, folder: Path) -> Figure | None:
 
 
 def reconstruction_figures(data: Dataset, records: Sequence[Record], folder: Path) -> list[Figure]:
-    """Draws what is known of the reconstructions.
-
-    Args:
-        data: the data set.
-        records: of all ways.
-        folder: of the stage.
-    """
+    """Draws what is known of the reconstructions."""
     by_way = {way: accepted([record for record in records if record["way"] == way]) for way in WAYS}
     ours, greedy = by_way[WAYS[0]], by_way[WAYS[1]]
     if not ours:

@@ -37,7 +37,6 @@ class Source:
         """Where images, calibration or curves in space lie, if not with the data set.
 
         Args:
-            folder: of the stage.
             name: "images", "calibration" or "curves".
         """
         if name == "curves":
@@ -47,9 +46,6 @@ class Source:
 
     def open(self, folder: Path) -> Dataset:
         """Opens the data set.
-
-        Args:
-            folder: of the stage.
 
         Raises:
             StageError: it is not there or cannot be used.

@@ -67,10 +67,6 @@ def cameras_of(settings: Guide3dSettings, centre: Centre) -> dict[str, XRayCamer
 def generate(job: GenerationJob, report: Report) -> dict[str, Any]:
     """Makes acquisitions that are not made yet; an interrupted one is made again.
 
-    Args:
-        job: what to make.
-        report: takes the progress.
-
     Returns:
         ``pairs`` and, by motion, how often it was filmed.
     """
@@ -164,9 +160,6 @@ def assemble(
     """Writes annotations, true curves, cameras and properties of a data set whose acquisitions are made.
 
     Args:
-        folder: of the stage.
-        acquisitions: all of the data set.
-        settings: with which they were made.
         centre: (3,) m, where the axes of both cameras meet.
 
     Returns:

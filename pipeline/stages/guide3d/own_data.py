@@ -29,7 +29,6 @@ def own_source(settings: Guide3dSettings, folder: Path) -> Source:
 
     Args:
         settings: with `root`.
-        folder: of the stage.
 
     Returns:
         Where everything lies.

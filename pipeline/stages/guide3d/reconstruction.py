@@ -61,10 +61,6 @@ class ReconstructionJob:
 def reconstruct_pairs(job: ReconstructionJob, report: Report) -> dict[str, Any]:
     """Reconstructs pairs and writes their records and curves.
 
-    Args:
-        job: which.
-        report: takes the progress.
-
     Returns:
         ``pairs``.
     """
@@ -119,11 +115,6 @@ def _entry(data: Dataset, index: int, way: str, points: dict[str, Array]) -> Rec
 
 def gather(folder: Path, source: Source, parts: Sequence[int]) -> list[Record]:
     """Joins what the jobs left: the accepted curves in the public layout, then the records in one file.
-
-    Args:
-        folder: of the stage.
-        source: where the data set lies.
-        parts: numbers of the jobs.
 
     Returns:
         The records, without curves.

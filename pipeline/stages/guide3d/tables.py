@@ -41,9 +41,6 @@ def comparison_row(data: Dataset, *, simulated: bool) -> dict[str, Any]:
 def reconstruction_tables(records: Sequence[Record]) -> dict[str, Any]:
     """Reprojection along the wire, the ways beside each other, and the simulated validation where there is truth.
 
-    Args:
-        records: of all ways.
-
     Returns:
         Table to row to column to cell.
     """

@@ -159,7 +159,7 @@ def test_clips_hold_windows_in_time_order(data: Dataset) -> None:
     assert single.targets[:, 0].tolist() == order
     pairs = clips_of(data, [name], walks, 3, 3)
     assert pairs.frames.tolist() == [[order[0], order[0], *order[:3]], [order[1], order[2], *order[3:4] * 3]]
-    del walks[order[1]]  # a frame without a curve is seen, not told
+    del walks[order[1]]  # a frame without a curve is seen, not predicted
     holes = clips_of(data, [name], walks, 3, 2)
     assert order[1] not in holes.targets
     assert order[1] in holes.frames

@@ -1,4 +1,4 @@
-"""Swapped cameras and raw annotations, told by epipolar residuals on synthetic scenes and on real pairs."""
+"""Swapped cameras and raw annotations, found by epipolar residuals on synthetic scenes and on real pairs."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def test_swapped_cameras_are_told_over_a_set() -> None:
 def test_raw_annotations_are_told_from_undistorted_ones() -> None:
     cameras, pairs = common_rig()
     raw = [(barrel(a), unbarrel(b)) for a, b in pairs]  # both views distorted, differently
-    told = undistorted_or_raw(*cameras, raw, unbarrel, barrel)
-    assert told.answer == "raw"
-    assert told.residual_px < 0.4 < 0.6 < told.other_px
+    found = undistorted_or_raw(*cameras, raw, unbarrel, barrel)
+    assert found.answer == "raw"
+    assert found.residual_px < 0.4 < 0.6 < found.other_px
     assert undistorted_or_raw(*cameras, pairs, unbarrel, barrel).answer == "undistorted"
 
 

@@ -131,15 +131,15 @@ def test_a_bad_reprojection_is_rejected() -> None:
 
 
 def test_swapped_cameras_are_told() -> None:
-    told = 0
+    warned = 0
     for scene in CLICKED[:12]:
         try:
             result = reconstruct(*scene.cameras[::-1], *scene.points)
         except ValueError as error:
-            told += "swapped" in str(error)
+            warned += "swapped" in str(error)
         else:
-            told += any("swapped" in warning for warning in result.warnings)
-    assert told >= 7
+            warned += any("swapped" in warning for warning in result.warnings)
+    assert warned >= 7
     assert not any("swapped" in warning for scene in CLICKED[:12] for warning in of(scene).warnings)
 
 
@@ -175,11 +175,6 @@ def test_the_report_has_plain_numbers_and_a_picture() -> None:
     assert page.size == (1024, 732)
     colours = np.asarray(page).reshape(-1, 3)
     assert ((colours == (30, 110, 220)).all(axis=1)).any()
-
-
-def test_distance_to_a_polyline() -> None:
-    line = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]])
-    assert distances_to(line, [[5.0, 2.0], [12.0, 5.0], [-3.0, 4.0]]).tolist() == [2.0, 2.0, 5.0]
 
 
 def test_scenes_repeat_and_do_not_depend_on_the_noise() -> None:
