@@ -124,9 +124,6 @@ def attenuation(image: np.ndarray) -> Attenuation:
     Args:
         image: (h, w), grey, raw.
 
-    Returns:
-        Attenuation and field.
-
     Raises:
         ValueError: The image is not a grey image.
     """

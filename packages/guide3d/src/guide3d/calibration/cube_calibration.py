@@ -77,9 +77,6 @@ class CubeCalibration:
 
         Args:
             folder: Where to; made if missing.
-
-        Returns:
-            The files.
         """
         folder = Path(folder)
         written: list[Path] = []
@@ -100,9 +97,6 @@ def calibrate_folder(folder: str | Path, swirl: str = "auto", method: str = "loc
     Args:
         folder: See `cube_files.find_files` for the names.
         swirl: As in `calibrate_rig`.
-
-    Returns:
-        Cameras, maps and what they stand on.
 
     Raises:
         FileNotFoundError: Something needed is missing.
@@ -147,9 +141,6 @@ def calibrate_cube(
         marked: Bead number from 0 of each kind of mark.
         swirl: As in `calibrate_rig`.
         names: What to call the images in errors.
-
-    Returns:
-        Cameras, maps and what they stand on.
 
     Raises:
         ValueError: An image shows fewer than twelve beads, or no cube.

@@ -37,9 +37,6 @@ def find_files(folder: str | Path) -> CubeFiles:
     Args:
         folder: With undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv (or _mm) and, if marked, a .ref file.
 
-    Returns:
-        The files.
-
     Raises:
         FileNotFoundError: The folder, the bead file, a sheet or all cubes are missing.
     """

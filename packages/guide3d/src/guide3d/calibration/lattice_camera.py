@@ -117,9 +117,6 @@ def recognise_lattice(
             may be a quarter off.
         seed: Of the draw, when there are too many triples to try.
 
-    Returns:
-        The best fit.
-
     Raises:
         ValueError: Fewer than twelve discs, or no lattice that explains twelve of them.
     """

@@ -32,9 +32,6 @@ figure{margin:1.5rem 0}.warning{background:#fff3cd;padding:.6rem 1rem}"""
 def figures(calibration: CubeCalibration) -> dict:
     """The figures of a calibration.
 
-    Args:
-        calibration: Of a folder.
-
     Returns:
         By detector: holes, leave_out_px (mean), leave_out_rms_px, spline_leave_out_px, swirl_px, and images: by pose:
         beads (labelled), used, unseen, mean_px, rms_px and max_px over all labelled beads, alone_mean_px (a
@@ -76,9 +73,6 @@ def write_report(calibration: CubeCalibration, source: str | Path, folder: str |
     Args:
         calibration: Of the folder `source`.
         folder: Where to write; made if missing.
-
-    Returns:
-        The page.
     """
     folder = Path(folder)
     files, numbers = find_files(source), figures(calibration)

@@ -82,7 +82,6 @@ def draw_sheet(
     """An image of a perforated sheet.
 
     Args:
-        rng: Of noise and irregularity.
         pitch_px: Between ideal hole centres.
         angle: Of the rows, rad.
         irregular: Standard deviation of a hole's place, ideal px a coordinate.
@@ -137,7 +136,6 @@ def draw_cube(
         detector: That takes it.
         camera: Its ideal geometry, world: the cube's frame.
         points_mm: (n, 3) beads.
-        rng: Of noise, left-out beads and clutter.
         marked: Beads with a wire beside them, by "single", "double" or "circle".
         left_out: Share of beads that are missing.
         clutter: Dark discs of bead size that belong to nothing.

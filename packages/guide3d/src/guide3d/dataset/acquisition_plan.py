@@ -19,9 +19,7 @@ class PlannedAcquisition:
         number: in the data set, from 1.
         fluid: whether the phantom is filled.
         wire: "angled" or "straight".
-        phantom: name of the anatomy.
         target: branch that the wire is meant for, e.g. "bca".
-        pairs: of images.
     """
 
     number: int

@@ -34,7 +34,6 @@ class Annotation:
 
     Attributes:
         acquisition: name of the video, e.g. "1-bca-angle-5".
-        number: of the frame in it.
         fluid: whether the phantom was filled.
         wire: "angled" or "straight".
         image_a: path of camera A's image below the folder of images.

@@ -49,7 +49,6 @@ class Dataset:
     """Annotated bi-planar acquisitions.
 
     Attributes:
-        root: folder of the data set.
         frames: sorted by acquisition, in time order in each.
         camera_a: of detector 16710; None without a calibration.
         camera_b: of detector 16709.
@@ -86,9 +85,6 @@ class Dataset:
             curves: file of fitted curves, such as sphere.json, where it lies elsewhere.
             undistorted: says whether the annotation is undistorted, instead of dataset.json.
             strict: refuse damaged entries instead of leaving them out.
-
-        Returns:
-            The data set.
 
         Raises:
             FileNotFoundError: there is no such folder, no annotation, or only one camera's file.

@@ -23,7 +23,6 @@ class BSplineCurve:
     Attributes:
         knots: (n + degree + 1,) knots, ascending; parameters run over `domain`.
         coefficients: (n, d) control points.
-        degree: degree of the pieces.
     """
 
     knots: NDArray[np.float64]

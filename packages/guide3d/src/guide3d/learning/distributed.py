@@ -17,7 +17,6 @@ class Ranks:
     Attributes:
         rank: of this process, from 0; rank 0 writes files.
         count: of the processes.
-        device: of this process.
     """
 
     rank: int

@@ -44,9 +44,6 @@ def evaluate_shape(
     3D-FGRN has no stop: its points count as far as the true wire goes.
 
     Args:
-        predictor: of the wire in space.
-        data: with true curves in space.
-        acquisitions: names of those to predict.
         pictures: folder that keeps prepared pictures; None: in memory.
 
     Returns:
@@ -121,8 +118,6 @@ def evaluate_segmentation(
     """Compares predicted masks with the annotated ones, at the camera's and at the network's resolution.
 
     Args:
-        predictor: of masks.
-        data: with annotated wires.
         acquisitions: names of those to predict, both cameras.
         images: evenly chosen; 0: all.
         pictures: folder that keeps prepared pictures; None: in memory.

@@ -100,7 +100,6 @@ def fgrn_loss(
         points_mm: (n, points, 3), padded.
         last: (n,) index of each curve's last point: those beyond do not count.
         alpha: weight of the Huber loss (threshold 1 m: it is quadratic throughout).
-        beta: weight of the spacing.
         spacing_mm: that neighbours should have.
 
     Returns:
@@ -115,12 +114,11 @@ def fgrn_loss(
 
 
 def segmentation_loss(logits: Tensor, masks: Tensor, *, dice: float = 0.5) -> Tensor:
-    """Binary cross-entropy and the complement of the soft Dice coefficient over the batch.
+    """Binary cross-entropy and, with the share `dice`, the complement of the soft Dice coefficient over the batch.
 
     Args:
         logits: (batch, 1, h, w).
         masks: (batch, 1, h, w) share of each pixel that is wire, 0 to 1.
-        dice: share of the second.
     """
     logits = logits.float()
     entropy = functional.binary_cross_entropy_with_logits(logits, masks)

@@ -49,12 +49,10 @@ def train_network(
 
     Args:
         form: of the shape network's curves, "spherical" or "cartesian".
-        folder: of the checkpoints.
         pictures: folder that keeps prepared pictures; None: in memory.
         pretrained: weights of the shape network's vision transformer, if there are any.
         seed: of weights, shuffling and augmentation.
         ranks: that train together; None: this process alone.
-        progress: called after every epoch.
 
     Returns:
         The predictor (of the recipe's kind), and what its training was like.

@@ -36,7 +36,6 @@ class _Predictor:
         """Args:
         network: what `build` makes of `size`, trained.
         size: sizes of its parts, as the model file keeps them.
-        preprocessing: of the camera's images.
         metadata: what else is known of it.
         """
         self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata

@@ -20,7 +20,6 @@ class Preprocessing:
     """How pictures are made.
 
     Attributes:
-        size_px: side of the picture.
         source_px: side of the camera's image, which positions and masks belong to.
         line_px: width, in px of the camera's image, below which dark lines are kept and all else is taken away (closing
             minus image); 0: the grey values as they are.

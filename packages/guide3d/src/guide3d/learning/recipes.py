@@ -27,14 +27,9 @@ class ShapeRecipe:
     """How the shape network is trained.
 
     Attributes:
-        size: of the network.
-        preprocessing: of the images.
-        fit: the training.
-        loss: its weights.
         step_mm: radius of the spherical form, spacing of the positions.
         cumulative: angles are offsets from step to step; else from one reference direction.
         targets: windows a clip: their frames are seen once.
-        augmentation: of the samples.
     """
 
     size: ShapeSize
@@ -64,15 +59,10 @@ class SegmentationRecipe:
 
     Attributes:
         network: "unet", "transunet" or "swinunet".
-        sizes: of its parts.
-        preprocessing: of the images.
-        fit: the training.
         crop_px: side of what the network sees at once, px of the picture.
         mask_px: width of the wire, px of the camera's image.
-        dice: share of the Dice loss.
         images: to learn from, at most; 0: all.
         validation_images: to validate with, at most; 0: all.
-        augmentation: of the crops.
     """
 
     network: str

@@ -54,7 +54,6 @@ class SegmentationObjective:
         stores: of pictures, one a camera.
         training: images to learn from, as `images_of` lists them.
         mask_px: width of the wire, in px of the camera's image.
-        dice: share of the Dice loss.
         """
         self.stores, self.training_items, self.validation_items = stores, training, validation
         self.crop_px, self.mask_px, self.dice = crop_px, mask_px, dice

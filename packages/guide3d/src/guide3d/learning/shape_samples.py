@@ -42,7 +42,6 @@ def walks_of(data: Dataset, step_mm: float, *, chords: bool = True) -> dict[int,
     """Curves in steps of one length.
 
     Args:
-        step_mm: length of a step.
         chords: whether a step's straight length counts, or its arc.
 
     Returns:

@@ -49,7 +49,6 @@ class NetworkFitSettings:
         batch_size: items an update, over all processes.
         optimiser: "nadam", "adamw" or "sgd" (momentum 0.9).
         learning_rate: the first, or the highest of a one-cycle schedule.
-        weight_decay: of the optimiser.
         schedule: "plateau" (times `factor` after `plateau_patience` epochs without a better validation), "one_cycle",
             "polynomial" (to nothing, power 0.9) or "constant".
         factor: of the plateau.
@@ -138,9 +137,6 @@ def fit(
         seed: of shuffling, augmentation and dropout.
         ranks: that train together; None: this process alone, on the processor.
         progress: called after every epoch, when its checkpoint is written; what it raises ends the training there.
-
-    Returns:
-        What it was like.
 
     Raises:
         TrainingError: a checkpoint of another architecture, other items or other settings; a loss that is not finite.
@@ -231,9 +227,6 @@ def finished(folder: Path | str) -> None:
 @torch.no_grad()
 def validate(module: nn.Module, objective: Objective, settings: NetworkFitSettings, ranks: Ranks) -> float | None:
     """Mean loss of the validation items, not augmented.
-
-    Args:
-        ranks: that share the work.
 
     Returns:
         The loss; None without items.

@@ -57,7 +57,6 @@ def run_training(
         given: as `training_parser` understood it; its `curves`, where there are any, belong to the data set.
         learn: takes data set, split, and the keywords folder, pictures, seed, ranks and progress; returns predictor
             and report.
-        head: of the table.
         progress: called after every epoch; None: the log gets a line.
         save: writes the predictor's file and what else there is; None: ``predictor.save(path)``.
 

@@ -103,7 +103,6 @@ class ShapeNetwork(nn.Module):
         positions: M, points of the longest curve.
         size: of `features`.
         frames: of a window; the last is the one whose curve is predicted.
-        dropout: of heads, and between time steps.
         anchor: of `ANCHORS`.
         """
         super().__init__()

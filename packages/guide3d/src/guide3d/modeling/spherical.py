@@ -29,7 +29,6 @@ def steps_of_radius(points_mm: ArrayLike, radius_mm: float) -> Array:
 
     Args:
         points_mm: (n, 3) curve, tip first.
-        radius_mm: length of a step.
 
     Returns:
         (m, 3) points, the tip first; the rest of less than a step is left out.
@@ -67,7 +66,6 @@ class SphericalForm:
     """How angles describe curves.
 
     Attributes:
-        radius_mm: of a step.
         axes: (3, 3) orthonormal rows in the world; the last is the polar axis.
         azimuth: reference of φ, rad: opposite of where it is cut at the far end.
         polar: reference of θ, rad.
@@ -93,7 +91,6 @@ class SphericalForm:
 
         Args:
             walks_mm: curves as `steps_of_radius` gives them.
-            radius_mm: of their steps.
         """
         directions = _half_sphere(_CANDIDATES)
         nearest = np.stack([np.abs(np.diff(walk, axis=0) @ directions.T).max(axis=0) for walk in walks_mm]) / radius_mm

@@ -57,7 +57,6 @@ class TransUnet(nn.Module):
     ) -> None:
         """Args:
         image_px: side of the square image; a multiple of 16.
-        decoder: channels of the decoder's steps.
         """
         super().__init__()
         if image_px % STRIDE:

@@ -25,7 +25,6 @@ def match_greedily(geometry: EpipolarGeometry, curve_a: Array, curve_b: Array, s
     Args:
         curve_a: (n, 2) px every `sample_px`, tip first.
         curve_b: (m, 2) px every `sample_px`, tip first.
-        sample_px: distance of the samples.
 
     Returns:
         The match; `measured` tells crossings from what PCHIP fills in.

@@ -89,7 +89,6 @@ def image_curve(points: ArrayLike, sample_px: float, what: str = "polyline") -> 
 
     Args:
         points: (n, 2) px, tip first; a B-spline by chord length goes through them unless they are dense.
-        sample_px: distance of the samples.
         what: name of the annotation in messages.
 
     Returns:
@@ -174,10 +173,6 @@ def complete(match: Match, curve_a: Array, curve_b: Array, sample_px: float) -> 
         match: pairs, some of them measured; ends that are not measured stay as they are.
         curve_a: (n, 2) px every `sample_px`.
         curve_b: (m, 2) px every `sample_px`.
-        sample_px: distance of the samples.
-
-    Returns:
-        The match with its other pairs moved.
 
     Source:
         Fritsch and Carlson, Monotone Piecewise Cubic Interpolation (1980).
