@@ -25,10 +25,10 @@ from cathsim import load_guidewire
 from cathsim.anatomy.generator.random_arch import sample_parameters
 from cathsim.anatomy.library import build_phantom
 from cathsim.many_anatomies import NavigateManyEnv
+from cathsim.wire_placement import laid_starts
 from enn.imitation.lumen_segmentation import LumenSegmenter
 from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
 from pipeline.report.learning.tables import tables_from_logs
-from pipeline.stages.unseen.starts import laid_states
 
 FORWARD = np.array([1.0, 0.3])
 RESOLUTION = 1e-3  # m, that of the training anatomies
@@ -73,7 +73,7 @@ def costs(repeats: int) -> dict[str, float]:
     generator = np.random.default_rng(0)
     return {
         "build an anatomy with two geodesic fields": cpu_ms(build, max(repeats // 100, 2)),
-        "plan a way and lay the wire, 24 starts": cpu_ms(lambda: laid_states(laid, generator), max(repeats // 200, 1)),
+        "plan a way and lay the wire, 24 starts": cpu_ms(lambda: laid_starts(laid, generator), max(repeats // 200, 1)),
         "reset into another anatomy": cpu_ms(lambda: env.reset(options={"case": 2 * (next(cases) % 2)}), repeats),
         "roadmap": cpu_ms(env.current.roadmap.read, 5 * repeats),
         "history, a step": cpu_ms(remember, 5 * repeats),

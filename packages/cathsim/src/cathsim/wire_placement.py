@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import logging
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -10,12 +12,20 @@ from numpy.typing import ArrayLike
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.arena import FEEDER, PROTRUSION
-from cathsim.planning.path import plan_path
+from cathsim.planning.path import UnreachableError, plan_path
 from cathsim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from cathsim.environment import NavigateEnv
 
 REST_STEPS = 10  # control steps in which the wire finds its place between the walls
 WAY_CLEARANCE, PREFERRED_CLEARANCE = 1e-3, 3e-3  # m from the wall that a planned way keeps, and would rather keep
 _AT_ENTRY = 5e-4  # m from the entry at which a way may begin
+SHORT_OF_END = (0.012, 0.018, 0.025, 0.032, 0.040, 0.050)  # m from the tip to the target along the planned way
+WITHDRAWALS, WITHDRAWAL_STEPS = 3, 4  # states kept while drawing back, steps between them
+MOST_FORCE = 0.5  # N: with more the wire lies jammed
+
+_LOGGER = logging.getLogger(__name__)
 
 
 def plan_way(simulation: Simulation, place: ArrayLike) -> np.ndarray:
@@ -82,6 +92,50 @@ def place_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, r
     mujoco.mj_forward(model, data)
     for _ in range(rest_steps):
         simulation.advance(0.0, 0.0)
+
+
+def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.ndarray:
+    """States with the wire laid towards the target, and drawn back from there.
+
+    Args:
+        environment: with the anatomy and the target; its simulation is moved.
+        generator: of the turns while drawing back.
+
+    Returns:
+        Shape (k, n); none where the wire is too short, or there is no way with a clearance.
+    """
+    simulation, target = environment.simulation, environment.task.target
+    states: list[np.ndarray] = []
+    try:
+        way = plan_way(simulation, environment.phantom.target(target).position)
+    except UnreachableError:
+        _LOGGER.info("no way with a clearance to %s of %s: no starts there", target, environment.phantom.name)
+        return np.empty((0, len(simulation.state())))
+    for short in SHORT_OF_END:
+        try:
+            lay_wire(simulation, way, short)
+        except ValueError:  # the wire is too short for this one
+            continue
+        kept = [simulation.state()] if _at_rest(environment) else []
+        for _ in range(WITHDRAWALS if kept else 0):
+            for _ in range(WITHDRAWAL_STEPS):
+                simulation.advance(-0.002, float(generator.uniform(-0.26, 0.26)))
+            if _at_rest(environment):
+                kept.append(simulation.state())
+        states += kept
+    return np.array(states) if states else np.empty((0, len(simulation.state())))
+
+
+def _at_rest(environment: NavigateEnv) -> bool:
+    """Whether a start there makes sense: the simulation holds, nothing jams, and the target is still to be reached."""
+    simulation = environment.simulation
+    near = np.linalg.norm(simulation.tip - environment.phantom.target(environment.task.target).position)
+    return (
+        simulation.valid
+        and simulation.summary.force_max < MOST_FORCE
+        and bool(near > environment.task.success_radius)
+        and bool(np.isfinite(simulation.state()).all())
+    )
 
 
 def _points_at(at: np.ndarray, arcs: np.ndarray, points: np.ndarray, direction: np.ndarray) -> np.ndarray:

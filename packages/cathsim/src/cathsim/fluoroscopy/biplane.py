@@ -149,12 +149,18 @@ class BiplaneFluoroscope:
             raise ValueError(f"images need 16 to {MAXIMUM_SIZE} px a side, got {size!r}.")
         what = scene(surroundings, filling) if isinstance(surroundings, str) else surroundings
         centre = phantom.bounds.mean(axis=0)
-        cameras = PAIRS[geometry](centre, size)
-        stills = [radiograph(phantom.grid, camera, what, key=phantom.hash) for camera in cameras]
-        made = cls(cameras, stills, material=material, centre=centre)
+        made = cls.over(phantom, PAIRS[geometry](centre, size), what, material)
         made.recipe = {"phantom": phantom, "geometry": geometry, "size": size, "surroundings": surroundings}
         made.recipe |= {"filling": filling, "material": material}
         return made
+
+    @classmethod
+    def over(
+        cls, phantom: Anatomy, cameras: Sequence[XRayCamera], what: Scene, material: WireMaterial | None = None
+    ) -> BiplaneFluoroscope:
+        """The fluoroscope of cameras over a phantom in its surroundings; wires are expected about the phantom's middle."""
+        stills = [radiograph(phantom.grid, camera, what, key=phantom.hash) for camera in cameras]
+        return cls(cameras, stills, material=material, centre=phantom.bounds.mean(axis=0))
 
     @property
     def names(self) -> tuple[str, ...]:

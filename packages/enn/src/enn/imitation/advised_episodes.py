@@ -1,109 +1,193 @@
-"""Lessons for the image student: episodes that expert or student steer while the expert says what it would do."""
+"""Advised episodes: teacher or policy steers while the teacher says at each decision what it would do, round by round.
+
+Source: S. Ross, G. Gordon, D. Bagnell, A reduction of imitation learning and structured prediction to no-regret online
+learning, AISTATS 2011, algorithm 3.1.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from enn.devices import device_of
-from enn.imitation.recurrent_policy import ImageStudent, Lesson
+from enn.imitation.recurrent_policy import ACTIONS, Begin, Perception, RecurrentPolicy
+from enn.imitation.sequence_cloning import AdvisedEpisode, SequenceCloningSettings, clone_sequences
 from enn.policy import Policy
 
+SIDE_BY_SIDE = 12  # episodes played together, so that networks see them in batches
+TEACHER_SHARE, NOISE = 0.1, 0.1  # of a round: share of the episodes that the teacher steers, noise of the actions
+FIRST_TEACHER_SHARE, FIRST_NOISE = 1.0, 0.3  # where nothing was learnt before
 
-def give_lessons(
-    envs: Sequence[gymnasium.Env[Any, Any]],
-    expert: Policy,
-    student: ImageStudent,
-    seeds: Sequence[int],
+
+@dataclass(frozen=True)
+class EpisodeStart:
+    """An episode to be played.
+
+    Attributes:
+        environment: observes what the teacher and the perception see.
+        seed: of its reset.
+        begin: makes the perception's view from the first observation.
+        done: called when the episode has ended.
+        target: name of the target.
+    """
+
+    environment: gymnasium.Env[Any, Any]
+    seed: int
+    begin: Begin
+    done: Callable[[], None]
+    target: str = ""
+
+
+def play_advised(
+    starts: Iterable[EpisodeStart],
+    teacher: Policy,
+    policy: RecurrentPolicy,
+    perception: Perception,
     *,
-    expert_share: float,
+    teacher_share: float,
     noise: float = 0.0,
     generator: np.random.Generator,
-    tick: Callable[[], None] | None = None,
-) -> list[Lesson]:
-    """Plays an episode from each seed, as many side by side as there are environments.
+    hint_key: str | None = None,
+    side_by_side: int = SIDE_BY_SIDE,
+    tick: Callable[[int], None] = lambda finished: None,
+) -> list[AdvisedEpisode]:
+    """Plays episodes side by side while the teacher says at each decision what it would do.
 
     Args:
-        envs: with the student's keys and the expert's one observation among their observations; they are reset.
-        expert: says at each decision what it would do; its first key is what the student learns to tell as hints.
-        student: steers the episodes that the expert does not; its action repeat must be the expert's.
-        seeds: of the episodes.
-        expert_share: share of the episodes that the expert steers.
-        noise: standard deviation of what is added to the actions that are carried out; never to the lesson's.
+        starts: of the episodes, each taken when its turn comes.
+        teacher: a policy on observations of its own; its advice is held as long as the policy's actions.
+        policy: steers the episodes that the teacher does not.
+        perception: of the policy.
+        teacher_share: share of the episodes that the teacher steers.
+        noise: standard deviation of what is added to the actions that are carried out, never to those learnt.
         generator: of who steers and of the noise.
-        tick: called after every decision.
+        hint_key: observation of the teacher that the policy learns to predict; None: none.
+        side_by_side: episodes at a time.
+        tick: called with the number of finished episodes after every decision.
 
     Returns:
-        The lessons, in the order in which the episodes ended.
-
-    Raises:
-        ValueError: expert and student hold their actions for different numbers of steps.
+        The episodes, in the order in which they ended.
     """
-    if expert.action_repeat != student.action_repeat:
-        raise ValueError(
-            f"expert and student must hold actions equally long, got {expert.action_repeat} and {student.action_repeat}"
-        )
-    waiting = list(seeds)
-    running = [_Pupil(env, student, waiting.pop(0), generator.random() < expert_share) for env in envs if waiting]
-    lessons: list[Lesson] = []
+    waiting = iter(starts)
+    episodes: list[AdvisedEpisode] = []
+
+    def following(count: int) -> Iterator[_Running]:
+        for _, start in zip(range(count), waiting, strict=False):
+            yield _Running(start, generator.random() < teacher_share, policy.settings.action_repeat, hint_key)
+
+    running = list(following(side_by_side))
     while running:
-        batch = {key: np.stack([one.observation[key] for one in running]) for key in expert.keys}
-        advice = expert.act_batch(batch, deterministic=True)
-        views = np.stack([one.look() for one in running])
-        memory = _stacked([one.memory for one in running], student)
-        own, memory = student.act(views, memory)
+        advice = teacher.act_batch({key: np.stack([one.observation[key] for one in running]) for key in teacher.keys})
+        features = perception(
+            [one.view for one in running], [one.observation for one in running], [one.action for one in running]
+        )
+        own, states = policy.act(features, _joined([one.state for one in running], policy))
         still = []
         for index, one in enumerate(running):
-            one.memory = memory[:, index : index + 1].clone()
-            action = advice[index] if one.by_expert else own[index]
+            one.state = states[:, index : index + 1].clone()
+            action = advice[index] if one.by_teacher else own[index]
             if noise:
                 action = np.clip(action + generator.normal(0.0, noise, action.shape), -1.0, 1.0).astype(np.float32)
-            lesson = one.hold(action, views[index], advice[index], batch[expert.keys[0]][index])
-            if lesson is None:
+            if one.carries_out(action, features[index], advice[index]):
                 still.append(one)
-                continue
-            lessons.append(lesson)
-            if waiting:
-                still.append(_Pupil(one.env, student, waiting.pop(0), generator.random() < expert_share))
+            else:
+                episodes.append(one.episode())
+                still += following(1)
         running = still
-        if tick is not None:
-            tick()
-    return lessons
+        tick(len(episodes))
+    return episodes
 
 
-def _stacked(memories: list[Tensor | None], student: ImageStudent) -> Tensor:
-    import torch
+@dataclass(frozen=True)
+class AdvisedRound:
+    """What a round came to.
 
-    empty = torch.zeros(1, 1, student.settings.hidden, device=device_of(student.network))
-    return torch.cat([empty if memory is None else memory for memory in memories], 1)
+    Attributes:
+        number: from 0.
+        new: episodes of this round.
+        loss: mean of the last epoch of its fit.
+    """
+
+    number: int
+    new: list[AdvisedEpisode]
+    loss: float
 
 
-class _Pupil:
-    """An episode in the making."""
+def advised_rounds(
+    policy: RecurrentPolicy,
+    episodes: list[AdvisedEpisode],
+    play: Callable[[int, float, float], list[AdvisedEpisode]],
+    settings: SequenceCloningSettings,
+    *,
+    rounds: range,
+    seed_of: Callable[[int], int],
+    progress: Callable[[int, int, float], None] = lambda number, epoch, loss: None,
+) -> Iterator[AdvisedRound]:
+    """Rounds of DAgger: the policy steers most episodes, the teacher advises, and the policy is fitted to all so far.
 
-    def __init__(self, env: gymnasium.Env[Any, Any], student: ImageStudent, seed: int, by_expert: bool) -> None:
-        self.env, self.student, self.by_expert = env, student, by_expert
-        self.observation, _ = env.reset(seed=seed)
-        self.view = student.begin(self.observation)
-        self.memory: Tensor | None = None
-        self.action: NDArray[Any] = np.zeros(2, np.float32)
-        self.rows: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
+    Args:
+        policy: fitted in place.
+        episodes: learnt before; those of the rounds are added.
+        play: takes a round's number, the share of its episodes that the teacher steers and the noise of the actions.
+        settings: of each fit; the last round has twice as many epochs.
+        rounds: numbers of the rounds to play, from 0 or from the first that is missing to the last.
+        seed_of: a round's number to the seed of its fit.
+        progress: called with a round's number, the epoch from 1, and its mean loss.
 
-    def look(self) -> NDArray[np.float32]:
-        return self.view.look(self.observation["image"], self.student.mask(self.observation), self.action)
+    Yields:
+        Each round once the policy has been fitted.
+    """
+    for number in rounds:
+        first = number == 0 and not episodes
+        new = play(number, FIRST_TEACHER_SHARE if first else TEACHER_SHARE, FIRST_NOISE if first else NOISE)
+        episodes += new
+        fit = replace(settings, epochs=settings.epochs * (2 if number == rounds.stop - 1 else 1))
 
-    def hold(self, action: NDArray[Any], view: NDArray[Any], advice: NDArray[Any], hint: NDArray[Any]) -> Lesson | None:
-        """Carries an action out; the lesson once the episode has ended."""
-        self.rows.append((view, advice.copy(), hint.astype(np.float32)))
+        def report(epoch: int, loss: float, number: int = number) -> None:
+            progress(number, epoch, loss)
+
+        losses = clone_sequences(policy, episodes, fit, seed=seed_of(number), progress=report)
+        yield AdvisedRound(number, new, losses[-1])
+
+
+def _joined(states: Sequence[Tensor | None], policy: RecurrentPolicy) -> Tensor:
+    empty = torch.zeros(1, 1, policy.settings.hidden, device=policy.device)
+    return torch.cat([empty if state is None else state for state in states], 1)
+
+
+class _Running:
+    """An episode under way."""
+
+    def __init__(self, start: EpisodeStart, by_teacher: bool, action_repeat: int, hint_key: str | None) -> None:
+        self.by_teacher = by_teacher
+        self._start, self._repeat, self._hint_key = start, action_repeat, hint_key
+        self.observation, _ = start.environment.reset(seed=start.seed)
+        self.view = start.begin(self.observation)
+        self.state: Tensor | None = None
+        self.action: NDArray[np.float32] = np.zeros(ACTIONS, np.float32)
+        self._rows: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
+        self._success = False
+
+    def carries_out(self, action: NDArray[np.float32], features: NDArray[Any], advice: NDArray[Any]) -> bool:
+        """Holds an action; whether the episode goes on."""
+        hint = np.zeros(0) if self._hint_key is None else self.observation[self._hint_key]
+        self._rows.append((features, advice.copy(), np.asarray(hint, np.float32)))
         self.action = action
-        for _ in range(self.student.action_repeat):
-            self.observation, _, terminated, truncated, info = self.env.step(action)
+        for _ in range(self._repeat):
+            self.observation, _, terminated, truncated, info = self._start.environment.step(action)
             if terminated or truncated:
-                views, actions, hints = (np.stack(part) for part in zip(*self.rows, strict=True))
-                return Lesson(views, actions, hints, bool(info.get("success", terminated)))
-        return None
+                self._success = bool(info.get("success", terminated))
+                self._start.done()
+                return False
+        return True
+
+    def episode(self) -> AdvisedEpisode:
+        """What was seen and advised."""
+        features, actions, hints = (np.stack(part) for part in zip(*self._rows, strict=True))
+        return AdvisedEpisode(features, actions, hints, self._success, self._start.target)

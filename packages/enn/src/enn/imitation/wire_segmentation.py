@@ -5,8 +5,10 @@ It sees how much darker the image is than one taken before the wire came in, so 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -14,12 +16,15 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.devices import device_of
+from enn.imitation.perturbed_controller import PerturbedController
+from enn.policy import Policy
 
 DARKENING = 10.0  # grey levels that count as one
 _DILATIONS = (2, 4, 8)
 _CROP = 96  # px, side of what an update sees of an image
 _LEAST, _GAP = 0.2, 2  # a thin tip is doubtful, and a wire that is cut in two is worse than one too wide; px
 _RARE = -3.0  # logit of a pixel before training: few show the wire
+_BETWEEN = 8  # steps between two images of an episode
 _ON_WIRE = 0.8  # share of the crops with a part of the wire in their middle third
 
 
@@ -164,3 +169,40 @@ def _loss(logits: Tensor, wire: Tensor) -> Tensor:
     found = torch.sigmoid(logits)
     overlap = (2 * (found * wire).sum() + 1) / (found.sum() + wire.sum() + 1)
     return functional.binary_cross_entropy_with_logits(logits, wire) + 1 - overlap
+
+
+def wire_frames(
+    environment: gymnasium.Env[Any, Any],
+    expert: Policy,
+    cases: Sequence[int],
+    generator: np.random.Generator,
+    tick: Callable[[int], None] = lambda done: None,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Images of episodes that an expert steers, each with a share of noise in its actions, from none to all.
+
+    So the segmenter also sees tips that fold at walls and lie in wrong branches.
+
+    Args:
+        environment: with the expert's observations, `image`, `plain` and `mask`, and the option `case` of a reset.
+        expert: that steers.
+        cases: of the episodes.
+        generator: of starts and noise.
+        tick: called with the number of finished episodes.
+
+    Returns:
+        Images, images without a wire, and masks. Shapes (n, size, size).
+    """
+    images, plains, masks = [], [], []
+    for number, case in enumerate(cases):
+        tick(number)
+        observation, _ = environment.reset(seed=int(generator.integers(2**31)), options={"case": case})
+        steer = PerturbedController(expert, generator)
+        over, step = False, 0
+        while not over:
+            if step % _BETWEEN == 0:
+                images.append(observation["image"][0])
+                plains.append(observation["plain"][0])
+                masks.append(observation["mask"][0])
+            observation, _, terminated, truncated, _ = environment.step(steer(observation))
+            over, step = terminated or truncated, step + 1
+    return np.stack(images), np.stack(plains), np.stack(masks)

@@ -1,7 +1,7 @@
 """View of a navigator: one camera's reading as numbers measured from the wire's tip, with what it was before.
 
 Lengths are shares of the image's side, directions those of the tip's frame: x along the wire and out of its tip, y
-across it. The tokens and the memory come along as they are.
+across it. The tokens and the encoder's output come along as they are.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from guide3d.setting_kinds import Units, settings
-from splineformer.navigation.perception import Reading
+from splineformer.navigation.perception import WireReading
 from splineformer.navigation.vessel_map import VesselMap
 
 Array = NDArray[np.float64]
@@ -34,27 +34,27 @@ _WAY = 2 * len(WAY_ARCS) + 2 + 2 * RAYS
 
 @settings
 class ViewSettings:
-    """What a view tells.
+    """What a view holds.
 
     Attributes:
         tokens: of a reading.
-        memory: numbers of a reading's memory.
+        encoded: numbers of the encoder's output in a reading.
         guided: whether a contrast run's map is at hand, or the target's mark alone.
     """
 
     tokens: Units = 20
-    memory: Units = 192
+    encoded: Units = 192
     guided: bool = True
 
     @property
     def geometry(self) -> int:
-        """Numbers beside the memory."""
+        """Numbers beside the encoder's output."""
         return 3 * self.tokens + _WIRE + _CHANGE * len(AGO) + _MARK + (_WAY if self.guided else 0)
 
     @property
     def size(self) -> int:
-        """Numbers in all; the memory's are the last."""
-        return self.geometry + self.memory
+        """Numbers in all; the encoder's output comes last."""
+        return self.geometry + self.encoded
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class CameraView:
         self.settings, self.target, self.vessels = settings, np.asarray(target, float), vessels
         self._poses: list[_Pose] = []
 
-    def look(self, reading: Reading) -> NDArray[np.float32]:
+    def look(self, reading: WireReading) -> NDArray[np.float32]:
         """What a reading shows; to be called once a decision.
 
         Args:
@@ -92,16 +92,17 @@ class CameraView:
             Tokens (3 a token); the wire behind the tip over its distances, confidence, length, and the tip's place and
             direction (24); for one and two decisions ago, the tip's motion since, its turn, and the change of length
             (10); the mark over its distance, its distance and place (5); if guided, the way ahead over its distances,
-            the way's length twice, and what eight rays see of the lumen (32); the memory. Shape (settings.size,).
+            the way's length twice, and what eight rays see of the lumen (32); the encoder's
+            output. Shape (settings.size,).
 
         Raises:
             ValueError: a reading of another network.
         """
         s = self.settings
-        if len(reading.tokens) != s.tokens or len(reading.memory) != s.memory:
+        if len(reading.tokens) != s.tokens or len(reading.encoded) != s.encoded:
             raise ValueError(
-                f"the navigator takes {s.tokens} tokens and a memory of {s.memory}, the reading has "
-                f"{len(reading.tokens)} and {len(reading.memory)}: give the network that it was trained with"
+                f"the navigator takes {s.tokens} tokens and {s.encoded} encoder outputs, the reading has "
+                f"{len(reading.tokens)} and {len(reading.encoded)}: give the network that it was trained with"
             )
         points = np.asarray(reading.points, float)
         arc = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
@@ -127,7 +128,7 @@ class CameraView:
         ]
         if s.guided:
             parts.append(self._way(tip, axes))
-        parts.append(reading.memory)
+        parts.append(reading.encoded)
         return np.concatenate([np.ravel(part) for part in parts]).astype(np.float32)
 
     def _way(self, tip: Array, axes: Array) -> Array:

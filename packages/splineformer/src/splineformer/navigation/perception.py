@@ -1,4 +1,4 @@
-"""Readings for navigation: what a frozen SplineFormer makes of an image, its encoder's memory and the spline tokens."""
+"""Perception network of navigators: a frozen SplineFormer reads an image's spline tokens and encoder output."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ _BATCH = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class WireReading:
     """What was read off an image.
 
     Attributes:
         tokens: (limit, 3) knot as a share of the wire's length, x and y as shares of the image's side; a shorter
             sequence is continued by its last token.
         points: (n, 2) x and y of the decoded curve, tip first, shares of the side.
-        memory: (2 * width,) the encoder's memory, its mean over the image, then its value at the tip.
+        encoded: (2 * width,) the encoder's output, its mean over the image, then its value at the tip.
         confidence: probability that the image shows one wire.
     """
 
     tokens: NDArray[np.float32]
     points: NDArray[np.float32]
-    memory: NDArray[np.float32]
+    encoded: NDArray[np.float32]
     confidence: float
 
 
-class Reader:
+class PerceptionNetwork:
     """Reads images for a navigator; the network's weights stay as they are.
 
     Args:
@@ -56,11 +56,11 @@ class Reader:
         return self.network.limit
 
     @property
-    def memory(self) -> int:
-        """Numbers of a reading's memory."""
+    def encoded(self) -> int:
+        """Numbers of the encoder's output in a reading."""
         return 2 * int(self.network.settings.width)
 
-    def __call__(self, images: Sequence[ArrayLike]) -> list[Reading]:
+    def __call__(self, images: Sequence[ArrayLike]) -> list[WireReading]:
         """Reads images.
 
         Args:
@@ -74,19 +74,19 @@ class Reader:
         """
         size = self.network.settings.image_px
         pictures = [picture_of(image, size, self.predictor.source_px).pixels for image in images]
-        told: list[Reading] = []
+        readings: list[WireReading] = []
         for start in range(0, len(pictures), _BATCH):
-            told += self._read(torch.from_numpy(np.stack(pictures[start : start + _BATCH]))[:, None].float())
-        return told
+            readings += self._read(torch.from_numpy(np.stack(pictures[start : start + _BATCH]))[:, None].float())
+        return readings
 
     @torch.inference_mode()
-    def _read(self, levels: Tensor) -> list[Reading]:
+    def _read(self, levels: Tensor) -> list[WireReading]:
         read = self.network.read(levels.to(self.predictor.device))
-        memory, tokens = read.features, read.unit_tokens()
+        encoded, tokens = read.features, read.unit_tokens()
         points = decode(tokens, read.lengths, CURVE_POINTS)
-        cells = memory.transpose(1, 2).unflatten(2, (round(memory.shape[1] ** 0.5), -1))
+        cells = encoded.transpose(1, 2).unflatten(2, (round(encoded.shape[1] ** 0.5), -1))
         at_tip = F.grid_sample(cells, 2 * points[:, :1, None] - 1, align_corners=False, padding_mode="border")
-        both = torch.cat([memory.mean(1), at_tip[:, :, 0, 0]], 1).cpu().numpy()
+        both = torch.cat([encoded.mean(1), at_tip[:, :, 0, 0]], 1).cpu().numpy()
         sure = torch.softmax(read.kind.wires, -1)[:, _ONE].cpu().numpy()
         rows, curves = tokens.float().cpu().numpy(), points.float().cpu().numpy()
-        return [Reading(row, curve, m, float(p)) for row, curve, m, p in zip(rows, curves, both, sure, strict=True)]
+        return [WireReading(row, curve, m, float(p)) for row, curve, m, p in zip(rows, curves, both, sure, strict=True)]

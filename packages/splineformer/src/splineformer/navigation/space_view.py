@@ -18,7 +18,7 @@ from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.polyline import arc_length, at_length, resample
 from guide3d.geometry.triangulation import triangulate_linear
 from guide3d.reconstruction.matching import MatchingSettings, match_curves
-from splineformer.navigation.perception import Reading
+from splineformer.navigation.perception import WireReading
 from splineformer.navigation.space_map import CELL_MM, SpaceMap
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class SpaceView:
         )  # fmt: skip
         self._tips: list[Array] = []
 
-    def wire(self, readings: Sequence[Reading]) -> tuple[Array, float]:
+    def wire(self, readings: Sequence[WireReading]) -> tuple[Array, float]:
         """The wire behind its tip, in space.
 
         Args:
@@ -85,7 +85,7 @@ class SpaceView:
         step_mm = np.linalg.norm(np.diff(smooth, axis=0), axis=1)
         return smooth[np.concatenate(([True], step_mm > 1e-3))], share
 
-    def look(self, readings: Sequence[Reading]) -> NDArray[np.float32]:
+    def look(self, readings: Sequence[WireReading]) -> NDArray[np.float32]:
         """What both readings show together; to be called once a decision.
 
         Args:
@@ -133,7 +133,7 @@ class SpaceView:
         ]  # fmt: skip
         return np.clip(np.concatenate([np.ravel(part) for part in parts]), -_LIMIT, _LIMIT).astype(np.float32)
 
-    def _apart(self, readings: Sequence[Reading]) -> float:
+    def _apart(self, readings: Sequence[WireReading]) -> float:
         """Epipolar distance of both tips, in thirds of a hundredth of the side."""
         cameras = self.space.hull.cameras
         a, b = (_pixels(reading.points[:1], camera) for reading, camera in zip(readings, cameras, strict=True))
@@ -145,7 +145,7 @@ def _pixels(points: NDArray[np.float32], camera: Camera) -> Array:
     return np.asarray(points, float) * (camera.width, camera.height) - 0.5
 
 
-def _beginning(reading: Reading, camera: Camera, step: float) -> Array:
+def _beginning(reading: WireReading, camera: Camera, step: float) -> Array:
     """The curve near the tip, a point every step, px."""
     points = _pixels(reading.points, camera)
     short = _LEAST * step - arc_length(points)[-1]

@@ -1,6 +1,6 @@
-"""Failure modes of a navigation, from the way of the tip against the branches of the anatomy.
+"""Failure modes of a navigation: the tip's path compared with the branches of the anatomy.
 
-Judged is the last third of a failed trial, by where the tip was for most of it:
+The mode is where the tip was for most of the last third of a failed trial:
 
 wrong branch    inside a branch that is not on the way to the target
 overshoot       in the aorta, more than 10 mm past the take-off of the first branch on the way, towards the heart
@@ -13,22 +13,16 @@ nearer to that branch's centreline than to any other's, both measured in radii.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.episodes import EpisodeReader
-
-if TYPE_CHECKING:
-    from cathsim.anatomy import Phantom
+from cathsim.anatomy import Phantom
 
 WRONG_BRANCH, OVERSHOOT, STUCK, ABORTED = "wrong_branch", "overshoot", "stuck", "aborted"
 MODES = (WRONG_BRANCH, OVERSHOOT, STUCK, ABORTED)
 PAST = 0.010  # m along the aorta
 AORTA_TUBE = 1.05  # radii: as far as that a tip still lies in the aorta
-_JUDGED = 1 / 3  # of the trial
+_LAST_PART = 1 / 3  # of the trial
 
 
 def places(phantom: Phantom, tips: np.ndarray) -> tuple[list[str], np.ndarray]:
@@ -76,8 +70,8 @@ def failure_mode(phantom: Phantom, target: str, tips: np.ndarray, *, steps_allow
     while way[-1].parent is not None:
         way.append(tree[way[-1].parent])
     on_way, root = {branch.name for branch in way}, way[-1]
-    judged = tips[-max(1, round(_JUDGED * len(tips))) :]
-    branches, along = places(phantom, judged)
+    last = tips[-max(1, round(_LAST_PART * len(tips))) :]
+    branches, along = places(phantom, last)
     # towards the heart is away from a descending entry
     came_in = phantom.entry(entry).position
     forwards = 1.0 if np.linalg.norm(root.points[0] - came_in) < np.linalg.norm(root.points[-1] - came_in) else -1.0
@@ -91,26 +85,3 @@ def failure_mode(phantom: Phantom, target: str, tips: np.ndarray, *, steps_allow
         else:
             votes[STUCK] += 1
     return votes.most_common(1)[0][0]
-
-
-def count_failures(logs: Iterable[Path], phantom: Phantom) -> dict[str, int]:
-    """How often each mode occurs among trials in one anatomy.
-
-    Args:
-        logs: of the trials.
-        phantom: the anatomy.
-
-    Returns:
-        Each of `MODES` to its number; successful trials count nowhere.
-    """
-    counts = dict.fromkeys(MODES, 0)
-    for log in logs:
-        with EpisodeReader(log) as told:
-            if told.outcome.success:
-                continue
-            info, tips = told.info, told.load_arrays(pictures=False)["tip"]
-        mode = failure_mode(
-            phantom, info.target, tips, steps_allowed=int(info.configuration["max_steps"]), entry=info.entry
-        )
-        counts[mode] += 1
-    return counts

@@ -1,31 +1,27 @@
-"""Noisy X-ray images of the stage `unseen`: the navigation's fluoroscope in the frontal view, and its contrast run.
+"""X-ray images as observations: noisy frontal images of an environment, and the contrast run before its episodes.
 
-Nothing here tells a student where the wire is. Before an episode there is a contrast run: an image of the vessels
-without wire or contrast medium, and one with contrast medium. While the wire moves its images have neither.
+Before an episode there is a contrast run: an image of the vessels without wire or contrast medium, and one with
+contrast medium. While the wire moves, its images have neither. Nothing else shows where the wire is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy import Phantom
+from cathsim.environment import NavigateEnv
+from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, DetectorDistortion, Projector, scene, wire_material
+from cathsim.fluoroscopy.c_arms import XRayCamera
 from cathsim.lifetime_cache import kept_with_owner
-
-if TYPE_CHECKING:
-    from cathsim import NavigateEnv
-    from cathsim.anatomy import Phantom
-    from cathsim.fluoroscopy import BiplaneFluoroscope
-    from cathsim.many_anatomies import NavigateManyEnv
-    from enn.imitation.wire_segmentation import WireSegmenter
-    from enn.policy import Policy
+from cathsim.many_anatomies import NavigateManyEnv
+from cathsim.observations.observables import points_to_border
 
 VIEW = "frontal"
 BEFORE, MOVING, FILLED = "plain", "fluid", "contrast"  # what is kept of the run, and fillings of the lumen
-_BETWEEN = 8  # steps between two images that the wire's segmenter learns from
 
 
 class ContrastRun(NamedTuple):
@@ -48,22 +44,10 @@ def fluoroscope_of(phantom: Phantom, size: int, wire_radius: float) -> BiplaneFl
 
 @kept_with_owner
 def _fluoroscope(phantom: Phantom, size: int, wire_radius: float, filling: str) -> BiplaneFluoroscope:
-    from cathsim.fluoroscopy import (
-        PAIRS,
-        BiplaneFluoroscope,
-        DetectorDistortion,
-        Projector,
-        radiograph,
-        scene,
-        wire_material,
-    )
-    from cathsim.fluoroscopy.c_arms import XRayCamera
-
     centre = phantom.bounds.mean(axis=0)
     detector = PAIRS["guide3d"](centre, size)[0].detector  # light, blur and noise of the navigation's first camera
     camera = XRayCamera(Projector.view(VIEW, phantom.bounds, size), DetectorDistortion.none(size, size), detector)
-    still = radiograph(phantom.grid, camera, scene("bath", filling), key=phantom.hash)
-    return BiplaneFluoroscope([camera], [still], material=wire_material("default", wire_radius), centre=centre)
+    return BiplaneFluoroscope.over(phantom, [camera], scene("bath", filling), wire_material("default", wire_radius))
 
 
 @kept_with_owner
@@ -123,8 +107,6 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         return self._seen(observation), reward, terminated, truncated, info
 
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
-        from cathsim.observations.observables import points_to_border
-
         simulation, phantom = self.environment.simulation, self.environment.phantom
         radius = simulation.wire.radius
         run = contrast_run(phantom, self.size, radius)
@@ -136,81 +118,3 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
     def close(self) -> None:
         """Frees the renderer."""
         self.environment.close()
-
-
-def wire_frames(
-    environment: XrayEnvironment,
-    expert: Policy,
-    cases: Sequence[int],
-    generator: np.random.Generator,
-    tick: Callable[[int], None] = lambda done: None,
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
-    """Images of episodes that an expert steers, each with a share of noise in its actions, from none to all.
-
-    So the segmenter also sees tips that fold at walls and lie in wrong branches.
-
-    Args:
-        environment: over the training anatomies, with the expert's observations and masks.
-        expert: that steers.
-        cases: of the episodes.
-        generator: of starts and noise.
-        tick: called with the number of finished episodes.
-
-    Returns:
-        Images, images without a wire, and masks. Shapes (n, size, size).
-    """
-    from enn.imitation.perturbed_controller import PerturbedController
-
-    images, plains, masks = [], [], []
-    for number, case in enumerate(cases):
-        tick(number)
-        observation, _ = environment.reset(seed=int(generator.integers(2**31)), options={"case": case})
-        steer = PerturbedController(expert, generator)
-        over, step = False, 0
-        while not over:
-            if step % _BETWEEN == 0:
-                images.append(observation["image"][0])
-                plains.append(observation["plain"][0])
-                masks.append(observation["mask"][0])
-            observation, _, terminated, truncated, _ = environment.step(steer(observation))
-            over, step = terminated or truncated, step + 1
-    return np.stack(images), np.stack(plains), np.stack(masks)
-
-
-def train_wire_segmenter(
-    environment: XrayEnvironment,
-    expert: Policy,
-    cases: Sequence[int],
-    *,
-    epochs: int,
-    seed: int,
-    report: Callable[[float, str], None],
-    device: str = "cpu",
-) -> tuple[WireSegmenter, float]:
-    """Trains the network that finds the wire, on X-ray images of the training anatomies.
-
-    Args:
-        environment: over them, with masks.
-        expert: steers the episodes.
-        cases: of the episodes.
-        epochs: over the images.
-        seed: of everything.
-        report: takes the share done and a few words.
-        device: where the network is trained and stays.
-
-    Returns:
-        The network, and the Dice score of its masks on the images that it was trained on.
-    """
-    from enn.imitation.wire_segmentation import fit_wire_segmenter
-
-    generator = np.random.default_rng((seed, len(cases)))
-    frames = wire_frames(
-        environment, expert, cases, generator, lambda done: report(0.7 * done / len(cases), "X-ray images of wires")
-    )
-    return fit_wire_segmenter(
-        *frames,
-        epochs=epochs,
-        seed=seed,
-        device=device,
-        progress=lambda epoch, _: report(0.7 + 0.3 * epoch / epochs, "segmenter"),
-    )
