@@ -55,7 +55,7 @@ _RUNS, _TRAININGS = 20, 500  # run seeds of stages with random arches; seeds of 
 
 ARCHES = {
     "training": SeedRange(0, 1_000, _RUNS, "training arches"),
-    "reader": SeedRange(20_000, 500, _RUNS, "arches for the SplineFormer"),
+    "perception": SeedRange(20_000, 500, _RUNS, "arches for the SplineFormer"),
     "validation": SeedRange(32_000, 1_000, 1, "validation arches"),
     "test": SeedRange(40_000, 1_000, 1, "test arches"),
 }
@@ -68,16 +68,16 @@ EPISODES = {
     "expert": SeedRange(2_000_000, 1_000, _TRAININGS, "expert episodes"),
     "disturbed expert": SeedRange(2_500_000, 1_000, _TRAININGS, "disturbed expert episodes"),
     "navigation, expert goes on": SeedRange(3_000_000, 1_000, _TRAININGS, "further expert episodes"),
-    "navigation, lessons": SeedRange(4_000_000, 1_000_000, _RUNS, "lessons of navigation"),
+    "navigation, advised": SeedRange(4_000_000, 1_000_000, _RUNS, "advised episodes of navigation"),
     "force": SeedRange(30_000_000, 100_000, _TRAININGS, "episodes with forces"),
-    "unseen, lessons": SeedRange(100_000_000, 10_000_000, _RUNS, "lessons in random arches"),
+    "unseen, advised": SeedRange(100_000_000, 10_000_000, _RUNS, "advised episodes in random arches"),
     "unseen, demonstrations": SeedRange(300_000_000, 1_000, _RUNS, "demonstrations in random arches"),
     "test": SeedRange(5_000_000_000, 1_000, _TRAININGS, "test episodes"),
 }
 RETIRED_EPISODES = (range(1_000_000, 2_000_000),)
 
-_ROUND, _COURSE = 10_000, 1_000  # seeds of a round of navigation's lessons, of a course in it
-_UNSEEN_ROUND = 100_000  # of a round of the image student's episodes
+_ROUND, _COURSE = 10_000, 1_000  # seeds of a round of a navigator's advised episodes, of a course in it
+_UNSEEN_ROUND = 100_000  # ... of a round of an image policy's
 
 
 def training_arches(run_seed: int, count: int) -> range:
@@ -85,9 +85,9 @@ def training_arches(run_seed: int, count: int) -> range:
     return ARCHES["training"].part(run_seed, count)
 
 
-def reader_arches(run_seed: int, count: int) -> range:
+def perception_arches(run_seed: int, count: int) -> range:
     """Seeds of the random arches that show the SplineFormer their wires; no policy learns there."""
-    return ARCHES["reader"].part(run_seed, count)
+    return ARCHES["perception"].part(run_seed, count)
 
 
 def validation_arches(count: int) -> range:
@@ -134,36 +134,36 @@ def further_expert_seeds(run_seed: int, count: int) -> range:
     return EPISODES["navigation, expert goes on"].part(run_seed, count)
 
 
-def navigation_lesson_seeds(run_seed: int, number: int, course: int, count: int) -> range:
-    """Seeds of the lessons of a round and course of a navigator.
+def navigation_episode_seeds(run_seed: int, number: int, course: int, count: int) -> range:
+    """Seeds of the advised episodes of a round and course of a navigator.
 
     Args:
         number: of the round, from 0.
         course: its number, from 0.
 
     Raises:
-        ConfigurationError: more courses, or lessons of one, than there are seeds.
+        ConfigurationError: more courses, or episodes of one, than there are seeds.
     """
     if count > _COURSE or course >= _ROUND // _COURSE:
         raise ConfigurationError(
-            f"a round has up to {_ROUND // _COURSE} courses of up to {_COURSE} lessons, got {count} in number "
+            f"a round has up to {_ROUND // _COURSE} courses of up to {_COURSE} episodes, got {count} in number "
             f"{course + 1}: choose fewer"
         )
-    return EPISODES["navigation, lessons"].part(run_seed, count, skip=number * _ROUND + course * _COURSE)
+    return EPISODES["navigation, advised"].part(run_seed, count, skip=number * _ROUND + course * _COURSE)
 
 
-def unseen_lesson_seeds(run_seed: int, number: int, count: int) -> range:
-    """Seeds of the lessons of a round of the image student.
+def unseen_episode_seeds(run_seed: int, number: int, count: int) -> range:
+    """Seeds of the advised episodes of a round of an image policy.
 
     Args:
         number: of the round, from 0.
 
     Raises:
-        ConfigurationError: more lessons than there are seeds.
+        ConfigurationError: more episodes than there are seeds.
     """
     if count > _UNSEEN_ROUND:
-        raise ConfigurationError(f"a round has up to {_UNSEEN_ROUND} lessons, got {count}: choose fewer")
-    return EPISODES["unseen, lessons"].part(run_seed, count, skip=number * _UNSEEN_ROUND)
+        raise ConfigurationError(f"a round has up to {_UNSEEN_ROUND} episodes, got {count}: choose fewer")
+    return EPISODES["unseen, advised"].part(run_seed, count, skip=number * _UNSEEN_ROUND)
 
 
 def arch_demonstration_seed(run_seed: int) -> int:
@@ -172,7 +172,7 @@ def arch_demonstration_seed(run_seed: int) -> int:
 
 
 def fit_seed(seed: int, number: int) -> int:
-    """Seed of a fit's order of samples in round `number` of lessons; no environment is reset with it."""
+    """Seed of a fit's order of samples in round `number` of advised episodes; no environment is reset with it."""
     return seed * 1000 + number
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,17 +69,8 @@ class Film:
         Args:
             path: of the GIF; appears whole or not at all.
         """
-        from PIL import Image
-
         # one palette for the whole film keeps colours from flickering
-        palette = _palette(self._frames[:: max(1, len(self._frames) // 6)])
-        frames = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in self._frames]
-        pause = round(1000 / FRAMES_PER_SECOND)
-        durations = [pause] * (len(frames) - 1) + [1500]
-        with atomic_path(path) as temporary:
-            frames[0].save(
-                temporary, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, disposal=1
-            )
+        write_gif(path, self._frames, _palette(self._frames[:: max(1, len(self._frames) // 6)]), FRAMES_PER_SECOND)
 
     def close(self) -> None:
         """Frees the renderer."""
@@ -87,7 +79,28 @@ class Film:
             self._view = None
 
 
-def _palette(frames: list[np.ndarray]) -> Any:
+def write_gif(path: Path, frames: Sequence[np.ndarray], colours: Sequence[int], frames_per_second: float) -> None:
+    """Writes an animated GIF, whole or not at all; its last frame stays for 1.5 s.
+
+    Args:
+        path: of the file.
+        frames: (h, w, 3) uint8 each.
+        colours: of the palette, red, green and blue of each in turn, at most 256.
+        frames_per_second: of playback.
+    """
+    from PIL import Image
+
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(list(colours))
+    pictures = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    durations = [round(1000 / frames_per_second)] * (len(pictures) - 1) + [1500]
+    with atomic_path(path) as temporary:
+        pictures[0].save(
+            temporary, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0, disposal=1
+        )
+
+
+def _palette(frames: list[np.ndarray]) -> list[int]:
     from PIL import Image
 
     greys = np.linspace(0, 255, _GREYS).round().astype(np.uint8)
@@ -98,6 +111,4 @@ def _palette(frames: list[np.ndarray]) -> Any:
         quantized = Image.fromarray(np.concatenate(views)).quantize(256 - _GREYS, method=Image.Quantize.MAXCOVERAGE)
         seen = np.array(quantized.getpalette(), np.uint8).reshape(-1, 3)[: 256 - _GREYS]
         colours = np.concatenate((colours, seen))
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(colours.ravel().tolist())
-    return palette
+    return colours.ravel().tolist()

@@ -105,18 +105,20 @@ def navigation_note(jobs: Iterable[NavigatorJob]) -> str:
 
 def of_navigator(job: NavigatorJob) -> list[str]:
     """What a navigator was trained with and sees."""
-    aids = [f"{len(job.rig.cameras)} cameras of {job.rig.image_size_px} px"]
-    if job.guided:
+    settings = job.settings
+    aids = [f"{len(settings.cameras)} cameras of {settings.image_size_px} px"]
+    if settings.guided:
         aids.append("a contrast run before the procedure")
-    if job.space:
+    if settings.in_space:
         aids.append("wire and vessels measured in space by the cameras' known geometry")
-    aids.append(f"actions held for {job.action_repeat} steps")
+    aids.append(f"actions held for {settings.action_repeat} steps")
     if job.episodes:
         aids.append(f"cloned from {job.episodes} episodes a target of an expert that knows the state")
     if job.rounds:
         places = len({anatomy for course in job.courses for anatomy in course.anatomies})
         aids.append(
-            f"{job.rounds} rounds of {job.lessons} lessons in {places} anatomies with a teacher that knows the state"
+            f"{job.rounds} rounds of {job.round_episodes} episodes in {places} anatomies with a teacher that knows the "
+            "state"
         )
     return aids
 

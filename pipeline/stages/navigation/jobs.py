@@ -1,19 +1,18 @@
-"""Jobs of the navigation: experts' episodes seen anew, navigators cloned and taught, and their logged trials.
+"""Jobs of the navigation: experts' logged episodes as the navigator sees them, and navigators, trained and tested.
 
 A navigator's folder, ``<row>/``, draws as::
 
     navigator.pt  training.json
-    lessons/round<k>.npz  round<k>.pt      until it is finished
+    advised_episodes/                      until it is finished
     evaluation/<test>/<target>/<phantom>/NNN.mcap
 """
 
 from __future__ import annotations
 
 import json
-import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,62 +22,63 @@ import numpy as np
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
-from pipeline.seeds import fit_seed, further_expert_seeds, navigation_lesson_seeds
-from pipeline.stages.navigation.demonstrations import episode_of_log, play, read_lessons, write_episodes
-from pipeline.stages.navigation.perception import load_reader
-from pipeline.stages.navigation.scene import Rig
-from pipeline.stages.navigation.task import Anatomy, Rules, TrialSet, room_for, scenes_of
-from pipeline.stages.navigation.trials import run_tests
+from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
+from pipeline.stages.learning.advised_rounds import forget_rounds, last_policy, read_episodes, teach, write_episodes
+from pipeline.stages.navigation.logged_episodes import episode_of_log
+from pipeline.stages.navigation.perception import load_perception
+from pipeline.stages.navigation.scene import NAMED, Anatomy, episode_starts, room_for
+from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.stages.navigation.trials import TrialSet, run_tests
 from pipeline.store.atomic_files import write_json
+from pipeline.task import Task
 
 if TYPE_CHECKING:
-    from splineformer.navigation.cloning import Episode
-    from splineformer.navigation.navigator import Navigator
-    from splineformer.navigation.perception import Reader
+    from enn.imitation.recurrent_policy import RecurrentPolicy
+    from enn.imitation.sequence_cloning import AdvisedEpisode
+    from enn.policy import Policy
+    from splineformer.navigation.navigator_perception import NavigatorPerception
+    from splineformer.navigation.perception import PerceptionNetwork
 
 Tell = Callable[[float, str], None]  # the share done, and a few words
 
-NAVIGATOR, RECORD = "navigator.pt", "training.json"
-PRELOAD = ("cathsim", "enn.policy", "splineformer.navigation.cloning", "skimage.graph", "pipeline.recording.record")
+NAVIGATOR, RECORD, LOGS = "navigator.pt", "training.json", "episodes"
+PRELOAD = (
+    "cathsim",
+    "enn.imitation.advised_episodes",
+    "splineformer.navigation.navigator_perception",
+    "skimage.graph",
+    "pipeline.recording.record",
+)
 HINT_KEY = "roadmap"
 _TRAINING = 0.7  # of a job's time
 
 
 @dataclass(frozen=True)
 class LogsJob:
-    """An expert's episodes of one task to be seen through the rig.
+    """An expert's episodes of one task to be seen by the C-arms.
 
     Attributes:
-        file: for the episodes, in the order of the logs.
-        reader: folder of the navigator's eye.
-        rig: of the images.
+        folder: of the stage.
+        settings: of the stage.
+        phantom: of the task.
+        target: of the task.
         logs: of the expert's episodes; damaged ones are left out.
-        count: episodes wanted; where there are fewer logs, the expert plays on.
-        expert: file of its policy.
-        anatomy: of the task.
-        target: likewise.
-        rules: likewise.
-        guided: whether the navigator has a contrast run.
-        space: whether it measures in space what both cameras show.
-        hidden: units of the navigator, for its settings.
-        action_repeat: steps for which it holds an action.
-        seed: of the run: of the starts of episodes that the expert plays on.
+        expert: file of its policy, which plays on where there are fewer logs than the settings ask for.
+        seed: of the run.
     """
 
-    file: Path
-    reader: Path
-    rig: Rig
-    logs: tuple[Path, ...]
-    count: int
-    expert: Path
-    anatomy: Anatomy
+    folder: Path
+    settings: NavigationSettings
+    phantom: str
     target: str
-    rules: Rules
-    guided: bool
-    space: bool
-    hidden: int
-    action_repeat: int
+    logs: tuple[Path, ...]
+    expert: Path
     seed: int
+
+    @property
+    def file(self) -> Path:
+        """For the episodes, in the order of the logs."""
+        return self.folder / LOGS / self.phantom / f"{self.target}.npz"
 
 
 @dataclass(frozen=True)
@@ -88,15 +88,15 @@ class Course:
     Attributes:
         teacher: file of its policy.
         anatomies: in which it knows the way.
-        targets: likewise.
-        rules: of the episodes.
-        hints: whether the navigator learns to tell the teacher's roadmap.
+        targets: to which it knows the way.
+        task: of the episodes.
+        hints: whether the navigator learns to predict the teacher's roadmap.
     """
 
     teacher: Path
     anatomies: tuple[Anatomy, ...]
     targets: tuple[str, ...]
-    rules: Rules
+    task: Task
     hints: bool = False
 
 
@@ -105,89 +105,110 @@ class NavigatorJob:
     """A navigator to train and to test.
 
     Attributes:
-        folder: of the navigator.
-        reader: folder of its eye.
-        rig: of the images.
-        guided: whether it has a contrast run, or the target's mark alone.
-        space: whether it measures in space what both cameras show.
+        folder: of the stage.
+        settings: of the stage.
+        origin: kept in the logs; its row names the navigator's folder, its seed is that of everything.
+        tests: trials.
         hidden: units.
-        action_repeat: steps for which it holds an action.
+        epochs: of the cloning; of every round of advised episodes.
         logs: files of experts' episodes to clone.
         episodes: of each file.
-        epochs: of the cloning; of every round of lessons.
-        updates: of the cloning, at least.
-        courses: of the lessons.
-        rounds: of lessons.
-        lessons: episodes a round, shared among the courses.
-        teacher_first: the teacher steers the first round, where there is nothing cloned before.
-        targets: of the trials.
-        tests: trials.
-        seed: of everything.
-        origin: kept in the logs.
+        courses: of the advised episodes.
+        rounds: of advised episodes.
+        round_episodes: episodes a round, shared among the courses.
     """
 
     folder: Path
-    reader: Path
-    rig: Rig
-    guided: bool
-    space: bool
-    hidden: int
-    action_repeat: int
-    logs: tuple[Path, ...]
-    episodes: int
-    epochs: int
-    updates: int
-    courses: tuple[Course, ...]
-    rounds: int
-    lessons: int
-    targets: tuple[str, ...]
-    tests: tuple[TrialSet, ...]
-    seed: int
+    settings: NavigationSettings
     origin: Origin
+    tests: tuple[TrialSet, ...]
+    hidden: int
+    epochs: int
+    logs: tuple[Path, ...] = ()
+    episodes: int = 0
+    courses: tuple[Course, ...] = ()
+    rounds: int = 0
+    round_episodes: int = 0
+
+    @property
+    def own_folder(self) -> Path:
+        """Of the navigator."""
+        return self.folder / self.origin.row
+
+
+def perception_of(network: PerceptionNetwork, settings: NavigationSettings) -> NavigatorPerception:
+    """The perception of the stage's navigators."""
+    from splineformer.navigation.navigator_perception import NavigatorPerception, NavigatorPerceptionSettings
+
+    cameras = tuple(settings.cameras)
+    return NavigatorPerception(
+        NavigatorPerceptionSettings(cameras, network.tokens, network.encoded, settings.guided, settings.in_space),
+        network,
+    )
+
+
+def navigator_on(
+    perception: NavigatorPerception, settings: NavigationSettings, hidden: int, hints: int = 0, seed: int = 0
+) -> RecurrentPolicy:
+    """A navigator with fresh weights."""
+    from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
+
+    of_policy = RecurrentPolicySettings(
+        features=perception.settings.size, encoder_blocks=perception.settings.encoder_blocks, hidden=hidden,
+        hints=hints, action_repeat=settings.action_repeat,
+    )  # fmt: skip
+    return RecurrentPolicy(of_policy, seed, perception.network.predictor.device, asdict(perception.settings))
+
+
+def load_navigator(path: Path, network: PerceptionNetwork) -> tuple[RecurrentPolicy, NavigatorPerception]:
+    """Reads a navigator and its perception.
+
+    Args:
+        path: of its file.
+        network: that it was trained with.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is damaged, of another version, or of another SplineFormer.
+    """
+    from enn.imitation.recurrent_policy import RecurrentPolicy
+    from splineformer.navigation.navigator_perception import NavigatorPerception, NavigatorPerceptionSettings
+
+    policy = RecurrentPolicy.load(path, network.predictor.device)
+    return policy, NavigatorPerception(NavigatorPerceptionSettings(**policy.perception), network)
 
 
 def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
     """Reads the images of an expert's episodes once, for every navigator that is cloned from them."""
+    from enn.imitation.advised_episodes import play_advised
     from enn.policy import Policy
-    from splineformer.navigation.navigator import Navigator
 
-    if not job.file.is_file():
-        reader = load_reader(job.reader, report.device)
-        teacher = Policy.load(job.expert, report.device)
-        settings = settings_of(reader, job)
-        episodes: list[Episode] = []
-        for log in job.logs:
-            if len(episodes) == job.count:
-                break
-            report(len(episodes) / job.count, f"{len(episodes)} of {job.count} episodes")
-            try:
-                seen = episode_of_log(log, job.rules.rig(job.rig), reader, settings)
-            except EpisodeReadError:
-                continue
-            episodes.append(seen)
-        missing, begun = job.count - len(episodes), len(episodes)
-        if missing:  # the expert plays on
-            environments = scenes_of(
-                job.rules, [(job.anatomy, job.target)] * missing, job.rig, teacher.keys,
-                further_expert_seeds(job.seed, missing),
-            )  # fmt: skip
-            more = play(
-                environments, teacher, Navigator(settings, reader), teacher_share=1.0, noise=0.0,
-                generator=np.random.default_rng(0), tick=lambda done: report((begun + done) / job.count, "played on"),
-            )  # fmt: skip
-            episodes += more
-        write_episodes(job.file, episodes)
-    return {"episodes": len(read_lessons(job.file))}
-
-
-def settings_of(reader: Reader, job: LogsJob | NavigatorJob, hints: int = 0) -> Any:
-    """The settings of a job's navigator that sees with a reader."""
-    from splineformer.navigation.navigator import NavigatorSettings
-
-    return NavigatorSettings(
-        cameras=job.rig.cameras, tokens=reader.tokens, memory=reader.memory, guided=job.guided, space=job.space,
-        hidden=job.hidden, hints=hints, action_repeat=job.action_repeat,
-    )  # fmt: skip
+    if job.file.is_file():
+        return {"episodes": len(read_episodes(job.file))}
+    settings, count = job.settings, job.settings.episodes[-1]
+    perception = perception_of(load_perception(job.folder, report.device), settings)
+    teacher = Policy.load(job.expert, report.device)
+    episodes: list[AdvisedEpisode] = []
+    for log in job.logs:
+        if len(episodes) == count:
+            break
+        report(len(episodes) / count, f"{len(episodes)} of {count} episodes")
+        try:
+            seen = episode_of_log(log, settings.arms_for(settings.task), perception, settings.action_repeat)
+        except EpisodeReadError:
+            continue
+        episodes.append(seen)
+    missing, begun = count - len(episodes), len(episodes)
+    if missing:  # the expert plays on
+        cases = [((job.phantom, NAMED), job.target)] * missing
+        seeds = further_expert_seeds(job.seed, missing)
+        starts = episode_starts(settings.task, cases, seeds, settings.arms, teacher.keys, perception.settings)
+        episodes += play_advised(
+            starts, teacher, navigator_on(perception, settings, settings.hidden), perception, teacher_share=1.0,
+            generator=np.random.default_rng(0), tick=lambda done: report((begun + done) / count, "played on"),
+        )  # fmt: skip
+    write_episodes(job.file, episodes)
+    return {"episodes": len(episodes)}
 
 
 def navigate(job: NavigatorJob, report: Report) -> dict[str, Any]:
@@ -196,98 +217,82 @@ def navigate(job: NavigatorJob, report: Report) -> dict[str, Any]:
     Returns:
         How it was trained, and ``tests``: a row for each set of trials and target.
     """
-    reader = load_reader(job.reader, report.device)
-    told = job.folder / RECORD
-    if told.is_file():
-        from splineformer.navigation.navigator import Navigator
-
-        outcome, navigator = (
-            json.loads(told.read_text(encoding="utf-8")),
-            Navigator.load(job.folder / NAVIGATOR, reader),
-        )
+    network = load_perception(job.folder, report.device)
+    record, file = job.own_folder / RECORD, job.own_folder / NAVIGATOR
+    if record.is_file():
+        outcome = json.loads(record.read_text(encoding="utf-8"))
+        policy, perception = load_navigator(file, network)
     else:
-        navigator, outcome = train(job, reader, report.part(0.0, _TRAINING, "training"))
-        navigator.save(job.folder / NAVIGATOR, **{key: outcome[key] for key in ("episodes", "decisions")})
-        write_json(told, outcome)
-        shutil.rmtree(job.folder / "lessons", ignore_errors=True)
+        perception = perception_of(network, job.settings)
+        policy, outcome = train(job, perception, report.part(0.0, _TRAINING, "training"))
+        policy.save(file, **{key: outcome[key] for key in ("episodes", "decisions")})
+        write_json(record, outcome)
+        forget_rounds(job.own_folder)
     outcome["tests"] = run_tests(
-        navigator, job.tests, job.targets, job.rig, job.folder, seed=job.seed, origin=job.origin,
+        policy, perception, job.tests, job.settings, job.own_folder, job.origin,
         report=report.part(_TRAINING, 1.0, "trials"),
     )  # fmt: skip
     return dict(outcome)
 
 
-def train(job: NavigatorJob, reader: Reader, report: Tell) -> tuple[Navigator, dict[str, Any]]:
-    """Clones the experts' episodes, then gives lessons round by round, going on after the last finished one."""
+def train(job: NavigatorJob, perception: NavigatorPerception, report: Tell) -> tuple[RecurrentPolicy, dict[str, Any]]:
+    """Clones the experts' episodes, then teaches round by round, going on after the last finished one."""
+    from enn.imitation.recurrent_policy import RecurrentPolicy
+    from enn.imitation.sequence_cloning import SequenceCloningSettings, clone_sequences
     from enn.policy import Policy
-    from splineformer.navigation.cloning import LESSONS, CloningSettings, clone
-    from splineformer.navigation.navigator import Navigator
 
     began, worked = time.monotonic(), time.process_time()
-    device = str(reader.predictor.device)
-    teachers = [Policy.load(course.teacher, device) for course in job.courses]
+    device, seed = perception.network.predictor.device, job.origin.training_seed
+    teachers = [Policy.load(course.teacher, str(device)) for course in job.courses]
     room_for([anatomy for course in job.courses for anatomy in course.anatomies])
     hints = max((_hints(course, teacher) for course, teacher in zip(job.courses, teachers, strict=True)), default=0)
-    settings = settings_of(reader, job, hints)
-    navigator = Navigator(settings, reader, job.seed)
-    episodes = [one for file in job.logs for one in read_lessons(file)[: job.episodes]]
-    parts = job.rounds + bool(episodes)
-    losses: list[float] = []
-    if episodes:
-        first = CloningSettings(epochs=job.epochs, updates=job.updates)
-        passes = first.passes(len(episodes))
-        losses = clone(
-            navigator, episodes, first, seed=job.seed,
-            progress=lambda epoch, loss: report(epoch / passes / parts, f"cloning, loss {loss:.4f}"),
-        )  # fmt: skip
-    cloned, rounds = len(episodes), []
-    for number in range(job.rounds):
-        told = _part(report, (number + bool(cloned)) / parts, 1 / parts, f"round {number + 1}")
-        file = job.folder / "lessons" / f"round{number}.npz"
-        kept = file.with_suffix(".pt")
-        if not (file.is_file() and kept.is_file()):
-            share = 1.0 if number == 0 and not cloned else 0.1
-            new = _round(job, number, teachers, navigator, share, told)
-            write_episodes(file, new)
-            episodes += new
-            epochs = job.epochs * (2 if number == job.rounds - 1 else 1)
-            fit = replace(LESSONS, epochs=epochs)
-            fitting = partial(_fitting, told, epochs)
-            losses = clone(navigator, episodes, fit, seed=fit_seed(job.seed, number), progress=fitting)
-            navigator.save(kept)
-        else:
-            new = read_lessons(file)
-            episodes += new
-            navigator = Navigator.load(kept, reader)
-        rounds.append({"episodes": len(episodes), "success_pct": success_of(new)})
+    episodes = [one for file in job.logs for one in read_episodes(file)[: job.episodes]]
+    cloned = 1 / (1 + job.rounds) if episodes else 0.0  # of the time
+    last, losses = last_policy(job.own_folder), []
+    if last is not None:
+        policy = RecurrentPolicy.load(last, device)
+    else:
+        policy = navigator_on(perception, job.settings, job.hidden, hints, seed)
+        if episodes:
+            cloning = SequenceCloningSettings(
+                epochs=job.epochs, updates=job.settings.updates, batch_size=8, weight_decay=1e-3, noise=0.05
+            )
+            passes = cloning.passes(len(episodes))
+            losses = clone_sequences(
+                policy, episodes, cloning, seed=seed,
+                progress=lambda epoch, loss: report(cloned * epoch / passes, f"cloning, loss {loss:.4f}"),
+            )  # fmt: skip
+    # a teacher knows more than the images show: to predict its roadmap teaches more than its actions alone
+    advised = SequenceCloningSettings(epochs=job.epochs, batch_size=16, weight_decay=0.1, noise=0.15, hint_weight=10.0)
+    before = len(episodes)
+
+    def taught(share: float, text: str) -> None:
+        report(cloned + (1 - cloned) * share, text)
+
+    done = teach(
+        job.own_folder, policy, episodes, partial(_play, job, teachers, policy, perception, taught), advised,
+        rounds=job.rounds, seed=seed, began=began, report=taught,
+    )  # fmt: skip
+    rounds, loss = [], losses[-1] if losses else None
+    for one in done:
+        before, loss = before + len(one.new), one.loss
+        rounds.append({"episodes": before, "success_pct": success_of(one.new)})
     outcome = {
         "episodes": len(episodes),
-        "decisions": sum(len(one.looks) for one in episodes),
+        "decisions": sum(len(one.features) for one in episodes),
         "rounds": rounds,
-        "loss": losses[-1] if losses else None,
+        "loss": loss,
         "wall_s": time.monotonic() - began,
         "cpu_s": time.process_time() - worked,
     }
-    return navigator, outcome
-
-
-def _part(report: Tell, begun: float, share: float, label: str) -> Tell:
-    return lambda fraction, text: report(begun + share * fraction, f"{label}, {text}")
-
-
-def _playing(report: Tell, before: int, wanted: int, done: int) -> None:
-    report(0.5 * (before + done) / wanted, f"{before + done} of {wanted} episodes")
-
-
-def _fitting(report: Tell, epochs: int, epoch: int, loss: float) -> None:
-    report(0.5 + 0.5 * epoch / epochs, f"loss {loss:.3f}")
+    return policy, outcome
 
 
 def _hints(course: Course, teacher: Any) -> int:
     return int(np.prod(teacher.observation_space[HINT_KEY].shape)) if course.hints else 0
 
 
-def success_of(episodes: Sequence[Episode]) -> dict[str, float]:
+def success_of(episodes: Sequence[AdvisedEpisode]) -> dict[str, float]:
     """The success in % in each target."""
     ended: dict[str, list[bool]] = {}
     for one in episodes:
@@ -295,28 +300,39 @@ def success_of(episodes: Sequence[Episode]) -> dict[str, float]:
     return {target: 100.0 * float(np.mean(successes)) for target, successes in sorted(ended.items())}
 
 
-def _round(
+def _play(
     job: NavigatorJob,
-    number: int,
-    teachers: Sequence[Any],
-    navigator: Navigator,
-    teacher_share: float,
+    teachers: Sequence[Policy],
+    policy: RecurrentPolicy,
+    perception: NavigatorPerception,
     report: Tell,
-) -> list[Episode]:
-    episodes: list[Episode] = []
+    number: int,
+    teacher_share: float,
+    noise: float,
+) -> list[AdvisedEpisode]:
+    """The episodes of a round, course by course."""
+    from enn.imitation.advised_episodes import play_advised
+
+    episodes: list[AdvisedEpisode] = []
+    seed, total = job.origin.training_seed, job.round_episodes
     for index, (course, teacher) in enumerate(zip(job.courses, teachers, strict=True)):
-        generator = np.random.default_rng((job.seed, number, index))
-        count = len(range(index, job.lessons, len(job.courses)))
+        generator = np.random.default_rng((seed, number, index))
+        count = len(range(index, total, len(job.courses)))
         cases = [(anatomy, target) for anatomy in course.anatomies for target in course.targets]
         chosen: list[tuple[Anatomy, str]] = []
         while len(chosen) < count:
             chosen += [cases[k] for k in generator.permutation(len(cases))]
-        before = len(episodes)
-        seeds = navigation_lesson_seeds(job.seed, number, index, count)
-        scenes = scenes_of(course.rules, chosen[:count], job.rig, teacher.keys, seeds)
-        episodes += play(
-            scenes, teacher, navigator, teacher_share=teacher_share, noise=0.3 if teacher_share == 1.0 else 0.1,
-            generator=generator, hint_key=HINT_KEY if course.hints else None,
-            tick=partial(_playing, report, before, job.lessons),
+
+        def tick(finished: int, before: int = len(episodes)) -> None:
+            done = before + finished
+            report((number + 0.5 * done / total) / job.rounds, f"round {number + 1}, {done} of {total} episodes")
+
+        seeds = navigation_episode_seeds(seed, number, index, count)
+        starts = episode_starts(
+            course.task, chosen[:count], seeds, job.settings.arms, teacher.keys, perception.settings
+        )
+        episodes += play_advised(
+            starts, teacher, policy, perception, teacher_share=teacher_share, noise=noise, generator=generator,
+            hint_key=HINT_KEY if course.hints else None, tick=tick,
         )  # fmt: skip
     return episodes

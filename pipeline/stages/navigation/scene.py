@@ -1,190 +1,179 @@
-"""Scene of the autonomous navigation: a phantom under the data set's C-arms, its contrast run, and the target's mark.
+"""Scenes of the navigation: anatomies under the C-arms, and what a navigator is given of them.
 
-The navigator is given what a scene's `images`, `marks` and `vessels` hold, and nothing else of the simulation.
+A navigator is given images, the target's marks and what the contrast run shows, and nothing else of the simulation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cathsim.lifetime_cache import kept_with_owner
+from cathsim.observations.c_arm_view import CArms, c_arm_environment, contrast_images, fluoroscope_of, marks_of
+from pipeline.stages.learning.task import REWARD_OF_EVALUATION
+from pipeline.task import Task
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
     from cathsim.anatomy import Phantom
-    from cathsim.fluoroscopy import BiplaneFluoroscope
+    from enn.imitation.advised_episodes import EpisodeStart
+    from splineformer.navigation.navigator_perception import EpisodeView, NavigatorPerceptionSettings
     from splineformer.navigation.space_map import Hull, SpaceMap
     from splineformer.navigation.vessel_map import VesselMap
 
-CAMERAS = ("a", "b")
-_RUN_SEED = 7  # of the contrast run's noise
-_BEHIND_M = 0.3  # m of wire outside the body, which no image shows the end of
+RESOLUTION = 1e-3  # m, of the anatomies' grids
+NAMED = -1  # seed of an anatomy that has a name of its own
+
+Anatomy = tuple[str, int]  # kind and seed; a seed below 0: the kind is a phantom's name
 
 
-@dataclass(frozen=True)
-class Rig:
-    """How the navigator's images are made.
+def phantom_of(anatomy: Anatomy) -> Phantom:
+    """The phantom of a kind and seed, kept while this process works on it."""
+    from cathsim.many_anatomies import SHELF
 
-    Attributes:
-        cameras: of the public data set's geometry.
-        image_size_px: side of the images.
-        filling: of the lumen while the wire moves, "fluid" (clear) or "air".
-        wire: preset whose material is drawn.
-    """
-
-    cameras: tuple[str, ...] = ("a",)
-    image_size_px: int = 1024
-    filling: str = "fluid"
-    wire: str = "default"
+    kind, seed = anatomy
+    return SHELF.take(kind if seed < 0 else (kind, seed), RESOLUTION)
 
 
-@kept_with_owner
-def fluoroscope_of(phantom: Phantom, rig: Rig, filling: str) -> BiplaneFluoroscope:
-    """The cameras over a phantom whose lumen holds "fluid", "contrast" or "air"."""
-    return _fluoroscope(phantom, rig, filling)
+def room_for(anatomies: Sequence[Anatomy]) -> None:
+    """Lets this process keep so many anatomies, since all take turns."""
+    from cathsim.many_anatomies import SHELF
 
-
-def _fluoroscope(phantom: Phantom, rig: Rig, filling: str) -> BiplaneFluoroscope:
-    from cathsim import load_guidewire
-    from cathsim.fluoroscopy import BiplaneFluoroscope, askew_pair, radiograph, scene, wire_material
-
-    x, y, z = phantom.bounds.mean(axis=0).tolist()
-    every = askew_pair((x, y, z), rig.image_size_px, distorted=False)
-    cameras = [every[name] for name in rig.cameras]
-    what = scene("bath", filling)
-    stills = [radiograph(phantom.grid, camera, what, key=phantom.hash) for camera in cameras]
-    material = wire_material(rig.wire, load_guidewire(rig.wire).radius)
-    return BiplaneFluoroscope(cameras, stills, material=material, centre=(x, y, z))
+    SHELF.capacity = max(SHELF.capacity, len(set(anatomies)))
 
 
 @kept_with_owner
-def vessels_of(phantom: Phantom, target: str, rig: Rig) -> dict[str, VesselMap]:
+def vessels_of(phantom: Phantom, target: str, arms: CArms) -> dict[str, VesselMap]:
     """The contrast run before the procedure as a map a camera, with the target marked."""
     from splineformer.navigation.vessel_map import VesselMap
 
-    lumens, marks = _lumens(phantom, rig), marks_of(phantom, target, rig)
-    return {name: VesselMap(lumens[name], marks[name]) for name in rig.cameras}
+    lumens, marks = _lumens(phantom, arms), marks_of(phantom, target, arms)
+    return {name: VesselMap(lumens[name], marks[name]) for name in arms.cameras}
 
 
 @kept_with_owner
-def space_of(phantom: Phantom, target: str, rig: Rig) -> SpaceMap | None:
-    """The contrast run of both cameras as one map in space; None where there is one camera."""
+def space_of(phantom: Phantom, target: str, arms: CArms) -> SpaceMap:
+    """The contrast run of both cameras as one map in space."""
     from splineformer.navigation.space_map import SpaceMap
 
-    if len(rig.cameras) != 2:
-        return None
-    marks = marks_of(phantom, target, rig)
-    return SpaceMap(_hull(phantom, rig), [marks[name] for name in rig.cameras])
+    marks = marks_of(phantom, target, arms)
+    return SpaceMap(_hull(phantom, arms), [marks[name] for name in arms.cameras])
 
 
 @kept_with_owner
-def _hull(phantom: Phantom, rig: Rig) -> Hull:
+def _hull(phantom: Phantom, arms: CArms) -> Hull:
     from guide3d.geometry.camera import Camera
     from splineformer.navigation.space_map import hull_of
 
-    size, seen = rig.image_size_px, fluoroscope_of(phantom, rig, rig.filling).cameras
+    size, seen = arms.image_size_px, fluoroscope_of(phantom, arms).cameras
     known = [
         Camera(seen[name].projector.K, seen[name].projector.R, 1e3 * seen[name].projector.t, size, size, name)
-        for name in rig.cameras
+        for name in arms.cameras
     ]
-    lumens = _lumens(phantom, rig)
-    return hull_of([lumens[name] for name in rig.cameras], known)
+    lumens = _lumens(phantom, arms)
+    return hull_of([lumens[name] for name in arms.cameras], known)
 
 
 @kept_with_owner
-def _lumens(phantom: Phantom, rig: Rig) -> dict[str, np.ndarray]:
+def _lumens(phantom: Phantom, arms: CArms) -> dict[str, np.ndarray]:
     from splineformer.navigation.vessel_map import lumen_of_run
 
-    nothing = np.empty((0, 3))
-    plain = fluoroscope_of(phantom, rig, rig.filling).render(nothing, _RUN_SEED)
-    # filled with contrast medium it is seen once: nothing of that is kept
-    contrast = _fluoroscope(phantom, rig, "contrast").render(nothing, _RUN_SEED + 1)
-    return {name: lumen_of_run(plain[name].image, contrast[name].image) for name in rig.cameras}
+    return {name: lumen_of_run(*images) for name, images in contrast_images(phantom, arms).items()}
 
 
-def marks_of(phantom: Phantom, target: str, rig: Rig) -> dict[str, np.ndarray]:
-    """Where each camera shows the target, as shares of the image's sides."""
-    cameras = fluoroscope_of(phantom, rig, rig.filling).cameras
-    place = phantom.target(target).position[None]
-    return {name: (camera.pixels(place)[0] + 0.5) / rig.image_size_px for name, camera in cameras.items()}
-
-
-def images_of_shape(phantom: Phantom, rig: Rig, nodes: np.ndarray, seed: Any) -> list[np.ndarray]:
-    """Images of a wire in a phantom.
+def view_of(
+    settings: NavigatorPerceptionSettings,
+    phantom: Phantom,
+    target: str,
+    arms: CArms,
+    images: Callable[[], Sequence[np.ndarray]],
+) -> EpisodeView:
+    """A navigator's view of an episode, before its first decision.
 
     Args:
+        settings: of the navigator's perception.
         phantom: the anatomy.
-        rig: of the cameras.
-        nodes: (n, 3) m, from the tip, the part in the sheath included.
-        seed: of the noise.
-
-    Returns:
-        An image a camera, in the rig's order.
+        target: name.
+        arms: whose cameras see it.
+        images: gives the moment's image of each camera.
     """
-    frames = fluoroscope_of(phantom, rig, rig.filling).render(nodes, np.random.default_rng(seed))
-    return [frames[name].image for name in rig.cameras]
+    from splineformer.navigation.navigator_perception import EpisodeView
 
-
-def with_shaft(nodes: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """A logged wire with its shaft outside the body: (n, 3) m nodes from the tip, and the entry's direction inwards."""
-    return np.concatenate((nodes, nodes[-1:] - _BEHIND_M * direction))
+    place = phantom, target, arms
+    vessels = vessels_of(*place) if settings.guided else None
+    return EpisodeView(settings, images, marks_of(*place), vessels, space_of(*place) if settings.space else None)
 
 
 @dataclass(eq=False)
 class Scene:
-    """An environment under the cameras.
-
-    Args:
-        environment: with the cameras that `scene_environment` gives it.
-        rig: of them.
-    """
+    """An environment under the C-arms."""
 
     environment: NavigateEnv
-    rig: Rig
-    target: str = field(init=False)
+    arms: CArms
 
-    def __post_init__(self) -> None:
-        self.target = self.environment.task.target_name
+    @property
+    def target(self) -> str:
+        """Name of the episode's target."""
+        return self.environment.task.target_name
 
     def images(self) -> list[np.ndarray]:
         """The moment's image of each camera."""
         view = self.environment.biplane
         assert view is not None
-        return [view.frame(name).image for name in self.rig.cameras]
+        return [view.frame(name).image for name in self.arms.cameras]
 
     @property
     def marks(self) -> dict[str, np.ndarray]:
         """The target's mark in each camera."""
-        return marks_of(self.environment.phantom, self.target, self.rig)
+        return marks_of(self.environment.phantom, self.target, self.arms)
 
-    @property
-    def vessels(self) -> dict[str, VesselMap]:
-        """The contrast run's map of each camera."""
-        return vessels_of(self.environment.phantom, self.target, self.rig)
-
-    @property
-    def space(self) -> SpaceMap | None:
-        """The contrast runs' map in space, of two cameras."""
-        return space_of(self.environment.phantom, self.target, self.rig)
+    def view(self, settings: NavigatorPerceptionSettings) -> EpisodeView:
+        """A navigator's view of an episode here."""
+        return view_of(settings, self.environment.phantom, self.target, self.arms, self.images)
 
 
-def scene_environment(
-    phantom: Phantom, target: str, rig: Rig, observation: Sequence[str], **arguments: Any
-) -> NavigateEnv:
-    """An environment whose bi-planar view is the rig's.
+def scene_of(task: Task, anatomy: Anatomy, target: str, arms: CArms, observation: Sequence[str]) -> Scene:
+    """A scene.
 
     Args:
-        phantom: the anatomy.
-        target: of the task.
-        rig: of the cameras.
-        observation: of a teacher; the navigator's own images are drawn when asked for.
-        arguments: of `NavigateEnv`.
+        task: wire, limits and start; its images are those of a teacher.
+        anatomy: kind and seed.
+        target: of the episodes.
+        arms: of the navigator's images; the wire that they show is the task's.
+        observation: of a teacher.
     """
-    from cathsim import NavigateEnv
+    seen = replace(arms, wire=task.wire)
+    arguments = {"reward": REWARD_OF_EVALUATION, **task.arguments()}
+    return Scene(c_arm_environment(phantom_of(anatomy), target, seen, observation, **arguments), seen)
 
-    cameras = fluoroscope_of(phantom, rig, rig.filling)
-    return NavigateEnv(phantom, target, observation=tuple(observation), cameras=cameras, **arguments)
+
+def episode_starts(
+    task: Task,
+    cases: Sequence[tuple[Anatomy, str]],
+    seeds: Sequence[int],
+    arms: CArms,
+    observation: Sequence[str],
+    settings: NavigatorPerceptionSettings,
+) -> Iterator[EpisodeStart]:
+    """Starts of advised episodes, each scene made when its turn comes and closed when the episode has ended.
+
+    Args:
+        task: of the episodes.
+        cases: anatomy and target of each.
+        seeds: of the resets.
+        arms: of the images.
+        observation: of the teacher.
+        settings: of the navigator's perception.
+    """
+    from enn.imitation.advised_episodes import EpisodeStart
+
+    for (anatomy, target), seed in zip(cases, seeds, strict=True):
+        scene = scene_of(task, anatomy, target, arms, observation)
+
+        def begin(first: object, scene: Scene = scene) -> EpisodeView:
+            return scene.view(settings)
+
+        yield EpisodeStart(scene.environment, seed, begin, scene.environment.close, target)

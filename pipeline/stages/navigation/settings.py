@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import field
-from typing import Annotated
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Ge, Le
 
@@ -27,6 +27,9 @@ from pipeline.stages.networks.settings import SPLINEFORMER_VARIANTS
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, task_in_random_arches
 
+if TYPE_CHECKING:
+    from cathsim.observations.c_arm_view import CArms
+
 _Cameras = Annotated[list[Annotated[str, one_of("a", "b")]], UNIQUE, NOT_EMPTY]
 
 
@@ -48,18 +51,18 @@ class NavigationSettings:
     epochs: Count = 60  # of cloning
     updates: CountOrNone = 1500  # of it, at least: after 300 of them 20 trials are not learnt yet
     dagger_rounds: CountOrNone = 3  # 0: no fine-tuning
-    dagger_lessons: Count = 60  # episodes a round
+    dagger_episodes: Count = 60  # episodes a round
     dagger_epochs: Count = 30  # of every round
     arches: CountOrNone = 64  # random ones that the navigator for unseen anatomies learns in; 0: none is trained
     arch_rounds: Count = 5
-    arch_lessons: Count = 96
+    arch_episodes: Count = 96
     arch_epochs: Count = 20
     arch_hidden: Units = 256  # units of that navigator
     test_arches: CountOrNone = 20
     trials: Episodes = 30  # a target in each named phantom
-    reader_arches: CountOrNone = 30  # random ones under whose cameras the SplineFormer is trained further
-    reader_frames: Count = 40  # in each
-    reader_epochs: CountOrNone = 3  # 0: it stays as it is
+    perception_arches: CountOrNone = 30  # random ones in which the SplineFormer is fine-tuned
+    perception_frames: Count = 40  # in each
+    perception_epochs: CountOrNone = 3  # 0: it stays as it is
     hidden: Units = 128  # units of the other navigators
     action_repeat: Annotated[int, Ge(1), Le(100)] = 3  # steps of 0.1 s that they hold an action: an image a decision
     task: Task = field(default_factory=Task)  # in named phantoms: that of the stage enn
@@ -68,6 +71,17 @@ class NavigationSettings:
     film: bool = True
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+
+    @property
+    def arms(self) -> CArms:
+        """The C-arms that take the images."""
+        from cathsim.observations.c_arm_view import CArms
+
+        return CArms(tuple(self.cameras), self.image_size_px)
+
+    def arms_for(self, task: Task) -> CArms:
+        """The C-arms with the wire of a task to be drawn."""
+        return replace(self.arms, wire=task.wire)
 
     @property
     def in_space(self) -> bool:

@@ -1,8 +1,7 @@
-"""The navigation stage: navigators on SplineFormer's memory and tokens, from images alone, beside their rivals."""
+"""The navigation stage: navigators on SplineFormer's features and tokens, from images alone, beside their rivals."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from pipeline.recording.human import SUFFIX
 from pipeline.recording.trials import Origin
 from pipeline.report.aids import navigation_note
 from pipeline.report.results import write_figures, write_notes, write_results
-from pipeline.seeds import reader_arches, training_arches, unseen_arches
+from pipeline.seeds import perception_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.expert_episodes import (
     POLICY,
@@ -25,13 +24,13 @@ from pipeline.stages.learning.expert_episodes import (
 )
 from pipeline.stages.learning.imitation import ImitationJob, cloning_settings, imitate
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.navigation.film import FilmJob, film_trials
-from pipeline.stages.navigation.jobs import PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
-from pipeline.stages.navigation.perception import ReaderJob, train_reader
-from pipeline.stages.navigation.scene import Rig
+from pipeline.stages.navigation.film import FILMS, FilmJob, film_trials
+from pipeline.stages.navigation.jobs import LOGS, PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
+from pipeline.stages.navigation.perception import PERCEPTION, PerceptionJob, fine_tune_perception
+from pipeline.stages.navigation.scene import NAMED, Anatomy
 from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.stages.navigation.tables import ARCHES, DAGGER, FILMS, LOGS, PIXELS, READER, figures, row_of, tables
-from pipeline.stages.navigation.task import Anatomy, Rules, TrialSet
+from pipeline.stages.navigation.tables import ARCHES, DAGGER, PIXELS, figures, row_of, tables
+from pipeline.stages.navigation.trials import TrialSet
 from pipeline.stages.networks.training import PREDICTOR
 from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
@@ -41,8 +40,7 @@ from pipeline.task import TASK, require_feeder, require_known_task, require_same
 
 UNSEEN = "unseen_arches"
 RIVAL_VARIANT = "desk"  # network of the rival that clones pixels, whatever the budget: the thesis prints none for it
-NAMED = -1  # seed of an anatomy that has a name of its own
-_SECONDS = {"frame": 0.06, "episode": 1.2, "lesson": 2.4, "trial": 2.0}  # guesses, for the estimate of the end
+_SECONDS = {"frame": 0.06, "episode": 1.2, "advised": 2.4, "trial": 2.0}  # guesses, for the estimate of the end
 
 
 def check_navigation(settings: NavigationSettings) -> None:
@@ -59,12 +57,7 @@ def check_navigation(settings: NavigationSettings) -> None:
 
 
 def run_navigation(settings: NavigationSettings, context: StageContext) -> None:
-    """Trains and tests every navigator and sums them up.
-
-    Args:
-        settings: of the stage.
-        context: where experts, teachers and the SplineFormer lie, and where to write.
-    """
+    """Trains and tests every navigator and sums them up."""
     jobs = plan(settings, context)
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD, device=settings.device
@@ -75,125 +68,89 @@ def run_navigation(settings: NavigationSettings, context: StageContext) -> None:
     write_figures(context.path, figures(settings, context.path, outcomes))
 
 
-def rig_of(settings: NavigationSettings) -> Rig:
-    """The cameras of the settings."""
-    return Rig(tuple(settings.cameras), settings.image_size_px)
-
-
 def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
-    """The jobs: the eye, the experts' episodes seen through it, navigators, rivals, films.
+    """The jobs: the perception network, the experts' episodes seen through it, navigators, rivals, films.
 
     Args:
         settings: of the stage.
-        context: likewise.
+        context: where experts, teachers and the SplineFormer lie, and where to write.
 
     Raises:
         StageError: an earlier stage left no expert, no episodes or no teacher.
     """
-    path, rig, seed = context.path, rig_of(settings), context.seed
-    rules = Rules(settings.task)
-    jobs = [_reader(settings, context, rig)]
-    reading = network_gb(settings.splineformer, "desk")
+    reading_gb = network_gb(settings.splineformer, "desk")
     seen: list[Job] = []
     courses: list[Course] = []
     rivals: list[Job] = []
     for phantom in settings.phantoms:
         for target in settings.targets:
             learnt = LearningTask(phantom, target, settings.task)
-            task = learnt.name
-            expert = expert_folder(context.inputs["enn"], task, settings.expert)
+            expert = expert_folder(context.inputs["enn"], learnt.name, settings.expert)
             logs = expert_logs(expert)
-            read_episodes(logs, 1)  # an empty folder is told before any work
+            read_episodes(logs, 1)  # an empty folder is refused before any work
             require_expert("navigation", learnt, expert)
-            given = LogsJob(
-                file=path / LOGS / phantom / f"{target}.npz", reader=path / READER, rig=rig, logs=tuple(logs),
-                count=settings.episodes[-1], expert=expert / POLICY, anatomy=(phantom, NAMED), target=target,
-                rules=rules, guided=settings.guided, space=settings.in_space, hidden=settings.hidden,
-                action_repeat=settings.action_repeat, seed=seed,
-            )  # fmt: skip
+            given = LogsJob(context.path, settings, phantom, target, tuple(logs), expert / POLICY, context.seed)
             weight = settings.episodes[-1] * _SECONDS["episode"]
-            seen.append(Job(f"{LOGS}/{task}", see_logs, given, after=(READER,), weight=weight, gpu_gb=reading))
-            courses.append(Course(expert / POLICY, ((phantom, NAMED),), (target,), rules))
+            key = f"{LOGS}/{learnt.name}"
+            seen.append(Job(key, see_logs, given, after=(PERCEPTION,), weight=weight, gpu_gb=reading_gb))
+            courses.append(Course(expert / POLICY, ((phantom, NAMED),), (target,), settings.task))
             if settings.pixel_cloning:
                 rivals.append(_rival(settings, context, learnt, expert))
-    files, after = tuple(job.given.file for job in seen), tuple(job.key for job in seen)
-    tests = trial_sets(settings)
+    files, after, tests = tuple(job.given.file for job in seen), tuple(job.key for job in seen), trial_sets(settings)
     navigators: list[Job] = []
 
-    def navigator(row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], **given: Any) -> None:
-        job = NavigatorJob(
-            folder=path / row, reader=path / READER, rig=rig, guided=settings.guided, space=settings.in_space,
-            action_repeat=settings.action_repeat, updates=settings.updates, targets=tuple(settings.targets),
-            tests=tests, seed=seed, origin=Origin("navigation", row, seed, context.budget),
-            **{"hidden": settings.hidden, "logs": (), "episodes": 0, "courses": (), "rounds": 0, "lessons": 0, **given},
-        )  # fmt: skip
+    def navigator(
+        row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], epochs: int, **given: Any
+    ) -> None:
+        origin = Origin("navigation", row, context.seed, context.budget)
+        wanted: dict[str, Any] = {"hidden": settings.hidden, **given}
+        job = NavigatorJob(context.path, settings, origin, tests, epochs=epochs, **wanted)
         trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)
-        navigators.append(
-            Job(row, navigate, job, after=after, weight=weight + trials * _SECONDS["trial"], gpu_gb=reading)
-        )
+        weight += trials * _SECONDS["trial"]
+        navigators.append(Job(row, navigate, job, after=after, weight=weight, gpu_gb=reading_gb))
 
+    if settings.arches:  # takes longest: goes first, beside the experts' episodes
+        rounds, count = settings.arch_rounds, settings.arch_episodes
+        navigator(
+            ARCHES, (PERCEPTION,), rounds * count * _SECONDS["advised"], tests, settings.arch_epochs,
+            courses=(_arches(settings, context),), rounds=rounds, round_episodes=count, hidden=settings.arch_hidden,
+        )  # fmt: skip
+    first = len(navigators)
     learnt_in = tuple(test for test in tests if test.name in settings.phantoms)
     named = tuple(test for test in tests if test.name != UNSEEN)
     for number, count in enumerate(settings.episodes):
-        navigator(
-            row_of(settings, count),
-            after,
-            count,
-            learnt_in if number else named,
-            logs=files,
-            episodes=count,
-            epochs=settings.epochs,
-        )
+        tried_in = learnt_in if number else named
+        navigator(row_of(settings, count), after, count, tried_in, settings.epochs, logs=files, episodes=count)
     if settings.dagger_rounds:
-        weight = settings.dagger_rounds * settings.dagger_lessons * _SECONDS["lesson"]
+        rounds, count = settings.dagger_rounds, settings.dagger_episodes
         navigator(
-            DAGGER, after, weight, tests, logs=files, episodes=settings.episodes[0], epochs=settings.dagger_epochs,
-            courses=tuple(courses), rounds=settings.dagger_rounds, lessons=settings.dagger_lessons,
+            DAGGER, after, rounds * count * _SECONDS["advised"], tests, settings.dagger_epochs, logs=files,
+            episodes=settings.episodes[0], courses=tuple(courses), rounds=rounds, round_episodes=count,
         )  # fmt: skip
-    if settings.arches:
-        weight = settings.arch_rounds * settings.arch_lessons * _SECONDS["lesson"]
-        navigator(
-            ARCHES, (READER,), weight, tests, epochs=settings.arch_epochs, courses=(_arches(settings, context),),
-            rounds=settings.arch_rounds, lessons=settings.arch_lessons, hidden=settings.arch_hidden,
-        )  # fmt: skip
-    longest = [job for job in navigators if job.key == ARCHES]  # goes first, beside the experts' episodes
-    jobs += [*longest, *seen, *(job for job in navigators if job.key != ARCHES), *rivals]
+    jobs = [_perception(settings, context, reading_gb), *navigators[:first], *seen, *navigators[first:], *rivals]
     if settings.film:
-        order = [ARCHES, DAGGER, *(row_of(settings, count) for count in reversed(settings.episodes))]
         rows = [job.key for job in navigators]
-        shown = tuple(path / row for row in order if row in rows)
-        filmed = FilmJob(path / FILMS, path / READER, rig, shown, tests, tuple(settings.targets),
-                         Origin("navigation", FILMS, seed, context.budget))  # fmt: skip
-        jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0, gpu_gb=reading))
+        order = [ARCHES, DAGGER, *(row_of(settings, count) for count in reversed(settings.episodes))]
+        shown = tuple(row for row in order if row in rows)
+        origin = Origin("navigation", FILMS, context.seed, context.budget)
+        filmed = FilmJob(context.path, settings, shown, tests, origin)
+        jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0, gpu_gb=reading_gb))
     return jobs
 
 
-def _reader(settings: NavigationSettings, context: StageContext, rig: Rig) -> Job:
-    arches = [training_arch(seed) for seed in reader_arches(context.seed, settings.reader_arches)]
-    variant = settings.splineformer
-    given = ReaderJob(
-        folder=context.path / READER,
-        splineformer=context.inputs["splineformer"] / variant / PREDICTOR,
-        variant=variant,
-        rig=rig,
-        anatomies=(*((name, NAMED) for name in settings.phantoms), *arches),
-        frames=settings.reader_frames,
-        epochs=settings.reader_epochs,
-        targets=("bca", "lcca", "lsa"),
-        seed=context.seed,
-        teacher=_teacher(settings, context) if settings.arches else None,
-        taught=tuple(settings.targets),
-        rules=Rules(settings.arch_task),
-        named=Rules(settings.task),
+def _perception(settings: NavigationSettings, context: StageContext, gpu_gb: float) -> Job:
+    arches = [training_arch(seed) for seed in perception_arches(context.seed, settings.perception_arches)]
+    given = PerceptionJob(
+        context.path / PERCEPTION,
+        settings,
+        context.inputs["splineformer"] / settings.splineformer / PREDICTOR,
+        (*((name, NAMED) for name in settings.phantoms), *arches),
+        context.seed,
+        _teacher(settings, context) if settings.arches else None,
     )
-    frames = len(given.anatomies) * settings.reader_frames
-    return Job(
-        READER,
-        train_reader,
-        given,
-        weight=frames * (1 + settings.reader_epochs) * _SECONDS["frame"],
-        gpu_gb=network_gb(variant, "desk"),
-    )
+    frames = len(given.anatomies) * settings.perception_frames
+    weight = frames * (1 + settings.perception_epochs) * _SECONDS["frame"]
+    return Job(PERCEPTION, fine_tune_perception, given, weight=weight, gpu_gb=gpu_gb)
 
 
 def _rival(settings: NavigationSettings, context: StageContext, task: LearningTask, expert: Path) -> Job:
@@ -207,19 +164,14 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
         episodes=settings.episodes[0],
         evaluation_episodes=settings.trials,
     )
-    return Job(
-        f"{PIXELS}/{task.name}",
-        imitate,
-        given,
-        weight=20.0,
-        gpu_gb=policy_gb(settings.task.image_size_px, 1, LEARNT_BATCH),
-    )
+    gpu_gb = policy_gb(settings.task.image_size_px, 1, LEARNT_BATCH)
+    return Job(f"{PIXELS}/{task.name}", imitate, given, weight=20.0, gpu_gb=gpu_gb)
 
 
 def _arches(settings: NavigationSettings, context: StageContext) -> Course:
     anatomies = tuple(training_arch(seed) for seed in training_arches(context.seed, settings.arches))
-    teacher, rules = _teacher(settings, context), Rules(settings.arch_task)
-    return Course(teacher, anatomies, tuple(settings.targets), rules, hints=True)
+    teacher = _teacher(settings, context)
+    return Course(teacher, anatomies, tuple(settings.targets), settings.arch_task, hints=True)
 
 
 def _teacher(settings: NavigationSettings, context: StageContext) -> Path:
@@ -227,29 +179,25 @@ def _teacher(settings: NavigationSettings, context: StageContext) -> Path:
     teacher = context.inputs["unseen"] / "roadmap" / f"seed{context.seed}" / POLICY
     if not teacher.is_file():
         raise StageError(f"there is no teacher {teacher}: run stage=unseen with this seed, or set stage.arches=0")
-    told = task_from(load_policy(teacher, "unseen").metadata.get(TASK))
-    if told is None:
+    task = task_from(load_policy(teacher, "unseen").metadata.get(TASK))
+    if task is None:
         raise StageError(f"{teacher} does not say what task it was trained for: run stage=unseen again")
-    require_same_task("navigation", settings.arch_task, told, "the teacher in random arches", "unseen")
+    require_same_task("navigation", settings.arch_task, task, "the teacher in random arches", "unseen")
     return teacher
 
 
 def trial_sets(settings: NavigationSettings) -> tuple[TrialSet, ...]:
-    """The trials: in the phantoms learnt in, in others, in random arches that nothing was trained in.
-
-    Args:
-        settings: of the stage.
-    """
+    """The trials: in the phantoms learnt in, in others, in random arches that nothing was trained in."""
     tests = [
-        TrialSet(name, ((name, NAMED),), settings.trials, Rules(settings.task))
+        TrialSet(name, ((name, NAMED),), settings.trials, settings.task)
         for name in (*settings.phantoms, *settings.transfer_phantoms)
     ]
     unseen: tuple[Anatomy, ...] = tuple((TEST_PHANTOM, arch) for arch in unseen_arches(settings.test_arches))
-    return (*tests, *([TrialSet(UNSEEN, unseen, 1, Rules(settings.arch_task))] if unseen else []))
+    return (*tests, *([TrialSet(UNSEEN, unseen, 1, settings.arch_task)] if unseen else []))
 
 
 def _recordings(run_path: Path) -> dict[str, str]:
-    logs: Sequence[Path] = sorted((run_path / HUMAN).rglob(f"*{SUFFIX}"))
+    logs = sorted((run_path / HUMAN).rglob(f"*{SUFFIX}"))
     return {f"{HUMAN}/{path.relative_to(run_path).as_posix()}": hash_file(path) for path in logs}
 
 
@@ -258,7 +206,7 @@ STAGE = Stage(
     run=run_navigation,
     reads=("expert", "enn", "unseen", "splineformer"),
     writes=(
-        "reader/{predictor.pt, reader.json}",
+        "perception/{predictor.pt, perception.json}",
         "episodes/<phantom>/<target>.npz",
         "<row>/{navigator.pt, training.json}",
         "<row>/evaluation/<test>/<target>/<phantom>/NNN.mcap",

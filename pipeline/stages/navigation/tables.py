@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from cathsim.failure_modes import MODES as FAILURES
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.recording.human import FOLDER as HUMAN
@@ -17,24 +18,17 @@ from pipeline.report.results import Figure
 from pipeline.stages import StageContext
 from pipeline.stages.learning.evaluation import EVALUATION
 from pipeline.stages.learning.expert_episodes import expert_folder
-from pipeline.stages.navigation.failures import MODES as FAILURES
-from pipeline.stages.navigation.film import FAILURE, SUCCESS
+from pipeline.stages.navigation.film import FAILURE, FILMS, SUCCESS
+from pipeline.stages.navigation.perception import PERCEPTION
 from pipeline.stages.navigation.settings import NavigationSettings
 
 GROUP = "Autonomous navigation"
-READER, LOGS, FILMS = "reader", "episodes", "films"  # jobs and folders
 ROW, DAGGER, ARCHES, PIXELS = "splineformer", "splineformer_dagger", "splineformer_arches", "behaviour_cloning"
-LABELS = {
-    "success": "success",
-    "wrong_branch": "wrong branch",
-    "overshoot": "overshoot",
-    "stuck": "stuck",
-    "aborted": "aborted",
-}
+LABELS = {name: name.replace("_", " ") for name in ("success", *FAILURES)}
 
 
 def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[str, Any]) -> dict[str, Any]:
-    """The thesis's table, every set of trials with failure modes, success by expert trials, and the eye.
+    """The thesis's table, every set of trials with failure modes, success by expert trials, and the perception.
 
     Args:
         settings: of the stage.
@@ -88,12 +82,17 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
         | {"n": settings.trials}
         for count in settings.episodes
     }
-    eye = {name: {"value": value} for name, value in outcomes[READER].items()}
-    return {"navigation": main, "navigation_trials": trials, "navigation_episodes": curve, "navigation_reader": eye}
+    perception = {name: {"value": value} for name, value in outcomes[PERCEPTION].items()}
+    return {
+        "navigation": main,
+        "navigation_trials": trials,
+        "navigation_episodes": curve,
+        "navigation_perception": perception,
+    }
 
 
 def navigator_rows(outcomes: dict[str, Any]) -> list[str]:
-    """Names of the navigators among the jobs: the thesis's first, then those with more trials, then the taught ones."""
+    """Names of the navigators among the jobs: the thesis's first, then with more trials, then with a teacher."""
     rows = [key for key in outcomes if key == ROW or key.startswith(f"{ROW}_")]
     return sorted(rows, key=lambda row: (row == ARCHES, row == DAGGER, row != ROW))
 
@@ -116,8 +115,8 @@ def _of_logs(logs: Iterable[Path], settings: NavigationSettings, operator: str) 
     steps: dict[str, list[tuple[bool, int, float]]] = {}
     for log in sorted(logs):
         try:
-            with EpisodeReader(log) as told:
-                info, outcome = told.info, told.outcome
+            with EpisodeReader(log) as episode:
+                info, outcome = episode.info, episode.outcome
         except EpisodeReadError:
             continue
         if info.operator != operator or info.phantom != settings.phantoms[0] or outcome.success is None:
@@ -178,9 +177,9 @@ def figures(settings: NavigationSettings, folder: Path, outcomes: dict[str, Any]
         ),
     ]
     for kind in (SUCCESS, FAILURE):
-        told = outcomes.get(FILMS, {}).get(kind)
-        if told is not None:
-            words = f"{told['navigator']}, {told['test']}, {told['target'].upper()}, trial {told['trial']}"
+        trial = outcomes.get(FILMS, {}).get(kind)
+        if trial is not None:
+            words = f"{trial['navigator']}, {trial['test']}, {trial['target'].upper()}, trial {trial['trial']}"
             shown.append(
                 Figure(
                     f"A {kind}",

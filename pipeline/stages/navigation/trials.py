@@ -1,74 +1,95 @@
-"""Trials of a navigator on held-out starts: logged, resumable one by one, failures told apart."""
+"""Trials of a navigator on held-out starts: logged, resumable one by one, failures counted by their mode."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cathsim.failure_modes import MODES as FAILURES
+from cathsim.failure_modes import failure_mode
+from pipeline.episodes import EpisodeReader
 from pipeline.recording.trials import MODES, Controller, Origin, run_trials
 from pipeline.seeds import held_out_seeds
-from pipeline.stages.navigation.failures import count_failures
-from pipeline.stages.navigation.scene import Rig, Scene
-from pipeline.stages.navigation.task import TrialSet
+from pipeline.stages.navigation.scene import Anatomy, Scene, scene_of
+from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.task import Task
 
 if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
     from cathsim.metrics import EpisodeMetrics
-    from splineformer.navigation.navigator import Navigator
+    from enn.imitation.recurrent_policy import RecurrentPolicy
+    from splineformer.navigation.navigator_perception import NavigatorPerception
 
 EVALUATION = "evaluation"
 
 
+@dataclass(frozen=True)
+class TrialSet:
+    """Trials on held-out starts.
+
+    Attributes:
+        name: in the tables.
+        anatomies: one after the other.
+        trials: in each, for each target.
+        task: of the trials.
+    """
+
+    name: str
+    anatomies: tuple[Anatomy, ...]
+    trials: int
+    task: Task
+
+
 def run_tests(
-    navigator: Navigator,
+    policy: RecurrentPolicy,
+    perception: NavigatorPerception,
     tests: Sequence[TrialSet],
-    targets: Sequence[str],
-    rig: Rig,
+    settings: NavigationSettings,
     folder: Path,
-    *,
-    seed: int,
     origin: Origin,
+    *,
     report: Callable[[float, str], None],
 ) -> list[dict[str, Any]]:
     """Puts a navigator to its trials; those whose log is there are not repeated.
 
     Args:
-        navigator: that steers.
+        policy: that steers.
+        perception: of the policy.
         tests: sets of trials.
-        targets: of each.
-        rig: of the images.
+        settings: of the stage: targets and cameras.
         folder: of the navigator.
-        seed: of its training.
-        origin: kept in the logs.
+        origin: kept in the logs; its seed is that of the training.
         report: takes the share done and a few words.
 
     Returns:
         A row for each set and target: success, mean time of successful trials, forces, failure modes, number.
     """
     rows = []
-    cells = [(test, target) for test in tests for target in targets]
+    cells = [(test, target) for test in tests for target in settings.targets]
     total, done = sum(len(test.anatomies) for test, _ in cells), 0
     for test, target in cells:
         metrics: list[EpisodeMetrics] = []
-        failures: dict[str, int] = {}
-        seeds = held_out_seeds(seed, len(test.anatomies) * test.trials)
+        failures = Counter(dict.fromkeys(FAILURES, 0))
+        seeds = held_out_seeds(origin.training_seed, len(test.anatomies) * test.trials)
         for place, anatomy in enumerate(test.anatomies):
-            scene = test.rules.scene(anatomy, target, rig, ("tip",))
+            scene = scene_of(test.task, anatomy, target, settings.arms, ("tip",))
             environment = scene.environment
             logs_in = folder / EVALUATION / test.name / target / environment.phantom.name
             metrics += run_trials(
                 environment,
-                controllers(navigator, scene),
+                controllers(policy, perception, scene),
                 logs_in,
                 seeds=seeds[place * test.trials : (place + 1) * test.trials],
                 mode=MODES[0],
                 origin=origin,
             )
             logs = [logs_in / f"{index:03d}.mcap" for index in range(test.trials)]
-            for mode, count in count_failures(logs, environment.phantom).items():
-                failures[mode] = failures.get(mode, 0) + count
+            failures.update(count_failures(logs, environment.phantom))
             environment.close()
             done += 1
             report(done / total, f"{test.name} {target} {sum(one.success for one in metrics)}/{len(metrics)}")
@@ -76,10 +97,29 @@ def run_tests(
     return rows
 
 
-def controllers(navigator: Navigator, scene: Scene) -> Callable[[int], Controller]:
+def controllers(policy: RecurrentPolicy, perception: NavigatorPerception, scene: Scene) -> Callable[[int], Controller]:
     """What steers the episode of a seed; the navigator asks for images, never for the observation."""
-    space = scene.space if navigator.settings.space else None
-    return lambda seed: navigator.controller(scene.images, scene.marks, scene.vessels, space)
+    from enn.imitation.recurrent_policy import RecurrentController
+
+    return lambda seed: RecurrentController(policy, perception, lambda first: scene.view(perception.settings))
+
+
+def count_failures(logs: Iterable[Path], phantom: Phantom) -> dict[str, int]:
+    """How often each of `cathsim.failure_modes.MODES` occurs among trials in one anatomy.
+
+    Args:
+        logs: of the trials.
+        phantom: the anatomy.
+    """
+    counts = dict.fromkeys(FAILURES, 0)
+    for log in logs:
+        with EpisodeReader(log) as episode:
+            if episode.outcome.success:
+                continue
+            info, tips = episode.info, episode.load_arrays(pictures=False)["tip"]
+        steps_allowed = int(info.configuration["max_steps"])
+        counts[failure_mode(phantom, info.target, tips, steps_allowed=steps_allowed, entry=info.entry)] += 1
+    return counts
 
 
 def summary(metrics: Sequence[EpisodeMetrics]) -> dict[str, Any]:

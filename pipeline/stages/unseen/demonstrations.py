@@ -17,13 +17,14 @@ import numpy as np
 from pipeline.jobs.worker import Report
 from pipeline.seeds import arch_demonstration_seed
 from pipeline.stages.unseen.task import ROADMAP_KEYS
-from pipeline.store.atomic_files import atomic_path
+from pipeline.store.atomic_files import write_arrays
 
 if TYPE_CHECKING:
     from cathsim.many_anatomies import NavigateManyEnv
     from enn.trajectory import Trajectory
     from pipeline.stages.unseen.task import UnseenTask
 
+DEMONSTRATIONS = "demonstrations"  # job and folder
 ROLLOUTS = 1200  # of the expert, after which a demonstration counts as failed
 
 
@@ -60,14 +61,13 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
     target = job.task.targets.index(job.target)
     reached = 0
     for done, seed in enumerate(job.shown):
-        told = f"{job.target} of arch {seed}, {reached}/{done} reached"
+        text = f"{job.target} of arch {seed}, {reached}/{done} reached"
         path = job.folder / f"{job.target}_{seed}.npz"
         if not path.is_file():
             case = environment.case_of(job.anatomies.index(seed), target)
-            tick = partial(report, done / len(job.shown), told)
-            _write(
-                path, demonstrate(environment, case, hold=job.hold, seed=arch_demonstration_seed(job.seed), tick=tick)
-            )
+            tick = partial(report, done / len(job.shown), text)
+            seed_of_start = arch_demonstration_seed(job.seed)
+            write_arrays(path, demonstrate(environment, case, hold=job.hold, seed=seed_of_start, tick=tick))
         with np.load(path) as arrays:
             reached += bool(arrays["terminated"])
     environment.close()
@@ -148,9 +148,3 @@ def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajecto
                 )
             )
     return found
-
-
-def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, **arrays)  # type: ignore[arg-type]

@@ -1,9 +1,9 @@
-"""Image students of the stage `unseen`: rounds of lessons, with what they see an image with, and their tests.
+"""Image policies of the stage `unseen`: their perception, rounds of advised episodes, and tests.
 
-A student's folder, ``<row>/seed<k>/``, draws as::
+A policy's folder, ``<row>/seed<k>/``, draws as::
 
-    student.pt  training.csv  training.json
-    lessons/round<k>.npz                          until it is finished
+    image_policy.pt  training.csv  training.json
+    advised_episodes/                             until it is finished
     evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap
 """
 
@@ -11,254 +11,214 @@ from __future__ import annotations
 
 import json
 import logging
-import shutil
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import Origin
-from pipeline.seeds import fit_seed, unseen_lesson_seeds
-from pipeline.stages.unseen.task import RESOLUTION, UnseenTask, training_arch
-from pipeline.stages.unseen.trials import HeldOutSet, run_tests
-from pipeline.stages.unseen.xray_policy import XrayEnvironment, contrast_run, train_wire_segmenter
-from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.recording.trials import Controller
+from pipeline.seeds import unseen_episode_seeds
+from pipeline.stages.learning.advised_rounds import FinishedRound, forget_rounds, last_policy, teach
+from pipeline.stages.unseen.jobs import POLICY
+from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, training_arch
+from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests
+from pipeline.store.atomic_files import write_json, write_text
 
 if TYPE_CHECKING:
+    from enn.imitation.advised_episodes import EpisodeStart
+    from enn.imitation.image_perception import ImagePerception
     from enn.imitation.lumen_segmentation import LumenSegmenter
-    from enn.imitation.recurrent_policy import ImageStudent, Lesson
+    from enn.imitation.recurrent_policy import RecurrentPolicy
+    from enn.imitation.sequence_cloning import AdvisedEpisode
     from enn.imitation.wire_segmentation import WireSegmenter
     from enn.policy import Policy
 
-STUDENT, RECORD, CURVE = "student.pt", "training.json", "training.csv"
+IMAGE_POLICY, RECORD, CURVE = "image_policy.pt", "training.json", "training.csv"
 LUMEN_DEPTH = 1.5e-3  # m: a pixel shows the lumen where its ray passes through this much of it
-SIDE_BY_SIDE = 12  # episodes played together while lessons are given
+
+Tell = Callable[[float, str], None]  # the share done, and a few words
 
 _LOGGER = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class StudentJob:
-    """An image student to train on a roadmap policy's advice, and to test.
+@dataclass(frozen=True, kw_only=True)
+class ImagePolicyJob(PolicyJob):
+    """An image policy that learns from the advice of the roadmap policy; its row says what it sees.
 
     Attributes:
-        folder: of the student.
-        expert: file of the roadmap policy.
-        task: of its episodes.
-        anatomies: seeds of the random arches trained on.
-        segmenter_epochs: over their images.
-        rounds: of lessons; the expert steers the first.
-        lessons: episodes a round.
-        epochs: over all lessons so far, a round; twice as many in the last.
-        seed: of everything.
-        origin: kept in the logs.
-        tests: that it is put to.
-        xray: sees noisy X-ray images and a contrast run instead of images and the true mask.
-        wire_epochs: of the network that finds the wire in them.
+        settings: of the stage.
     """
 
-    folder: Path
-    expert: Path
-    task: UnseenTask
-    anatomies: tuple[int, ...]
-    segmenter_epochs: int
-    rounds: int
-    lessons: int
-    epochs: int
-    seed: int
-    origin: Origin
-    tests: tuple[HeldOutSet, ...] = field(default=())
-    xray: bool = False
-    wire_epochs: int = 6
+    settings: UnseenSettings
+
+    @property
+    def xray(self) -> bool:
+        """Whether it sees noisy X-ray images and a contrast run instead of images and the true mask."""
+        return self.origin.row == XRAY
 
     def observations(self, *further: str) -> tuple[str, ...]:
         """What an environment is made with, beside what `seen` adds."""
-        from enn.imitation.recurrent_policy import IMAGE_KEYS
+        from enn.imitation.image_perception import IMAGE_KEYS
 
         return (*(("goal_image",) if self.xray else IMAGE_KEYS), *further)
 
     def seen(self, environment: Any, **further: Any) -> Any:
-        """The environment as the student sees it."""
+        """The environment as the policy sees it."""
+        from cathsim.observations.xray import XrayEnvironment
+
         return XrayEnvironment(environment, self.task.task.image_size_px, **further) if self.xray else environment
 
 
-def train_student(job: StudentJob, report: Report) -> dict[str, Any]:
-    """Trains the image student round by round and tests it; each part only where it lacks.
+def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
+    """Trains the image policy round by round and tests it; each part only where it lacks.
 
     Returns:
         ``training_s`` and a summary for each test set, target and mode.
     """
-    from enn.imitation.recurrent_policy import ImageStudent
+    from enn.imitation.image_perception import load_image_policy
 
-    if (job.folder / RECORD).is_file():
-        spent = float(json.loads((job.folder / RECORD).read_text(encoding="utf-8"))["wall_s"])
-        student = ImageStudent.load(job.folder / STUDENT, report.device)
+    record, file = job.own_folder / RECORD, job.own_folder / IMAGE_POLICY
+    if record.is_file():
+        spent = float(json.loads(record.read_text(encoding="utf-8"))["wall_s"])
+        policy, perception = load_image_policy(file, report.device)
     else:
-        student, spent = teach(job, report.part(0.0, 0.8, "lessons"), report.device)
-    tests = report.part(0.8, 1.0, "tests")
-    tested = run_tests(job, lambda mode: lambda seed: student.controller(), job.observations(), tests, job.seen)
+        policy, perception, rounds = _train(job, report.part(0.0, 0.8, "training"), report.device)
+        policy.save(file)
+        spent = _write_record(job, rounds)
+        forget_rounds(job.own_folder)
+
+    def controllers(mode: str) -> Callable[[int], Controller]:
+        return lambda seed: perception.controller(policy)
+
+    tested = run_tests(job, controllers, job.observations(), report.part(0.8, 1.0, "tests"), job.seen)
     return {"training_s": spent, "tests": tested}
 
 
-def teach(job: StudentJob, report: Callable[[float, str], None], device: str = "cpu") -> tuple[ImageStudent, float]:
-    """All rounds of lessons, going on after the last finished one.
-
-    Returns:
-        The student and the seconds that it took.
-    """
+def _train(
+    job: ImagePolicyJob, report: Tell, device: str
+) -> tuple[RecurrentPolicy, ImagePerception, list[FinishedRound]]:
+    """Fits the perception, then plays and fits round by round, going on after the last finished one."""
     from cathsim.many_anatomies import SHELF
-    from enn.imitation.advised_episodes import give_lessons
-    from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
+    from enn.imitation.advised_episodes import SIDE_BY_SIDE, play_advised
+    from enn.imitation.egocentric import VIEW_SIZE
+    from enn.imitation.image_perception import ImagePerception, load_image_policy
+    from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
+    from enn.imitation.sequence_cloning import SequenceCloningSettings
     from enn.policy import Policy
 
     began = time.monotonic()
-    expert = Policy.load(job.expert, device)
-    rows: list[dict[str, Any]] = _read_rows(job.folder / CURVE)
-    earlier = float(rows[-1]["wall_s"]) if rows else 0.0
+    expert = Policy.load(policy_folder(job.folder, ROADMAP, job.seed) / POLICY, device)
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies))  # all take turns
-    if rows:
-        student = ImageStudent.load(job.folder / STUDENT, device)
+    last, rounds, count = last_policy(job.own_folder), job.settings.rounds, job.settings.advised_episodes
+    if last is not None:
+        policy, perception = load_image_policy(last, device)
     else:
-        segmenter, overlap = train_segmenter(job, report, device)
-        wire = None if not job.xray else find_wires(job, expert, report, device)
+        segmenter = _lumen_segmenter(job, report, device)
+        perception = ImagePerception(
+            segmenter, _wire_segmenter(job, expert, report, device) if job.xray else None, device
+        )
         hints = int(np.prod(expert.observation_space[expert.keys[0]].shape))  # type: ignore[index]
-        settings = StudentSettings(hints=hints, action_repeat=expert.action_repeat)
-        student = ImageStudent(settings, segmenter, job.seed, device, wire)
-        _LOGGER.info("the segmenter's overlap with its training lumens is %.3f", overlap)
-    lessons = [lesson for row in rows for lesson in _read_lessons(_round(job, int(row["round"])))]
+        settings = RecurrentPolicySettings(features=VIEW_SIZE, hints=hints, action_repeat=expert.action_repeat)
+        policy = RecurrentPolicy(settings, job.seed, device, perception.content())
     observation = job.observations(*expert.keys)
-    count = min(SIDE_BY_SIDE, job.lessons)
-    envs = [job.seen(job.task.training_environment(job.anatomies, observation)) for _ in range(count)]
-    for number in range(len(rows), job.rounds):
-        first = number == 0
-        epochs = job.epochs * (2 if number == job.rounds - 1 else 1)
+    side_by_side = min(SIDE_BY_SIDE, count)
+    envs = [job.seen(job.task.training_environment(job.anatomies, observation)) for _ in range(side_by_side)]
 
-        def playing(number: int = number) -> None:
-            report((number + 0.2) / job.rounds, f"round {number + 1}, episodes")
+    def play(number: int, teacher_share: float, noise: float) -> list[AdvisedEpisode]:
+        return play_advised(
+            _starts(envs, perception, unseen_episode_seeds(job.seed, number, count)), expert, policy, perception,
+            teacher_share=teacher_share, noise=noise, generator=np.random.default_rng((job.seed, number)),
+            hint_key=expert.keys[0], side_by_side=side_by_side,
+            tick=lambda done: report((number + 0.2 + 0.3 * done / count) / rounds, f"round {number + 1}, episodes"),
+        )  # fmt: skip
 
-        def fitting(epoch: int, loss: float, number: int = number, epochs: int = epochs) -> None:
-            report((number + 0.6 + 0.4 * epoch / epochs) / job.rounds, f"round {number + 1}, loss {loss:.3f}")
+    fits = SequenceCloningSettings(epochs=job.settings.epochs)
+    done = teach(job.own_folder, policy, [], play, fits, rounds=rounds, seed=job.seed, began=began, report=report)
+    for environment in envs:
+        environment.close()
+    return policy, perception, done
 
-        new = give_lessons(
-            envs,
-            expert,
-            student,
-            unseen_lesson_seeds(job.seed, number, job.lessons),
-            expert_share=1.0 if first else 0.1,
-            noise=0.3 if first else 0.1,
-            generator=np.random.default_rng((job.seed, number)),
-            tick=playing,
-        )
-        lessons += new
-        loss = student.fit(lessons, epochs, seed=fit_seed(job.seed, number), progress=fitting)
-        _write_lessons(_round(job, number), new)
-        student.save(job.folder / STUDENT)
-        rows.append(
-            {
-                "round": number,
-                "decisions": sum(len(lesson.views) for lesson in lessons),
-                "wall_s": round(earlier + time.monotonic() - began, 2),
-                "success": round(float(np.mean([lesson.success for lesson in new])), 4),
-                "loss": round(loss, 5),
-            }
-        )
-        _write_rows(job.folder / CURVE, rows)  # last: the round counts from here on
+
+def _starts(envs: Sequence[Any], perception: ImagePerception, seeds: Sequence[int]) -> Iterator[EpisodeStart]:
+    """Starts of episodes from seeds, each in the environment that became free first."""
+    from enn.imitation.advised_episodes import EpisodeStart
+
+    free = list(envs)
+    for seed in seeds:
+        environment = free.pop(0)
+        yield EpisodeStart(environment, seed, perception.begin, partial(free.append, environment))
+
+
+def _write_record(job: ImagePolicyJob, rounds: Sequence[FinishedRound]) -> float:
+    """Writes the course of the training; returns the seconds that it took."""
+    rows: list[dict[str, Any]] = []
+    decisions = 0
+    for number, one in enumerate(rounds):
+        decisions += sum(len(episode.features) for episode in one.new)
+        success = round(float(np.mean([episode.success for episode in one.new])), 4)
+        row = {"round": number, "decisions": decisions, "wall_s": round(one.wall_s, 2), "success": success}
+        rows.append({**row, "loss": round(one.loss, 5)})
+    lines = [",".join(rows[0]), *(",".join(str(value) for value in row.values()) for row in rows)]
+    write_text(job.own_folder / CURVE, "\n".join(lines) + "\n")
     spent = float(rows[-1]["wall_s"])
-    write_json(job.folder / RECORD, {"wall_s": spent, "rounds": rows, "anatomies": len(job.anatomies)})
-    shutil.rmtree(job.folder / "lessons", ignore_errors=True)
-    return student, spent
+    write_json(job.own_folder / RECORD, {"wall_s": spent, "rounds": rows, "anatomies": len(job.anatomies)})
+    return spent
 
 
-def train_segmenter(
-    job: StudentJob, report: Callable[[float, str], None], device: str = "cpu"
-) -> tuple[LumenSegmenter, float]:
+def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSegmenter:
     """Trains the network that finds the lumen, on images of the training anatomies without a wire: of contrast runs, or
     without noise.
-
-    Returns:
-        The network, and its overlap with the lumens that it was trained on.
     """
     from cathsim.fluoroscopy import Projector, background_image
     from cathsim.fluoroscopy.attenuation import lumen_path_length
     from cathsim.many_anatomies import SHELF
+    from cathsim.observations.xray import contrast_run
     from enn.imitation.lumen_segmentation import fit_segmenter
 
+    task, rounds, epochs = job.task.task, job.settings.rounds, job.settings.segmenter_epochs
     images, lumens = [], []
     for number, seed in enumerate(job.anatomies):
-        report(0.1 * number / len(job.anatomies) / job.rounds, "images")
+        report(0.1 * number / len(job.anatomies) / rounds, "images")
         phantom = SHELF.take(training_arch(seed), RESOLUTION)
-        projector = Projector.frontal(phantom.bounds, job.task.task.image_size_px)
+        projector = Projector.frontal(phantom.bounds, task.image_size_px)
         if job.xray:
-            radius = job.task.task.guidewire().radius
-            images.append(contrast_run(phantom, job.task.task.image_size_px, radius).contrast[0])
+            images.append(contrast_run(phantom, task.image_size_px, task.guidewire().radius).contrast[0])
         else:
             images.append(background_image(phantom.grid, projector, key=phantom.hash))
         lumens.append(lumen_path_length(phantom.grid, projector) > LUMEN_DEPTH)
-    return fit_segmenter(
+    network, overlap = fit_segmenter(
         np.stack(images),
         np.stack(lumens).astype(np.float32),
-        epochs=job.segmenter_epochs,
+        epochs=epochs,
         seed=job.seed,
         device=device,
-        progress=lambda epoch, _: report((0.1 + 0.1 * epoch / job.segmenter_epochs) / job.rounds, "segmenter"),
+        progress=lambda epoch, _: report((0.1 + 0.1 * epoch / epochs) / rounds, "lumen segmenter"),
     )
-
-
-def find_wires(
-    job: StudentJob, expert: Policy, report: Callable[[float, str], None], device: str = "cpu"
-) -> WireSegmenter:
-    """Trains the network that finds the wire, on an episode in each training anatomy."""
-    environment = job.task.training_environment(job.anatomies, job.observations(*expert.keys))
-    targets = len(job.task.targets)
-    cases = [environment.case_of(place, place % targets) for place in range(len(job.anatomies))]
-    network, score = train_wire_segmenter(
-        job.seen(environment, with_mask=True), expert, cases, epochs=job.wire_epochs, seed=job.seed,
-        device=device,
-        report=lambda share, text: report((0.1 + 0.1 * share) / job.rounds, text),
-    )  # fmt: skip
-    environment.close()
-    _LOGGER.info("the Dice score of the wire's segmenter on its training images is %.3f", score)
+    _LOGGER.info("the lumen segmenter's overlap with its training lumens is %.3f", overlap)
     return network
 
 
-def _round(job: StudentJob, number: int) -> Path:
-    return job.folder / "lessons" / f"round{number}.npz"
+def _wire_segmenter(job: ImagePolicyJob, expert: Policy, report: Tell, device: str) -> WireSegmenter:
+    """Trains the network that finds the wire, on an episode in each training anatomy."""
+    from enn.imitation.wire_segmentation import fit_wire_segmenter, wire_frames
 
-
-def _write_lessons(path: Path, lessons: Sequence[Lesson]) -> None:
-    arrays = {
-        "lengths": np.array([len(lesson.views) for lesson in lessons]),
-        "success": np.array([lesson.success for lesson in lessons]),
-        **{name: np.concatenate([getattr(one, name) for one in lessons]) for name in ("views", "actions", "hints")},
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, **arrays)  # type: ignore[arg-type]
-
-
-def _read_lessons(path: Path) -> list[Lesson]:
-    from enn.imitation.recurrent_policy import Lesson
-
-    with np.load(path) as arrays:
-        cuts = np.cumsum(arrays["lengths"])[:-1]
-        views, actions, hints = (np.split(arrays[name], cuts) for name in ("views", "actions", "hints"))
-        successes = arrays["success"].tolist()
-    return [Lesson(*parts) for parts in zip(views, actions, hints, successes, strict=True)]
-
-
-def _write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    lines = [",".join(rows[0]), *(",".join(str(value) for value in row.values()) for row in rows)]
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _read_rows(path: Path) -> list[dict[str, Any]]:
-    if not path.is_file():
-        return []
-    names, *lines = path.read_text(encoding="utf-8").split()
-    rows = [dict(zip(names.split(","), map(float, line.split(",")), strict=True)) for line in lines]
-    return [{**row, "round": int(row["round"]), "decisions": int(row["decisions"])} for row in rows]
+    environment = job.task.training_environment(job.anatomies, job.observations(*expert.keys))
+    count, targets = len(job.anatomies), len(job.task.targets)
+    cases = [environment.case_of(place, place % targets) for place in range(count)]
+    rounds, epochs = job.settings.rounds, job.settings.wire_epochs
+    frames = wire_frames(
+        job.seen(environment, with_mask=True), expert, cases, np.random.default_rng((job.seed, count)),
+        lambda done: report((0.1 + 0.07 * done / count) / rounds, "X-ray images of wires"),
+    )  # fmt: skip
+    network, score = fit_wire_segmenter(
+        *frames, epochs=epochs, seed=job.seed, device=device,
+        progress=lambda epoch, _: report((0.17 + 0.03 * epoch / epochs) / rounds, "wire segmenter"),
+    )  # fmt: skip
+    environment.close()
+    _LOGGER.info("the Dice score of the wire segmenter on its training images is %.3f", score)
+    return network

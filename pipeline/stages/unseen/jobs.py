@@ -12,15 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import Controller, Origin
-from pipeline.stages.unseen.demonstrations import read_demonstrations
-from pipeline.stages.unseen.starts import read_starts
-from pipeline.stages.unseen.task import RESOLUTION, ROADMAP_KEYS, UnseenTask
-from pipeline.stages.unseen.trials import HeldOutSet, run_tests
+from pipeline.recording.trials import Controller
+from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, read_demonstrations
+from pipeline.stages.unseen.starts import STARTS, read_starts
+from pipeline.stages.unseen.task import RESOLUTION, ROADMAP_KEYS
+from pipeline.stages.unseen.trials import PolicyJob, run_tests
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
 
@@ -49,33 +48,21 @@ class AnatomiesJob:
     targets: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class RoadmapJob:
-    """A policy on the local roadmap to train and to test.
+@dataclass(frozen=True, kw_only=True)
+class RoadmapJob(PolicyJob):
+    """A policy on the local roadmap.
 
     Attributes:
-        folder: of the policy.
-        task: of its episodes.
-        anatomies: seeds of the random arches trained on.
         settings: of the training.
-        seed: of the training.
-        origin: kept in the logs.
-        tests: that it is put to.
-        demonstrations: folder of demonstrations; those in its anatomies are learnt from.
-        starts: folder of laid starts; those in its anatomies go into the reset bank.
         validated: seeds of random arches that the best policy is chosen by; none: those trained on.
+        demonstrated: whether it learns from the stage's demonstrations in its anatomies.
+        laid: whether the stage's laid starts in its anatomies go into the reset bank.
     """
 
-    folder: Path
-    task: UnseenTask
-    anatomies: tuple[int, ...]
     settings: TrainingSettings
-    seed: int
-    origin: Origin
-    tests: tuple[HeldOutSet, ...]
-    demonstrations: Path | None = None
-    starts: Path | None = None
     validated: tuple[int, ...] = ()
+    demonstrated: bool = False
+    laid: bool = True
 
 
 def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
@@ -100,18 +87,18 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     from enn.reinforcement.checkpoint import CheckpointError
     from enn.reinforcement.training import Training
 
-    for leftover in job.folder.glob(".*.tmp"):
+    for leftover in job.own_folder.glob(".*.tmp"):
         leftover.unlink()
     validated = partial(job.task.training_environment, job.validated, ROADMAP_KEYS, "accurate")
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies) + len(job.validated))  # all take turns
     training = Training(
         replace(job.settings, device=report.device),
         partial(job.task.training_environment, job.anatomies, ROADMAP_KEYS),
-        job.folder,
+        job.own_folder,
         seed=job.seed,
-        demonstrations=[] if job.demonstrations is None else read_demonstrations(job.demonstrations, job.anatomies),
+        demonstrations=read_demonstrations(job.folder / DEMONSTRATIONS, job.anatomies) if job.demonstrated else [],
         metadata={**job.origin.configuration("training"), TASK: asdict(job.task.task)},
-        starts=[] if job.starts is None else read_starts(job.starts, job.anatomies, job.task.targets),
+        starts=read_starts(job.folder / STARTS, job.anatomies, job.task.targets) if job.laid else [],
         make_validation_env=validated if job.validated else None,
     )
     with stopping_the_stage(CheckpointError):

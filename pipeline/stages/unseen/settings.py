@@ -40,14 +40,14 @@ class UnseenSettings:
     hidden: Units = 256  # units of each of their two layers
     validation_anatomies: Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
     validation_episodes: Episodes = 48  # in them
-    image: bool = True  # also the student that sees images and is told the wire's true mask
+    image: bool = True  # also the policy that observes images and the wire's true mask
     xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
     image_anatomies: Count = 64  # arches that each is trained on
     segmenter_epochs: Count = 50
     wire_epochs: Count = 6  # of the network that finds the wire
-    rounds: Count = 6  # of lessons
-    lessons: Count = 90  # episodes a round
-    epochs: Count = 12  # over all lessons so far, a round
+    rounds: Count = 6  # of advised episodes
+    advised_episodes: Count = 90  # a round
+    epochs: Count = 12  # over all episodes so far, a round
     test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
     phantoms: FolderNames = field(default_factory=list)  # named anatomies, none of them trained on
     named_episodes: Episodes = 10  # on each, for each target

@@ -22,10 +22,9 @@ from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
-from pipeline.stages.unseen.demonstrations import DemonstrationsJob, record_demonstrations
-from pipeline.stages.unseen.image_policy import StudentJob, train_student
+from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, DemonstrationsJob, record_demonstrations
+from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
 from pipeline.stages.unseen.jobs import (
-    POLICY,
     PRELOAD,
     AnatomiesJob,
     RoadmapJob,
@@ -33,9 +32,9 @@ from pipeline.stages.unseen.jobs import (
     train_roadmap,
 )
 from pipeline.stages.unseen.settings import UnseenSettings
-from pipeline.stages.unseen.starts import StartsJob, lay_starts
-from pipeline.stages.unseen.tables import IMAGE, MISREGISTERED, ROADMAP, UNSEEN, XRAY, curve, registration
-from pipeline.stages.unseen.task import ROADMAP_KEYS, TEST_PHANTOM, UnseenTask, training_arch
+from pipeline.stages.unseen.starts import STARTS, StartsJob, lay_starts
+from pipeline.stages.unseen.tables import MISREGISTERED, UNSEEN, curve, registration
+from pipeline.stages.unseen.task import IMAGE, ROADMAP, ROADMAP_KEYS, TEST_PHANTOM, XRAY, UnseenTask, training_arch
 from pipeline.stages.unseen.trials import HeldOutSet
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import require_feeder, require_known_task
@@ -43,7 +42,6 @@ from pipeline.task import require_feeder, require_known_task
 if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
-DEMONSTRATIONS, STARTS = "demonstrations", "starts"
 ROADMAP_TESTS = "roadmap tests"
 REAL_MESH = "real_mesh"
 ACTION_REPEAT = 3  # steps of a decision
@@ -53,7 +51,7 @@ _PARTS = 2  # jobs that demonstrate beside each other
 DEMONSTRATED = "lcca"  # the target that is hard to find without
 BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
 # guesses
-_SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 10.0, "lesson": 0.6, "test": 0.4,
+_SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 10.0, "advised": 0.6, "test": 0.4,
             "xray": 1.5}  # fmt: skip
 
 _LOGGER = logging.getLogger(__name__)
@@ -105,7 +103,7 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
 
 
 def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) -> list[Job]:
-    """The jobs: anatomies first, then the roadmap policies, the students' teacher before the others.
+    """The jobs: anatomies first, then the roadmap policies, the image policies' teacher before the others.
 
     Args:
         settings: of the stage.
@@ -117,10 +115,10 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
         In the order in which they should start.
     """
     task = UnseenTask(tuple(settings.targets), settings.task)
-    students = [IMAGE] * settings.image + [XRAY] * settings.xray
+    image_rows = [IMAGE] * settings.image + [XRAY] * settings.xray
     most = max(count for _, count, _ in policies_of(settings))
     arches = training_arches(run_seed, max(most, settings.image_anatomies))
-    trained = arches[: max(most, settings.image_anatomies if students else 0)]
+    trained = arches[: max(most, settings.image_anatomies if image_rows else 0)]
     tested = unseen_arches(settings.test_anatomies)
     validated = validation_arches(settings.validation_anatomies)
     jobs = []
@@ -153,44 +151,35 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     vectors, images = policy_gb(settings.task.image_size_px, 0), policy_gb(settings.task.image_size_px, 1)
     for row, count, decisions in policies_of(settings):
         given = RoadmapJob(
-            folder=folder / row / f"seed{run_seed}",
+            folder=folder,
+            origin=Origin("unseen", row, run_seed, variant),
             task=task,
             anatomies=tuple(arches[:count]),
-            settings=training_settings(settings, count, decisions),
-            seed=run_seed,
-            origin=Origin("unseen", row, run_seed, variant),
             tests=(*main, *misregistered(settings)) if row == ROADMAP else plain,
-            demonstrations=folder / DEMONSTRATIONS if shown else None,
-            starts=folder / STARTS,
+            settings=training_settings(settings, count, decisions),
             validated=tuple(validated),
+            demonstrated=bool(shown),
         )
         tests, weight = _tests(given.tests, settings), decisions * _SECONDS["decision"]
-        if row == ROADMAP:  # its tests are a job of their own, so that the students need not wait for them
+        if row == ROADMAP:  # its tests are a job of their own, so that the image policies need not wait for them
             jobs.append(Job(row, train_roadmap, replace(given, tests=()), after=taught, weight=weight, gpu_gb=vectors))
             jobs.append(Job(ROADMAP_TESTS, train_roadmap, given, after=(row,), weight=tests, gpu_gb=vectors))
         else:  # the one with most arches never beside another that keeps as many in memory
-            after = (*taught, *([ROADMAP, *students] if count == most else []))
+            after = (*taught, *([ROADMAP, *image_rows] if count == most else []))
             jobs.append(Job(row, train_roadmap, given, after=after, weight=weight + tests, gpu_gb=vectors))
     teacher = next(place for place, job in enumerate(jobs) if job.key == ROADMAP)
-    for row in students:  # the longest chain of jobs: next after their teacher
-        student = StudentJob(
-            folder=folder / row / f"seed{run_seed}",
-            expert=folder / ROADMAP / f"seed{run_seed}" / POLICY,
+    for row in image_rows:  # the longest chain of jobs: next after their teacher
+        policy = ImagePolicyJob(
+            folder=folder,
+            origin=Origin("unseen", row, run_seed, variant),
             task=task,
             anatomies=tuple(arches[: settings.image_anatomies]),
-            segmenter_epochs=settings.segmenter_epochs,
-            rounds=settings.rounds,
-            lessons=settings.lessons,
-            epochs=settings.epochs,
-            seed=run_seed,
-            origin=Origin("unseen", row, run_seed, variant),
             tests=tuple(replace(test, modes=("deterministic",)) for test in main),
-            xray=row == XRAY,
-            wire_epochs=settings.wire_epochs,
+            settings=settings,
         )
-        weight = settings.rounds * settings.lessons * _SECONDS["xray" if student.xray else "lesson"]
-        weight += _tests(student.tests, settings)
-        jobs.insert(teacher + 1, Job(row, train_student, student, after=(ROADMAP,), weight=weight, gpu_gb=images))
+        weight = settings.rounds * settings.advised_episodes * _SECONDS["xray" if policy.xray else "advised"]
+        weight += _tests(policy.tests, settings)
+        jobs.insert(teacher + 1, Job(row, train_image_policy, policy, after=(ROADMAP,), weight=weight, gpu_gb=images))
     return jobs
 
 
@@ -307,7 +296,7 @@ STAGE = Stage(
     writes=(
         "starts/<arch>.npz",
         "demonstrations/<target>_<arch>.npz",
-        "<row>/seed<k>/{policy.pt or student.pt, training.csv, training.json}",
+        "<row>/seed<k>/{policy.pt or image_policy.pt, training.csv, training.json}",
         "<row>/seed<k>/evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap",
         "results.json",
     ),

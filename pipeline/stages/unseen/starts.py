@@ -14,10 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.jobs.worker import Report
-from pipeline.store.atomic_files import atomic_path
+from pipeline.store.atomic_files import write_arrays
 
 if TYPE_CHECKING:
     from pipeline.stages.unseen.task import UnseenTask
+
+STARTS = "starts"  # job and folder
+
 
 @dataclass(frozen=True)
 class StartsJob:
@@ -56,9 +59,7 @@ def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
             for number, target in enumerate(job.task.targets):
                 environment.reset(seed=0, options={"case": environment.case_of(place, number)})
                 arrays[target] = laid_starts(environment.current, generator)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_path(path) as temporary, temporary.open("wb") as stream:
-                np.savez(stream, **arrays)  # type: ignore[arg-type]
+            write_arrays(path, arrays)
         with np.load(path) as kept:
             states += sum(len(kept[target]) for target in job.task.targets)
     if environment is not None:

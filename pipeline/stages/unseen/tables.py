@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.jobs.pool import Job
-from pipeline.stages.unseen.image_policy import StudentJob
 from pipeline.stages.unseen.jobs import RoadmapJob
 from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.stages.unseen.task import IMAGE, ROADMAP, XRAY
+from pipeline.stages.unseen.trials import PolicyJob
 
-ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows
 CURVE = "roadmap_curve"  # in the table of the curve: the policies with equally many decisions
 UNSEEN, MISREGISTERED = "unseen", "misregistered"  # sets of tests
 
@@ -39,7 +39,7 @@ def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, 
 
     Args:
         jobs: of the stage.
-        outcomes: a job's key to what it told.
+        outcomes: a job's key to its result.
 
     Returns:
         Row "<policy>/<number of training anatomies>" to columns; those of the curve first, all of one number of
@@ -47,18 +47,18 @@ def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, 
     """
     table: dict[str, dict[str, Any]] = {}
     for job in sorted(jobs, key=_place):
-        if not isinstance(job.given, RoadmapJob | StudentJob) or not job.given.tests:
+        if not isinstance(job.given, PolicyJob) or not job.given.tests:
             continue
         row, anatomies = job.given.origin.row, len(job.given.anatomies)
         kind = CURVE if row.startswith(f"{ROADMAP} ") else row
         decisions = job.given.settings.decisions if isinstance(job.given, RoadmapJob) else None
-        told = _success(outcomes[job.key]["tests"], UNSEEN)
-        table[f"{kind}/{anatomies}"] = {"decisions": decisions, **told}
+        success = _success(outcomes[job.key]["tests"], UNSEEN)
+        table[f"{kind}/{anatomies}"] = {"decisions": decisions, **success}
     return table
 
 
 def _place(job: Job) -> tuple[int, int]:
-    """Where a policy stands in the curve's table: the curve's by their arches, the main one, the students."""
+    """Where a policy stands in the curve's table: the curve's by their arches, the main one, the image policies."""
     row = getattr(getattr(job.given, "origin", None), "row", "")
     order = [ROADMAP, IMAGE, XRAY]
     return (1 + order.index(row), 0) if row in order else (0, len(getattr(job.given, "anatomies", ())))

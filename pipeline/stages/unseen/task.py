@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
     from cathsim.many_anatomies import NavigateManyEnv
 
+ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows: what a policy sees
 TEST_PHANTOM, WIDE_PHANTOM = "random", "random_wide"
 ROADMAP_KEYS = ("roadmap", "history")  # what a policy with a roadmap sees
 RESOLUTION = 1e-3  # m: at 1.5 mm thin walls open, and ways become short cuts

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pipeline.recording.trials import Controller, Origin, run_trials, summary
 from pipeline.seeds import held_out_seeds
@@ -36,36 +36,42 @@ class HeldOutSet:
     registration_noise: float = 0.0
 
 
-class TestedJob(Protocol):
-    """A job whose policy is put to tests: what `run_tests` asks of it."""
+@dataclass(frozen=True, kw_only=True)
+class PolicyJob:
+    """A policy to train and to test.
 
-    @property
-    def folder(self) -> Path:
-        """Of the policy."""
+    Attributes:
+        folder: of the stage.
+        origin: kept in the logs; its row and seed name the policy's folder, its seed is that of everything.
+        task: of the episodes.
+        anatomies: seeds of the random arches trained on.
+        tests: that the policy is put to.
+    """
 
-    @property
-    def task(self) -> UnseenTask:
-        """Of its episodes."""
-
-    @property
-    def anatomies(self) -> tuple[int, ...]:
-        """Seeds of the random arches trained on."""
+    folder: Path
+    origin: Origin
+    task: UnseenTask
+    anatomies: tuple[int, ...]
+    tests: tuple[HeldOutSet, ...] = ()
 
     @property
     def seed(self) -> int:
         """Of the training."""
+        return self.origin.training_seed
 
     @property
-    def origin(self) -> Origin:
-        """Kept in the logs."""
+    def own_folder(self) -> Path:
+        """Of the policy."""
+        return policy_folder(self.folder, self.origin.row, self.seed)
 
-    @property
-    def tests(self) -> tuple[HeldOutSet, ...]:
-        """That the policy is put to."""
+
+def policy_folder(folder: Path, row: str, seed: int) -> Path:
+    """Where the policy of a row and seed lies in the stage's folder."""
+    return folder / row / f"seed{seed}"
 
 
 def run_tests(
-    job: TestedJob,
+    job: PolicyJob,
     controllers: Callable[[str], Callable[[int], Controller]],
     observation: tuple[str, ...],
     report: Callable[[float, str], None],
@@ -89,26 +95,19 @@ def run_tests(
     done = 0
     for test, target, mode in cells:
         metrics: list[EpisodeMetrics] = []
-        origin = Origin(
-            job.origin.stage,
-            job.origin.row,
-            job.origin.training_seed,
-            job.origin.variant,
-            {**job.origin.further, "test_set": test.name, "training_anatomies": len(job.anatomies)},
-        )
+        further = {**job.origin.further, "test_set": test.name, "training_anatomies": len(job.anatomies)}
         for place, phantom in enumerate(test.phantoms):
             environment = seen(
                 job.task.test_environment(phantom, target, test.wire, observation, test.registration_noise)
             )
-            name = environment.phantom.name
             seeds = held_out_seeds(job.seed, len(test.phantoms) * test.episodes)
             metrics += run_trials(
                 environment,
                 controllers(mode),
-                job.folder / "evaluation" / test.name / target / mode / name,
+                job.own_folder / "evaluation" / test.name / target / mode / environment.phantom.name,
                 seeds=seeds[place * test.episodes : (place + 1) * test.episodes],
                 mode=mode,
-                origin=origin,
+                origin=replace(job.origin, further=further),
             )
             environment.close()
             done += 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
@@ -12,11 +12,9 @@ from numpy.typing import ArrayLike
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.arena import FEEDER, PROTRUSION
+from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
 from cathsim.planning.path import UnreachableError, plan_path
 from cathsim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from cathsim.environment import NavigateEnv
 
 REST_STEPS = 10  # control steps in which the wire finds its place between the walls
 WAY_CLEARANCE, PREFERRED_CLEARANCE = 1e-3, 3e-3  # m from the wall that a planned way keeps, and would rather keep
@@ -24,6 +22,14 @@ _AT_ENTRY = 5e-4  # m from the entry at which a way may begin
 SHORT_OF_END = (0.012, 0.018, 0.025, 0.032, 0.040, 0.050)  # m from the tip to the target along the planned way
 WITHDRAWALS, WITHDRAWAL_STEPS = 3, 4  # states kept while drawing back, steps between them
 MOST_FORCE = 0.5  # N: with more the wire lies jammed
+SHAPES = 6  # from one laid wire
+_SHALLOWEST = 0.01  # m of wire inside the vessel
+_MOVES = 8  # of 0.1 s, before each shape
+_LEAN = (
+    -0.3,
+    1.0,
+)  # mean of a wire's pushes, of the most in a step: a wire pushed on folds at the wall
+_FORWARD, _TURN = 0.4, 0.7  # spread of the moves, of the most in a step
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -113,7 +119,7 @@ def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.
         return np.empty((0, len(simulation.state())))
     for short in SHORT_OF_END:
         try:
-            lay_wire(simulation, way, short)
+            place_wire(simulation, way, short)
         except ValueError:  # the wire is too short for this one
             continue
         kept = [simulation.state()] if _at_rest(environment) else []
@@ -124,6 +130,37 @@ def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.
                 kept.append(simulation.state())
         states += kept
     return np.array(states) if states else np.empty((0, len(simulation.state())))
+
+
+def pushed_shapes(simulation: Simulation, way: ArrayLike, generator: np.random.Generator) -> Iterator[np.ndarray]:
+    """Shapes of a wire that is laid somewhere along a way and moved on from there at random, as it folds at the wall.
+
+    Args:
+        simulation: whose wire it is.
+        way: as `place_wire` takes it.
+        generator: of place and moves; the caller may draw from it between two shapes.
+
+    Returns:
+        Up to `SHAPES` times the wire's points from the tip, m, shape (n, 3); fewer where the simulation fails.
+
+    Raises:
+        ValueError: the wire is too short to be laid there.
+    """
+    length = float(np.linalg.norm(np.diff(np.asarray(way), axis=0), axis=1).sum())
+    place_wire(simulation, way, generator.uniform(0.005, length - _SHALLOWEST))
+    return _pushed(simulation, generator)
+
+
+def _pushed(simulation: Simulation, generator: np.random.Generator) -> Iterator[np.ndarray]:
+    turn, lean = generator.uniform(-1, 1), generator.uniform(*_LEAN)
+    for _ in range(SHAPES):
+        for _ in range(_MOVES):
+            push = np.clip(lean + _FORWARD * generator.standard_normal(), -1, 1)
+            twist = np.clip(turn + _TURN * generator.standard_normal(), -1, 1)
+            simulation.advance(TRANSLATION_STEP * float(push), ROTATION_STEP * float(twist))
+        if not simulation.valid:
+            break
+        yield simulation.wire_points()
 
 
 def _at_rest(environment: NavigateEnv) -> bool:

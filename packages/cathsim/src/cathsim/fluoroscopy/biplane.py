@@ -156,9 +156,13 @@ class BiplaneFluoroscope:
 
     @classmethod
     def over(
-        cls, phantom: Anatomy, cameras: Sequence[XRayCamera], what: Scene, material: WireMaterial | None = None
+        cls,
+        phantom: ImagedPhantom,
+        cameras: Sequence[XRayCamera],
+        what: XRayScene,
+        material: WireMaterial | None = None,
     ) -> BiplaneFluoroscope:
-        """The fluoroscope of cameras over a phantom in its surroundings; wires are expected about the phantom's middle."""
+        """The fluoroscope of cameras over a phantom in its surroundings, for wires about its middle."""
         stills = [radiograph(phantom.grid, camera, what, key=phantom.hash) for camera in cameras]
         return cls(cameras, stills, material=material, centre=phantom.bounds.mean(axis=0))
 

@@ -110,9 +110,7 @@ class ImagePerception:
         return cls(segmenter.eval(), wire, device)
 
 
-def load_image_policy(
-    path: Path | str, device: torch.device | str = "cpu"
-) -> tuple[RecurrentPolicy, ImagePerception]:
+def load_image_policy(path: Path | str, device: torch.device | str = "cpu") -> tuple[RecurrentPolicy, ImagePerception]:
     """Reads a policy that sees images, and its perception, onto a device.
 
     Raises:

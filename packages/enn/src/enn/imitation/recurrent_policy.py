@@ -78,7 +78,7 @@ class RecurrentPolicySettings:
         """Refuses blocks of different lengths, blocks that overlap, and blocks outside the features."""
         edges = [0, *itertools.chain.from_iterable((k, k + n) for k, n in self.encoder_blocks), self.features]
         if edges != sorted(edges) or len({length for _, length in self.encoder_blocks}) > 1:
-            raise ValueError(f"encoder_blocks: expected equally long ones in {self.features} features, one after another")
+            raise ValueError(f"encoder_blocks: expected blocks of one length, in order, in {self.features} features")
 
 
 class RecurrentNetwork(nn.Module):

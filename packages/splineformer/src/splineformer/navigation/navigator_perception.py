@@ -1,6 +1,6 @@
-"""Navigator's perception: images of one or two cameras, read by a frozen SplineFormer, as features of a recurrent policy.
+"""Navigator's perception: images that a frozen SplineFormer reads, as features of a recurrent policy.
 
-The policy itself comes from elsewhere (`enn.imitation.recurrent_policy`): what is given to it here is arrays.
+It meets `enn.imitation.recurrent_policy.Perception`, a protocol of arrays; the policy itself is not imported.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class NavigatorPerception:
     def __init__(self, settings: NavigatorPerceptionSettings, network: PerceptionNetwork) -> None:
         if (network.tokens, network.encoded) != (settings.tokens, settings.encoded):
             raise ValueError(
-                f"the navigator takes {settings.tokens} tokens and {settings.encoded} encoder outputs, this SplineFormer "
-                f"gives {network.tokens} and {network.encoded}: take the one that the navigator was trained with"
+                f"the navigator takes {settings.tokens} tokens and {settings.encoded} encoder outputs, this "
+                f"SplineFormer gives {network.tokens} and {network.encoded}: take the one that it was trained with"
             )
         self.settings, self.network = settings, network
 

@@ -1,0 +1,102 @@
+"""Images of a navigation by the data set's C-arms: of a wire's shape, and of the contrast run before the procedure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy import Phantom
+from cathsim.environment import NavigateEnv
+from cathsim.fluoroscopy import BiplaneFluoroscope, askew_pair, scene, wire_material
+from cathsim.guidewire import load_guidewire
+from cathsim.lifetime_cache import kept_with_owner
+
+_RUN_SEED = 7  # of the contrast run's noise
+_BEHIND_M = 0.3  # m of wire outside the body, which no image shows the end of
+
+
+@dataclass(frozen=True)
+class CArms:
+    """How the images are made.
+
+    Attributes:
+        cameras: names, "a" and "b" of the public data set's geometry.
+        image_size_px: side of the images.
+        filling: of the lumen while the wire moves, "fluid" (clear) or "air".
+        wire: preset whose material is drawn.
+    """
+
+    cameras: tuple[str, ...] = ("a",)
+    image_size_px: int = 1024
+    filling: str = "fluid"
+    wire: str = "default"
+
+
+@kept_with_owner
+def fluoroscope_of(phantom: Phantom, arms: CArms) -> BiplaneFluoroscope:
+    """The cameras over a phantom while the wire moves."""
+    return _fluoroscope(phantom, arms, arms.filling)
+
+
+def _fluoroscope(phantom: Phantom, arms: CArms, filling: str) -> BiplaneFluoroscope:
+    pair = askew_pair(phantom.bounds.mean(axis=0), arms.image_size_px, distorted=False)
+    material = wire_material(arms.wire, load_guidewire(arms.wire).radius)
+    return BiplaneFluoroscope.over(phantom, [pair[name] for name in arms.cameras], scene("bath", filling), material)
+
+
+def contrast_images(phantom: Phantom, arms: CArms) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+    """The contrast run before a procedure: of each camera an image without wire or contrast medium, and one with it."""
+    nothing = np.empty((0, 3))
+    plain = fluoroscope_of(phantom, arms).render(nothing, _RUN_SEED)
+    # filled with contrast medium it is seen once: nothing of that is kept
+    contrast = _fluoroscope(phantom, arms, "contrast").render(nothing, _RUN_SEED + 1)
+    return {name: (plain[name].image, contrast[name].image) for name in arms.cameras}
+
+
+def marks_of(phantom: Phantom, target: str, arms: CArms) -> dict[str, np.ndarray]:
+    """Where each camera shows the target, (2,) x and y as shares of the image's sides."""
+    place = phantom.target(target).position[None]
+    cameras = fluoroscope_of(phantom, arms).cameras
+    return {name: (camera.pixels(place)[0] + 0.5) / arms.image_size_px for name, camera in cameras.items()}
+
+
+def images_of_shape(phantom: Phantom, arms: CArms, nodes: np.ndarray, seed: Any) -> list[NDArray[np.uint8]]:
+    """Images of a wire in a phantom.
+
+    Args:
+        phantom: the anatomy.
+        arms: whose cameras see it.
+        nodes: (n, 3) m, from the tip, the part in the sheath included.
+        seed: of the noise.
+
+    Returns:
+        An image a camera, in the order of `arms.cameras`.
+    """
+    frames = fluoroscope_of(phantom, arms).render(nodes, np.random.default_rng(seed))
+    return [frames[name].image for name in arms.cameras]
+
+
+def with_shaft(nodes: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """A logged wire with its shaft outside the body: (n, 3) m nodes from the tip, and the entry's direction inwards."""
+    return np.concatenate((nodes, nodes[-1:] - _BEHIND_M * direction))
+
+
+def c_arm_environment(
+    phantom: Phantom, target: str, arms: CArms, observation: Sequence[str], **arguments: Any
+) -> NavigateEnv:
+    """An environment whose bi-planar view is that of the C-arms, drawn when it is asked for.
+
+    Args:
+        phantom: the anatomy.
+        target: of the task.
+        arms: whose cameras see it.
+        observation: names.
+        arguments: of `NavigateEnv`.
+    """
+    return NavigateEnv(
+        phantom, target, observation=tuple(observation), cameras=fluoroscope_of(phantom, arms), **arguments
+    )

@@ -1,0 +1,114 @@
+"""Fine-tunes SplineFormer on wires under the navigation's cameras.
+
+The data set shows wires deep in one phantom. A navigation begins with a short wire, in other anatomies, and folds its
+tip at walls and in wrong branches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from guide3d.learning.distributed import Ranks
+from guide3d.learning.training import FitProgress, fit
+from splineformer.comparison.curve_errors import curve_errors
+from splineformer.learning.recipes import recipe_of
+from splineformer.learning.samples import SplineObjective
+from splineformer.navigation.perception import PerceptionNetwork
+from splineformer.predictor import Predictor
+
+CURVE_POINTS = 240  # of a true curve
+_LEARNING_RATE = 6e-4
+
+
+@dataclass(frozen=True, eq=False)
+class WirePictures:
+    """Pictures of wires, all of the first camera, then those of the second.
+
+    Attributes:
+        pictures: (N, size, size) in the network's size.
+        curves: (N, CURVE_POINTS, 2) x and y of the true curves, tip first, shares of the picture's sides.
+        held_out: (N,) whether a picture is kept for validation.
+        cameras: number of cameras.
+    """
+
+    pictures: NDArray[Any]
+    curves: NDArray[np.float64]
+    held_out: NDArray[np.bool_]
+    cameras: int
+
+
+class _Stored:
+    """Pictures in memory, as training takes them."""
+
+    def __init__(self, pictures: NDArray[Any]) -> None:
+        self._pictures = pictures
+
+    def healthy(self, indices: NDArray[Any]) -> NDArray[np.bool_]:
+        return np.ones(len(indices), bool)
+
+    def pictures(self, indices: NDArray[Any]) -> NDArray[Any]:
+        return self._pictures[indices]
+
+
+def fine_tune(
+    predictor: Predictor,
+    shown: WirePictures,
+    variant: str,
+    epochs: int,
+    *,
+    folder: Path,
+    seed: int,
+    device: str = "cpu",
+    progress: Callable[[FitProgress], None] = lambda now: None,
+) -> tuple[Predictor, dict[str, Any]]:
+    """Trains a SplineFormer further.
+
+    Args:
+        predictor: whose network is trained in place.
+        shown: pictures to train with and to validate with.
+        variant: whose recipe for a desk is followed.
+        epochs: over the pictures.
+        folder: for the checkpoint of the fit.
+        seed: of the fit.
+        device: where it is trained.
+        progress: called after every epoch.
+
+    Returns:
+        The predictor, and the number of images, the CPU time in minutes, and the errors before and after.
+    """
+    count, places = len(shown.curves) // shown.cameras, np.arange(len(shown.curves))
+    stores = [_Stored(shown.pictures[n * count : (n + 1) * count]) for n in range(shown.cameras)]
+    recipe = recipe_of(variant, "desk")
+    objective = SplineObjective(
+        stores, list(shown.curves), places[~shown.held_out], places[shown.held_out], predictor.network,
+        augmentation=recipe.augmentation, weights=recipe.weights, source_px=predictor.source_px,
+    )  # fmt: skip
+    outcome: dict[str, Any] = {f"{name}_before": value for name, value in errors(predictor, shown).items()}
+    settings = replace(recipe.fit, epochs=epochs, learning_rate=_LEARNING_RATE)
+    fitted = fit(
+        predictor.network, objective, settings, folder=folder, seed=seed, ranks=Ranks.join(device), progress=progress
+    )
+    predictor = Predictor(predictor.network, source_px=predictor.source_px, device=device)
+    outcome |= {"images": len(shown.curves), "cpu_min": fitted.cpu_s / 60}
+    return predictor, outcome | {f"{name}_after": value for name, value in errors(predictor, shown).items()}
+
+
+def errors(predictor: Predictor, shown: WirePictures) -> dict[str, float]:
+    """Mean and median error of tip and curve of the held-out pictures, in px of an image of 1,024; {} without any."""
+    places: Sequence[int] = np.flatnonzero(shown.held_out).tolist()
+    if not places:
+        return {}
+    readings = PerceptionNetwork(predictor)(list(shown.pictures[places]))
+    found = [
+        curve_errors(1024.0 * reading.points.astype(float), 1024.0 * shown.curves[place])
+        for place, reading in zip(places, readings, strict=True)
+    ]
+    values = {name: [one[name] for one in found] for name in ("tip_px", "mean_px")}
+    means = {name: float(np.mean(of)) for name, of in values.items()}
+    return means | {f"median_{name}": float(np.median(of)) for name, of in values.items()}
