@@ -26,8 +26,10 @@ from cathsim.anatomy.generator.random_arch import sample_parameters
 from cathsim.anatomy.library import build_phantom
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.wire_placement import laid_starts
+from enn.imitation.egocentric import VIEW_SIZE
+from enn.imitation.image_perception import ImagePerception
 from enn.imitation.lumen_segmentation import LumenSegmenter
-from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
+from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from pipeline.report.learning.tables import tables_from_logs
 
 FORWARD = np.array([1.0, 0.3])
@@ -48,12 +50,13 @@ def costs(repeats: int) -> dict[str, float]:
     wire = load_guidewire("default").scaled(0.312)
     keys = ("image", "mask", "goal_image", "roadmap", "history")
     env = NavigateManyEnv((0, 1), wires=(wire,), resolution=RESOLUTION, observation=keys, image_size=192)
-    student = ImageStudent(StudentSettings(), LumenSegmenter())
+    perception = ImagePerception(LumenSegmenter())
+    policy = RecurrentPolicy(RecurrentPolicySettings(features=VIEW_SIZE))
     observation, _ = env.reset(seed=0, options={"case": 0})
     first = observation
     for _ in range(60):
         observation = env.step(FORWARD)[0]
-    view = student.begin(first)
+    view = perception.begin(first)
     seen = view.look(observation["image"], observation["mask"], FORWARD)
     cases = iter(range(10**9))
 
@@ -77,9 +80,9 @@ def costs(repeats: int) -> dict[str, float]:
         "reset into another anatomy": cpu_ms(lambda: env.reset(options={"case": 2 * (next(cases) % 2)}), repeats),
         "roadmap": cpu_ms(env.current.roadmap.read, 5 * repeats),
         "history, a step": cpu_ms(remember, 5 * repeats),
-        "first image: segmentation and map": cpu_ms(lambda: student.begin(first), max(repeats // 10, 3)),
+        "first image: segmentation and map": cpu_ms(lambda: perception.begin(first), max(repeats // 10, 3)),
         "egocentric view": cpu_ms(lambda: view.look(observation["image"], observation["mask"], FORWARD), repeats),
-        "student's network": cpu_ms(lambda: student.act(seen[None], None), repeats),
+        "recurrent policy": cpu_ms(lambda: policy.act(seen[None]), repeats),
     }
 
 

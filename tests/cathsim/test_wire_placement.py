@@ -7,7 +7,7 @@ import pytest
 
 from cathsim import NavigateEnv
 from cathsim.arena import PROTRUSION
-from cathsim.wire_placement import place_wire, plan_way
+from cathsim.wire_placement import SHAPES, laid_starts, place_wire, plan_way, pushed_shapes
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +80,29 @@ def test_a_way_too_long_or_too_short_is_refused(environment: NavigateEnv, way: n
     onwards = np.vstack((way, way[-1] + (0.0, 0.0, 0.5)))
     with pytest.raises(ValueError, match=r"the wire can lie 0 to 0\.\d+ m along a way"):
         place_wire(environment.simulation, onwards, 0.0)
+
+
+def test_laid_starts_lie_before_the_target(environment: NavigateEnv) -> None:
+    phantom, task = environment.phantom, environment.task
+    environment.reset(seed=0)
+    whole = task.remaining(phantom, environment.simulation.tip)
+    starts = laid_starts(environment, np.random.default_rng(0))
+    np.testing.assert_array_equal(starts, laid_starts(environment, np.random.default_rng(0)))
+    assert len(starts) >= 8
+    remaining = []
+    for start in starts:
+        environment.reset(options={"start": start})
+        remaining.append(task.remaining(phantom, environment.simulation.tip))
+    assert task.success_radius < min(remaining) < 0.03
+    assert max(remaining) < 0.7 * whole
+
+
+def test_pushed_shapes_move_on_from_where_they_were_laid(environment: NavigateEnv, way: np.ndarray) -> None:
+    simulation, entry = environment.simulation, environment.simulation.vessel.entry
+    shapes = list(pushed_shapes(simulation, way, np.random.default_rng(1)))
+    assert 1 <= len(shapes) <= SHAPES
+    tips = np.array([shape[0] for shape in shapes])
+    assert (np.linalg.norm(np.diff(tips, axis=0), axis=1) > 1e-4).all()
+    assert (np.linalg.norm(tips - entry, axis=1) > 0.01).all()
+    again = list(pushed_shapes(simulation, way, np.random.default_rng(1)))
+    np.testing.assert_array_equal(shapes[-1], again[-1])

@@ -19,15 +19,16 @@ from enn.force.samples import force_samples
 from enn.imitation.behaviour_cloning import DESK_CLONING, clone
 from enn.imitation.cloned_policy import ClonedPolicy
 from enn.imitation.dagger import DaggerSettings, dagger, record
+from enn.imitation.image_perception import ImagePerception, load_image_policy
 from enn.imitation.lumen_segmentation import fit_segmenter
 from enn.imitation.path_following import PathFollower, PathFollowerSettings, fit_path_follower
-from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
+from enn.imitation.sequence_cloning import clone_sequences
 from enn.networks.encoder_network import Encoder
 from enn.policy import Policy
 from enn.reinforcement.training import DESK_PPO, THESIS_SAC, Training, TrainingSettings
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
-from tests.enn.imitation.test_recurrent_policy import WireEnv, lessons_of, vessels
+from tests.enn.imitation.straight_wire import CLONING, WireEnv, advised, policy_on, vessels
 from tests.enn.reinforcement.small_training import SMALL
 from tests.enn.rod import Rod
 from tests.second_device import second_device
@@ -187,21 +188,23 @@ def test_encoder_and_what_learns_through_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(acted, seen[device], atol=1e-4)
 
 
-def test_segmenter_and_image_student(tmp_path: Path) -> None:
+def test_segmenter_and_image_policy(tmp_path: Path) -> None:
     images, lumens = vessels(4, 0)
-    outcomes = {}
+    results = {}
     with second_device() as device:
         for place in ("cpu", device):
             segmenter, _ = fit_segmenter(images, lumens, epochs=1, working_size=images.shape[-1], device=place)
             assert device_of(segmenter) == torch.device(place)
-            student = ImageStudent(StudentSettings(hints=3, hidden=8, action_repeat=2), segmenter, device=place)
-            lessons = lessons_of(student, 0.5, 1, 3)
-            loss = student.fit(lessons, 2)
-            student.save(tmp_path / f"{place[:3]}.pt")
-            outcomes[place] = loss, student.act(lessons[0].views[:1], None)[0]
+            perception = ImagePerception(segmenter, device=place)
+            policy = policy_on(perception, place)
+            episodes = advised(policy, perception, 0.5, 1, 3)
+            loss = clone_sequences(policy, episodes, dataclasses.replace(CLONING, epochs=2))[-1]
+            policy.save(tmp_path / f"{place[:3]}.pt")
+            results[place] = loss, policy.act(episodes[0].features[:1])[0]
         env = WireEnv()
         observation, _ = env.reset(seed=0)
-        ImageStudent.load(tmp_path / "cpu.pt", device).controller()(observation)
-    assert outcomes["cpu"][0] == pytest.approx(outcomes[device][0], rel=1e-3)
-    np.testing.assert_allclose(outcomes["cpu"][1], outcomes[device][1], atol=1e-4)
-    ImageStudent.load(tmp_path / f"{device[:3]}.pt")
+        policy, perception = load_image_policy(tmp_path / "cpu.pt", device)
+        perception.controller(policy)(observation)
+    assert results["cpu"][0] == pytest.approx(results[device][0], rel=1e-3)
+    np.testing.assert_allclose(results["cpu"][1], results[device][1], atol=1e-4)
+    load_image_policy(tmp_path / f"{device[:3]}.pt")

@@ -15,9 +15,10 @@ from enn.encoder import Encoder, EncoderSettings
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitError, fit
 from enn.force.prediction import ForceNetwork, ForceNetworkSettings, ForcePredictor
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
+from enn.imitation.image_perception import ImagePerception
 from enn.imitation.lumen_segmentation import LumenSegmenter
 from enn.imitation.path_following import PathFollower, PathFollowerSettings, build
-from enn.imitation.recurrent_policy import ImageStudent, StudentSettings
+from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from enn.model_file import decoded, write_model
 from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
@@ -50,14 +51,15 @@ def path_follower() -> PathFollower:
     return PathFollower(build(settings, 2), settings)
 
 
-def student() -> ImageStudent:
-    return ImageStudent(StudentSettings(hidden=8, hints=2), LumenSegmenter(4, 40))
+def recurrent_policy() -> RecurrentPolicy:
+    perception = ImagePerception(LumenSegmenter(4, 40)).content()
+    return RecurrentPolicy(RecurrentPolicySettings(features=6, hidden=8, hints=2), perception=perception)
 
 
-LEGAL = ("encoder", None), ("wire", None), ("metadata", {"a": 1})
+LEGAL = ("encoder", None), ("wire", None), ("metadata", {"a": 1}), ("perception", {"a": 1})
 
 MODELS: dict[str, Callable[[], Any]] = {
-    make.__name__: make for make in (policy, encoder, force_predictor, cloned_policy, path_follower, student)
+    make.__name__: make for make in (policy, encoder, force_predictor, cloned_policy, path_follower, recurrent_policy)
 }
 
 

@@ -15,7 +15,8 @@ from enn.imitation.behaviour_cloning import BehaviourCloningSettings
 from enn.imitation.cloned_policy import CloningNetworkSettings
 from enn.imitation.dagger import DaggerSettings, DisturbanceSettings
 from enn.imitation.path_following import PathFollowerSettings
-from enn.imitation.recurrent_policy import StudentSettings
+from enn.imitation.recurrent_policy import RecurrentPolicySettings
+from enn.imitation.sequence_cloning import SequenceCloningSettings
 from enn.networks.encoder_network import EncoderSettings
 from enn.networks.image_network import ImageSettings
 from enn.networks.network import NetworkSettings
@@ -39,7 +40,8 @@ EVERYTHING: dict[Any, str] = {
     ImageSettings(): "",
     ForceNetworkSettings(vector=3): "image_shape=0 matched=0 vector=0",
     ForcePredictionSettings(): "feature_weight=0",
-    StudentSettings(): "hint_weight=0 hints=0",
+    RecurrentPolicySettings(features=8): "dropout=0 hints=0",
+    SequenceCloningSettings(): "hint_weight=0 noise=0 updates=0 weight_decay=0",
 }
 
 

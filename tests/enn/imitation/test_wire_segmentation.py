@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import gymnasium
 import numpy as np
 import pytest
 import torch
 
-from enn.imitation.wire_segmentation import WireSegmenter, dice, fit_wire_segmenter
+from enn.imitation.wire_segmentation import WireSegmenter, dice, fit_wire_segmenter, wire_frames
+from tests.enn.imitation.straight_wire import Expert
 
 SIZE = 64
 
@@ -58,3 +62,30 @@ def test_it_says_what_is_wrong(network: WireSegmenter) -> None:
         network.mask(images[0], plains[0, :32])
     with pytest.raises(ValueError, match="expected images and masks of one shape"):
         fit_wire_segmenter(images, plains, masks[:1])
+
+
+class DrawnWires(gymnasium.Env):
+    """A wire that is there from the start, in the image and the mask of a case; an episode takes 24 steps."""
+
+    action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.steps = 0
+        image, plain, mask = wires(1, (options or {})["case"])
+        noise = self.np_random.integers(0, 2, image.shape, np.uint8)
+        self.seen = {"image": image + noise, "plain": plain, "mask": mask, "roadmap": np.zeros(3, np.float32)}
+        return self.seen, {}
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.steps += 1
+        return self.seen, 0.0, False, self.steps >= 24, {}
+
+
+def test_frames_come_from_every_case_and_repeat_themselves() -> None:
+    frames, again = (wire_frames(DrawnWires(), Expert(), (3, 5), np.random.default_rng(4)) for _ in range(2))
+    for one, other in zip(frames, again, strict=True):
+        assert one.shape == (6, SIZE, SIZE)
+        np.testing.assert_array_equal(one, other)
+    for place, case in ((0, 3), (3, 5)):
+        np.testing.assert_array_equal(frames[2][place], wires(1, case)[2][0])

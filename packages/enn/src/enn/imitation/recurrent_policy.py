@@ -171,7 +171,7 @@ class RecurrentPolicy:
         """
         content = read_model(Path(path), FORMAT, kind="recurrent policy", verb="train")
         try:
-            policy = cls(RecurrentPolicySettings(**content["settings"]), 0, device, content["perception"])
+            policy = cls(RecurrentPolicySettings(**content["settings"]), 0, device, dict(content["perception"]))
             policy.network.load_state_dict(content["weights"])
             policy.metadata = dict(content["metadata"])
         except UNFIT as error:

@@ -1,28 +1,18 @@
-"""X-ray images of the stage `unseen`: noise, contrast run, and what they do not tell."""
+"""X-ray images as observations: noise, contrast run, and nothing else that shows the wire."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import gymnasium
 import numpy as np
-import pytest
 
-from pipeline.stages.unseen.task import UnseenTask
-from pipeline.stages.unseen.xray_policy import XrayEnvironment, contrast_run, wire_frames
-from pipeline.task import Task
+from cathsim.many_anatomies import NavigateManyEnv
+from cathsim.observations.xray import XrayEnvironment, contrast_run
 
-TASK = UnseenTask(("lcca",), Task(wire_length_mm=312.0, image_size_px=96, max_steps=24))
 FORWARD = np.array([1.0, 0.2], np.float32)
 
 
-@pytest.fixture(autouse=True)
-def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
 def environment(**further) -> XrayEnvironment:
-    return XrayEnvironment(TASK.training_environment((0, 1), ("roadmap", "goal_image")), 96, **further)
+    many = NavigateManyEnv((0, 1), ("lcca",), observation=("roadmap", "goal_image"), image_size=96, accuracy="fast")
+    return XrayEnvironment(many, 96, **further)
 
 
 def test_observations_are_noisy_images_and_a_contrast_run_alone() -> None:
@@ -60,21 +50,3 @@ def test_masks_show_the_wire_where_asked_for() -> None:
     darker = observation["plain"][0].astype(float) - observation["image"][0]
     assert darker[wire].mean() > 5 * abs(darker[~wire].mean())
     assert env.observation_space.contains(observation)
-
-
-class Forward:
-    action_space = gymnasium.spaces.Box(-1, 1, FORWARD.shape, np.float32)
-    keys = ("roadmap",)
-    action_repeat = 3
-
-    def act_batch(self, observations: dict[str, np.ndarray]) -> np.ndarray:
-        return np.tile(FORWARD, (len(observations["roadmap"]), 1))
-
-
-def test_frames_of_wires_repeat_themselves() -> None:
-    env = environment(with_mask=True)
-    frames, again = (wire_frames(env, Forward(), (0, 1), np.random.default_rng(4)) for _ in range(2))
-    for one, other in zip(frames, again, strict=True):
-        assert one.shape == (6, 96, 96)
-        np.testing.assert_array_equal(one, other)
-    assert frames[2].any(axis=(1, 2)).all()

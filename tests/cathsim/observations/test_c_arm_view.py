@@ -1,0 +1,47 @@
+"""Images by the C-arms: a logged shape is drawn as the environment shows it, and the contrast run shows the vessels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cathsim import load_phantom
+from cathsim.observations.c_arm_view import (
+    CArms,
+    c_arm_environment,
+    contrast_images,
+    images_of_shape,
+    marks_of,
+    with_shaft,
+)
+
+ARMS = CArms(("a",), 256)
+
+
+def test_images_of_a_logged_shape_are_those_of_the_environment() -> None:
+    phantom = load_phantom("type_1")
+    environment = c_arm_environment(phantom, "bca", ARMS, ("tip",))
+    environment.reset(seed=3)
+    for _ in range(20):
+        environment.step(np.array([1.0, 0.3]))
+    assert environment.biplane is not None
+    seen = environment.biplane.frame("a").image.astype(float)
+    simulation = environment.simulation
+    nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
+    drawn = images_of_shape(phantom, ARMS, nodes, 5)[0].astype(float)
+    empty = images_of_shape(phantom, ARMS, np.empty((0, 3)), 5)[0].astype(float)
+    wire = empty - drawn > 8  # the same noise in both
+    assert wire.sum() > 50
+    assert np.abs((drawn - seen)[wire].mean()) < 2
+    assert (empty - seen)[wire].mean() > 8
+    environment.close()
+
+
+def test_contrast_run_darkens_the_vessel_at_the_mark_alone() -> None:
+    phantom = load_phantom("type_1")
+    (plain, contrast), mark = contrast_images(phantom, ARMS)["a"], marks_of(phantom, "bca", ARMS)["a"]
+    darker = plain.astype(float) - contrast
+    column, row = (mark * 256).astype(int)
+    assert darker[row - 1 : row + 2, column - 1 : column + 2].mean() > 10
+    assert np.abs(np.median(darker)) < 5
+    again = contrast_images(phantom, ARMS)["a"]
+    np.testing.assert_array_equal(again[1], contrast)

@@ -1,0 +1,90 @@
+"""Image policies: they learn what an expert does, by the true mask or by noisy X-ray images, and survive their file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from enn.imitation.image_perception import XRAY_KEYS, ImagePerception, load_image_policy
+from enn.imitation.lumen_segmentation import LumenSegmenter, fit_segmenter
+from enn.imitation.recurrent_policy import RecurrentPolicy
+from enn.imitation.sequence_cloning import SequenceCloningSettings, clone_sequences
+from enn.imitation.wire_segmentation import fit_wire_segmenter
+from tests.enn.imitation.straight_wire import CLONING, SIZE, SMALL, WireEnv, XrayWireEnv, advised, policy_on, vessels
+
+LONG = SequenceCloningSettings(epochs=20, batch_size=8, learning_rate=1e-2)
+
+
+@pytest.fixture(scope="module")
+def segmenter() -> LumenSegmenter:
+    images, lumens = vessels(24, 0)
+    return fit_segmenter(images, lumens, epochs=12, working_size=SIZE)[0]
+
+
+def test_policy_learns_what_the_expert_does(segmenter: LumenSegmenter) -> None:
+    perception = ImagePerception(segmenter)
+    policy = policy_on(perception)
+    first = advised(policy, perception, 1.0, 1)
+    (loss,) = clone_sequences(policy, first, CLONING)
+    assert clone_sequences(policy, first + advised(policy, perception, 0.0, 3), LONG)[-1] < 0.5 * loss
+    assert np.mean([one.success for one in advised(policy, perception, 0.0, 4)]) > 0.8
+
+
+def test_controller_holds_its_actions_and_survives_the_file(segmenter: LumenSegmenter, tmp_path: Path) -> None:
+    perception = ImagePerception(segmenter)
+    policy = policy_on(perception)
+    clone_sequences(policy, advised(policy, perception, 1.0, 1, 8), CLONING)
+    policy.save(tmp_path / "policy.pt")
+    twin, seeing = load_image_policy(tmp_path / "policy.pt")
+    steer, other = perception.controller(policy), seeing.controller(twin)
+    for episode in range(2):
+        steer.reset()
+        other.reset()
+        env = WireEnv()
+        observation, _ = env.reset(seed=episode)
+        actions = []
+        for _ in range(6):
+            actions.append(steer(observation))
+            np.testing.assert_array_equal(actions[-1], other(observation, {}))
+            observation = env.step(actions[-1])[0]
+        np.testing.assert_array_equal(actions[0], actions[1])
+        assert (actions[1] != actions[2]).any()
+
+
+def test_says_what_is_wrong(segmenter: LumenSegmenter, tmp_path: Path) -> None:
+    observation, _ = WireEnv().reset(seed=0)
+    with pytest.raises(ValueError, match="but goal_image is missing"):
+        ImagePerception(segmenter).begin({key: observation[key] for key in ("image", "mask")})
+    RecurrentPolicy(SMALL, perception={"cameras": ["a"]}).save(tmp_path / "navigator.pt")
+    with pytest.raises(ValueError, match="of another architecture"):
+        load_image_policy(tmp_path / "navigator.pt")
+
+
+def test_a_policy_of_x_ray_images_needs_no_mask(segmenter: LumenSegmenter, tmp_path: Path) -> None:
+    env = XrayWireEnv()
+    frames = []
+    for seed in range(40):
+        observation, _ = env.reset(seed=seed)
+        env.tip = float(env.np_random.uniform(2, 29))
+        mask = WireEnv._observe(env)["mask"]
+        observation = env._observe()
+        frames.append((observation["image"][0], observation["plain"][0], mask[0]))
+    wire, score = fit_wire_segmenter(*(np.stack(one) for one in zip(*frames, strict=True)), epochs=12)
+    assert score > 0.9
+    perception = ImagePerception(segmenter, wire)
+    policy = policy_on(perception)
+    assert (perception.keys, "mask" in env.observation_space.spaces) == (XRAY_KEYS, False)
+
+    def played(share: float, seed: int) -> list:
+        return advised(policy, perception, share, seed, kind=XrayWireEnv)
+
+    clone_sequences(policy, played(1.0, 1) + played(0.0, 3), LONG)
+    assert np.mean([one.success for one in played(0.0, 4)]) > 0.8
+    policy.save(tmp_path / "policy.pt")
+    twin, seeing = load_image_policy(tmp_path / "policy.pt")
+    observation, _ = XrayWireEnv().reset(seed=7)
+    np.testing.assert_array_equal(perception.controller(policy)(observation), seeing.controller(twin)(observation))
+    with pytest.raises(ValueError, match="the policy sees image, plain, contrast, goal_image, but contrast, goal_im"):
+        perception.begin({key: observation[key] for key in ("image", "plain")})
