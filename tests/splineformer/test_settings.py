@@ -15,8 +15,7 @@ from splineformer.learning.recipes import recipe_of
 from splineformer.modeling.ordered import OrderedSettings
 from splineformer.modeling.published import SplineFormerSettings
 from splineformer.navigation.camera_view import ViewSettings
-from splineformer.navigation.cloning import CloningSettings
-from splineformer.navigation.navigator import NavigatorSettings
+from splineformer.navigation.navigator_perception import NavigatorPerceptionSettings
 from splineformer.tokens import TokenSettings
 from tests.number_fields import accepted, parametrised
 
@@ -29,8 +28,7 @@ EVERYTHING: dict[Any, str] = {
     PublishedWeights(): "curve=0 end=0 kind=0 knots=0 points=0 tip=0",
     OrderedSettings(): "blocks=0 overview_level=0 revision_layers=0",
     SplineFormerSettings(): "dropout=0",
-    NavigatorSettings(): "dropout=0 hints=0",
-    CloningSettings(): "hint_weight=0 noise=0 updates=0 weight_decay=0",
+    NavigatorPerceptionSettings(): "",
     ViewSettings(): "",
     SkeletonSettings(): "smallest_px=0 widest_gap_px=0",
     TokenSettings(): "closest_px=0 tolerance_px=0",

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.polyline import arc_length, at_length, resample
-from splineformer.navigation.navigator import NavigatorSettings, Sight
-from splineformer.navigation.perception import CURVE_POINTS, Reading
+from splineformer.navigation.perception import CURVE_POINTS, WireReading
 from splineformer.navigation.space_map import SpaceMap, hull_of
 from splineformer.navigation.space_view import SIZE, WAY_MM, WIRE_MM, SpaceView
 
@@ -51,11 +50,11 @@ def vessel(turn: Rotation | None = None) -> np.ndarray:
     return points if turn is None else turn.apply(points)
 
 
-def readings(seen: list[Camera], wire: np.ndarray) -> list[Reading]:
+def readings(seen: list[Camera], wire: np.ndarray) -> list[WireReading]:
     found = []
     for camera in seen:
         points = resample((camera.project(wire) + 0.5) / PX, count=CURVE_POINTS)
-        found.append(Reading(np.zeros((5, 3), np.float32), points.astype(np.float32), np.zeros(8, np.float32), 0.9))
+        found.append(WireReading(np.zeros((5, 3), np.float32), points.astype(np.float32), np.zeros(8, np.float32), 0.9))
     return found
 
 
@@ -108,7 +107,7 @@ def test_wire_is_measured_in_space() -> None:
     assert np.linalg.norm(at_length(found, arcs) - at_length(wire, arcs), axis=1).max() < 1.0
 
 
-def test_look_is_told_in_the_wires_own_frame() -> None:
+def test_look_is_measured_in_the_wires_own_frame() -> None:
     turn = Rotation.from_rotvec((0.4, -0.9, 0.3))
     looks = []
     for turned in (None, turn):
@@ -139,7 +138,7 @@ def test_motion_is_that_since_earlier_decisions() -> None:
     assert np.allclose(second[place : place + 3], (0, 0, step), atol=0.12)
 
 
-def test_curves_that_do_not_belong_together_are_told_as_such() -> None:
+def test_curves_that_do_not_belong_together_count_as_not_measured() -> None:
     view = SpaceView(space_of())
     one, other = readings(list(view.space.hull.cameras), vessel()[:85][::-1])
     other.points[:, 1] -= 0.25
@@ -148,7 +147,7 @@ def test_curves_that_do_not_belong_together_are_told_as_such() -> None:
     assert look[-2] < 0.5  # measured share
     assert look[-1] == 5.0  # the tips' rays pass each other
     stub = np.tile(one.points[:1], (CURVE_POINTS, 1)) + np.linspace(0, 1e-4, CURVE_POINTS)[:, None].astype(np.float32)
-    short = [Reading(reading.tokens, stub, reading.memory, 0.1) for reading in (one, one)]
+    short = [WireReading(reading.tokens, stub, reading.encoded, 0.1) for reading in (one, one)]
     assert np.isfinite(view.look(short)).all()
 
 
@@ -159,10 +158,3 @@ def test_what_cannot_be_measured_is_refused() -> None:
         hull_of(maps[:1], seen[:1])
     with pytest.raises(ValueError, match="no lumen in common"):
         hull_of([maps[0], np.zeros_like(maps[1])], seen)
-    with pytest.raises(ValueError, match="by two cameras and their contrast"):
-        NavigatorSettings(cameras=("a",), space=True)
-    settings = NavigatorSettings(cameras=("a", "b"), space=True)
-    with pytest.raises(ValueError, match="give the map"):
-        Sight(settings, {"a": (0.5, 0.5), "b": (0.5, 0.5)}, {})
-    plain = NavigatorSettings(cameras=("a", "b"))
-    assert settings.size == plain.size + SIZE
