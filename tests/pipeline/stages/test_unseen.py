@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.report.learning.tables import tables_from_logs
 from pipeline.seeds import unseen_arches, validation_arches
-from pipeline.stages.unseen.image_policy import StudentJob, train_student
+from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
 from pipeline.stages.unseen.jobs import (
     AnatomiesJob,
     RoadmapJob,
@@ -59,12 +60,12 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
         assert not tested & set(given.anatomies)
         assert given.origin.variant == "smoke"
     assert [len(jobs[key].given.anatomies) for key in policies] == [8, 20, 20, 1, 4, 8]
-    students = [jobs["image_true_mask"], jobs["xray"]]
-    assert [test.name for test in students[0].given.tests] == ["unseen", "type_1", "unseen softer"]
-    assert students[0].given.tests == students[1].given.tests
-    assert [job.given.xray for job in students] == [False, True]
+    by_image = [jobs["image_true_mask"], jobs["xray"]]
+    assert [test.name for test in by_image[0].given.tests] == ["unseen", "type_1", "unseen softer"]
+    assert by_image[0].given.tests == by_image[1].given.tests
+    assert [job.given.xray for job in by_image] == [False, True]
     assert [test.name for test in jobs["roadmap 4"].given.tests] == ["unseen"]
-    assert students[0].after == students[1].after == ("roadmap",)
+    assert by_image[0].after == by_image[1].after == ("roadmap",)
     built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
     tested = [("random", seed) for seed in unseen_arches(50)]
     validated = [("random", seed) for seed in validation_arches(16)]
@@ -75,7 +76,7 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     assert not without & {"image_true_mask", "xray"}
 
 
-def test_an_x_ray_student_is_told_nothing_of_the_wire(tmp_path: Path) -> None:
+def test_a_policy_of_x_ray_images_observes_no_mask(tmp_path: Path) -> None:
     jobs = {job.key: job.given for job in plan(settings(), tmp_path, 0, "desk")}
     assert jobs["image_true_mask"].observations() == ("image", "mask", "goal_image")
     assert jobs["xray"].observations() == ("goal_image",)
@@ -101,12 +102,12 @@ def test_registrations_are_tried_on_the_same_arches_and_starts(tmp_path: Path) -
     noisy = [tests["misregistered 1.5 mm"], tests["misregistered 4 mm"]]
     assert [test.registration_noise for test in noisy] == [1.5e-3, 4e-3]
     assert {test.phantoms for test in noisy} == {tests["unseen"].phantoms}
-    told = [
+    tests_done = [
         {"test_set": name, "mode": mode, "target": target, "success_pct": success, "n": 3}
         for name, success in (("unseen", 100.0), ("misregistered 1.5 mm", 50.0), ("misregistered 4 mm", 0.0))
         for mode, target in (("deterministic", "bca"), ("deterministic", "lcca"), ("stochastic", "bca"))
     ]
-    table = registration(wanted, told)
+    table = registration(wanted, tests_done)
     assert {row: cells["success_pct"] for row, cells in table.items()} == {"0 mm": 100, "1.5 mm": 50, "4 mm": 0}
     assert table["4 mm"]["n"] == 6
     # the noise moves the roadmap and leaves the start as it is
@@ -126,7 +127,8 @@ def test_plan_demonstrates_in_training_anatomies(tmp_path: Path) -> None:
     assert jobs["roadmap 4"].given.settings.reset_bank_cases == 8
     none = plan(settings(demonstrations=0), tmp_path, 1, "desk")
     assert not [job.key for job in none if job.key.startswith("demonstrations")]
-    assert jobs["roadmap"].given.demonstrations == tmp_path / "demonstrations"
+    assert jobs["roadmap"].given.demonstrated
+    assert not next(job for job in none if job.key == "roadmap").given.demonstrated
 
 
 def test_plan_lays_starts_in_every_training_anatomy(tmp_path: Path) -> None:
@@ -135,20 +137,20 @@ def test_plan_lays_starts_in_every_training_anatomy(tmp_path: Path) -> None:
     assert [seed for job in laid for seed in job.given.anatomies] == list(range(1000, 1020))
     assert {job.key for job in laid} <= set(jobs["roadmap 1"].after)
     assert [job.after for job in laid] == [("training/1000",), ("training/1016",)]
-    assert jobs["roadmap"].given.starts == tmp_path / "starts"
+    assert jobs["roadmap"].given.laid
 
 
 def test_laid_starts_lie_before_the_target_and_are_laid_once(tmp_path: Path) -> None:
     job = StartsJob(tmp_path / "starts", TASK, (4,), seed=0)
-    told = lay_starts(job, Report())
-    assert told["anatomies"] == 1
-    assert told["states"] >= 8
+    laid = lay_starts(job, Report())
+    assert laid["anatomies"] == 1
+    assert laid["states"] >= 8
     written = (job.folder / "4.npz").stat().st_mtime_ns
-    assert lay_starts(job, Report()) == told
+    assert lay_starts(job, Report()) == laid
     assert (job.folder / "4.npz").stat().st_mtime_ns == written
 
     (starts,) = read_starts(job.folder, (4,), TASK.targets)
-    assert len(starts) == told["states"]
+    assert len(starts) == laid["states"]
     assert (starts[:, -1] == 0).all()
     environment = TASK.training_environment((4,), ("tip",))
     begun = environment.start_state()
@@ -186,8 +188,8 @@ def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
 
 
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"stage\.lessons must be 1 or more, got 0"):
-        settings(lessons=0)
+    with pytest.raises(ConfigurationError, match=r"stage\.advised_episodes must be 1 or more, got 0"):
+        settings(advised_episodes=0)
     with pytest.raises(ConfigurationError, match="seed 20 has no training arches of its own, only seeds 0 to 19"):
         plan(settings(), tmp_path, 20, "desk")
     with pytest.raises(ConfigurationError, match="a seed has 1000 training arches of its own, got 1001: choose fewer"):
@@ -203,88 +205,78 @@ def test_a_missing_mesh_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFix
     assert "real_mesh" in [test.name for test in jobs[-1].given.tests]
 
 
-def student_job(folder: Path, rounds: int, row: str = "image_true_mask") -> StudentJob:
-    return StudentJob(
-        folder=folder / "unseen" / row / "seed0",
-        expert=folder / "unseen" / "roadmap" / "seed0" / "policy.pt",
+def image_job(folder: Path, rounds: int, row: str = "image_true_mask") -> ImagePolicyJob:
+    small = {"segmenter_epochs": 1, "rounds": rounds, "advised_episodes": 2, "epochs": 1, "wire_epochs": 1}
+    return ImagePolicyJob(
+        folder=folder / "unseen",
+        origin=Origin("unseen", row, 0, "desk"),
         task=TASK,
         anatomies=(0,),
-        segmenter_epochs=1,
-        rounds=rounds,
-        lessons=2,
-        epochs=1,
-        seed=0,
-        origin=Origin("unseen", row, 0, "desk"),
         tests=TESTS,
-        xray=row == "xray",
-        wire_epochs=1,
+        settings=settings(**small),
     )
 
 
 def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     assert build_anatomies(AnatomiesJob((training_arch(0),), ("lcca",)), Report()) == {"anatomies": 1}
-    assert lay_starts(StartsJob(tmp_path / "starts", TASK, (0,), seed=0), Report())["states"] > 0
+    assert lay_starts(StartsJob(tmp_path / "unseen" / "starts", TASK, (0,), seed=0), Report())["states"] > 0
     tiny = replace(
         training_settings(settings(targets=["lcca"], anatomies=1, validation_episodes=1, hidden=16), 1, 160),
         learning_starts=32,
         n_envs=4,
     )
     teacher = RoadmapJob(
-        folder=tmp_path / "unseen" / "roadmap" / "seed0",
+        folder=tmp_path / "unseen",
+        origin=Origin("unseen", "roadmap", 0, "desk"),
         task=TASK,
         anatomies=(0,),
-        settings=replace(tiny, evaluate_every=160),
-        seed=0,
-        origin=Origin("unseen", "roadmap", 0, "desk"),
         tests=TESTS,
-        starts=tmp_path / "starts",
+        settings=replace(tiny, evaluate_every=160),
         validated=(2,),
     )
-    told = train_roadmap(teacher, Report())
-    assert told["tests"][0]["n"] == 1
-    log = teacher.folder / "evaluation" / "unseen" / "lcca" / "deterministic" / "random_1" / "000.mcap"
+    by_roadmap = train_roadmap(teacher, Report())
+    assert by_roadmap["tests"][0]["n"] == 1
+    log = teacher.own_folder / "evaluation" / "unseen" / "lcca" / "deterministic" / "random_1" / "000.mcap"
     written = log.stat().st_mtime_ns
     again = train_roadmap(teacher, Report())
-    assert again["tests"] == told["tests"]
+    assert again["tests"] == by_roadmap["tests"]
     assert log.stat().st_mtime_ns == written
 
-    # stopped after its first round, then gone on with: the same student as without the stop
-    messages = iter(range(10**6))
-
+    # stopped after its first round, then gone on with: the same policy as without the stop
     class Stopped(Report):
         def __call__(self, fraction: float, text: str = "") -> None:
-            next(messages)
-            if (student.folder / "training.csv").is_file() and text.startswith("lessons round 2"):
+            if text.startswith("training round 2"):
                 raise KeyboardInterrupt
 
-    student = student_job(tmp_path, rounds=2)
+    job = image_job(tmp_path, rounds=2)
     with pytest.raises(KeyboardInterrupt):
-        train_student(student, Stopped())
-    assert (student.folder / "lessons" / "round0.npz").is_file()
-    outcome = train_student(student, Report())
-    whole = replace(student, folder=tmp_path / "other", tests=())
-    train_student(whole, Report())
-    weights = [np.frombuffer(_weights(folder), np.uint8) for folder in (student.folder, whole.folder)]
+        train_image_policy(job, Stopped())
+    assert (job.own_folder / "advised_episodes" / "round0.npz").is_file()
+    outcome = train_image_policy(job, Report())
+    whole = replace(job, folder=tmp_path / "other", tests=())
+    shutil.copytree(teacher.own_folder, whole.folder / "roadmap" / "seed0")
+    train_image_policy(whole, Report())
+    weights = [np.frombuffer(_weights(folder), np.uint8) for folder in (job.own_folder, whole.own_folder)]
     np.testing.assert_array_equal(*weights)
-    record = json.loads((student.folder / "training.json").read_text())
+    record = json.loads((job.own_folder / "training.json").read_text())
     assert [row["round"] for row in record["rounds"]] == [0, 1]
-    assert not (student.folder / "lessons").exists()
+    assert not (job.own_folder / "advised_episodes").exists()
 
-    told_xray = train_student(student_job(tmp_path, 1, "xray"), Report())
+    by_xray = train_image_policy(image_job(tmp_path, 1, "xray"), Report())
 
     tables = tables_from_logs(tmp_path / "unseen")
     names = ("roadmap", "image_true_mask", "xray")
     assert set(tables["generalisation"]) == {f"{name}/lcca/unseen" for name in names}
     wanted = ("roadmap tests", *names[1:])
     jobs = [job for job in plan(settings(targets=["lcca"], curve=[]), tmp_path, 0, "desk") if job.key in wanted]
-    rows = curve(jobs, dict(zip(wanted, (told, outcome, told_xray), strict=True)))
-    assert rows["roadmap/8"]["success_lcca_pct"] == told["tests"][0]["success_pct"]
+    rows = curve(jobs, dict(zip(wanted, (by_roadmap, outcome, by_xray), strict=True)))
+    assert rows["roadmap/8"]["success_lcca_pct"] == by_roadmap["tests"][0]["success_pct"]
     assert rows["roadmap/8"]["decisions"] == 16_000
     assert list(rows) == ["roadmap/8", "image_true_mask/20", "xray/20"]
 
 
 def _weights(folder: Path) -> bytes:
-    from enn.imitation.recurrent_policy import ImageStudent
+    from enn.imitation.recurrent_policy import RecurrentPolicy
 
-    state = ImageStudent.load(folder / "student.pt").network.state_dict()
+    state = RecurrentPolicy.load(folder / "image_policy.pt").network.state_dict()
     return b"".join(value.numpy().tobytes() for value in state.values())
