@@ -34,11 +34,11 @@ def test_ranges_are_disjoint_for_every_seed(table: dict[str, seeds.SeedRange], r
 
 def test_what_functions_give_lies_in_their_range() -> None:
     run, training = 19, 499
-    lessons = [seeds.unseen_lesson_seeds(run, number, 100_000) for number in (0, 99)]
-    courses = [seeds.navigation_lesson_seeds(run, number, 9, 1_000) for number in (0, 99)]
+    advised = [seeds.unseen_episode_seeds(run, number, 100_000) for number in (0, 99)]
+    courses = [seeds.navigation_episode_seeds(run, number, 9, 1_000) for number in (0, 99)]
     given = {
         "training": [seeds.training_arches(run, 1_000)],
-        "reader": [seeds.reader_arches(run, 500)],
+        "perception": [seeds.perception_arches(run, 500)],
         "validation": [seeds.validation_arches(500)],
         "test": [seeds.unseen_arches(1_000)],
     }
@@ -49,9 +49,9 @@ def test_what_functions_give_lies_in_their_range() -> None:
         "expert": [seeds.expert_seeds(training, 1_000)],
         "disturbed expert": [seeds.disturbed_seeds(training, 1_000)],
         "navigation, expert goes on": [seeds.further_expert_seeds(training, 1_000)],
-        "navigation, lessons": courses,
+        "navigation, advised": courses,
         "force": [(seeds.force_seed(training, 0), seeds.force_seed(training, 99_999))],
-        "unseen, lessons": lessons,
+        "unseen, advised": advised,
         "unseen, demonstrations": [(seeds.arch_demonstration_seed(run),)],
         "test": [seeds.held_out_seeds(training, 1_000)],
     }
@@ -77,12 +77,15 @@ def test_starts_of_the_tests_are_none_that_a_generator_draws() -> None:
     ("asked", "sentence"),
     [
         (lambda: seeds.training_arches(20, 1), "seed 20 has no training arches of its own, only seeds 0 to 19 have"),
-        (lambda: seeds.reader_arches(0, 501), "a seed has 500 arches for the SplineFormer of its own, got 501"),
+        (lambda: seeds.perception_arches(0, 501), "a seed has 500 arches for the SplineFormer of its own, got 501"),
         (lambda: seeds.held_out_seeds(0, 1_001), "a seed has 1000 test episodes of its own, got 1001: choose fewer"),
         (lambda: seeds.held_out_seeds(500, 1), "seed 500 has no test episodes of its own"),
-        (lambda: seeds.navigation_lesson_seeds(0, 0, 0, 1_001), "up to 1000 lessons, got 1001 in number 1"),
-        (lambda: seeds.navigation_lesson_seeds(0, 100, 0, 1), "a seed has 1000000 lessons of navigation of its own"),
-        (lambda: seeds.unseen_lesson_seeds(0, 0, 100_001), "a round has up to 100000 lessons, got 100001"),
+        (lambda: seeds.navigation_episode_seeds(0, 0, 0, 1_001), "up to 1000 episodes, got 1001 in number 1"),
+        (
+            lambda: seeds.navigation_episode_seeds(0, 100, 0, 1),
+            "a seed has 1000000 advised episodes of navigation of its own",
+        ),
+        (lambda: seeds.unseen_episode_seeds(0, 0, 100_001), "a round has up to 100000 episodes, got 100001"),
     ],
 )
 def test_too_large_a_seed_or_too_many_is_one_sentence(asked, sentence: str) -> None:

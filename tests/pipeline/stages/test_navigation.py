@@ -101,7 +101,7 @@ def results(run: Path) -> dict:
 
 def test_perception_learns_from_laid_and_from_steered_wires(run: Path) -> None:
     settings = replace(SETTINGS, perception_frames=5, arch_task=replace(SETTINGS.arch_task, max_steps=30))
-    job = navigation.plan(settings, context(run, "navigation", reads=READS))[0].given
+    job = navigation.plan(SETTINGS, context(run, "navigation", reads=READS))[0].given
     assert isinstance(job, PerceptionJob)
     assert job.teacher is not None
 
