@@ -83,7 +83,7 @@ def test_starts_of_the_tests_are_none_that_a_generator_draws() -> None:
         (lambda: seeds.navigation_episode_seeds(0, 0, 0, 1_001), "up to 1000 episodes, got 1001 in number 1"),
         (
             lambda: seeds.navigation_episode_seeds(0, 100, 0, 1),
-            "a seed has 1000000 advised episodes of navigation of its own",
+            "1000000 advised episodes of navigation of its own",
         ),
         (lambda: seeds.unseen_episode_seeds(0, 0, 100_001), "a round has up to 100000 episodes, got 100001"),
     ],

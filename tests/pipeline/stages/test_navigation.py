@@ -61,7 +61,7 @@ SETTINGS = NavigationSettings(
     perception_epochs=1,
     hidden=8,
     task=TASK.task,
-    arch_task=Task(wire_length_mm=312.0, max_steps=9),
+    arch_task=Task(wire_length_mm=312.0, max_steps=13),
     arch_hidden=12,
 )
 ARMS = CArms(("a",), 256)
