@@ -5,9 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
+from typing import TYPE_CHECKING
 
 from pipeline.report.results import Cell
-from pipeline.report.tables import ReportTable, Row
+
+if TYPE_CHECKING:
+    from pipeline.report.tables import ReportTable, Row  # a stage that words its own cells does not read the thesis's
 
 _LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
           "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "±": r"$\pm$", "≥": r"$\geq$", "×": r"$\times$",
