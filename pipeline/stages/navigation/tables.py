@@ -136,7 +136,7 @@ def figures(settings: NavigationSettings, folder: Path, outcomes: dict[str, Any]
 
     Args:
         settings: of the stage.
-        folder: likewise.
+        folder: of the stage.
         outcomes: of the jobs.
     """
     first = settings.phantoms[0]

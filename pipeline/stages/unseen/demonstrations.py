@@ -6,7 +6,7 @@ One file a demonstration, ``demonstrations/<target>_<anatomy>.npz`` in the stage
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,12 +20,10 @@ from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
 
 if TYPE_CHECKING:
-    from cathsim.many_anatomies import NavigateManyEnv
     from enn.trajectory import Trajectory
     from pipeline.stages.unseen.task import UnseenTask
 
 DEMONSTRATIONS = "demonstrations"  # job and folder
-ROLLOUTS = 1200  # of the expert, after which a demonstration counts as failed
 
 
 @dataclass(frozen=True)
@@ -57,6 +55,8 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
     Returns:
         How many were played, and how many of them reached their target.
     """
+    from cathsim.planning.demonstration import demonstrate
+
     environment = job.task.training_environment(job.anatomies, ROADMAP_KEYS)
     target = job.task.targets.index(job.target)
     reached = 0
@@ -67,55 +67,13 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
             case = environment.case_of(job.anatomies.index(seed), target)
             tick = partial(report, done / len(job.shown), text)
             seed_of_start = arch_demonstration_seed(job.seed)
-            write_arrays(path, demonstrate(environment, case, hold=job.hold, seed=seed_of_start, tick=tick))
+            write_arrays(
+                path, demonstrate(environment, case, ROADMAP_KEYS, hold=job.hold, seed=seed_of_start, tick=tick)
+            )
         with np.load(path) as arrays:
             reached += bool(arrays["terminated"])
     environment.close()
     return {"shown": len(job.shown), "reached": reached}
-
-
-def demonstrate(
-    environment: NavigateManyEnv, case: int, *, hold: int, seed: int, tick: Callable[[], None] = lambda: None
-) -> dict[str, np.ndarray]:
-    """One episode of the sampling expert.
-
-    Args:
-        environment: over the training anatomies, with the observations of a roadmap policy.
-        case: that it plays in.
-        hold: steps for which an action is held.
-        seed: of the start and of the expert.
-        tick: called after every step.
-
-    Returns:
-        The arrays of a trajectory: observations by their names, actions, rewards, forces, tips, states, terminated.
-    """
-    from cathsim.planning.sampling import ExpertSettings, SamplingExpert
-
-    observation, _ = environment.reset(seed=seed, options={"case": case})
-    settings = ExpertSettings(horizon=5 * hold, hold=hold, execute=hold)
-    expert = SamplingExpert(environment.current, seed=seed, threads=1, settings=settings)
-    rows: dict[str, list[Any]] = {
-        **{key: [observation[key]] for key in ROADMAP_KEYS},
-        "tips": [environment.simulation.tip.copy()],
-        "states": [environment.start_state()],
-        "actions": [],
-        "rewards": [],
-        "forces": [],
-    }
-    terminated = truncated = False
-    while not (terminated or truncated) and expert.rollouts < ROLLOUTS:
-        action = expert.action()
-        observation, reward, terminated, truncated, info = environment.step(action)
-        for key in ROADMAP_KEYS:
-            rows[key].append(observation[key])
-        rows["tips"].append(environment.simulation.tip.copy())
-        rows["states"].append(environment.start_state())
-        rows["actions"].append(action)
-        rows["rewards"].append(reward)
-        rows["forces"].append(info["force"])
-        tick()
-    expert.close()
-    return {**{name: np.array(values) for name, values in rows.items()}, "terminated": np.array(terminated)}
 
 
 def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajectory]:

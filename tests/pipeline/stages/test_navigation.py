@@ -83,8 +83,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings, actions = NetworkSettings(keys=("roadmap",), hidden=(8,)), environment.action_space
     assert isinstance(actions, gymnasium.spaces.Box)
     network = build_network(settings, environment.observation_space, actions)
-    told = {KEY: asdict(SETTINGS.arch_task)}
-    teacher = Policy(settings, network, environment.observation_space, actions, metadata=told)
+    metadata = {KEY: asdict(SETTINGS.arch_task)}
+    teacher = Policy(settings, network, environment.observation_space, actions, metadata=metadata)
     teacher.save(folder / "unseen" / "roadmap" / "seed0" / "policy.pt")
     return folder
 
@@ -172,9 +172,9 @@ def test_what_a_run_leaves(run: Path, results: dict) -> None:
     assert not (folder / "splineformer_dagger" / "advised_episodes").exists()
     logs = sorted((folder / "splineformer" / "evaluation").glob("type_1/bca/type_1/*.mcap"))
     assert len(logs) == 1
-    with EpisodeReader(logs[0]) as told:
-        assert told.info.configuration["row"] == "splineformer"
-        actions = told.load_arrays(pictures=False)["action"][1:]
+    with EpisodeReader(logs[0]) as episode:
+        assert episode.info.configuration["row"] == "splineformer"
+        actions = episode.load_arrays(pictures=False)["action"][1:]
     assert np.array_equal(actions[0], actions[2])
     assert count_failures(logs, load_phantom("type_1"))[STUCK] == 1
 
@@ -194,8 +194,8 @@ def test_episode_of_a_log_has_features_a_decision(run: Path, results: dict) -> N
     settings = NavigatorPerceptionSettings(tokens=network.tokens, encoded=network.encoded)
     perception = NavigatorPerception(settings, network)
     episode = episode_of_log(log, ARMS, perception, 3)
-    with EpisodeReader(log) as told:
-        actions = told.load_arrays(pictures=False)["action"][1:]
+    with EpisodeReader(log) as logged:
+        actions = logged.load_arrays(pictures=False)["action"][1:]
     assert episode.features.shape == (-(-len(actions) // 3), settings.size)
     assert np.allclose(episode.actions[1], actions[3:6].mean(axis=0), atol=1e-6)
     assert np.allclose(episode.features[1, -4:-2], episode.actions[0], atol=1e-6)  # what was done before is seen

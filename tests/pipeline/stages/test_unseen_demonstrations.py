@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cathsim.planning import demonstration
+from cathsim.planning.demonstration import demonstrate
 from pipeline.jobs.worker import Report
-from pipeline.stages.unseen import demonstrations as unseen_demonstrations
 from pipeline.stages.unseen.demonstrations import (
     DemonstrationsJob,
-    demonstrate,
     read_demonstrations,
     record_demonstrations,
 )
@@ -29,17 +29,17 @@ def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_is_demonstrated_is_what_the_training_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     environment = TASK.training_environment((0,), ROADMAP_KEYS)
-    made = demonstrate(environment, 1, hold=4, seed=3)
+    made = demonstrate(environment, 1, ROADMAP_KEYS, hold=4, seed=3)
     assert made["roadmap"].shape == (25, 64)
     assert made["states"].shape[0] == 25
     assert (made["states"][:, -1] == 1).all()  # the case comes along
     held = made["actions"].reshape(6, 4, 2)
     assert (held == held[:, :1]).all()
-    np.testing.assert_array_equal(made["actions"], demonstrate(environment, 1, hold=4, seed=3)["actions"])
+    np.testing.assert_array_equal(made["actions"], demonstrate(environment, 1, ROADMAP_KEYS, hold=4, seed=3)["actions"])
 
     tries = []
     monkeypatch.setattr(
-        unseen_demonstrations, "demonstrate", lambda *_, **__: tries.append(1) or {**made, "terminated": np.array(True)}
+        demonstration, "demonstrate", lambda *_, **__: tries.append(1) or {**made, "terminated": np.array(True)}
     )
     job = DemonstrationsJob(tmp_path, TASK, (0,), (0,), "lcca", hold=4, seed=3)
     assert record_demonstrations(job, Report()) == {"shown": 1, "reached": 1}

@@ -2,8 +2,8 @@
 
 Everything is computed from images: the wire is traced in its mask, the vessel comes as a map of lumen made from the
 episode's first image, and the way to the target's dot is the cheapest one through that map. Lengths are shares of the
-image's side, directions are those of the tip's frame (x along the wire and out of its tip), so that nothing tells one
-anatomy from another but its shape.
+image's side, directions are those of the tip's frame (x along the wire and out of its tip), so that anatomies
+differ by their shape alone.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class WirePictures:
 
 
 class _Stored:
-    """Pictures in memory, as training takes them."""
+    """Pictures as an array, as training takes them."""
 
     def __init__(self, pictures: NDArray[Any]) -> None:
         self._pictures = pictures

@@ -41,7 +41,7 @@ class NavigatorPerceptionSettings:
     space: bool = False
 
     def __post_init__(self) -> None:
-        """Refuses cameras that cannot be told apart, and a space that nothing measures."""
+        """Refuses no camera, one named twice, and a space that nothing measures."""
         if not self.cameras or len(set(self.cameras)) < len(self.cameras):
             raise ValueError(f"cameras: expected at least one name, each once, got {list(self.cameras)}")
         if self.space and (len(self.cameras) != 2 or not self.guided):

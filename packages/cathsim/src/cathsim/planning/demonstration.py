@@ -1,0 +1,62 @@
+"""Demonstrations of the sampling expert in an environment over many anatomies, as the arrays that a learner reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from cathsim.many_anatomies import NavigateManyEnv
+from cathsim.planning.sampling import ExpertSettings, SamplingExpert
+
+ROLLOUTS = 1200  # of the expert, after which a demonstration counts as failed
+
+
+def demonstrate(
+    environment: NavigateManyEnv,
+    case: int,
+    keys: Sequence[str],
+    *,
+    hold: int,
+    seed: int,
+    tick: Callable[[], None] = lambda: None,
+) -> dict[str, np.ndarray]:
+    """One episode of the sampling expert.
+
+    Args:
+        environment: over many anatomies.
+        case: that it plays in.
+        keys: observations that are kept.
+        hold: steps for which an action is held.
+        seed: of the start and of the expert.
+        tick: called after every step.
+
+    Returns:
+        The arrays of a trajectory: observations by their names, actions, rewards, forces, tips, states, terminated.
+    """
+    observation, _ = environment.reset(seed=seed, options={"case": case})
+    settings = ExpertSettings(horizon=5 * hold, hold=hold, execute=hold)
+    expert = SamplingExpert(environment.current, seed=seed, threads=1, settings=settings)
+    rows: dict[str, list[Any]] = {
+        **{key: [observation[key]] for key in keys},
+        "tips": [environment.simulation.tip.copy()],
+        "states": [environment.start_state()],
+        "actions": [],
+        "rewards": [],
+        "forces": [],
+    }
+    terminated = truncated = False
+    while not (terminated or truncated) and expert.rollouts < ROLLOUTS:
+        action = expert.action()
+        observation, reward, terminated, truncated, info = environment.step(action)
+        for key in keys:
+            rows[key].append(observation[key])
+        rows["tips"].append(environment.simulation.tip.copy())
+        rows["states"].append(environment.start_state())
+        rows["actions"].append(action)
+        rows["rewards"].append(reward)
+        rows["forces"].append(info["force"])
+        tick()
+    expert.close()
+    return {**{name: np.array(values) for name, values in rows.items()}, "terminated": np.array(terminated)}
