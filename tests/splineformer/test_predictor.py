@@ -40,11 +40,11 @@ def test_prediction_is_a_curve_in_pixels(variant: str) -> None:
     assert prediction.wires == "one"
     assert not prediction.warnings
     assert np.allclose(prediction.curve.at(0.0), prediction.tip_px)
-    assert len(prediction.knots_px) == len(prediction.control_points_px) + 4
+    assert len(prediction.curve.knots) == len(prediction.control_points_px) + 4
     points = prediction.points(50)
     assert points.shape == (50, 2)
     steps = np.linalg.norm(np.diff(prediction.curve.sample(2000), axis=0), axis=1).sum()
-    assert prediction.knots_px[-1] == pytest.approx(steps, rel=0.02)  # knots are the way along the curve
+    assert prediction.curve.knots[-1] == pytest.approx(steps, rel=0.02)  # knots are the way along the curve
     assert 0 <= prediction.confidence <= 1
     batch = predictor.batch([image, image_of(wavy_wire(1)), image])
     assert np.allclose(batch[0].tokens, prediction.tokens, atol=1e-3)

@@ -18,7 +18,6 @@ class Source:
     """Where a data set lies; paths are relative to the stage's folder, or absolute.
 
     Attributes:
-        root: of the data set.
         images: folder of its images, where they lie elsewhere.
         calibration: folder of its cameras, where they lie elsewhere.
         undistorted: whether its annotations are undistorted, where somebody said so or the residuals did.
@@ -34,11 +33,7 @@ class Source:
         write_json(folder / SOURCE, asdict(self))
 
     def place(self, folder: Path, name: str) -> Path | None:
-        """Where images, calibration or curves in space lie, if not with the data set.
-
-        Args:
-            name: "images", "calibration" or "curves".
-        """
+        """Where "images", "calibration" or "curves" in space lie, if not with the data set."""
         if name == "curves":
             return folder / RECONSTRUCTIONS if (folder / RECONSTRUCTIONS).exists() else None
         path = getattr(self, name)
@@ -63,10 +58,7 @@ class Source:
 
 
 def open_dataset(folder: Path) -> Dataset:
-    """The data set of a finished stage guide3d, generated or the user's own.
-
-    Args:
-        folder: of the stage, ``runs/<name>/guide3d``.
+    """The data set that the stage guide3d left in its folder ``runs/<name>/guide3d``, generated or the user's own.
 
     Returns:
         The data set; frames that were reconstructed have their `reconstruction_mm`.
@@ -78,10 +70,7 @@ def open_dataset(folder: Path) -> Dataset:
 
 
 def read_source(folder: Path) -> Source:
-    """Where the data set of a finished stage guide3d lies.
-
-    Args:
-        folder: of the stage, ``runs/<name>/guide3d``.
+    """Where the data set of a finished stage guide3d lies, from its folder ``runs/<name>/guide3d``.
 
     Raises:
         StageError: the stage left none.

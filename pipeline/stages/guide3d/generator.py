@@ -40,15 +40,7 @@ _TIP_MARGIN_PX = 10.0  # a tip nearer to the border than this is drawn back
 
 @dataclass(frozen=True)
 class GenerationJob:
-    """Acquisitions to be made by one process.
-
-    Attributes:
-        folder: of the stage.
-        acquisitions: to be made.
-        settings: of all of them.
-        centre: (3,) m, where the axes of both cameras meet.
-        seed: of the run.
-    """
+    """Acquisitions to be made by one process; the axes of both cameras meet in `centre` (3,) m."""
 
     folder: Path
     acquisitions: tuple[PlannedAcquisition, ...]

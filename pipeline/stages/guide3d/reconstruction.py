@@ -40,10 +40,6 @@ class ReconstructionJob:
     """Pairs to be reconstructed by one process.
 
     Attributes:
-        folder: of the stage.
-        source: where the data set lies.
-        part: number of the job.
-        frames: indices of frames.
         compared: those of them that all ways take, not only ours.
         settings: with the standard deviation of a click.
         seed: of the clicks.
@@ -59,11 +55,7 @@ class ReconstructionJob:
 
 
 def reconstruct_pairs(job: ReconstructionJob, report: Report) -> dict[str, Any]:
-    """Reconstructs pairs and writes their records and curves.
-
-    Returns:
-        ``pairs``.
-    """
+    """Reconstructs pairs and writes their records and curves; returns how many ``pairs``."""
     data = job.source.open(job.folder)
     entries: list[Record] = []
     with _quiet():
@@ -114,11 +106,7 @@ def _entry(data: Dataset, index: int, way: str, points: dict[str, Array]) -> Rec
 
 
 def gather(folder: Path, source: Source, parts: Sequence[int]) -> list[Record]:
-    """Joins what the jobs left: the accepted curves in the public layout, then the records in one file.
-
-    Returns:
-        The records, without curves.
-    """
+    """Joins what the jobs left: accepted curves in the public layout, then the records, without curves, in one file."""
     gathered = folder / RECORDS
     if gathered.exists():
         return list(json.loads(gathered.read_text(encoding="utf-8")))

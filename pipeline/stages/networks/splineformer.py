@@ -74,10 +74,7 @@ class ComparisonJob:
 
     Attributes:
         folder: gets a record a disturbance, and examples.
-        guide3d: folder of the stage guide3d.
-        variants: name of a variant to its folder.
         rival: folder of the segmentation network.
-        settings: of the stage.
         seed: of the disturbances.
     """
 

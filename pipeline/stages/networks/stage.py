@@ -29,9 +29,6 @@ def training_job(
 
     Args:
         network: name of the job and of its folder.
-        learn: trains and evaluates it.
-        settings: of the stage.
-        context: knows the folders and the seed.
         weight: how long it takes beside the others.
     """
     given = TrainingJob(
@@ -59,13 +56,8 @@ def train_and_compare(
     """Trains every network and writes tables and figures.
 
     Args:
-        settings: of the stage.
-        context: where to write.
-        jobs: the trainings, and what follows them.
         tables: from settings and what the jobs left.
         figures: from settings, what the jobs left, and the context.
-        label: of the progress.
-        preload: modules that the jobs need.
     """
     outcomes = run_jobs(
         context.folder, list(jobs), workers=settings.workers, label=label, preload=preload, device=settings.device

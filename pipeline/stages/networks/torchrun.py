@@ -20,8 +20,6 @@ def train_together(module: str, words: Sequence[str], processes: int, report: Re
 
     Args:
         module: run by every process, as by `python -m`.
-        words: of its command line.
-        processes: how many.
         report: called while it runs; what it raises stops the processes.
 
     Raises:

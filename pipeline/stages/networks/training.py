@@ -25,12 +25,10 @@ class TrainingJob:
     """A training by a package's own command line.
 
     Attributes:
-        folder: of the network.
         guide3d: folder of the stage guide3d, which knows the data set.
         pictures: folder of prepared pictures, which trainings share.
         network: as the command line calls it.
         settings: of the stage; `TrainingSettings` and what the stage adds to them.
-        seed: of the training.
     """
 
     folder: Path
@@ -46,10 +44,8 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
 
     Args:
         module: with the command line's ``arguments`` and ``train``.
-        job: what to train.
         words: of the command line that only this module has.
         places: of the data set that it takes.
-        report: takes the progress.
 
     Returns:
         The table of the training, as ``training.json`` has it.

@@ -11,10 +11,11 @@ import pytest
 import torch
 
 from guide3d.geometry.distortion import Distortion
-from guide3d.learning.build import FGRN_SIZES, SEGMENTER_SIZES, SHAPE_SIZES, build_fgrn, build_shape_network
+from guide3d.learning.build import FGRN_SIZES, SEGMENTER_SIZES, SHAPE_SIZES, build_shape_network
 from guide3d.learning.model_file import read_content, write_content
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
 from guide3d.learning.preprocessing import Preprocessing
+from guide3d.modeling.fgrn import FGRN
 from tests.damaged_files import damaged, refusals
 
 
@@ -25,7 +26,7 @@ def shape() -> ShapePredictor:
 
 def fgrn() -> FGRNPredictor:
     size = {"points": 6, **FGRN_SIZES["smoke"]}
-    return FGRNPredictor(build_fgrn(**size), size, Preprocessing(80), {})
+    return FGRNPredictor(FGRN(**size), size, Preprocessing(80), {})
 
 
 def segmentation() -> SegmentationPredictor:

@@ -13,12 +13,12 @@ from guide3d.learning.build import (
     SEGMENTERS,
     SHAPE_SIZES,
     SIZES,
-    build_fgrn,
     build_segmenter,
     build_shape_network,
     described,
     rebuilt,
 )
+from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.shape_network import closed, expected_position
 from guide3d.modeling.spherical import SphericalForm
 from guide3d.modeling.swin_transformer import SwinBlock, SwinTransformer
@@ -59,7 +59,7 @@ def test_thesis_sizes_are_the_published_ones() -> None:
         transunet = build_segmenter("transunet", 224, **SEGMENTER_SIZES["transunet"]["thesis"])
         swinunet = build_segmenter("swinunet", 224, **SEGMENTER_SIZES["swinunet"]["thesis"])
         shape = build_shape_network(SHAPE_SIZES["thesis"], FORM, 150)
-        fgrn = build_fgrn(100, **FGRN_SIZES["thesis"])
+        fgrn = FGRN(points=100, **FGRN_SIZES["thesis"])
     # one channel in, one logit out
     assert count(transunet) == 105_277_081 - 2 * 64 * 49 - 8 * (16 * 9 + 1)
     assert count(swinunet) == 27_168_900 - 2 * 96 * 16 - 8 * 96

@@ -6,8 +6,9 @@ the usual way in. Names are imported at first use, so that `import guide3d` stay
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
+
+from guide3d.lazy_names import imported
 
 if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset
@@ -52,6 +53,4 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"guide3d.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'guide3d' has no attribute '{name}'")
+    return imported(__name__, _HOME, name)

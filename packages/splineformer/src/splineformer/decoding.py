@@ -51,7 +51,6 @@ def decode(tokens: Tensor, lengths: Tensor, count: int) -> Tensor:
     Args:
         tokens: (B, n, 3) knot, x, y, of any scale; what lies beyond the lengths is not looked at.
         lengths: (B,) tokens of each, at least four.
-        count: points wanted.
     """
     place = torch.arange(tokens.shape[1], device=tokens.device)[None]
     last = (lengths - 1)[:, None].to(tokens.device)
@@ -69,9 +68,7 @@ def uniform_knots(count: int, denser_at_tip: float = 1.0, dtype: torch.dtype = t
     """The (count + 4,) clamped knots in 0 to 1 that the parallel decoder uses.
 
     Args:
-        count: of control points.
         denser_at_tip: length of the first span over that of equal spans; 1: all are equal.
-        dtype: number type.
     """
     inner = torch.linspace(0.0, 1.0, count - DEGREE + 1, dtype=torch.float64)
     inner = inner * (denser_at_tip + (1.0 - denser_at_tip) * inner)

@@ -33,7 +33,6 @@ def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
     Args:
         image: (h, w) grey levels, or (h, w, 3) with three equal channels; uint8 as it is, other types are spread over
             0 to 255.
-        size_px: side of the network's picture.
         expected_px: side of the images that the network was trained on; others get a warning.
 
     Returns:

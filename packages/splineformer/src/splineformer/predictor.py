@@ -47,11 +47,6 @@ class Prediction:
     inverted: bool
     warnings: tuple[str, ...]
 
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """The former name of `warnings`."""
-        return self.warnings
-
     def _there(self) -> Array:
         if self.tokens is None:
             raise ValueError("the image shows no wire: look at `wires` before asking for its curve")
@@ -68,11 +63,6 @@ class Prediction:
         return self.curve.coefficients
 
     @property
-    def knots_px(self) -> Array:
-        """(n + 4,) of the curve."""
-        return self.curve.knots
-
-    @property
     def tip_px(self) -> Array:
         """(2,) the wire's tip."""
         return self._there()[0, 1:]
@@ -86,11 +76,8 @@ class Predictor:
     """Reads wires off images.
 
     Args:
-        network: either variant.
         source_px: side of the images that it was trained on, before they were made small.
-        device: where it computes.
         compiled: let torch compile the network; worth it for many images of one batch size.
-        backend: of the compiler.
     """
 
     def __init__(

@@ -32,7 +32,6 @@ class TokenSettings:
     """How a curve is turned into tokens.
 
     Attributes:
-        limit: most tokens a curve may have.
         tolerance_px: root mean square distance that the smoothing spline may leave; more only to keep the limit.
         closest_px: points closer than this are one click made twice, and removed first.
     """
@@ -47,7 +46,6 @@ def tokens_of_polyline(points_px: ArrayLike, settings: TokenSettings | None = No
 
     Args:
         points_px: (n, 2) px, tip first; they may cross themselves, lie outside the image, or be a short stub.
-        settings: of the fit.
 
     Returns:
         (m, 3) tokens: knot (px along the curve, from the tip), x, y (px).
@@ -97,14 +95,11 @@ def tokens_of_curve(curve: BSplineCurve) -> Array:
 
 
 def tokens_on_knots(points_px: ArrayLike, knots: Array) -> Array:
-    """Fits a cubic with given knots to a polyline by least squares, the share of its length being the parameter.
+    """Fits (m, 3) tokens on given knots to a polyline by least squares, the share of its length being the parameter.
 
     Args:
         points_px: (n, 2) px, tip first.
         knots: (m + 4,) clamped, from 0 to 1.
-
-    Returns:
-        (m, 3) tokens.
 
     Raises:
         ValueError: fewer than two different points.
@@ -117,13 +112,10 @@ def tokens_on_knots(points_px: ArrayLike, knots: Array) -> Array:
 
 
 def curve_of_tokens(tokens: ArrayLike) -> BSplineCurve:
-    """Returns the B-spline of tokens; knots that a network put out of order are put in order.
+    """Returns the B-spline of tokens, clamped at both ends; knots that a network put out of order are put in order.
 
     Args:
         tokens: (n, 3) knot, x, y; at least four.
-
-    Returns:
-        The curve, clamped at both ends.
 
     Raises:
         ValueError: too few tokens, not finite, or all knots zero.

@@ -72,10 +72,6 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
 def write_board(folder: Path, report: FitReport) -> None:
     """Writes a training's table for TensorBoard.
 
-    Args:
-        folder: of the event file.
-        report: of the training.
-
     Raises:
         ValueError: TensorBoard is not installed.
     """

@@ -5,8 +5,9 @@ Names are imported at first use.
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
+
+from guide3d.lazy_names import imported
 
 if TYPE_CHECKING:
     from guide3d.calibration.cube_calibration import CubeCalibration, calibrate_cube, calibrate_folder
@@ -29,6 +30,4 @@ __all__ = ["CubeCalibration", "RigCalibration", "SheetHoles", "Sighting", "calib
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return imported(__name__, _HOME, name)

@@ -119,10 +119,7 @@ def _joined(first: Beads, more: Beads) -> Beads:
 
 
 def attenuation(image: np.ndarray) -> Attenuation:
-    """What darkens the image over its slowly varying background, and where the field is lit.
-
-    Args:
-        image: (h, w), grey, raw.
+    """What darkens a grey, raw image (h, w) over its slowly varying background, and where the field is lit.
 
     Raises:
         ValueError: The image is not a grey image.

@@ -34,11 +34,8 @@ class CubeView:
     """One image of the cube, looked through.
 
     image: (h, w) grey, raw
-    light: its attenuation
-    beads: discs found (raw pixels)
     numbers: (n,) bead number of each disc, from 0; -1 for clutter
     pixels: (n, 2) undistorted px of the discs, swirl included
-    marks: wire marks found
     unseen: bead numbers that should be visible and could not be measured
     """
 
@@ -57,12 +54,8 @@ class CubeView:
 class CubeCalibration:
     """Everything that came of a folder.
 
-    rig: cameras, residuals, uncertainty
-    holes: by detector
     distortions: by detector, the swirl of the calibration included: undistort with these to go with the cameras
-    views: by (pose, detector)
     points_mm: (m, 3) the beads
-    warnings: sentences
     """
 
     rig: RigCalibration
@@ -119,7 +112,7 @@ def calibrate_folder(folder: str | Path, swirl: str = "auto", method: str = "loc
         try:
             holes[detector] = find_holes(sheet)
         except ValueError as error:
-            raise ValueError(_named(files.sheets[detector], error)) from None
+            raise ValueError(f"{files.sheets[detector]}: {error}") from None
     names = {key: str(path) for key, path in files.cubes.items()}
     return calibrate_cube(holes, images, points_mm, marked, swirl, method, names)
 
@@ -159,7 +152,7 @@ def calibrate_cube(
             field = distortion.undistort_image(light.field.astype(np.uint8)) > 0
             fit = recognise_lattice(lattice, pixels, distortion.width, distortion.height, field)
         except ValueError as error:
-            raise ValueError(_named(names[pose, detector], error)) from None
+            raise ValueError(f"{names[pose, detector]}: {error}") from None
         marks = find_marks(light, beads)
         found[pose, detector] = light, beads, marks
         seen = [replace(mark, pixels=distortion.undistort_points(mark.pixels)) for mark in marks]
@@ -201,10 +194,6 @@ def _undistorted(
         key: replace(view, pixels=distortions[view.detector].undistort_points(view.beads.centres_px))
         for key, view in views.items()
     }
-
-
-def _named(path: object, error: Exception) -> str:
-    return f"{path}: {error}"
 
 
 def _attitude_warnings(poses: Sequence[str], certain: Sequence[bool], marked: dict[str, int]) -> list[str]:

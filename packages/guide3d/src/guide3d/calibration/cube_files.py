@@ -21,8 +21,6 @@ class CubeFiles:
 
     sheets: by detector, the image of the perforated sheet
     cubes: by (pose, detector), the image of the cube
-    beads: the bead coordinates
-    references: the marked beads, or None
     """
 
     sheets: dict[str, Path]
@@ -69,13 +67,7 @@ def find_files(folder: str | Path) -> CubeFiles:
 
 
 def read_grey(path: str | Path) -> np.ndarray:
-    """Read an image as grey values.
-
-    Args:
-        path: PNG, JPEG, TIFF or BMP, 8 or 16 bits, grey or colour.
-
-    Returns:
-        (h, w) float.
+    """Read a PNG, JPEG, TIFF or BMP of 8 or 16 bits, grey or colour, as grey values (h, w), float.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -97,13 +89,10 @@ def read_grey(path: str | Path) -> np.ndarray:
 
 
 def read_beads(path: str | Path) -> np.ndarray:
-    """Read bead coordinates.
+    """Read bead coordinates (n, 3) mm.
 
     Args:
         path: Comma-separated x, y, z with a header row; the unit stands at the end of the name (framespec_cm.csv).
-
-    Returns:
-        (n, 3) mm.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -136,13 +125,10 @@ def read_beads(path: str | Path) -> np.ndarray:
 
 
 def read_references(path: str | Path, beads: int) -> dict[str, int]:
-    """Read which beads are marked.
+    """Read which beads are marked: bead number counted from 0, by mark.
 
     Args:
         path: Lines "<bead counted from 1> <mark>", as XMALab writes them.
-
-    Returns:
-        Bead number counted from 0, by mark.
 
     Raises:
         ValueError: A malformed line, or a bead that does not exist.

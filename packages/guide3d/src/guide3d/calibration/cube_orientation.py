@@ -29,7 +29,6 @@ class Candidate:
     """One way to number the beads of an image.
 
     numbers: (m,) bead of each disc, -1 for clutter
-    camera: that goes with it
     """
 
     numbers: np.ndarray

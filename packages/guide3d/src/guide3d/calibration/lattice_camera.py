@@ -35,7 +35,6 @@ class CubeLattice:
 
     points_mm: (n, 3) in the cube's frame
     sites: (n, 3) whole numbers, their place on the lattice, from 0
-    pitch_mm: of the lattice
     symmetries: (g, n) each a renumbering by a rotation that maps the lattice onto itself: bead k goes where
         bead symmetries[i, k] was
     """

@@ -29,7 +29,6 @@ class SheetHoles:
     indices: (n, 2) whole axial coordinates (q, r) on the lattice, unique, (0, 0) near the middle of the image
     partial: (n,) bool, cut by the border of the image or of the field
     pitch_px: mean distance of neighbouring holes
-    width, height: of the image
     """
 
     centres_px: np.ndarray
@@ -52,10 +51,7 @@ class SheetHoles:
 
 
 def find_holes(image: np.ndarray) -> SheetHoles:
-    """Find and index the holes of a perforated sheet.
-
-    Args:
-        image: (h, w), grey; holes brighter than the steel.
+    """Find and index the holes of a perforated sheet, brighter than the steel, in a grey image (h, w).
 
     Returns:
         The holes, sorted by lattice row and column.

@@ -47,11 +47,7 @@ def draw_displacement(holes: SheetHoles, distortion: Distortion) -> Image.Image:
 
 
 def draw_beads(calibration: CubeCalibration, view: CubeView) -> Image.Image:
-    """A cube image with its beads' numbers (from 1) and residuals, its wire marks, and beads expected but not measured.
-
-    Returns:
-        A picture twice as large.
-    """
+    """A cube image, twice as large: beads' numbers (from 1) and residuals, wire marks, beads that were not measured."""
     picture, draw = _ground(view.image, _ENLARGED)
     key = view.pose, view.detector
     for mark in view.marks:

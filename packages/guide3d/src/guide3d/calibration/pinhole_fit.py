@@ -105,14 +105,11 @@ def projection_jacobian(
 
 
 def direct_linear_transformation(points_mm: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """The projection matrix (3, 4) of at least six points, by normalised linear least squares.
+    """The projection matrix (3, 4), of unit norm, of at least six points, by normalised linear least squares.
 
     Args:
         points_mm: (n, 3), not all in one plane.
         pixels: (n, 2) undistorted.
-
-    Returns:
-        P (3, 4), of unit norm.
 
     Raises:
         ValueError: Fewer than six pairs.
@@ -189,20 +186,15 @@ def ransac_camera(
         raise ValueError(
             f"expected a camera that most of {n} points agree with, found one that {best.sum()} agree with"
         )
-    return Camera.from_P(
-        _in_front(direct_linear_transformation(points_mm[best], pixels[best]), points_mm), width, height
-    ), best
+    P = direct_linear_transformation(points_mm[best], pixels[best])
+    P = P * np.sign(np.median(points_mm @ P[2, :3] + P[2, 3]))  # depths are positive
+    return Camera.from_P(P, width, height), best
 
 
 def _off(P: np.ndarray, points_mm: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     seen = points_mm @ P[:, :3].T + P[:, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.nan_to_num(np.linalg.norm(seen[:, :2] / seen[:, 2:] - pixels, axis=1), nan=np.inf)
-
-
-def _in_front(P: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
-    """P with the sign that gives positive depths."""
-    return P * np.sign(np.median(points_mm @ P[2, :3] + P[2, 3]))
 
 
 def refine_camera(
@@ -214,7 +206,7 @@ def refine_camera(
     robust_px: float | None = None,
     rounds: int = 30,
 ) -> Camera:
-    """The camera with the least squared reprojection error, by Levenberg-Marquardt.
+    """The camera with the least squared reprojection error, by Levenberg-Marquardt, without a covariance.
 
     Args:
         points_mm: (n, 3) world, mm.
@@ -223,9 +215,6 @@ def refine_camera(
         noise_px: Standard deviation of a pixel coordinate; it matters beside a prior only.
         robust_px: Pixels farther off than this pull with constant force (Huber); None for plain squares.
         rounds: At most so many steps.
-
-    Returns:
-        The refined camera, without a covariance.
     """
     points_mm, pixels = np.asarray(points_mm, float), np.asarray(pixels, float)
     K, R, t = camera.K.copy(), camera.R, camera.t_mm

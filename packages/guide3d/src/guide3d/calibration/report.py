@@ -68,12 +68,7 @@ def figures(calibration: CubeCalibration) -> dict:
 
 
 def write_report(calibration: CubeCalibration, source: str | Path, folder: str | Path) -> Path:
-    """Write the page, its pictures, the cameras and the maps.
-
-    Args:
-        calibration: Of the folder `source`.
-        folder: Where to write; made if missing.
-    """
+    """Write the page, its pictures, the cameras and the maps into a folder, made if missing."""
     folder = Path(folder)
     files, numbers = find_files(source), figures(calibration)
     calibration.write(folder)

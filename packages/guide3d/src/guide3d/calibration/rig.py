@@ -39,7 +39,6 @@ _RIGID_PX = 3.0  # RMS that a pose may leave in a rigid rig
 class Sighting:
     """Beads seen by one detector in one pose.
 
-    pose, detector: names
     numbers: (n,) bead numbers, from 0
     pixels: (n, 2) undistorted px
     """
@@ -56,7 +55,6 @@ class RigCalibration:
 
     cameras: by detector, with covariance
     swirl_px: by detector, shift at the border of the image; zero where the beads did not ask for it
-    swirl_sd_px: by detector
     poses: by pose, (R (3, 3), t (3,) mm) from the cube's frame to the world
     residuals_px: by (pose, detector), (n, 2) projection minus measurement
     used: by (pose, detector), (n,) bool, False for outliers
@@ -82,16 +80,13 @@ def calibrate_rig(
     swirl: str = "auto",
     seed: int = 0,
 ) -> RigCalibration:
-    """Calibrate all detectors of a rig at once.
+    """Calibrate all detectors of a rig at once: cameras with covariances, and all residuals.
 
     Args:
         points_mm: (m, 3) beads in the cube's frame, mm.
         sightings: One an image; the first's pose gives the world.
         sizes: (width, height) of every detector's images, px.
         swirl: "auto": a detector gets a swirl where it is significant; "never"; "always".
-
-    Returns:
-        Cameras with covariances and all residuals.
 
     Raises:
         ValueError: No sightings, an image with fewer than twelve beads, or with labels that no camera agrees with.

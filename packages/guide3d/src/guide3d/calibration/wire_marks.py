@@ -53,14 +53,11 @@ class _Line:
 
 
 def find_marks(image: np.ndarray | Attenuation, beads: Beads) -> list[WireMark]:
-    """Find the wire marks of a cube image.
+    """Find the wire marks of a cube image, in no order of meaning.
 
     Args:
         image: (h, w), grey, raw; or its attenuation.
         beads: The beads found in it, which hide the wires behind them.
-
-    Returns:
-        The marks, in no order of meaning.
     """
     light = image if isinstance(image, Attenuation) else attenuation(image)
     lines = [_Line.of(pixels) for pixels in _thin(light, beads)]

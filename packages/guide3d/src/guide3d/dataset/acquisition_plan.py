@@ -17,7 +17,6 @@ class PlannedAcquisition:
 
     Attributes:
         number: in the data set, from 1.
-        fluid: whether the phantom is filled.
         wire: "angled" or "straight".
         target: branch that the wire is meant for, e.g. "bca".
     """
@@ -57,7 +56,6 @@ def plan_acquisitions(
     """Plans a data set.
 
     Args:
-        pairs: of an acquisition at most.
         phantoms: anatomies, taken in turn.
         targets: branches, taken in turn.
 

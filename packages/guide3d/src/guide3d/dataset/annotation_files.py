@@ -34,7 +34,6 @@ class Annotation:
 
     Attributes:
         acquisition: name of the video, e.g. "1-bca-angle-5".
-        fluid: whether the phantom was filled.
         wire: "angled" or "straight".
         image_a: path of camera A's image below the folder of images.
         image_b: path of camera B's image.
@@ -112,14 +111,10 @@ def described(acquisition: str, video: Mapping[str, Any]) -> tuple[bool, str]:
 
 
 def read_raw(path: Path, damaged: list[str]) -> list[Annotation]:
-    """Reads polylines.
+    """Reads polylines: the annotations that can be used, in the file's order.
 
     Args:
-        path: raw.json.
         damaged: takes a sentence for every frame that is left out.
-
-    Returns:
-        The annotations that can be used, in the file's order.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -149,14 +144,10 @@ def read_raw(path: Path, damaged: list[str]) -> list[Annotation]:
 
 
 def read_curves(path: Path, damaged: list[str]) -> dict[tuple[str, int], Views]:
-    """Reads fitted curves.
+    """Reads fitted curves: (acquisition, frame number) to curves.
 
     Args:
-        path: b_spline.json or sphere.json.
         damaged: takes a sentence for every frame that is left out.
-
-    Returns:
-        (acquisition, frame number) to curves.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -180,11 +171,7 @@ def read_curves(path: Path, damaged: list[str]) -> dict[tuple[str, int], Views]:
 
 
 def write_raw(path: Path, annotations: Sequence[Annotation]) -> None:
-    """Writes raw.json.
-
-    Args:
-        path: of the file; it appears whole or not at all.
-    """
+    """Writes raw.json; it appears whole or not at all."""
 
     def view(image: str, points: Array) -> dict[str, Any]:
         return {"image": image, "points": [[round(float(x), 2), round(float(y), 2)] for x, y in points]}

@@ -27,14 +27,11 @@ class ImageError(ValueError):
 
 
 def read_image(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-    """Reads a grey image.
+    """Reads a grey image, (height, width) uint8.
 
     Args:
         path: PNG or JPEG.
         size_px: width and height that it must have; any where None.
-
-    Returns:
-        (height, width) uint8.
 
     Raises:
         ImageError: it is missing, cannot be read, or has another size.
@@ -63,7 +60,6 @@ class Frame:
         images: folder of the images; None where the data set has none.
         size_px: camera "a" and "b" to width and height of its images.
         views: fitted curves that came with the data set.
-        truth: the wire as it was simulated.
     """
 
     annotation: Annotation
@@ -103,10 +99,7 @@ class Frame:
         return None if self.images is None else self.images / name
 
     def image(self, camera: str) -> NDArray[np.uint8]:
-        """The image of camera "a" or "b".
-
-        Returns:
-            (height, width) uint8.
+        """The image of camera "a" or "b", (height, width) uint8.
 
         Raises:
             ImageError: it is missing, damaged or of another size.

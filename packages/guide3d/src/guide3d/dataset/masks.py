@@ -11,18 +11,10 @@ _PIECE_PX = 32.0  # longer pieces are cut, so that the window around each stays 
 
 
 def strip_mask(points: ArrayLike, width: int, height: int, width_px: float = 6.0) -> NDArray[np.uint8]:
-    """The mask of a wire along a polyline, with round ends.
+    """The mask of a wire along a polyline (n, 2) px, with round ends: (height, width) uint8, 255 on the wire, else 0.
 
     A pixel belongs to the mask where the strip covers half of it, which is where its centre lies within half the width
     of the polyline: the threshold at 128 of an anti-aliased drawing.
-
-    Args:
-        points: (n, 2) px.
-        width: of the image, px.
-        height: of the image, px.
-
-    Returns:
-        (height, width) uint8, 255 on the wire, else 0.
 
     Raises:
         ValueError: points that are no polyline, or a width that is not above 0.

@@ -30,13 +30,10 @@ class TrueCurve:
 
 
 def read_truth(path: Path, damaged: list[str]) -> dict[tuple[str, int], TrueCurve]:
-    """Reads truth.json.
+    """Reads truth.json: (acquisition, frame number) to the wire.
 
     Args:
         damaged: takes a sentence for every entry that is left out.
-
-    Returns:
-        (acquisition, frame number) to the wire.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -59,12 +56,7 @@ def read_truth(path: Path, damaged: list[str]) -> dict[tuple[str, int], TrueCurv
 
 
 def write_truth(path: Path, curves: Mapping[tuple[str, int], TrueCurve]) -> None:
-    """Writes truth.json.
-
-    Args:
-        path: of the file; it appears whole or not at all.
-        curves: (acquisition, frame number) to the wire.
-    """
+    """Writes truth.json, whole or not at all, of (acquisition, frame number) to the wire."""
     frames = [
         {
             "acquisition": acquisition,

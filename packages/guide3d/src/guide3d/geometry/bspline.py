@@ -98,7 +98,6 @@ def fit_bspline(
         smoothing: sum of squared distances that the fit may leave, in squared units of the points; 0 goes through them.
         degree: degree; lowered where there are fewer than degree + 1 points.
         closest: points closer than this are removed first, in the unit of the points.
-        what: name of the polyline in messages.
 
     Returns:
         The curve; its parameter runs from 0 to the chord length.

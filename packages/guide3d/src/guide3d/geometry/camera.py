@@ -105,15 +105,12 @@ class Camera:
 
     @classmethod
     def from_P(cls, P: np.ndarray, width: int, height: int, name: str = "") -> Camera:
-        """The camera of a projection matrix, by RQ decomposition.
+        """The camera of a projection matrix, by RQ decomposition, without a covariance.
 
         Args:
             P: (3, 4), any scale and sign, world mm to px.
             width: Of the image, px.
             height: Of the image, px.
-
-        Returns:
-            The camera, without a covariance.
 
         Raises:
             ValueError: P has another shape or no finite centre.

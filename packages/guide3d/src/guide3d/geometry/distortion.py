@@ -30,15 +30,12 @@ _GRID_PX = 8  # images are mapped through a grid this fine; between, the map is 
 
 
 def ideal_lattice(holes: SheetHoles, frame: str = "least squares") -> np.ndarray:
-    """Where the holes would be without distortion.
+    """Where the holes would be without distortion, (n, 2) undistorted px.
 
     Args:
         frame: "least squares": scale, angle and shift that fit all holes best. "bounding box": turned as the lattice in
             the middle of the image, then scaled along x and along y to the box around the holes, as XMALab does it;
             needed only to go with projections that were calibrated there.
-
-    Returns:
-        (n, 2) undistorted px.
 
     Raises:
         ValueError: There is no such frame.
@@ -66,9 +63,7 @@ class Distortion:
 
     raw_px: (n, 2) control points in the raw image
     ideal_px: (n, 2) the same, undistorted
-    width, height: of the image
     method: "local weighted mean" or "spline"
-    neighbours: of the local weighted mean
     spans: of the spline, along each axis
     """
 
@@ -168,14 +163,11 @@ class Distortion:
         return np.stack([ndimage.map_coordinates(coarse[..., axis], [rows, columns], order=3) for axis in (1, 0)])
 
     def undistort_image(self, image: np.ndarray, fill: float = 0.0) -> np.ndarray:
-        """The image as an undistorted detector would have taken it.
+        """The image as an undistorted detector would have taken it, of the same shape and type.
 
         Args:
             image: (height, width) or (height, width, channels), raw.
             fill: Grey value of what lies outside the raw image.
-
-        Returns:
-            An array of the same shape and type.
 
         Raises:
             ValueError: The image has another size than the sheet's.

@@ -14,20 +14,19 @@ Array = NDArray[np.float64]
 _FINE = 1000  # vertices at least, for `distances_to`
 
 
-def checked(points: ArrayLike, dimension: int | None = None, what: str = "polyline", minimum: int = 2) -> Array:
+def checked(points: ArrayLike, dimension: int | None = None, what: str = "polyline") -> Array:
     """Returns the points of a polyline as a float array, or says what is wrong with them.
 
     Args:
         points: (n, d) points, tip first.
         dimension: d that is expected, any where None.
         what: the polyline's name in messages, such as "annotation of camera A".
-        minimum: fewest different points.
 
     Returns:
         (m, d) points without repeated neighbours.
 
     Raises:
-        ValueError: not (n, d), not finite, or fewer than `minimum` different points.
+        ValueError: not (n, d), not finite, or fewer than two different points.
     """
     array = np.asarray(points, dtype=float)
     expected = f"(n, {'d' if dimension is None else dimension})"
@@ -37,10 +36,8 @@ def checked(points: ArrayLike, dimension: int | None = None, what: str = "polyli
         bad = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
         raise ValueError(f"{what}: point {bad} is not finite; drop it before going on")
     kept = array[np.concatenate([[True], (np.diff(array, axis=0) != 0).any(axis=1)])] if len(array) else array
-    if len(kept) < minimum:
-        raise ValueError(
-            f"{what}: expected at least {minimum} different points, got {len(kept)}; no curve goes through that"
-        )
+    if len(kept) < 2:
+        raise ValueError(f"{what}: expected at least 2 different points, got {len(kept)}; no curve goes through that")
     return kept
 
 
@@ -62,7 +59,6 @@ def resample(points: ArrayLike, spacing: float | None = None, count: int | None 
     """Resamples a polyline at equal arc length.
 
     Args:
-        points: (n, d) points.
         spacing: distance of the new points; the last one lies less than this before the end, which is left out.
         count: number of new points, both ends among them; give this or `spacing`.
 
@@ -89,15 +85,7 @@ def resample(points: ArrayLike, spacing: float | None = None, count: int | None 
 
 
 def thinned(points: ArrayLike, closest: float) -> Array:
-    """Drops points that lie closer than a distance to the last point kept; both ends stay.
-
-    Args:
-        points: (n, d) points.
-        closest: smallest distance of neighbours, in the unit of the points.
-
-    Returns:
-        (m, d) points.
-    """
+    """Drops points (n, d) that lie closer than a distance, in their unit, to the last point kept; both ends stay."""
     array = np.asarray(points, dtype=float)
     kept = [0]
     for i in range(1, len(array)):

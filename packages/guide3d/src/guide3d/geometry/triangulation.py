@@ -11,14 +11,11 @@ from guide3d.geometry.polyline import Array
 
 
 def triangulate_linear(camera_a: Camera, camera_b: Camera, points_a: ArrayLike, points_b: ArrayLike) -> Array:
-    """Triangulates pairs of points by the linear equations x x (P X) = 0.
+    """Triangulates pairs of points by the linear equations x x (P X) = 0; gives (n, 3) mm, world.
 
     Args:
         points_a: (n, 2) undistorted px.
         points_b: (n, 2) undistorted px of the same points.
-
-    Returns:
-        (n, 3) mm, world.
 
     Raises:
         ValueError: the lists differ in length or are not (n, 2).

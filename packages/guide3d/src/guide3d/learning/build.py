@@ -9,7 +9,6 @@ from typing import Any
 
 from torch import nn
 
-from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.pretrained import load_pretrained
 from guide3d.modeling.shape_network import ImageFeatures, ShapeNetwork
 from guide3d.modeling.spherical import SphericalForm
@@ -140,12 +139,3 @@ def rebuilt(description: Mapping[str, Any]) -> ShapeNetwork:
     """Builds a shape network from what `described` gave."""
     form = None if description["form"] is None else SphericalForm(**description["form"])
     return build_shape_network(ShapeSize(**description["size"]), form, description["positions"])
-
-
-def build_fgrn(points: int, **sizes: Any) -> FGRN:
-    """Builds 3D-FGRN.
-
-    Args:
-        sizes: of its parts, see `FGRN_SIZES`.
-    """
-    return FGRN(points=points, **sizes)

@@ -12,12 +12,7 @@ from torch import Tensor, distributed, nn
 
 @dataclass(frozen=True)
 class Ranks:
-    """This process among its like.
-
-    Attributes:
-        rank: of this process, from 0; rank 0 writes files.
-        count: of the processes.
-    """
+    """This process among its like, counted by `rank` from 0; rank 0 writes files."""
 
     rank: int
     count: int

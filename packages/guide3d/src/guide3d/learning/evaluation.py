@@ -118,7 +118,6 @@ def evaluate_segmentation(
     """Compares predicted masks with the annotated ones, at the camera's and at the network's resolution.
 
     Args:
-        acquisitions: names of those to predict, both cameras.
         images: evenly chosen; 0: all.
         pictures: folder that keeps prepared pictures; None: in memory.
         progress: called with the number of an image and of all, after each.

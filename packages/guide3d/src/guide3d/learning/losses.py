@@ -19,7 +19,6 @@ class ShapeLoss:
     """Weights of the shape network's loss; lengths count in cm, angles in rad.
 
     Attributes:
-        tip: of the tip's squared error.
         offset: of the offsets' mean squared error; Cartesian offsets are points, in cm.
         stop: of the binary cross-entropy of each position's stop.
         curve: of the mean squared distance of the decoded curve from the true one; 0 as in the thesis.
@@ -37,16 +36,13 @@ class ShapeLoss:
     def __call__(
         self, predicted: PredictedShapes, points_mm: Tensor, offsets: Tensor, last: Tensor, anchor: str = "tip"
     ) -> Tensor:
-        """Compares predicted with true curves.
+        """Compares predicted with true curves; gives (n,) a loss a curve.
 
         Args:
             points_mm: (n, M, 3) from the anchor on, padded.
             offsets: (n, M - 1, 2 or 3), padded as they are.
             last: (n,) index of each curve's last point.
             anchor: of `modeling.shape_network.ANCHORS`: the first point is the tip, or the last.
-
-        Returns:
-            (n,) a loss a curve.
         """
         positions = torch.arange(points_mm.shape[1], device=last.device)
         inside = (positions <= last[:, None]).float()

@@ -72,10 +72,7 @@ def write_model(
     module: nn.Module,
     metadata: dict[str, Any] | None = None,
 ) -> None:
-    """Writes a network; a reader sees the former file or this one.
-
-    Args:
-        path: of the file; its folder is made when missing.
+    """Writes a network; a reader sees the former file or this one. The folder is made when missing.
 
     Raises:
         ValueError: a weight is NaN or infinite; the former file stays.
@@ -96,10 +93,7 @@ def write_model(
 
 
 def read_model(path: Path | str, kind: str) -> dict[str, Any]:
-    """Reads what `write_model` wrote.
-
-    Args:
-        kind: of network that it must be.
+    """Reads what `write_model` wrote of a network of a kind.
 
     Raises:
         FileNotFoundError: there is no such file.

@@ -12,7 +12,7 @@ import torch
 
 from guide3d.dataset.dataset import VIEWS, images_of
 from guide3d.geometry.polyline import Array
-from guide3d.learning.build import build_fgrn, build_shape_network, described
+from guide3d.learning.build import build_shape_network, described
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.picture_store import PictureStore
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
@@ -20,6 +20,7 @@ from guide3d.learning.recipes import FORMS, FGRNRecipe, SegmentationRecipe, Shap
 from guide3d.learning.segmentation_samples import SegmentationObjective
 from guide3d.learning.shape_samples import CAMERA, Clips, ShapeObjective, clips_of, walks_of
 from guide3d.learning.training import FitProgress, FitReport, Objective, fit
+from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.spherical import SphericalForm
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def _fgrn(data: Dataset, split: Split, recipe: FGRNRecipe, pictures: Path | None
         camera=data.camera_a, augmentation=recipe.augmentation, spacing_mm=recipe.spacing_mm,
     )  # fmt: skip
     torch.manual_seed(seed)
-    network = build_fgrn(points, **recipe.sizes)
+    network = FGRN(points=points, **recipe.sizes)
     _fill(network, objective.statistics())
     metadata = {"training_frames": training, "best_epoch": 0, "spacing_mm": recipe.spacing_mm}
     return network, objective, FGRNPredictor, {"points": points, **recipe.sizes}, metadata

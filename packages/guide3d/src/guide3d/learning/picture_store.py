@@ -109,7 +109,6 @@ def replace_unreadable(
     """Returns items whose images can be read.
 
     Args:
-        items: (n,) that are wanted.
         generator: draws others in place of those with a damaged image; None: they are left out.
 
     Raises:

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
-from guide3d.learning.build import ShapeSize, build_fgrn, build_segmenter, described, rebuilt
+from guide3d.learning.build import ShapeSize, build_segmenter, described, rebuilt
 from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
 from guide3d.learning.preprocessing import Preprocessing
 from guide3d.modeling.fgrn import FGRN
@@ -36,7 +36,6 @@ class _Predictor:
         """Args:
         network: what `build` makes of `size`, trained.
         size: sizes of its parts, as the model file keeps them.
-        metadata: what else is known of it.
         """
         self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata
 
@@ -73,14 +72,11 @@ class ShapePredictor(_Predictor):
     build = staticmethod(rebuilt)
 
     def predict(self, images: Sequence[Images] | Images) -> Array:
-        """Predicts the wire at the last of some frames.
+        """Predicts the wire at the last of some frames: (n, 3) mm, world, tip first.
 
         Args:
             images: frames in time order, (h, w) uint8 each, as the camera took them; only the last few count, and
                 where there are fewer than the network sees, the first is repeated.
-
-        Returns:
-            (n, 3) mm, world, tip first.
 
         Raises:
             ValueError: no image, or one of another size or type.
@@ -109,11 +105,11 @@ class ShapePredictor(_Predictor):
 
 
 class FGRNPredictor(_Predictor):
-    """One image to a fixed number of points along the wire; `size` has the arguments of `build.build_fgrn`."""
+    """One image to a fixed number of points along the wire; `size` has the arguments of `FGRN`."""
 
     kind = "fgrn"
     network: FGRN
-    build = staticmethod(lambda size: build_fgrn(**size))
+    build = staticmethod(lambda size: FGRN(**size))
 
     def predict(self, image: Images) -> Array:
         """Predicts the wire in an image; it has no stop, so points beyond the wire's end are predicted, too.
@@ -162,26 +158,13 @@ class SegmentationPredictor(_Predictor):
     build = staticmethod(built)
 
     def predict(self, image: Images) -> Images:
-        """Predicts the mask of an image.
-
-        Args:
-            image: (h, w) uint8, as the camera took it.
-
-        Returns:
-            (h, w) uint8, 255 on the wire.
-        """
+        """Predicts the mask (h, w) uint8, 255 on the wire, of an image (h, w) uint8, as the camera took it."""
         return np.where(self.enlarged(self.chances(self.preprocessing(image))) >= 0.5, 255, 0).astype(np.uint8)
 
     def chances(self, picture: Images) -> NDArray[np.float32]:
-        """The chance of each pixel of a picture, prepared already, to be wire.
+        """The chance, 0 to 1, of each pixel of a picture (size_px, size_px) uint8, prepared already, to be wire.
 
         Tiles that the network can see at once overlap; there, what lies further from a tile's border counts more.
-
-        Args:
-            picture: (size_px, size_px) uint8.
-
-        Returns:
-            Likewise, 0 to 1.
         """
         side, tile = picture.shape[0], self.size["crop_px"]
         corners = _corners(side, tile)

@@ -47,13 +47,7 @@ class Preprocessing:
             raise ValueError(f"first_px must divide {self.source_px}, got {self.first_px}")
 
     def __call__(self, image: NDArray[np.uint8]) -> Picture:
-        """Makes a picture.
-
-        Args:
-            image: (source_px, source_px) uint8.
-
-        Returns:
-            (size_px, size_px) uint8, area-averaged.
+        """Makes a picture (size_px, size_px) uint8, area-averaged, of an image (source_px, source_px) uint8.
 
         Raises:
             ValueError: an image of another size or type.
@@ -67,24 +61,16 @@ class Preprocessing:
         if self.line_px:
             sharp = averaged(image, self.source_px // self.first_px)
             lines = dark_lines(sharp, self.line_px // self.first_px | 1).astype(np.float32)
-            return np.clip(self.gain * _averaged(lines, self.size_px), 0, 255).astype(np.uint8)
+            return np.clip(self.gain * averaged(lines, self.size_px), 0, 255).astype(np.uint8)
         if self.flat_px:
-            grey = _averaged(image.astype(np.float32), self.size_px)
+            grey = averaged(image.astype(np.float32), self.size_px)
             left = grey - ndimage.uniform_filter(grey, self.flat_px, mode="nearest")
             return np.clip(_MIDDLE + self.gain * left, 0, 255).astype(np.uint8)
         return averaged(image, self.size_px)
 
 
-def averaged(image: NDArray[np.uint8], size_px: int) -> Picture:
-    """Reduces a square image by averaging areas.
-
-    Args:
-        image: (h, h) uint8.
-    """
-    return np.asarray(_averaged(image, size_px))
-
-
-def _averaged(image: NDArray[Any], size_px: int) -> NDArray[Any]:
+def averaged(image: NDArray[Any], size_px: int) -> NDArray[Any]:
+    """Reduces a square image (h, h) by averaging areas."""
     if image.shape == (size_px, size_px):
         return image
     return np.asarray(Image.fromarray(image).resize((size_px, size_px), Image.Resampling.BOX))

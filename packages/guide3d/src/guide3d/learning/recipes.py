@@ -58,7 +58,6 @@ class SegmentationRecipe:
     """How a segmentation network is trained.
 
     Attributes:
-        network: "unet", "transunet" or "swinunet".
         crop_px: side of what the network sees at once, px of the picture.
         mask_px: width of the wire, px of the camera's image.
         images: to learn from, at most; 0: all.

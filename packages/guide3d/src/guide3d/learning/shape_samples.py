@@ -84,7 +84,6 @@ def clips_of(
     """Cuts acquisitions into clips: neighbouring windows share frames, which an image network then sees only once.
 
     Args:
-        frames: of a window.
         targets: windows a clip.
     """
     seen, predicted = [], []
@@ -145,7 +144,6 @@ class ShapeObjective:
         """Args:
         clips: to learn from, then those to validate with.
         training: how many of them are learnt from.
-        positions: points of the longest.
         form: of the curve; None: Cartesian.
         loss: of the shape network; None: that of 3D-FGRN.
         spacing_mm: of the points, for 3D-FGRN.

@@ -45,14 +45,11 @@ class NetworkFitSettings:
     """How a network is trained; the defaults are those of the thesis's shape network.
 
     Attributes:
-        epochs: at most.
         batch_size: items an update, over all processes.
         optimiser: "nadam", "adamw" or "sgd" (momentum 0.9).
         learning_rate: the first, or the highest of a one-cycle schedule.
         schedule: "plateau" (times `factor` after `plateau_patience` epochs without a better validation), "one_cycle",
             "polynomial" (to nothing, power 0.9) or "constant".
-        factor: of the plateau.
-        plateau_patience: epochs.
         patience: epochs without a better validation after which training stops; 0: never.
         clip: largest norm of the gradient; 0: any.
     """
@@ -226,11 +223,7 @@ def finished(folder: Path | str) -> None:
 
 @torch.no_grad()
 def validate(module: nn.Module, objective: Objective, settings: NetworkFitSettings, ranks: Ranks) -> float | None:
-    """Mean loss of the validation items, not augmented.
-
-    Returns:
-        The loss; None without items.
-    """
+    """Mean loss of the validation items, not augmented; None without items."""
     own = objective.validation_items[ranks.rank :: ranks.count]
     if not len(objective.validation_items):
         return None

@@ -87,11 +87,7 @@ class SphericalForm:
 
     @classmethod
     def fit(cls, walks_mm: Sequence[Array], radius_mm: float, *, cumulative: bool = False) -> SphericalForm:
-        """Chooses the frame for curves.
-
-        Args:
-            walks_mm: curves as `steps_of_radius` gives them.
-        """
+        """Chooses the frame for curves as `steps_of_radius` gives them."""
         directions = _half_sphere(_CANDIDATES)
         nearest = np.stack([np.abs(np.diff(walk, axis=0) @ directions.T).max(axis=0) for walk in walks_mm]) / radius_mm
         # Few curves come near the pole; among equals, it is far from what all curves do.

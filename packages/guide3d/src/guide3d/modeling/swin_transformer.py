@@ -32,14 +32,11 @@ class WindowAttention(nn.Module):
         self.register_buffer("bias_index", apart[..., 0] * (2 * window - 1) + apart[..., 1], persistent=False)
 
     def forward(self, tokens: Tensor, mask: Tensor | None) -> Tensor:
-        """Attends within windows.
+        """Attends within windows; gives the tokens' shape.
 
         Args:
             tokens: (images * windows, n, width).
             mask: (windows, n, n) added to the logits, or None.
-
-        Returns:
-            As `tokens`.
         """
         batch, count, width = tokens.shape
         packed = self.query_key_value(tokens).reshape(batch, count, 3, self.heads, width // self.heads)

@@ -135,14 +135,7 @@ class VisionTransformer(nn.Module):
         nn.init.trunc_normal_(self.positions, std=0.02)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Encodes images.
-
-        Args:
-            images: (batch, channels, image_px, image_px).
-
-        Returns:
-            (batch, 1 + patches, width).
-        """
+        """Encodes (batch, channels, image_px, image_px) images as (batch, 1 + patches, width) tokens."""
         if images.shape[-2:] != (self.image_px, self.image_px):
             raise ValueError(f"expected images of {self.image_px} x {self.image_px} px, got {tuple(images.shape[-2:])}")
         patches = self.patches(images).flatten(2).transpose(1, 2)

@@ -34,7 +34,6 @@ class CurveFitSettings:
 
     pitch_mm: distance of the spline's knots
     noise_px: noise of an annotated point in each coordinate, to start from
-    estimate_noise: whether to estimate it from the residuals
     least_noise_px: least noise an estimate may have
     outlier: in noises, the distance at which an annotated point has lost half its weight
     bending_per_mm: spectral density of the curvature (1/mm)^2 mm; smaller is stiffer
@@ -43,7 +42,6 @@ class CurveFitSettings:
     change_per_mm2: derivative of the curvature beyond which more change costs ever less
     speed: how far the parameter may deviate from arc length, relative, per square root of mm
     margin_mm: how far the spline reaches beyond the matched end
-    iterations: at most
     """
 
     pitch_mm: Millimetres = 4.0
@@ -70,7 +68,6 @@ class FittedCurve:
     along: per view, parameter of each annotated point
     off_px: per view, signed distance of each annotated point from the curve's image
     noise_px: noise of the annotation, as estimated
-    iterations: that it took
     """
 
     spline: BSplineCurve
@@ -107,16 +104,13 @@ def fit_curve(
     tip_seen: Sequence[bool],
     settings: CurveFitSettings | None = None,
 ) -> FittedCurve:
-    """Fits a curve in space to its annotations in two images.
+    """Fits the most probable curve in space to its annotations in two images.
 
     Args:
         annotated: per view (n, 2) undistorted px, tip first.
         along: per view (n,) mm, about where on `start_mm` each point lies; beyond its end where one view sees more.
         start_mm: (m, 3) a first curve, tip first, up to where one of the views ends.
         tip_seen: per view, whether the first annotated point is the tip.
-
-    Returns:
-        The most probable curve.
 
     Raises:
         ValueError: the images do not determine a curve.

@@ -29,7 +29,6 @@ DENSE_PX = 4.0  # annotations with closer points are curves already and need no 
 class MatchingSettings:
     """How two images are matched.
 
-    sample_px: distance of samples along the images
     match_px: epipolar distance at which it is as dear to match a px as to leave it out
     crossing_px: largest epipolar distance that a match may cross
     noise_px: epipolar distance that is to be expected
@@ -85,14 +84,10 @@ class Match:
 
 
 def image_curve(points: ArrayLike, sample_px: float, what: str = "polyline") -> Array:
-    """Returns a curve through an annotation, resampled at equal arc length.
+    """Returns a curve (m, 2) px through an annotation, resampled at equal arc length.
 
     Args:
         points: (n, 2) px, tip first; a B-spline by chord length goes through them unless they are dense.
-        what: name of the annotation in messages.
-
-    Returns:
-        (m, 2) px.
 
     Raises:
         ValueError: fewer than two different points, or a curve shorter than two samples.

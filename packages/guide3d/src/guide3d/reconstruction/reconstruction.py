@@ -34,10 +34,7 @@ PX_MM = 0.2  # about a px's size at the wire, to place points beyond the end of 
 class ReconstructionSettings:
     """How wires are reconstructed.
 
-    matching: of the two images
-    fit: of the curve in space
     annotation_px: closest distance of the annotated points that enter the fit; denser annotations are thinned
-    spacing_mm: of the resulting curve's points
     rejection_px: mean reprojection error in either image above which a result is not accepted
     outside_px: how far an annotated point may lie outside the image (undistorting moves points at the border outwards)
     """
@@ -57,14 +54,12 @@ class Reconstruction:
     curve_mm: (n, 3) every `spacing_mm` of arc length
     covariance_mm2: (n, 3, 3) of each point: noise of the annotation, prior, and the cameras' own covariances
     spline: the curve, mm
-    match: which places of both annotations belong together
     residual_a_px, residual_b_px: (n,) distance of each point's image from the annotated curve
     coverage: share of the annotation that ends first (as a share of its length) in measured pairs
     coverage_a, coverage_b: share of each annotation in measured pairs
     tangent_share: per view, share of the reconstructed stretch within 10 degrees of the epilines, where depth is open
     noise_px: noise of the annotation as the fit sees it; None of the greedy variant
     accepted: whether both mean reprojection errors stay within the limit
-    warnings: sentences
     """
 
     curve_mm: Array
@@ -114,7 +109,6 @@ def reconstruct(
     Args:
         points_a: (n, 2) undistorted px annotated in A, tip first.
         points_b: (m, 2) undistorted px annotated in B, tip first.
-        settings: weights and priors.
 
     Returns:
         The wire, with residuals, uncertainty and warnings.

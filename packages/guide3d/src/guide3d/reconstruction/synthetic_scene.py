@@ -29,7 +29,6 @@ KINDS = ("arch", "hook", "loop", "shaft")
 class SyntheticScene:
     """A wire in space and what a person annotates of it.
 
-    kind: one of KINDS
     cameras: A and B
     curve_mm: (n, 3) the true wire, tip first, as far as both views see it
     points: per view (n, 2) px, the annotation, tip first, up to where the wire leaves the image

@@ -24,11 +24,8 @@ Pair = tuple[ArrayLike, ArrayLike]
 class Verdict:
     """Which of two readings of the data fits the geometry.
 
-    answer: the reading
-    residual_px: its median epipolar residual
-    other_px: that of the other reading
+    residual_px, other_px: median epipolar residuals, of the answer and of the other reading
     sure: whether the difference is beyond chance
-    sentence: all that in words
     """
 
     answer: str

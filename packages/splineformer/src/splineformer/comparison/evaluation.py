@@ -54,8 +54,6 @@ def mask_reader(segmenter: SegmentationPredictor, data: Dataset, training: Seque
     """Traces the masks of a segmentation.
 
     Args:
-        segmenter: that gives masks.
-        data: the data set.
         training: acquisitions whose wires show where wires enter the images: the other end is the tip.
     """
     frames = [data.frames[index] for name in training for index in data.acquisitions[name]]
@@ -92,11 +90,8 @@ def evaluate_readers(
     """Lets readers read images under one disturbance.
 
     Args:
-        readers: by name.
-        data: with annotated wires.
         items: images; those that cannot be read are left out.
         kind: of `disturbances.KINDS`.
-        seed: of the disturbances.
         progress: called with the number of an image and of all, before each.
 
     Returns:
@@ -166,8 +161,6 @@ def examples_of(
 
     Args:
         errors: of the reader on plain images, as `evaluate_readers` gives them.
-        items: the plain images.
-        disturbed_items: those read under disturbances.
         kinds: disturbances; of several the occlusion is shown, or else the last.
 
     Returns:

@@ -24,8 +24,6 @@ def speed(predictor: Predictor, image: NDArray[np.uint8], calls: int = 5) -> dic
     """Processor time of one image, and images a second in batches of eight, from the camera's image to the curve.
 
     Args:
-        predictor: that reads.
-        image: (h, w).
         calls: timed, after one that is not.
     """
 
@@ -66,8 +64,6 @@ def kind_accuracy(
     """Shares (%) of images whose kind is recognised: "one" wire, "none" (removed), "several" (one added), "inverted".
 
     Args:
-        predictor: that reads.
-        data: with annotated wires.
         items: images; the added wire is the mirrored one of the image before (its own for the first).
         seed: of the noise where a wire was removed.
         progress: called with the number of an image and of all, before each.

@@ -31,7 +31,6 @@ class Augmentation:
 
     Attributes:
         shift: largest, of the image's side.
-        turn_deg: largest.
         stretch: largest change of size, as the logarithm of a factor.
         gain: contrast is multiplied by exp(±gain).
         offset: largest change of brightness, of 255.
@@ -88,8 +87,6 @@ def moved(points: Points, settings: Augmentation, generator: np.random.Generator
 
     Args:
         points: (n, 2) shares of the side.
-        settings: how far.
-        generator: draws.
 
     Returns:
         The moved curve's part inside the image, and the (2, 3) map from old to new places.

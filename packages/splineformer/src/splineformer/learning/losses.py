@@ -28,7 +28,6 @@ class PublishedWeights:
 
     Attributes:
         knots: of the Huber loss of the knots.
-        points: of the squared error of the control points.
         end: of the cross-entropy of the end of the sequence.
         curve: of the squared error of samples of the decoded curve.
         tip: of the squared error of the first token.
@@ -60,7 +59,6 @@ class OrderedWeights:
         curve: of the distance of the curve of the control points.
         spread: of the likelihood of the distances under their predicted spread.
         on_wire: of the cross-entropy of whether points lie on the wire.
-        kind: of the kind of image.
     """
 
     course: Weight = 1.0
@@ -152,16 +150,13 @@ def distance(a: Tensor, b: Tensor) -> Tensor:
 
 
 def nearest_on_curve(points: Tensor, curve: Tensor, shares: Tensor | None = None, within: float = 1.0) -> Tensor:
-    """The places of curves that lie nearest to points.
+    """The places (B, n, 2) of curves that lie nearest to points.
 
     Args:
         points: (B, n, 2).
         curve: (B, S, 2) polylines, at equal shares of their length.
         shares: (n,) of the length, where the points belong; None: anywhere.
         within: so far from there, as a share of the length, places are looked for: what runs beside is another strand.
-
-    Returns:
-        (B, n, 2).
     """
     start, step = curve[:, None, :-1], (curve[:, 1:] - curve[:, :-1])[:, None]
     along = ((points[:, :, None] - start) * step).sum(-1) / step.square().sum(-1).clamp_min(1e-12)

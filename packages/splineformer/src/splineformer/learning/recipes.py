@@ -27,10 +27,6 @@ class Recipe:
     """How a variant is trained.
 
     Attributes:
-        settings: of the network.
-        fit: the training.
-        weights: of its loss.
-        augmentation: of the samples.
         images: to learn from, at most; 0: all.
         validation_images: at most; 0: all.
     """

@@ -91,10 +91,7 @@ class SplineObjective:
         stores: of pictures, one a camera, all with as many frames.
         curves: of all images, as `curves_of` gives them.
         training: images to learn from, as `images_of` lists them.
-        validation: images to validate with.
         network: that learns; its variant decides which targets a batch has.
-        augmentation: of what is learnt from.
-        weights: of the loss.
         source_px: side of the camera's images, in which the tokens' tolerance is meant.
 
         Raises:

@@ -44,13 +44,9 @@ def train(
 
     Args:
         data: square images.
-        split: of its acquisitions.
-        recipe: of network and training.
         folder: of the checkpoints, which `guide3d.learning.training.finished` removes.
         pictures: folder that keeps small pictures; None: in memory.
         seed: of weights, shuffling and variety.
-        ranks: that train together.
-        progress: called after every epoch.
 
     Returns:
         The predictor, and what its training was like.

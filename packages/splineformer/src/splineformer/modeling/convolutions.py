@@ -38,7 +38,6 @@ class Stem(nn.Module):
     """Halvings of the image, each a convolution of stride 2 and residual blocks.
 
     Args:
-        before: channels of the image.
         channels: of each halving.
         blocks: residual blocks of each halving.
     """
@@ -116,8 +115,6 @@ def line_pyramid(image: Tensor, reach: int, levels: int) -> list[Tensor]:
 
     Args:
         image: (B, 1, h, w) grey levels of 0 to 255.
-        reach: see `dark_lines`.
-        levels: how many.
 
     Returns:
         (B, 2, h / 2^k, w / 2^k) each; contrast is averaged on the way, of lines the strongest stay.

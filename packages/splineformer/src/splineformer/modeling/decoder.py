@@ -59,7 +59,6 @@ class SplineDecoder(nn.Module):
         """What follows one (B, 1, 3) token after those in the cache, which it joins.
 
         Args:
-            token: the newest.
             cache: of those before; changed.
             attention: keep the last layer's (B, heads, N) weights over the features in the cache.
         """

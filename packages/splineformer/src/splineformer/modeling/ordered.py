@@ -41,9 +41,7 @@ class OrderedSettings:
         overview_level: how often the picture is halved before the stem sees it.
         line_px: to each side of a line, px of the picture.
         channels: of the stem's maps, each half as wide as the one before.
-        blocks: residual blocks of each.
         width: of the tokens of the coarsest map.
-        heads: of attention.
         encoder_layers: over the coarsest map.
         decoder_layers: of the queries.
         kept: numbers of each token from which the curve is predicted.
@@ -51,7 +49,6 @@ class OrderedSettings:
         steps: of the course, from where the wire comes in.
         longest: wire whose tip they reach, in sides of the picture.
         queries: points that are refined, at fixed shares of the length.
-        control_points: of the curve.
         tip_channels: of the heat map of the tip, over the stem's first map.
         revision_cells: of each revision: distance of the places it looks at, px of the picture.
         revision_layers: of attention between the points.

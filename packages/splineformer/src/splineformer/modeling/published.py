@@ -30,12 +30,7 @@ class SplineFormerSettings:
     Attributes:
         image_px: side of the images it reads.
         patch_px: side of a patch; divides `image_px`.
-        width: of the tokens.
-        heads: of attention.
-        encoder_layers: how many.
-        decoder_layers: how many.
         limit: most tokens of a curve.
-        dropout: in training.
         tip_px: side to which the tip predictor averages the images.
     """
 
@@ -80,7 +75,6 @@ class TipPredictor(nn.Module):
     """The first token: convolutions of stride 2, then 512 units, then three numbers by softplus.
 
     Args:
-        image_px: side of the image.
         seen_px: it is averaged down to this side first; what the convolutions leave is pooled to 8 x 8 cells.
     """
 

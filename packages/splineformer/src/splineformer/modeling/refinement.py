@@ -24,8 +24,6 @@ class Revision(nn.Module):
     Args:
         channels: of the fine map.
         width: of the features and of the points' tokens.
-        heads: of attention.
-        layers: of attention.
         queries: points.
         cell: distance of the places looked at, as a share of the image's side.
         reach: such places to each side of a point.
@@ -80,10 +78,8 @@ class Refinement(nn.Module):
     holds for every direction; convolutions along the curve let neighbours agree.
 
     Args:
-        channels: of the map.
         cell: distance of the grid's places, as a share of the image's side.
         reach: places to each side of the point.
-        width: of the hidden layers.
     """
 
     grid: Tensor

@@ -116,7 +116,6 @@ class DecoderLayer(nn.Module):
         """(B, M, width) tokens to the same, all at once.
 
         Args:
-            x: tokens.
             features: keys and values of the cross-attention.
             causal: a token sees none after it.
         """
@@ -129,7 +128,6 @@ class DecoderLayer(nn.Module):
         """One more (B, 1, width) token, whose keys and values join the cache.
 
         Args:
-            x: the token.
             cache: of this layer; changed.
             attended: gets the (B, heads, N) weights of the cross-attention.
         """
