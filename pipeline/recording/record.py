@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cathsim.anatomy.point_target import Point
     from cathsim.fluoroscopy import Projector
     from cathsim.metrics import EpisodeMetrics
-    from pipeline.recording.film import Film
+    from cathsim.viewing.film import Film
 
 CAMERA = "frontal"
 _MESH_STRIDE = 3  # grid nodes a node of the logged mesh: a viewer needs no finer wall

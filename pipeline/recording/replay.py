@@ -21,7 +21,6 @@ from pipeline.store.errors import StageError
 
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
-    from cathsim.navigation import NavigationTask
     from enn.trajectory import Trajectory
     from pipeline.episodes import EpisodeInfo
 
@@ -40,7 +39,6 @@ def replay(
     reward: str | None = None,
     force_penalty: float | None = None,
     path_penalty: float | None = None,
-    environment: NavigateEnv | None = None,
 ) -> Trajectory:
     """Repeats a logged episode.
 
@@ -49,7 +47,6 @@ def replay(
         image_size: of images among them, px; None: as the log's camera has it, or 80.
         reward: of the steps, "distance" or "geodesic"; None: as it was recorded.
         force_penalty: of the reward; None: as it was recorded.
-        environment: made by `replay_environment` for another log of the same task, to save making it anew.
 
     Returns:
         The episode, with a state at every moment that an episode can start from.
@@ -62,13 +59,17 @@ def replay(
     with EpisodeReader(log) as reader:
         info, outcome = reader.info, reader.outcome
         arrays = reader.load_arrays(pictures=False)
+        size = image_size or (reader.camera(reader.cameras[0]).width if reader.cameras else 80)
     if outcome.missing_steps:
         raise ReplayError(f"{log} lacks step {outcome.missing_steps[0]} and cannot be repeated: leave it out")
-    env = environment or replay_environment(
-        log, observation, image_size=image_size, reward=reward, force_penalty=force_penalty, path_penalty=path_penalty
-    )
-    _require_same(log, info, env)
     actions = arrays["action"][1:].astype(np.float32)
+    changed = {"reward": reward, "force_penalty": force_penalty, "path_penalty": path_penalty}
+    env = _environment(info, actions.shape[1], observation, size, changed)
+    if env.phantom.hash != info.phantom_hash:
+        raise ReplayError(
+            f"{log} was recorded in {info.phantom} ({info.phantom_hash[:8]}), the simulator has {env.phantom.name} "
+            f"({env.phantom.hash[:8]}): record it anew"
+        )
     if actions.shape[1:] != env.action_space.shape or not np.isfinite(actions).all():
         raise ReplayError(
             f"{log} holds actions of shape {actions.shape[1:]}, the environment takes finite ones of "
@@ -85,9 +86,10 @@ def replay(
         observations.append(seen)
         states.append(env.start_state())
         rewards.append(earned)
-    names = list(observations[0]) if isinstance(observations[0], Mapping) else []
     return Trajectory(
-        observations={name: np.stack([one[name] for one in observations]) for name in names if name in observation},
+        observations={
+            name: np.stack([one[name] for one in observations]) for name in observations[0] if name in observation
+        },
         actions=actions,
         rewards=np.array(rewards),
         terminated=bool(terminated),
@@ -104,27 +106,21 @@ def replay(
     )
 
 
-def replay_environment(
-    log: Path | str,
-    observation: Sequence[str] = (),
-    *,
-    image_size: int | None = None,
-    reward: str | None = None,
-    force_penalty: float | None = None,
-    path_penalty: float | None = None,
+def _environment(
+    info: EpisodeInfo, actions: int, observation: Sequence[str], image_size: int, changed: Mapping[str, Any]
 ) -> NavigateEnv:
-    """Makes the environment that a log was recorded in; arguments as those of `replay`."""
-    from cathsim import NavigateEnv
+    """The environment that an episode was recorded in, with another observation and reward."""
+    from cathsim import NavigateEnv, NavigationTask
+    from cathsim.presets import Accuracy
 
-    with EpisodeReader(log) as reader:
-        info, size = reader.info, image_size
-        if size is None:
-            size = reader.camera(reader.cameras[0]).width if reader.cameras else 80
-        action = reader.step(0).action
-    task = _task(info)
-    changed: dict[str, Any] = {"reward": reward, "force_penalty": force_penalty, "path_penalty": path_penalty}
-    task = dataclasses.replace(task, **{name: value for name, value in changed.items() if value is not None})
-    wire, accuracy = recorded_wire(info), _accuracy(info)
+    fields = {field.name for field in dataclasses.fields(NavigationTask)}
+    with checked_values(info, "task"):
+        recorded = {name: value for name, value in info.configuration.items() if name in fields}
+        task = NavigationTask(**{**recorded, **{name: value for name, value in changed.items() if value is not None}})
+    wire = recorded_wire(info)
+    numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
+    with checked_values(info, "time stepping"):
+        accuracy = Accuracy(**numerics) if numerics else "accurate"
     with checked_values(info, "phantom, entry or camera"):
         return NavigateEnv(
             info.phantom,
@@ -132,9 +128,9 @@ def replay_environment(
             entry=info.entry,
             wire=wire,
             accuracy=accuracy,
-            actions="feeder" if len(action) == 2 else "tip_motors",
+            actions="feeder" if actions == 2 else "tip_motors",
             observation=tuple(observation) or ("tip",),
-            image_size=size,
+            image_size=image_size,
         )
 
 
@@ -157,14 +153,6 @@ def checked_values(info: EpisodeInfo, what: str) -> Iterator[None]:
         ) from error
 
 
-def _task(info: EpisodeInfo) -> NavigationTask:
-    from cathsim import NavigationTask
-
-    fields = {field.name for field in dataclasses.fields(NavigationTask)}
-    with checked_values(info, "task"):
-        return NavigationTask(**{name: value for name, value in info.configuration.items() if name in fields})
-
-
 def recorded_wire(info: EpisodeInfo) -> Guidewire:
     """The guidewire that an episode was recorded with."""
     from cathsim import Guidewire
@@ -175,31 +163,6 @@ def recorded_wire(info: EpisodeInfo) -> Guidewire:
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
         return Guidewire(**fields)
-
-
-def _accuracy(info: EpisodeInfo) -> Any:
-    from cathsim.presets import Accuracy
-
-    numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
-    with checked_values(info, "time stepping"):
-        return Accuracy(**numerics) if numerics else "accurate"
-
-
-def _require_same(log: Path | str, info: EpisodeInfo, env: NavigateEnv) -> None:
-    """Refuses an episode of another task than the environment's: its start would be another."""
-    here, there = env.task, _task(info)
-    if env.phantom.name != info.phantom or env.phantom.hash != info.phantom_hash:
-        raise ReplayError(
-            f"{log} was recorded in {info.phantom} ({info.phantom_hash[:8]}), the simulator has {env.phantom.name} "
-            f"({env.phantom.hash[:8]}): record it anew"
-        )
-    for name in ("target", "success_radius", "max_steps", "start_jitter", "start_rotation"):
-        if getattr(here, name) != getattr(there, name):
-            raise ReplayError(
-                f"{log} was recorded with {name}={getattr(there, name)}, the environment has {getattr(here, name)}"
-            )
-    if env.simulation.wire != recorded_wire(info):
-        raise ReplayError(f"{log} was recorded with another wire than the environment's: replay each in its own")
 
 
 def _compare(log: Path | str, step: int, recorded: np.ndarray, now: np.ndarray) -> None:

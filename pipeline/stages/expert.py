@@ -18,7 +18,7 @@ from pipeline.settings.kinds import CountOrNone, Episodes, Processes, SomeFolder
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
-from pipeline.store.atomic_files import write_json
+from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.task import Task, number_of_actions, require_feeder, require_known_task
 
 OPERATOR, EVALUATION = "sampling_expert", "evaluation"
@@ -101,7 +101,7 @@ def run_expert(settings: ExpertSettings, context: StageContext) -> None:
 def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: int) -> dict[str, Any]:
     """Records one episode with its log and, if wanted, its film; `seed` is that of start and search."""
     from cathsim.planning.sampling import SamplingExpert
-    from pipeline.recording.film import Film
+    from cathsim.viewing.film import Film
     from pipeline.recording.record import record_episode
 
     task = settings.task if trial.evaluation else replace(settings.task, start_rotation_deg=0.0)
@@ -119,7 +119,8 @@ def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: 
             film=film,
         )
         if film is not None:
-            film.write(folder / trial.film)
+            with atomic_path(folder / trial.film) as temporary:
+                film.write(temporary)
     finally:
         expert.close()
         environment.close()

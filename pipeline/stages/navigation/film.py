@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cathsim.viewing.film import Film, write_gif
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
-from pipeline.recording.film import Film, write_gif
 from pipeline.recording.trials import MODES, Origin
 from pipeline.stages.navigation.perception import load_perception
 from pipeline.stages.navigation.scene import Scene, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.stages.navigation.trials import EVALUATION, TrialSet, controllers
+from pipeline.store.atomic_files import atomic_path
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
@@ -77,11 +78,7 @@ class NavigationFilm(Film):
         self._count += 1
 
     def write(self, path: Path) -> None:
-        """Writes the film.
-
-        Args:
-            path: of the GIF; appears whole or not at all.
-        """
+        """Writes the film as a GIF."""
         from PIL import Image
 
         from splineformer.navigation.picture import SIDE_PX
@@ -126,7 +123,8 @@ def film_trials(job: FilmJob, report: Report) -> dict[str, Any]:
             film=film,
             pictures=False,
         )
-        film.write(job.folder / FILMS / f"{kind}.gif")
+        with atomic_path(job.folder / FILMS / f"{kind}.gif") as temporary:
+            film.write(temporary)
         scene.environment.close()
         filmed[kind] = {"navigator": row, "test": test.name, "target": target, "trial": number}
     return filmed

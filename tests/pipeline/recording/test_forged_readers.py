@@ -89,6 +89,7 @@ def test_a_configuration_that_cannot_be_used_is_one_sentence(name: str, log: Pat
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
+        ({"phantom_hash": "0" * 64}, r"recorded in type_1 \(00000000\), the simulator has type_1"),
         ({"phantom": "../../etc"}, "says a phantom, entry or camera that cannot be used"),
         ({"phantom": "type_9"}, "says a phantom, entry or camera that cannot be used"),
         ({"entry": "nowhere"}, "says a phantom, entry or camera that cannot be used"),

@@ -109,7 +109,7 @@ EDITS = {
     "enn/imitation/behaviour_cloning.py": {"force", "navigation"},
     "pipeline/recording/record.py": {"expert", "enn", "force", "navigation"},
     "pipeline/episodes/encoding/step_codec.py": {"expert", "enn", "force", "navigation", "report"},
-    "pipeline/recording/film.py": {"expert", "navigation"},
+    "cathsim/viewing/film.py": {"expert", "navigation"},
     "pipeline/stages/learning/task.py": {"enn", "force", "navigation"},
     "splineformer/tokens.py": {"navigation"},
     "pipeline/report/page.html.j2": {"report"},

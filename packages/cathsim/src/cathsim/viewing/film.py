@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.store.atomic_files import atomic_path
-
 if TYPE_CHECKING:
-    from cathsim import NavigateEnv
+    from cathsim.environment import NavigateEnv
 
 HEIGHT_PX = 400
 VIEW_WIDTH_PX = 300
@@ -64,11 +62,7 @@ class Film:
             _LOGGER.warning("the film shows fluoroscopy only: %s", error)
 
     def write(self, path: Path) -> None:
-        """Writes the film.
-
-        Args:
-            path: of the GIF; appears whole or not at all.
-        """
+        """Writes the film as a GIF."""
         # one palette for the whole film keeps colours from flickering
         write_gif(path, self._frames, _palette(self._frames[:: max(1, len(self._frames) // 6)]), FRAMES_PER_SECOND)
 
@@ -80,10 +74,9 @@ class Film:
 
 
 def write_gif(path: Path, frames: Sequence[np.ndarray], colours: Sequence[int], frames_per_second: float) -> None:
-    """Writes an animated GIF, whole or not at all; its last frame stays for 1.5 s.
+    """Writes an animated GIF, whatever the name of the file; its last frame stays for 1.5 s.
 
     Args:
-        path: of the file.
         frames: (h, w, 3) uint8 each.
         colours: of the palette, red, green and blue of each in turn, at most 256.
         frames_per_second: of playback.
@@ -94,10 +87,9 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], colours: Sequence[int], 
     palette.putpalette(list(colours))
     pictures = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     durations = [round(1000 / frames_per_second)] * (len(pictures) - 1) + [1500]
-    with atomic_path(path) as temporary:
-        pictures[0].save(
-            temporary, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0, disposal=1
-        )
+    pictures[0].save(
+        path, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0, disposal=1
+    )
 
 
 def _palette(frames: list[np.ndarray]) -> list[int]:
