@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job
@@ -19,7 +19,6 @@ from pipeline.stages.learning.plan import (
     demonstrations,
     planned_training,
     run_trainings,
-    sized,
     task_of,
     training_seeds,
 )
@@ -63,21 +62,15 @@ def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrain
 
 def training_settings(settings: BaselinesSettings, algorithm: str, observation: str) -> TrainingSettings:
     """Hyper-parameters of a row of the table: "ppo" or "sac" on "internal", "image" or "sequential"."""
-    from enn.reinforcement import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC
+    from enn.reinforcement import DESK_PPO, DESK_SAC
+    from enn.reinforcement.training_settings import thesis_baseline
 
-    thesis = settings.variant == THESIS
-    presets = {("sac", True): THESIS_SAC, ("ppo", True): THESIS_PPO, ("sac", False): DESK_SAC, ("ppo", False): DESK_PPO}
-    changed: dict[str, Any] = {}
-    if thesis:
-        # Two layers of 64 with tanh over the state; over images the convolutions of Mnih et al. and 512 units, from
-        # which the actions are linear. The critic of SAC, which the thesis does not print, is the library's.
-        changed = {"keys": (observation,), "variant": "baselines", "hidden": (64, 64), "activation": "tanh"}
-        if observation != "internal":
-            changed |= {"hidden": (), "activation": "relu"}
-        if algorithm == "sac":
-            changed["critic_hidden"] = (256, 256)
-    decisions = settings.ppo_decisions if algorithm == "ppo" else settings.decisions
-    return sized(presets[algorithm, thesis], decisions, settings, **changed)
+    ppo = algorithm == "ppo"
+    preset = DESK_PPO if ppo else DESK_SAC
+    if settings.variant == THESIS:
+        preset = thesis_baseline(algorithm, observation)
+    decisions = settings.ppo_decisions if ppo else settings.decisions
+    return preset.sized(decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard)
 
 
 def path_followers(settings: BaselinesSettings, context: StageContext) -> list[Job]:

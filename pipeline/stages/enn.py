@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
@@ -14,13 +14,15 @@ from pipeline.stages.learning.plan import (
     check_learning,
     planned_training,
     run_trainings,
-    sized,
     task_of,
     training_seeds,
 )
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.task import number_of_actions
+
+if TYPE_CHECKING:
+    from enn.reinforcement import TrainingSettings
 
 # The thesis's table of training times has names of its own for the sets.
 TRAINING_TIME_ROWS = {"V": "image", "V+M": "image_mask", "I": "internal", "I+V": "internal_image", "I+V+M": "enn"}
@@ -53,16 +55,13 @@ def run_enn(settings: EnnSettings, context: StageContext) -> None:
 def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob]:
     """The trainings: those of the expert row first, as later stages wait for them."""
     from enn.networks.features import modality_keys
-    from enn.reinforcement import DESK_SAC, THESIS_SAC
 
-    thesis = settings.variant == THESIS
-    preset = THESIS_SAC if thesis else DESK_SAC
     most = max(settings.seeds, settings.ablation_seeds)
     trainings: list[PolicyTrainingJob] = []
 
     def add(phantoms: Sequence[str], row: str, modalities: str, count: int, *, weight: float = 0.0) -> None:
         keys = modality_keys(modalities)
-        trained = sized(preset, settings.decisions, settings, keys=keys if thesis else ())
+        trained = training_settings(settings, keys=keys if settings.variant == THESIS else ())
         for seed in training_seeds(context.seed, count, most):
             first = row == settings.expert and seed == context.seed * most
             for phantom in phantoms:
@@ -83,6 +82,14 @@ def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob
         row = f"{settings.expert} {SAFE} {weight:g}"
         add(settings.ablation_phantoms, row, settings.expert, settings.ablation_seeds, weight=weight)
     return trainings
+
+
+def training_settings(settings: EnnSettings, keys: tuple[str, ...] = ()) -> TrainingSettings:
+    """SAC of the variant with the stage's budget; `keys` are the observations that the thesis's network sees."""
+    from enn.reinforcement import DESK_SAC, THESIS_SAC
+
+    preset = THESIS_SAC if settings.variant == THESIS else DESK_SAC
+    return preset.sized(settings.decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard, keys=keys)
 
 
 def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -136,9 +143,7 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     Returns:
         Row to column to cell of the thesis's table.
     """
-    from enn.reinforcement import DESK_SAC, THESIS_SAC
-
-    used = sized(THESIS_SAC if settings.variant == THESIS else DESK_SAC, settings.decisions, settings)
+    used = training_settings(settings)
     values = {
         "learning_rate": used.learning_rate,
         "buffer_size": used.buffer_size,

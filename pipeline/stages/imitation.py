@@ -16,7 +16,7 @@ from pipeline.report.results import Figure, write_figures, write_notes, write_re
 from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
-from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, cloning_settings, imitate
+from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, imitate
 from pipeline.stages.learning.settings import ImitationSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms
@@ -61,6 +61,7 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
     Raises:
         StageError: the stage enn left no expert or no episodes of a task, or episodes of several kinds.
     """
+    from enn.imitation.behaviour_cloning import cloning_settings
     from enn.imitation.dagger import DaggerSettings
 
     jobs = []

@@ -109,34 +109,16 @@ def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
 
 def tables(study: Study) -> dict[str, Any]:
     """The measured cells that no log of an episode gives; none for what nobody did."""
+    from cathsim.console.questionnaire import mean_scores
+
     measured: dict[str, Any] = {}
-    scores = user_study_table(study.answers)
+    scores = mean_scores(study.answers)
     if scores:
         measured["user_study"] = scores
     left_out = {"broken_off": study.broken_off, "other_settings": study.other_settings, "unreadable": study.unreadable}
     if any(left_out.values()):
         measured["human_left_out"] = {name: {"episodes": count} for name, count in left_out.items()}
     return measured
-
-
-def user_study_table(answers: list[dict[str, Any]]) -> dict[str, Any]:
-    """Mean and standard deviation of each criterion; of a participant with a code the last answers count.
-
-    Args:
-        answers: the questionnaires, oldest first.
-
-    Returns:
-        Criterion to column to cell; empty without answers.
-    """
-    from cathsim.console.questionnaire import CRITERIA
-    from cathsim.metrics import Statistic
-
-    last = {given.get("participant") or f"anonymous {number}": given for number, given in enumerate(answers)}
-    rows = {}
-    for criterion in CRITERIA if last else ():
-        scores = Statistic.of([given[criterion.key] for given in last.values()])
-        rows[criterion.key] = {"score": [scores.mean, scores.sd], "n": len(last)}
-    return rows
 
 
 def run_user_study(settings: UserStudySettings, context: StageContext) -> None:

@@ -136,17 +136,11 @@ def speed_rows(settings: ValidateSettings, *, seed: int) -> dict[str, dict[str, 
     Returns:
         Rows of the table `training_speed_fps`: each observation's median over the rounds, slowest and fastest.
     """
-    from cathsim import NavigateEnv
-    from cathsim.physics_checks.unguided import steps_per_second
+    from cathsim.physics_checks.unguided import median_speeds
 
-    environments = {
-        name: NavigateEnv(settings.phantom, observation=observation) for name, observation in SPEED_MODES.items()
-    }
-    rates: dict[str, list[float]] = {name: [] for name in environments}
-    for index in range(settings.speed_rounds):
-        for name, environment in environments.items():
-            rates[name].append(steps_per_second(environment, settings.speed_steps, seed=seed + index))
-    medians = {name: float(np.median(values)) for name, values in rates.items()}
+    medians = median_speeds(
+        settings.phantom, SPEED_MODES, settings.speed_steps, rounds=settings.speed_rounds, seed=seed
+    )
     medians |= {"min": min(medians.values()), "max": max(medians.values())}
     return {name: {"value": round(value, 1)} for name, value in medians.items()}
 

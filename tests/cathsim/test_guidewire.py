@@ -11,7 +11,7 @@ import pytest
 
 from cathsim.arena import PROTRUSION, max_insertion, model_spec
 from cathsim.contact.sdf import Vessel
-from cathsim.guidewire import GUIDEWIRES, LINK_NAME, TIP_SITE, Guidewire, load_guidewire
+from cathsim.guidewire import GUIDEWIRES, LINK_NAME, TIP_SITE, Guidewire, load_guidewire, preset_of
 from cathsim.presets import ACCURACY, accuracy
 
 EI = 4.0e-4  # N m^2
@@ -183,3 +183,12 @@ def test_unknown_field_lists_the_valid_ones() -> None:
 def test_unknown_accuracy_lists_the_valid_ones() -> None:
     with pytest.raises(ValueError, match=r"unknown accuracy 'exact'.*reference, accurate, fast"):
         accuracy("exact")
+
+
+@pytest.mark.parametrize("name", list(GUIDEWIRES))
+def test_a_preset_is_known_again_also_where_it_was_scaled(name: str) -> None:
+    wire = load_guidewire(name)
+    assert preset_of(wire) == (name, 0.0)
+    longer = wire.scaled(wire.length + 0.1)
+    assert preset_of(longer) == (name, longer.length)
+    assert preset_of(load_guidewire(name, friction=0.123)) is None

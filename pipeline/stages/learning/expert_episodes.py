@@ -20,7 +20,6 @@ from pipeline.store.errors import StageError
 from pipeline.task import FEEDER, MOTION, TASK, TIP_MOTORS, Task, require_same_task, task_from
 
 if TYPE_CHECKING:
-    from cathsim import Guidewire
     from enn.policy import Policy
     from enn.trajectory import Trajectory
 
@@ -228,15 +227,19 @@ def task_of_log(log: Path) -> LearningTask:
         EpisodeReadError: the log is damaged or unfinished.
         StageError: its wire is none of this version's.
     """
+    from cathsim.guidewire import preset_of
+
     with EpisodeReader(log) as reader:
         info, wire = reader.info, recorded_wire(reader.info)
         size = reader.camera(CAMERA).width if CAMERA in reader.cameras else 80
         actions = len(reader.step(0).action)
     recorded: dict[str, Any] = dict(info.configuration)
-    name, length_mm = _named(wire, log)
+    preset = preset_of(wire)
+    if preset is None:
+        raise StageError(f"{log} was recorded with a wire that this version does not have: record it again")
     task = Task(
-        wire=name,
-        wire_length_mm=length_mm,
+        wire=preset[0],
+        wire_length_mm=_MM * preset[1],
         actions=FEEDER if actions == 2 else TIP_MOTORS,
         image_size_px=recorded.get("image_size", size),
         max_steps=recorded["max_steps"],
@@ -245,17 +248,3 @@ def task_of_log(log: Path) -> LearningTask:
         start_rotation_deg=math.degrees(recorded["start_rotation"]),
     )
     return LearningTask(info.phantom, info.target, task)
-
-
-def _named(wire: Guidewire, log: Path) -> tuple[str, float]:
-    """The preset of a wire, and the length in mm that it was scaled to; 0: it was not."""
-    from cathsim import GUIDEWIRES, load_guidewire
-
-    presets = {name: load_guidewire(name) for name in GUIDEWIRES}
-    for name, preset in presets.items():
-        if preset == wire:
-            return name, 0.0
-    for name, preset in presets.items():
-        if preset.scaled(wire.length) == wire:
-            return name, _MM * wire.length
-    raise StageError(f"{log} was recorded with a wire that this version does not have: record it again")

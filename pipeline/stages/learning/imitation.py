@@ -13,7 +13,7 @@ import csv
 import functools
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,21 +49,6 @@ class ImitationJob:
     disturbed_episodes: int = 0  # further ones with disturbed actions
     rounds: DaggerSettings | None = None  # of DAgger; None: none
     evaluation_episodes: int = 30  # deterministic, and as many stochastic ones
-
-
-def cloning_settings(
-    variant: str, observations: tuple[str, ...], feature_matching: float, epochs: int = 0
-) -> BehaviourCloningSettings:
-    """The settings of a variant with what a stage changes; 0 epochs are the variant's own."""
-    from enn.imitation.behaviour_cloning import cloning_preset
-
-    preset = cloning_preset(variant)
-    return replace(
-        preset,
-        fit=replace(preset.fit, epochs=epochs or preset.fit.epochs),
-        network=replace(preset.network, keys=observations),
-        feature_matching=feature_matching,
-    )
 
 
 def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:

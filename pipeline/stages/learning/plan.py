@@ -35,7 +35,6 @@ ENCODERS = "encoders"
 THESIS = "thesis"
 THESIS_TABLES = {"baselines": ("cathsim_results",), "enn": ("ablation", "training_time_h")}  # whose rows stand beside
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
-_LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -102,24 +101,6 @@ def task_of(settings: LearningSettings, phantom: str, target: str, *, force_pena
         reward=settings.reward,
         force_penalty=force_penalty,
         path_penalty=settings.path_penalty,
-    )
-
-
-def sized(preset: TrainingSettings, decisions: int, settings: LearningSettings, **changed: Any) -> TrainingSettings:
-    """A preset of the library with another budget in decisions, and further fields changed."""
-    if preset.algorithm == "ppo":
-        changed["n_steps"] = min(preset.n_steps, max(decisions // (2 * preset.n_envs), 16))
-    else:
-        changed["buffer_size"] = min(preset.buffer_size, max(decisions, 1))
-    return replace(
-        preset,
-        decisions=decisions,
-        learning_starts=min(preset.learning_starts, decisions // _LEAST_SHARE_BEFORE_LEARNING),
-        evaluate_every=min(preset.evaluate_every, decisions),
-        evaluation_episodes=min(preset.evaluation_episodes, settings.evaluation_episodes),
-        curve_every=min(preset.curve_every, decisions),
-        tensorboard=settings.tensorboard,
-        **changed,
     )
 
 

@@ -22,7 +22,7 @@ from pipeline.stages.learning.expert_episodes import (
     read_episodes,
     require_expert,
 )
-from pipeline.stages.learning.imitation import ImitationJob, cloning_settings, imitate
+from pipeline.stages.learning.imitation import ImitationJob, imitate
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.navigation.film import FILMS, FilmJob, film_trials
 from pipeline.stages.navigation.jobs import LOGS, PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
@@ -155,6 +155,8 @@ def _perception(settings: NavigationSettings, context: StageContext, gpu_gb: flo
 
 def _rival(settings: NavigationSettings, context: StageContext, task: LearningTask, expert: Path) -> Job:
     """Behaviour cloning from pixels, from as many expert trials as the first navigator has."""
+    from enn.imitation.behaviour_cloning import cloning_settings
+
     given = ImitationJob(
         folder=context.path / PIXELS / task.name,
         origin=Origin("navigation", PIXELS, context.seed, RIVAL_VARIANT),

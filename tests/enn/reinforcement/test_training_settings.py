@@ -40,3 +40,12 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
     for name, value in {"target_entropy": -2.0, "buffer_size": 9, "tau": 0.5, "gradient_steps": 2.0}.items():
         with pytest.raises(ValueError, match=f"ppo does not use {name}"):
             dataclasses.replace(THESIS_PPO, **{name: value})
+
+
+def test_a_smaller_budget_makes_smaller_what_has_no_room_in_it() -> None:
+    small = THESIS_SAC.sized(48, 2, tensorboard=True)
+    assert (small.decisions, small.buffer_size, small.learning_starts, small.tensorboard) == (48, 48, 12, True)
+    assert (small.evaluate_every, small.evaluation_episodes, small.curve_every) == (48, 2, 48)
+    assert THESIS_PPO.sized(1024, 30).n_steps == 512
+    assert THESIS_PPO.sized(1, 30).n_steps == 16
+    assert THESIS_SAC.sized(THESIS_SAC.decisions, 30) == dataclasses.replace(THESIS_SAC, buffer_size=600_000)

@@ -18,7 +18,7 @@ from pipeline.recording.human import McapRecorder
 from pipeline.report.learning.logs import COUNTED
 from pipeline.report.learning.tables import tables_from_logs
 from pipeline.report.results import read_figures, read_results
-from pipeline.stages.user_study import UserStudySettings, gather, logs_of, tables, user_study_table
+from pipeline.stages.user_study import UserStudySettings, gather, logs_of, tables
 
 ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P1"}
 
@@ -132,16 +132,6 @@ def test_the_study_counts_finished_procedures_under_its_own_settings(environment
     other = gather(logs, UserStudySettings())
     assert other.counted == [], "procedures of 12 steps say nothing about ones of 300"
     assert tables(other)["human_left_out"]["other_settings"] == {"episodes": 2}
-
-
-def test_scores_are_means_over_participants_and_nothing_without_answers() -> None:
-    low = {criterion.key: 2 for criterion in CRITERIA}
-    answers = [{**low, "participant": "P1"}, ANSWERS, {**low, "participant": ""}, {**low, "participant": ""}]
-    table = user_study_table(answers)
-    assert len(table) == 7
-    assert table["motion_accuracy"]["n"] == 3, "P1 counts once, with the last answers"
-    assert table["motion_accuracy"]["score"] == pytest.approx([8 / 3, np.std([4, 2, 2])])
-    assert user_study_table([]) == {}
 
 
 def test_stage_fills_the_reports_tables_and_leaves_the_recordings_alone(

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from enn.imitation.behaviour_cloning import cloning_settings
 from enn.imitation.dagger import DaggerSettings
 from enn.reinforcement import DESK_SAC, THESIS_SAC
 from pipeline.recording.trials import Origin
 from pipeline.report.aids import imitation_note, note_of, training_note
 from pipeline.report.results import write_notes
-from pipeline.stages.learning.imitation import ImitationJob, cloning_settings
+from pipeline.stages.learning.imitation import ImitationJob
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.stages.report import notes_of

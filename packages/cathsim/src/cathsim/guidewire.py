@@ -184,3 +184,14 @@ def load_guidewire(name: str, **changes: object) -> Guidewire:
         fields = ", ".join(field.name for field in dataclasses.fields(Guidewire))
         raise ValueError(f"a guidewire has no {', '.join(sorted(unknown))}; its parameters are {fields}")
     return dataclasses.replace(GUIDEWIRES[name], **changes)  # type: ignore[arg-type]
+
+
+def preset_of(wire: Guidewire) -> tuple[str, float] | None:
+    """The preset that a wire is, and the length in m that it was scaled to, 0 where it was not; None: of no preset."""
+    for name, preset in GUIDEWIRES.items():
+        if preset == wire:
+            return name, 0.0
+    for name, preset in GUIDEWIRES.items():
+        if preset.scaled(wire.length) == wire:
+            return name, wire.length
+    return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,3 +58,22 @@ def check_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(participant, str) or len(participant) > LONGEST_PARTICIPANT:
         raise ValueError(f"participant must be a code of at most {LONGEST_PARTICIPANT} characters")
     return {**{key: answers[key] for key in keys}, "participant": participant.strip()}
+
+
+def mean_scores(answers: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Mean and standard deviation of each criterion; of a participant with a code the last answers count.
+
+    Args:
+        answers: the questionnaires, oldest first.
+
+    Returns:
+        Criterion to `score`, [mean, standard deviation], and `n`, the number of participants; empty without answers.
+    """
+    from cathsim.metrics import Statistic
+
+    last = {given.get("participant") or f"anonymous {number}": given for number, given in enumerate(answers)}
+    rows = {}
+    for criterion in CRITERIA if last else ():
+        scores = Statistic.of([given[criterion.key] for given in last.values()])
+        rows[criterion.key] = {"score": [scores.mean, scores.sd], "n": len(last)}
+    return rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -48,3 +49,23 @@ def steps_per_second(environment: NavigateEnv, steps: int, *, seed: int) -> floa
         spent += time.process_time() - start
         done += len(actions)
     return done / max(spent, 1e-9)
+
+
+def median_speeds(
+    phantom: str, observations: Mapping[str, str | tuple[str, ...]], steps: int, *, rounds: int, seed: int
+) -> dict[str, float]:
+    """Measures the environment with several observations in turns, so that a busy spell slows all of them.
+
+    Args:
+        observations: a name to what the environment is asked for.
+        steps: an observation and round.
+
+    Returns:
+        The name to the median of `steps_per_second` over the rounds.
+    """
+    environments = {name: NavigateEnv(phantom, observation=observation) for name, observation in observations.items()}
+    rates: dict[str, list[float]] = {name: [] for name in environments}
+    for index in range(rounds):
+        for name, environment in environments.items():
+            rates[name].append(steps_per_second(environment, steps, seed=seed + index))
+    return {name: float(np.median(values)) for name, values in rates.items()}

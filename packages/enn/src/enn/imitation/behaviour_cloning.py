@@ -68,6 +68,19 @@ def cloning_preset(variant: str) -> BehaviourCloningSettings:
     return presets[variant]
 
 
+def cloning_settings(
+    variant: str, observations: tuple[str, ...], feature_matching: float, epochs: int = 0
+) -> BehaviourCloningSettings:
+    """The preset of a variant for other observations and feature matching; 0 epochs are the variant's own."""
+    preset = cloning_preset(variant)
+    return replace(
+        preset,
+        fit=replace(preset.fit, epochs=epochs or preset.fit.epochs),
+        network=replace(preset.network, keys=observations),
+        feature_matching=feature_matching,
+    )
+
+
 def clone(
     trajectories: Sequence[Trajectory],
     settings: BehaviourCloningSettings = DESK_CLONING,

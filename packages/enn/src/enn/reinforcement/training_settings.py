@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields
-from typing import Annotated
+from dataclasses import fields, replace
+from typing import Annotated, Any
 
 from annotated_types import Interval
 
 from enn.networks.network import NetworkSettings
 from enn.setting_kinds import Count, CountOrNone, LearningRate, Seconds, Share, Weight, settings
 
+_LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
 _LEARNT_ENTROPY = re.compile(r"auto(_(?P<start>[0-9.]+(e-?[0-9]+)?))?")
 # Settings that an algorithm does not look at: another value than the default would say what is not done.
 UNUSED = {
@@ -109,6 +110,27 @@ class TrainingSettings(NetworkSettings):
                     f"{self.algorithm} does not use {name}: leave it at {defaults[name]}, got {getattr(self, name)}"
                 )
 
+    def sized(self, decisions: int, evaluation_episodes: int, **changed: Any) -> TrainingSettings:
+        """The same run with another budget in decisions; what a tiny budget has no room for becomes smaller.
+
+        Args:
+            evaluation_episodes: at most so many.
+            changed: further fields.
+        """
+        if self.algorithm == "ppo":
+            changed["n_steps"] = min(self.n_steps, max(decisions // (2 * self.n_envs), 16))
+        else:
+            changed["buffer_size"] = min(self.buffer_size, max(decisions, 1))
+        return replace(
+            self,
+            decisions=decisions,
+            learning_starts=min(self.learning_starts, decisions // _LEAST_SHARE_BEFORE_LEARNING),
+            evaluate_every=min(self.evaluate_every, decisions),
+            evaluation_episodes=min(self.evaluation_episodes, evaluation_episodes),
+            curve_every=min(self.curve_every, decisions),
+            **changed,
+        )
+
     @property
     def network(self) -> NetworkSettings:
         """The part that shapes of weights depend on."""
@@ -174,3 +196,18 @@ DESK_PPO = TrainingSettings(
     evaluate_every=5000,
     curve_every=1024,
 )
+
+
+def thesis_baseline(algorithm: str, observation: str) -> TrainingSettings:
+    """The thesis's baseline with its own networks: "ppo" or "sac" on "internal", "image" or "sequential".
+
+    Two layers of 64 with tanh over the state; over images the convolutions of Mnih et al. and 512 units, from which the
+    actions are linear. The critic of SAC, which the thesis does not print, is the library's.
+    """
+    changed: dict[str, Any] = {"hidden": (64, 64), "activation": "tanh"}
+    if observation != "internal":
+        changed = {"hidden": (), "activation": "relu"}
+    if algorithm == "sac":
+        changed["critic_hidden"] = (256, 256)
+    preset = THESIS_PPO if algorithm == "ppo" else THESIS_SAC
+    return replace(preset, keys=(observation,), variant="baselines", **changed)
