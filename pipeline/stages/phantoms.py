@@ -114,7 +114,7 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
             raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {error}") from error
         folder = context.path / anatomy.label
         write_bundle(phantom, folder, wall_thickness=settings.wall_thickness_mm / _MM, picture=settings.picture)
-        context.folder.mark_done(anatomy.label, dimensions(phantom))
+        context.folder.mark_done(anatomy.label, phantom.dimensions())
     measured = {a.label: context.folder.result_of(a.label) for a in anatomies}
     models = {a.label: {"convex_hulls": "none", "source": "mesh" if a.mesh else "parametric"} for a in anatomies}
     write_results(context.path, {"phantoms": measured, "aortas": models})
@@ -164,26 +164,12 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
     })  # fmt: skip
     if phantom.imported is not None:
         write_json(folder / "import.json", phantom.imported.to_json())
-    write_json(folder / "phantom.json", {"name": phantom.name, "hash": phantom.hash, **dimensions(phantom)})
+    write_json(folder / "phantom.json", {"name": phantom.name, "hash": phantom.hash, **phantom.dimensions()})
     if picture:
         from cathsim.anatomy.picture import draw_phantom
 
         with atomic_path(folder / "picture.png") as path:
             draw_phantom(phantom, path)
-
-
-def dimensions(phantom: Phantom) -> dict[str, Any]:
-    """The row of a phantom: lumen volume (mL), length of the aorta (mm), median diameters (mm) of the main branches."""
-    branches = {branch.name: branch for branch in phantom.tree.branches}
-    row: dict[str, Any] = {
-        "lumen_volume_ml": round(float(phantom.lumen_mesh.volume) * 1e6, 1),
-        "aorta_length_mm": round(branches["aorta"].length * _MM, 1),
-        "branches": len(branches),
-    }
-    for name in ("aorta", "bca", "lcca", "lsa"):
-        if name in branches:
-            row[f"{name}_diameter_mm"] = round(2 * float(np.median(branches[name].radius)) * _MM, 1)
-    return row
 
 
 def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:

@@ -22,7 +22,6 @@ from pipeline.store.atomic_files import write_json
 if TYPE_CHECKING:
     from enn.force import ForcePredictionSettings, ForceSamples
     from enn.imitation.dagger import DisturbanceSettings
-    from enn.trajectory import Trajectory
 
 PRELOAD = ("cathsim", "enn.force.evaluation", "enn.policy", "enn.imitation.dagger", "pipeline.recording.record")
 OPERATOR = "disturbed_policy"
@@ -121,18 +120,13 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
 
 def samples_of(job: ForceJob, device: str = "cpu") -> tuple[ForceSamples, ForceSamples]:
     """The samples of a fit to learn from, with the features to match, and those to test on."""
-    from enn.force import FORCE_INPUTS, force_samples
-    from enn.force.samples import matched_features, split_episodes
+    from enn.force import FORCE_INPUTS
+    from enn.force.samples import training_and_test_samples
 
-    learnt: list[Trajectory] = []
-    tested: list[Trajectory] = []
-    for folder in job.logs:
-        parts = split_episodes(read_episodes(sorted(folder.glob("*.mcap"))), TEST_EVERY)
-        learnt += parts[0]
-        tested += parts[1]
+    groups = [read_episodes(sorted(folder.glob("*.mcap"))) for folder in job.logs]
     inputs = FORCE_INPUTS[job.inputs]
-    features = matched_features(learnt, load_expert(job.expert, device)) if inputs.matched else None
-    training, test = force_samples(learnt, inputs, features), force_samples(tested, inputs)
+    expert = load_expert(job.expert, device) if inputs.matched else None
+    training, test = training_and_test_samples(groups, inputs, expert, TEST_EVERY)
     if len(training) < job.samples:
         _LOGGER.warning("%d samples were asked for, the episodes have %d", job.samples, len(training))
     return (

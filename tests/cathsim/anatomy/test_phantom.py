@@ -86,3 +86,10 @@ def test_fields_of_ends_are_computed_when_asked_for(tmp_path: Path, caplog: pyte
         further = target.position - 0.02 * read.tree["lsa"].tangent_at(target.arc)
         assert read.geodesic_distance(further, "lsa_end") == pytest.approx(0.02, abs=1.5 * COARSE)
     assert not caplog.records, "a field that was never stored is not damaged"
+
+
+def test_dimensions_are_those_of_an_aorta() -> None:
+    row = load_phantom("type_1").dimensions()
+    assert 80 < row["lumen_volume_ml"] < 300
+    assert 20 < row["aorta_diameter_mm"] < 36
+    assert row["lcca_diameter_mm"] < row["bca_diameter_mm"] < row["aorta_diameter_mm"]

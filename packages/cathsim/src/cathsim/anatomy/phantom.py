@@ -195,6 +195,19 @@ class Phantom:
 
         return wall_surface(self.grid, self.tree, thickness)
 
+    def dimensions(self) -> dict[str, float | int]:
+        """Lumen volume (mL), length of the aorta (mm), number of branches, median diameters (mm) of the main ones."""
+        branches = {branch.name: branch for branch in self.tree.branches}
+        row: dict[str, float | int] = {
+            "lumen_volume_ml": round(float(self.lumen_mesh.volume) * 1e6, 1),
+            "aorta_length_mm": round(branches["aorta"].length * 1e3, 1),
+            "branches": len(branches),
+        }
+        for name in ("aorta", "bca", "lcca", "lsa"):
+            if name in branches:
+                row[f"{name}_diameter_mm"] = round(2 * float(np.median(branches[name].radius)) * 1e3, 1)
+        return row
+
 
 def locate_targets(tree: VesselTree) -> dict[str, Target]:
     """Targets of an aortic arch on the centrelines, at TARGET_DISTANCE; none where a branch is missing or too short."""

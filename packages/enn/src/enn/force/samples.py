@@ -187,6 +187,27 @@ def split_episodes(episodes: Sequence[Trajectory], test_every: int) -> tuple[lis
     )
 
 
+def training_and_test_samples(
+    groups: Sequence[Sequence[Trajectory]], inputs: ForceInputs, expert: FeatureSource | None, test_every: int
+) -> tuple[ForceSamples, ForceSamples]:
+    """Splits the episodes of each group and turns them into samples.
+
+    Args:
+        groups: of at least one episode each, e.g. those of a target.
+        inputs: what the network sees.
+        expert: whose features are to be matched; None: none are.
+        test_every: of so many episodes of a group, the last is held out.
+
+    Returns:
+        Samples to learn from, with the features to match, and samples to test on.
+    """
+    parts = [split_episodes(episodes, test_every) for episodes in groups]
+    learnt = [one for training, _ in parts for one in training]
+    tested = [one for _, test in parts for one in test]
+    features = None if expert is None else matched_features(learnt, expert)
+    return force_samples(learnt, inputs, features), force_samples(tested, inputs)
+
+
 def principal_components(episodes: Sequence[NDArray[np.float32]], count: int) -> list[NDArray[np.float32]]:
     """A few numbers that say most of a larger observation, each with standard deviation 1 over all moments.
 
