@@ -40,15 +40,12 @@ class TrainingJob:
 
 
 def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[str], report: Report) -> dict[str, Any]:
-    """Trains a network, or goes on with its training: in this process, or by torchrun in several.
+    """Trains a network or goes on with it, here or by torchrun in several processes; returns ``training.json``'s table.
 
     Args:
         module: with the command line's ``arguments`` and ``train``.
         words: of the command line that only this module has.
         places: of the data set that it takes.
-
-    Returns:
-        The table of the training, as ``training.json`` has it.
     """
     table = job.folder / TRAINING
     if table.is_file() and (job.folder / PREDICTOR).is_file():

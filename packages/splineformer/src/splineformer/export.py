@@ -6,7 +6,6 @@ The published variant has every token unrolled; of the ordered one nothing has t
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +17,6 @@ from guide3d.atomic_file import whole_file
 from splineformer.modeling.curve_network import CurveNetwork
 
 _GREYEST = 255.0
-
-
-@dataclass(frozen=True)
-class Graph:
-    """A network with tensors in and tensors out."""
-
-    module: nn.Module
-    inputs: dict[str, Tensor]  # examples by name
-    outputs: tuple[str, ...]
 
 
 class _Ordered(nn.Module):
@@ -69,13 +59,12 @@ class _Published(nn.Module):
 _MODULES: dict[str, Any] = {"published": _Published, "ordered": _Ordered}
 
 
-def graph_of(network: CurveNetwork, batch: int = 1, seed: int = 0) -> Graph:
-    """The network as a graph, for a number of images at once, with random examples of a seed."""
+def graph_of(network: CurveNetwork, batch: int = 1, seed: int = 0) -> tuple[Any, Tensor]:
+    """The network as a module of tensors with named `outputs`, and its input "levels": random images of a seed."""
     size = network.settings.image_px
     generator = torch.Generator().manual_seed(seed)
     levels = _GREYEST * torch.rand(batch, 1, size, size, generator=generator)
-    module = _MODULES[network.variant](network).eval()
-    return Graph(module, {"levels": levels}, module.outputs)
+    return _MODULES[network.variant](network).eval(), levels
 
 
 def export_onnx(network: CurveNetwork, path: Path | str, batch: int = 1) -> list[Path]:
@@ -85,14 +74,9 @@ def export_onnx(network: CurveNetwork, path: Path | str, batch: int = 1) -> list
         ModuleNotFoundError: the extra `splineformer[onnx]` is not installed.
     """
     _require("onnx", "onnxscript")
-    graph = graph_of(network, batch)
+    module, levels = graph_of(network, batch)
     program = torch.onnx.export(
-        graph.module,
-        tuple(graph.inputs.values()),
-        input_names=list(graph.inputs),
-        output_names=list(graph.outputs),
-        dynamo=True,
-        verbose=False,
+        module, (levels,), input_names=["levels"], output_names=list(module.outputs), dynamo=True, verbose=False
     )
     assert program is not None
     file = Path(path).with_suffix(".onnx")
@@ -115,13 +99,13 @@ def onnx_difference(network: CurveNetwork, path: Path | str, batch: int = 1, see
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
-    graph = graph_of(network, batch, seed)
+    module, levels = graph_of(network, batch, seed)
     file = str(Path(path).with_suffix(".onnx"))
     session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
-    theirs = session.run(list(graph.outputs), {name: value.numpy() for name, value in graph.inputs.items()})
+    theirs = session.run(list(module.outputs), {"levels": levels.numpy()})
     with torch.no_grad():
-        ours = graph.module(*graph.inputs.values())
-    return {name: float(np.abs(a - b.numpy()).max()) for name, a, b in zip(graph.outputs, theirs, ours, strict=True)}
+        ours = module(levels)
+    return {name: float(np.abs(a - b.numpy()).max()) for name, a, b in zip(module.outputs, theirs, ours, strict=True)}
 
 
 def _require(*modules: str) -> None:

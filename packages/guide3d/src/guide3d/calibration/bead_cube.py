@@ -257,7 +257,9 @@ def _fit(
         [np.zeros(3), *([*c, 1 / r, 0.0, 1 / r, 0.25, height] for c, r in zip(starts, radii, strict=True))]
     )
     # order of a bead's seven: x, y, shape 11, 12, 22, blur, contrast
-    solver = {"f_scale": 0.05, "max_nfev": 60, "x_scale": _scales(first, radii)}
+    typical_sizes = [[1.0, 1.0, 0.1 / r, 0.1 / r, 0.1 / r, 0.1, height] for r in radii]  # so that steps are fair
+    scales = np.concatenate([np.full(3, 0.1 * height), np.array(typical_sizes).ravel()])
+    solver = {"f_scale": 0.05, "max_nfev": 60, "x_scale": scales}
     try:
         fit = least_squares(residual, first, jac=jacobian, loss="soft_l1" if held is None else "cauchy", **solver)
     except (np.linalg.LinAlgError, ValueError):
@@ -297,10 +299,3 @@ def _disc(p: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.n
     u, v = u / rho, v / rho
     along = np.array([-u * p[2] - v * p[3], -u * p[3] - v * p[4], u * dx, u * dy + v * dx, v * dy, -(rho - 1) / blur])
     return 0.5 * (1 - edge), steep * along
-
-
-def _scales(first: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Typical sizes of the parameters, so that the solver's steps are fair."""
-    height = first[9]
-    own = [[1.0, 1.0, 0.1 / r, 0.1 / r, 0.1 / r, 0.1, height] for r in radii]
-    return np.concatenate([np.full(3, 0.1 * height), np.array(own).ravel()])

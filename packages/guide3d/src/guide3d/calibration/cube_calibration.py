@@ -7,7 +7,7 @@ with the cameras known, at beads that letters or borders had hidden.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -206,12 +206,9 @@ def _attitude_warnings(poses: Sequence[str], certain: Sequence[bool], marked: di
     ]
 
 
-def _sightings(views: object) -> list[Sighting]:
-    sightings = []
-    for view in views:  # type: ignore[attr-defined]
-        on = view.numbers >= 0
-        sightings.append(Sighting(view.pose, view.detector, view.numbers[on], view.pixels[on]))
-    return sightings
+def _sightings(views: Iterable[CubeView]) -> list[Sighting]:
+    on = ((view, view.numbers >= 0) for view in views)
+    return [Sighting(view.pose, view.detector, view.numbers[kept], view.pixels[kept]) for view, kept in on]
 
 
 def _second_look(view: CubeView, rig: RigCalibration, distortion: Distortion, points_mm: np.ndarray) -> CubeView:

@@ -109,8 +109,7 @@ def recognise_lattice(
 
     Args:
         pixels: (m, 2) undistorted px of discs, clutter allowed.
-        width: Of the image, px.
-        height: Of the image, px.
+        width, height: Of the image, px.
         in_field: (h, w) bool in undistorted pixels, where a bead could be seen; None for the whole image.
         prior: Rough knowledge of the detector; None guesses a focal length of 4.7 times the image's longer side, which
             may be a quarter off.

@@ -153,8 +153,7 @@ def ransac_camera(
     Args:
         points_mm: (n, 3) world, mm.
         pixels: (n, 2) undistorted px.
-        width: Of the image, px.
-        height: Of the image, px.
+        width, height: Of the image, px.
 
     Returns:
         The camera, linear from all agreeing pairs, and which pairs agree (n,) bool.

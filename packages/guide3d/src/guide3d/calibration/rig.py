@@ -134,7 +134,7 @@ def calibrate_rig(
             break
     bundle.solve(used, swirled)
     for seen, agree in zip(bundle.sightings, used, strict=True):
-        single = _Bundle(points_mm, [seen], [bundle.start_of(seen)], sizes)
+        single = _Bundle(points_mm, [seen], [bundle.starts[seen.pose, seen.detector]], sizes)
         single.solve([agree], {seen.detector: swirled[seen.detector]})
         alone[seen.pose, seen.detector] = single.residuals()[0]
     return bundle.calibration(used, swirled, alone, left_out)
@@ -173,11 +173,7 @@ class _Bundle:
             if len(self.cameras) + len(self.poses) == before:
                 lost = [name for name in self.pose_names if name not in self.poses]
                 raise ValueError(f"expected poses that share a detector with the others, found {', '.join(lost)} alone")
-        self._own = own
-
-    def start_of(self, seen: Sighting) -> Camera:
-        """A start for a camera of one image in its own cube's frame."""
-        return self._own[seen.pose, seen.detector]
+        self.starts = own  # by (pose, detector), each in its own cube's frame
 
     def rigid(self, used: list[np.ndarray]) -> tuple[list[int], dict[str, str]]:
         """Which sightings (indices) belong to one rigid rig, and why poses were left out."""

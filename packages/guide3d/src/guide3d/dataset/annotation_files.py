@@ -35,10 +35,8 @@ class Annotation:
     Attributes:
         acquisition: name of the video, e.g. "1-bca-angle-5".
         wire: "angled" or "straight".
-        image_a: path of camera A's image below the folder of images.
-        image_b: path of camera B's image.
-        points_a: (n, 2) px, tip first.
-        points_b: (m, 2) px, tip first.
+        image_a, image_b: paths of the cameras' images below the folder of images.
+        points_a, points_b: (n, 2) and (m, 2) px, tip first.
     """
 
     acquisition: str
@@ -111,7 +109,7 @@ def described(acquisition: str, video: Mapping[str, Any]) -> tuple[bool, str]:
 
 
 def read_raw(path: Path, damaged: list[str]) -> list[Annotation]:
-    """Reads polylines: the annotations that can be used, in the file's order.
+    """Reads the polylines of raw.json: the annotations that can be used, in the file's order.
 
     Args:
         damaged: takes a sentence for every frame that is left out.
@@ -144,7 +142,7 @@ def read_raw(path: Path, damaged: list[str]) -> list[Annotation]:
 
 
 def read_curves(path: Path, damaged: list[str]) -> dict[tuple[str, int], Views]:
-    """Reads fitted curves: (acquisition, frame number) to curves.
+    """Reads the fitted curves of b_spline.json or sphere.json: (acquisition, frame number) to curves.
 
     Args:
         damaged: takes a sentence for every frame that is left out.

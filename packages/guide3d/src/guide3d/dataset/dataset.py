@@ -50,8 +50,7 @@ class Dataset:
 
     Attributes:
         frames: sorted by acquisition, in time order in each.
-        camera_a: of detector 16710; None without a calibration.
-        camera_b: of detector 16709.
+        camera_a, camera_b: of detectors 16710 and 16709; None without a calibration.
         undistorted: whether images and annotation are free of the detectors' distortion; None where nobody said.
         distortions: of cameras A and B, where they are known.
         skipped: a sentence for every damaged entry that was left out.
@@ -137,6 +136,14 @@ class Dataset:
         for index, frame in enumerate(self.frames):
             found.setdefault(frame.acquisition, []).append(index)
         return found
+
+    @property
+    def side_px(self) -> int:
+        """Side of its square images, px; ValueError where they are not square."""
+        width, height = self.frames[0].size_px[VIEWS[0]]
+        if width != height:
+            raise ValueError(f"{self.root}: expected square images, got {width} x {height} px")
+        return width
 
     def undistort(self, camera: str, points: np.ndarray) -> np.ndarray:
         """Annotated pixels (n, 2) of camera "a" or "b" as a pinhole camera would see them, (n, 2) px.

@@ -109,8 +109,7 @@ class Camera:
 
         Args:
             P: (3, 4), any scale and sign, world mm to px.
-            width: Of the image, px.
-            height: Of the image, px.
+            width, height: Of the image, px.
 
         Raises:
             ValueError: P has another shape or no finite centre.

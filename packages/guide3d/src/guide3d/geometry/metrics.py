@@ -28,8 +28,7 @@ def distances_along(a_mm: ArrayLike, b_mm: ArrayLike, spacing_mm: float = SPACIN
     """Returns the distances of two curves at equal arc length from their tips.
 
     Args:
-        a_mm: (n, 3) points, tip first.
-        b_mm: (m, 3) points, tip first.
+        a_mm, b_mm: (n, 3) and (m, 3) points, tip first.
         spacing_mm: step of the arc length.
 
     Returns:

@@ -14,8 +14,7 @@ def triangulate_linear(camera_a: Camera, camera_b: Camera, points_a: ArrayLike, 
     """Triangulates pairs of points by the linear equations x x (P X) = 0; gives (n, 3) mm, world.
 
     Args:
-        points_a: (n, 2) undistorted px.
-        points_b: (n, 2) undistorted px of the same points.
+        points_a, points_b: (n, 2) undistorted px of the same points.
 
     Raises:
         ValueError: the lists differ in length or are not (n, 2).
@@ -42,16 +41,7 @@ def triangulate(
 ) -> Array:
     """Triangulates pairs of points: linear first, then the least squared distance in the images by Gauss-Newton.
 
-    Args:
-        points_a: (n, 2) undistorted px.
-        points_b: (n, 2) undistorted px of the same points.
-        iterations: Gauss-Newton steps; three settle to well below a micrometre.
-
-    Returns:
-        (n, 3) mm, world.
-
-    Raises:
-        ValueError: the lists differ in length or are not (n, 2).
+    As `triangulate_linear`, with `iterations` steps; three settle to well below a micrometre.
     """
     a, b = _pairs(points_a, points_b)
     X = triangulate_linear(camera_a, camera_b, a, b)

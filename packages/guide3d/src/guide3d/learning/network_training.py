@@ -61,10 +61,7 @@ def train_network(
     Raises:
         ValueError: an unknown form, images that are not square, or a data set without curves in space.
     """
-    width, height = data.frames[0].size_px[CAMERA]
-    if width != height:
-        raise ValueError(f"{data.root}: expected square images, got {width} x {height} px")
-    recipe = replace(recipe, preprocessing=replace(recipe.preprocessing, source_px=width))
+    recipe = replace(recipe, preprocessing=replace(recipe.preprocessing, source_px=data.side_px))
     if isinstance(recipe, ShapeRecipe):
         prepared = _shape(data, split, recipe, form, pictures, pretrained, seed)
     elif isinstance(recipe, FGRNRecipe):

@@ -42,11 +42,6 @@ def foreground_iou(predicted: ArrayLike, true: ArrayLike) -> float:
     return _ratio(np.count_nonzero(a & b), np.count_nonzero(a | b))
 
 
-def jaccard(predicted: ArrayLike, true: ArrayLike) -> float:
-    """Returns the Jaccard index of the wire, 0 to 1: another name of `foreground_iou`."""
-    return foreground_iou(predicted, true)
-
-
 def mean_iou(predicted: ArrayLike, true: ArrayLike) -> float:
     """Returns the mean of the intersections over unions of wire and background, 0 to 1, of two (h, w) masks."""
     a, b = _pair(predicted, true)
@@ -72,6 +67,6 @@ def segmentation_metrics(predicted: ArrayLike, true: ArrayLike) -> dict[str, flo
         "dice": dice(predicted, true),
         "iou_foreground": foreground_iou(predicted, true),
         "miou": mean_iou(predicted, true),
-        "jaccard": jaccard(predicted, true),
+        "jaccard": foreground_iou(predicted, true),
         "centreline_dice": centreline_dice(predicted, true),
     }

@@ -30,11 +30,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def curve_of(frame: Frame) -> Array | None:
-    """The curve in space that camera A sees: the true one of a simulated frame, or else its reconstruction.
-
-    Returns:
-        (n, 3) mm, tip first; None where there is neither.
-    """
+    """The curve (n, 3) mm that camera A sees, tip first: the true one, or else its reconstruction; None for neither."""
     return frame.visible_curve_mm(CAMERA) if frame.truth is not None else frame.reconstruction_mm
 
 
@@ -93,11 +89,8 @@ def clips_of(
         places = [place for place, index in enumerate(order) if index in known]
         for start in range(0, len(places), targets):
             chosen = places[start : start + targets]
-            if chosen[-1] - chosen[0] != len(chosen) - 1:
-                groups = [[place] for place in chosen]
-            else:
-                groups = [chosen]
-            for group in groups:
+            together = chosen[-1] - chosen[0] == len(chosen) - 1
+            for group in [chosen] if together else [[place] for place in chosen]:
                 group = group + [group[-1]] * (targets - len(group))
                 first = [max(group[0] - back, 0) for back in range(frames - 1, 0, -1)]
                 seen.append([order[place] for place in (*first, *group)])

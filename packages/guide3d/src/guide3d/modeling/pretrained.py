@@ -66,7 +66,9 @@ def load_pretrained(network: VisionTransformer, file: Path | str) -> None:
     own = network.state_dict()
     if "patches.weight" not in own:
         raise ValueError(f"{file}: a network with a convolutional stem takes no pretrained weights; build size thesis")
-    weights["patches.weight"] = _in_channels(weights["patches.weight"], own["patches.weight"].shape[1])
+    filters = weights["patches.weight"]
+    if filters.ndim == 4 and own["patches.weight"].shape[1] == 1 and filters.shape[1] == 3:
+        weights["patches.weight"] = filters.sum(1, keepdim=True)
     weights["positions"] = _on_grid(weights["positions"], network.grid)
     wrong = [name for name in own if name not in weights or weights[name].shape != own[name].shape]
     extra = [name for name in weights if name not in own]
@@ -103,12 +105,6 @@ def _translated(name: str, rules: tuple[tuple[str, str], ...]) -> str | None:
         if match:
             return match.expand(replacement)
     return None
-
-
-def _in_channels(weight: Tensor, channels: int) -> Tensor:
-    if weight.ndim == 4 and channels == 1 and weight.shape[1] == 3:
-        return weight.sum(1, keepdim=True)
-    return weight
 
 
 def _on_grid(positions: Tensor, grid: int) -> Tensor:

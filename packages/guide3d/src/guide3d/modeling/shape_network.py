@@ -156,10 +156,7 @@ class ShapeNetwork(nn.Module):
             anchor, away = tip, 1.0
         else:
             anchor, away = self.entry_mean + self.entry_scale * self.entry_head(state).float(), -1.0
-        if self.form is None:
-            way = offsets
-        else:
-            way = away * self.form.steps(offsets).cumsum(dim=-2)
+        way = offsets if self.form is None else away * self.form.steps(offsets).cumsum(dim=-2)
         points = torch.cat((anchor[:, None], anchor[:, None] + way), dim=1)
         if self.anchor == "entry" and self.form is not None:
             points = closed(points, tip, self.ends(stop) if last is None else last)

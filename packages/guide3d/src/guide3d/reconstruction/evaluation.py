@@ -30,8 +30,7 @@ def evaluate_pair(
     """Reconstructs one pair and measures the result.
 
     Args:
-        a: (n, 2) undistorted px annotated in A, tip first.
-        b: (m, 2) undistorted px annotated in B, tip first.
+        a, b: (n, 2) and (m, 2) undistorted px annotated in A and B, tip first.
         truth_mm: (k, 3) the true wire, where it is known.
         greedy: by `reconstruct_greedy` instead of `reconstruct`.
 

@@ -23,8 +23,7 @@ def match_greedily(geometry: EpipolarGeometry, curve_a: Array, curve_b: Array, s
     """Matches two images of one curve by first crossings.
 
     Args:
-        curve_a: (n, 2) px every `sample_px`, tip first.
-        curve_b: (m, 2) px every `sample_px`, tip first.
+        curve_a, curve_b: (n, 2) and (m, 2) px every `sample_px`, tip first.
 
     Returns:
         The match; `measured` tells crossings from what PCHIP fills in.

@@ -108,8 +108,7 @@ def match_curves(
     """Matches two images of one curve.
 
     Args:
-        curve_a: (n, 2) px in view A every `settings.sample_px`, tip first.
-        curve_b: (m, 2) px in view B every `settings.sample_px`, tip first.
+        curve_a, curve_b: (n, 2) and (m, 2) px in the views every `settings.sample_px`, tip first.
 
     Returns:
         The match. It may be empty (no pairs) where no stretch of one lies on the epilines of the other.
@@ -166,8 +165,7 @@ def complete(match: Match, curve_a: Array, curve_b: Array, sample_px: float) -> 
 
     Args:
         match: pairs, some of them measured; ends that are not measured stay as they are.
-        curve_a: (n, 2) px every `sample_px`.
-        curve_b: (m, 2) px every `sample_px`.
+        curve_a, curve_b: (n, 2) and (m, 2) px every `sample_px`.
 
     Source:
         Fritsch and Carlson, Monotone Piecewise Cubic Interpolation (1980).

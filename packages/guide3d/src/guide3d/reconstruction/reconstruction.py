@@ -107,11 +107,7 @@ def reconstruct(
     """Reconstructs a wire: global matching, triangulation, and a smooth curve through both annotations.
 
     Args:
-        points_a: (n, 2) undistorted px annotated in A, tip first.
-        points_b: (m, 2) undistorted px annotated in B, tip first.
-
-    Returns:
-        The wire, with residuals, uncertainty and warnings.
+        points_a, points_b: (n, 2) and (m, 2) undistorted px annotated in A and B, tip first.
 
     Raises:
         ValueError: an annotation of fewer than two points or outside its image, or two that have nothing in common.
@@ -142,16 +138,8 @@ def reconstruct_greedy(
 ) -> Reconstruction:
     """Reconstructs a wire in the thesis's way: first crossings, PCHIP between, linear triangulation, a spline.
 
-    Args:
-        points_a: (n, 2) undistorted px annotated in A, tip first.
-        points_b: (m, 2) undistorted px annotated in B, tip first.
-        settings: of these `matching.sample_px`, `fit.noise_px` (for the covariance of single points) and the limits.
-
-    Returns:
-        The wire, with residuals, uncertainty and warnings.
-
-    Raises:
-        ValueError: as `reconstruct`.
+    Takes and raises what `reconstruct` does; of the settings `matching.sample_px`, `fit.noise_px` (for the covariance
+    of single points) and the limits count.
     """
     chosen = settings or ReconstructionSettings()
     geometry = EpipolarGeometry(camera_a, camera_b)

@@ -62,8 +62,7 @@ def swapped_cameras(camera_a: Camera, camera_b: Camera, pairs: Sequence[Pair]) -
     """Tells whether the cameras belong to each other's images: "as given" or "swapped".
 
     Args:
-        camera_a: thought to have taken the first of each pair.
-        camera_b: thought to have taken the second.
+        camera_a, camera_b: thought to have taken the first and the second of each pair.
         pairs: annotations ((n, 2), (m, 2)) px, tip first.
     """
     given = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
@@ -81,11 +80,9 @@ def undistorted_or_raw(
     """Tells whether annotations are "undistorted" already, or "raw" pixels of the image intensifier.
 
     Args:
-        camera_a: of undistorted pixels.
-        camera_b: of undistorted pixels.
+        camera_a, camera_b: of undistorted pixels.
         pairs: annotations ((n, 2), (m, 2)) px, tip first.
-        undistort_a: takes raw px (n, 2) of A to undistorted ones.
-        undistort_b: takes those of B.
+        undistort_a, undistort_b: take raw px (n, 2) of A and B to undistorted ones.
     """
     moved = [(undistort_a(np.asarray(a, dtype=float)), undistort_b(np.asarray(b, dtype=float))) for a, b in pairs]
     given = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))

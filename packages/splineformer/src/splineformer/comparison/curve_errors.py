@@ -23,8 +23,7 @@ def curve_errors(predicted_px: ArrayLike, true_px: ArrayLike) -> dict[str, float
     """Compares two curves: tip_px, mean_px, max_px and chamfer_px.
 
     Args:
-        predicted_px: (n, 2) points, tip first.
-        true_px: (m, 2) points, tip first.
+        predicted_px, true_px: (n, 2) and (m, 2) points, tip first.
 
     Raises:
         ValueError: a curve of fewer than two different points.

@@ -82,7 +82,8 @@ def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | 
     ways = [_longest_way(labels == label) + corner for label in kept]
     points = _joined(ways, settings.widest_gap_px)
     ends = np.linalg.norm(points[[0, -1]] - np.asarray(end_px, float), axis=1)
-    return TracedMask(_smooth(points[::-1] if ends[0] < ends[1] else points), len(kept))
+    points = points[::-1] if ends[0] < ends[1] else points
+    return TracedMask(ndimage.gaussian_filter1d(points, _SMOOTHING_PX, axis=0, mode="nearest"), len(kept))
 
 
 def _longest_way(line: NDArray[np.bool_]) -> Array:
@@ -128,7 +129,3 @@ def _joined(ways: list[Array], widest: float) -> Array:
         other = other if start == 0 else other[::-1]
         whole = np.vstack([whole, other]) if end == -1 else np.vstack([other[::-1], whole])
     return whole
-
-
-def _smooth(points: Array) -> Array:
-    return ndimage.gaussian_filter1d(points, _SMOOTHING_PX, axis=0, mode="nearest")

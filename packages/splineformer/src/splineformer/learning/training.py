@@ -55,8 +55,7 @@ def train(
         ValueError: images that are not square, or none to learn from.
         TrainingError: checkpoints of something else in the folder.
     """
-    source_px = square_side(data)
-    preprocessing = Preprocessing(recipe.settings.image_px, source_px)
+    preprocessing = Preprocessing(recipe.settings.image_px, data.side_px)
     stores = [PictureStore(data.frames, camera, preprocessing, pictures) for camera in VIEWS]
     torch.manual_seed(seed)
     network = build(recipe.settings)
@@ -68,31 +67,15 @@ def train(
         network,
         augmentation=recipe.augmentation,
         weights=recipe.weights,
-        source_px=source_px,
+        source_px=data.side_px,
     )
-    start_at_mean(objective)
-    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
-    for store, camera in zip(stores, VIEWS, strict=True):
-        if store.damaged:
-            _LOGGER.warning("camera %s: %d images could not be read", camera, len(store.damaged))
-    return Predictor(network, source_px=source_px), report
-
-
-def start_at_mean(objective: SplineObjective) -> None:
-    """Lets the network's training start from the mean of the curves it learns from."""
+    # the training starts from the mean of the curves that are learnt from
     items = objective.training_items
     chosen = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
     targets = objective.targets
     targets.start(targets([np.asarray(objective.curves[item]) for item in chosen], None))
-
-
-def square_side(data: Dataset) -> int:
-    """Side of the data set's images, px.
-
-    Raises:
-        ValueError: they are not square.
-    """
-    width, height = data.frames[0].size_px[VIEWS[0]]
-    if width != height:
-        raise ValueError(f"{data.root}: expected square images, got {width} x {height} px")
-    return width
+    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
+    for store, camera in zip(stores, VIEWS, strict=True):
+        if store.damaged:
+            _LOGGER.warning("camera %s: %d images could not be read", camera, len(store.damaged))
+    return Predictor(network, source_px=data.side_px), report
