@@ -94,11 +94,11 @@ def environment_cost(folder: Path, steps: int, episodes: int) -> dict[str, float
     """
     try:
         from cathsim import NavigateEnv
-        from pipeline.recording.record import CAMERA, camera_of, step_record
+        from pipeline.recording.record import CAMERA, cameras_of, step_record
     except ImportError:
         return None
     env = NavigateEnv(observation=("image", "mask"), max_steps=steps)
-    camera = camera_of(env)
+    cameras = cameras_of(env)
     rng = np.random.default_rng(0)
     env_s, log_s, opened_s, steps_taken, size = 0.0, 0.0, 0.0, 0, 0
     clock = time.process_time  # time that the system gives to other processes falls on neither side
@@ -106,7 +106,7 @@ def environment_cost(folder: Path, steps: int, episodes: int) -> dict[str, float
         observation, info = env.reset(seed=episode)
         action, reward, terminated, truncated, step = np.zeros(2, np.float32), 0.0, False, False, 0
         start = clock()
-        log = EpisodeWriter(folder / f"environment_{episode}.mcap", example_info(episode), cameras={CAMERA: camera})
+        log = EpisodeWriter(folder / f"environment_{episode}.mcap", example_info(episode), cameras=cameras)
         opened_s += clock() - start
         while True:
             start = clock()

@@ -63,14 +63,9 @@ def step_record(
     )
 
 
-def camera_of(environment: NavigateEnv) -> Camera:
-    """The environment's fluoroscope as the log describes it."""
-    return _camera(environment.fluoroscope.renderer.projector)
-
-
 def cameras_of(environment: NavigateEnv) -> dict[str, Camera]:
     """Every camera of an environment by its topic's name: the frontal view, then those of `cameras`."""
-    cameras = {CAMERA: camera_of(environment)}
+    cameras = {CAMERA: _camera(environment.fluoroscope.renderer.projector)}
     if environment.biplane is not None:
         views = environment.biplane.fluoroscope.cameras
         cameras |= {name: _camera(view.projector) for name, view in views.items()}
@@ -175,7 +170,6 @@ def record_episode(
     """Runs one episode and logs it; the log appears under its name only when it is whole.
 
     Args:
-        policy: gives the action to an observation and info.
         path: of the log; one that is there is replaced.
         seed: of the reset.
         operator: who steers, e.g. "sampling_expert".

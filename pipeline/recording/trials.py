@@ -70,7 +70,6 @@ def run_trials(
         folder: gets ``000.mcap``, ``001.mcap``, …
         seeds: of the episodes' starts, and of the policy's draws.
         mode: "deterministic" or "stochastic"; kept in the log.
-        report: takes the share done and a few words.
 
     Returns:
         An episode's metrics each, in the order of the seeds.

@@ -136,14 +136,7 @@ def _folder_name(mesh: Path) -> str:
 
 
 def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, picture: bool) -> None:
-    """Writes the files of one phantom: meshes, grid, centrelines, targets, picture.
-
-    Args:
-        phantom: the anatomy.
-        folder: made when missing.
-        wall_thickness: of the wall mesh, m.
-        picture: whether to draw the picture.
-    """
+    """Writes meshes, grid, centrelines, targets and picture of one phantom; `wall_thickness` is in m."""
     with atomic_path(folder / "lumen.stl") as path:
         phantom.lumen_mesh.export(path)
     with atomic_path(folder / "wall.stl") as path:

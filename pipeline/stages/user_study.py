@@ -136,7 +136,7 @@ def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
 
 
 def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Figure]:
-    """Draws ways and forces of every task."""
+    """Draws the tip's paths and the forces of every task."""
     from cathsim import PHANTOMS, load_phantom
     from pipeline.episodes import EpisodeReader
     from pipeline.report.plots.episodes import draw_task

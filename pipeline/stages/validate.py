@@ -149,7 +149,6 @@ def physics_rows(folder: RunFolder, laws: tuple[str, ...] = ()) -> dict[str, dic
     """Checks the wire against the theory of rods, in a process of its own: rows of the table `wire_physics`.
 
     Args:
-        folder: of the stage.
         laws: keys of `cathsim.physics_checks.LAWS`; none: all.
 
     Raises:

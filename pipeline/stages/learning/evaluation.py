@@ -29,9 +29,8 @@ def evaluate(
     Args:
         controllers: gives for a mode what `run_trials` takes.
         folder: of the training; the logs go into ``evaluation/<mode>``.
-        origin: kept in the logs; its training seed chooses the episodes.
-        episodes: a mode.
-        report: takes the share done and a few words.
+        origin: its training seed chooses the episodes.
+        episodes: in each mode.
 
     Returns:
         Mode to the summary of its episodes.

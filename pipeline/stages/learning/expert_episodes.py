@@ -134,8 +134,8 @@ def expert_folder(enn: Path, task: str, row: str) -> Path:
 
     Args:
         enn: folder of the stage.
-        task: phantom and target, ``type_1/bca``.
-        row: of its table, ``I+V+M``.
+        task: ``type_1/bca``.
+        row: ``I+V+M``.
 
     Raises:
         StageError: there is none.
@@ -193,7 +193,6 @@ def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]
     Where they started and when they were cut off does not matter.
 
     Args:
-        stage: that learns from them.
         logs: of the stage expert; those that cannot be read are passed over.
 
     Raises:

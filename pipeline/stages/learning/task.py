@@ -54,9 +54,5 @@ class LearningTask:
         )
 
     def factory(self, observation: str | Sequence[str]) -> Callable[[], NavigateEnv]:
-        """Makes training environments.
-
-        Args:
-            observation: as `environment` takes it.
-        """
+        """Makes training environments; takes what `environment` does."""
         return functools.partial(self.environment, observation, training=True)
