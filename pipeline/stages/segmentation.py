@@ -11,7 +11,7 @@ from pipeline.report.results import Figure
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.evaluation import PRELOAD, learn_segmentation
 from pipeline.stages.networks.settings import SegmentationSettings
-from pipeline.stages.networks.stage import train_and_compare, training_job
+from pipeline.stages.networks.stage import cost_cells, train_and_compare, training_job
 
 GROUP = "Segmentation"
 LABELS = {"unet": "UNet", "transunet": "TransUnet", "swinunet": "SwinUnet"}
@@ -37,9 +37,7 @@ def tables(settings: SegmentationSettings, outcomes: dict[str, Any]) -> dict[str
         own[row] = {
             **{name: outcome[name] for name in ("dice", "iou_foreground", "miou", "centreline_dice", "dice_small")},
             "size_px": outcome["size_px"],
-            "parameters_m": outcome["parameters"] / 1e6,
-            "epochs": outcome["epochs"],
-            "cpu_min": outcome["cpu_min"],
+            **cost_cells(outcome),
             "ms_an_image": outcome["ms_an_image"],
             "n": outcome["images"],
         }

@@ -11,7 +11,7 @@ from pipeline.report.results import Figure
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.evaluation import PRELOAD, learn_shape
 from pipeline.stages.networks.settings import ShapeSettings
-from pipeline.stages.networks.stage import train_and_compare, training_job
+from pipeline.stages.networks.stage import cost_cells, train_and_compare, training_job
 
 GROUP = "Shape prediction"
 THESIS_ROWS = ("cartesian", "spherical")
@@ -48,9 +48,7 @@ def tables(settings: ShapeSettings, outcomes: dict[str, Any]) -> dict[str, Any]:
         outcome = outcomes[row]
         own[row] = {name: outcome[name] for name in (*METRICS, "length_error_mm", "reprojection_px")}
         own[row] |= {
-            "parameters_m": outcome["parameters"] / 1e6,
-            "epochs": outcome["epochs"],
-            "cpu_min": outcome["cpu_min"],
+            **cost_cells(outcome),
             "ms_a_frame": outcome["ms_a_frame"],
             "n": outcome["frames"],
         }

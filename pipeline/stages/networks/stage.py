@@ -43,6 +43,11 @@ def training_job(
     return Job(network, learn, given, weight=weight, gpu_gb=gpu_gb, gpus=settings.processes)
 
 
+def cost_cells(outcome: dict[str, Any]) -> dict[str, Any]:
+    """A network's size in millions of weights, and its training in epochs and minutes of processor time."""
+    return {"parameters_m": outcome["parameters"] / 1e6, "epochs": outcome["epochs"], "cpu_min": outcome["cpu_min"]}
+
+
 def train_and_compare(
     settings: TrainingSettings,
     context: StageContext,
