@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -92,9 +93,9 @@ def _dotted(node: ast.Attribute) -> list[str] | None:
 
 
 def _lazy(body: Iterable[ast.stmt]) -> dict[str, str]:
-    """The module-level tables of a module with a ``__getattr__``: name to module."""
+    """The module-level tables of a module with a ``__getattr__``, defined or assigned: name to module."""
     body = list(body)
-    if not any(isinstance(statement, ast.FunctionDef) and statement.name == "__getattr__" for statement in body):
+    if "__getattr__" not in itertools.chain.from_iterable(map(_bound, body)):
         return {}
     tables = [s.value for s in body if isinstance(s, ast.Assign | ast.AnnAssign) and isinstance(s.value, ast.Dict)]
     return {
@@ -104,3 +105,10 @@ def _lazy(body: Iterable[ast.stmt]) -> dict[str, str]:
         if isinstance(key, ast.Constant) and isinstance(value, ast.Constant)
         if isinstance(key.value, str) and isinstance(value.value, str)
     }
+
+
+def _bound(statement: ast.stmt) -> list[str]:
+    """The names that a definition or a plain assignment binds."""
+    if isinstance(statement, ast.Assign):
+        return [target.id for target in statement.targets if isinstance(target, ast.Name)]
+    return [statement.name] if isinstance(statement, ast.FunctionDef) else []

@@ -21,11 +21,15 @@ TREE = {
     "_HOME = {'Lazy': 'lazy', 'Full': 'tree.full', 'Other': 'other'}\n"
     "def __getattr__(name):\n    import importlib\n    return importlib.import_module(f'tree.{_HOME[name]}')\n",
     "main.py": "import os\nfrom tree import Lazy\nimport tree as t\nfrom . import sibling\n"
+    "from tree.assigned import Deep\n"
     "from .sub.deep import thing\n"
     "from tree.table import run\njobs = [run]\nPRELOAD = ('tree.preloaded', 'no.module')\n"
     "def f():\n    from tree import inside\n    import tree.sub.late\n    return t.Full\n"
     "def g():\n    import importlib\n    return importlib.import_module('tree.named')\n"
     "if TYPE_CHECKING:\n    from tree import typed\nelse:\n    from tree import untyped\n",
+    "assigned/__init__.py": "_HOME = {'Deep': 'deep', 'Unused': 'unused'}\n__getattr__ = lazy_names(__name__, _HOME)\n",
+    "assigned/deep.py": "",
+    "assigned/unused.py": "",
     "sub/__init__.py": "",
     "sub/deep.py": "from ..up import x\nfrom .beside import *\n",
     "sub/late.py": "'''tree.mentioned in a docstring is no import: see tree.typed'''\n",
@@ -57,7 +61,7 @@ def test_every_kind_of_import_is_followed(tree: Path) -> None:
     reached = {name.removeprefix("tree").lstrip(".") for name in closure.modules("tree.main")}
     assert reached == {
         "", "main", "eager", "lazy", "full", "sibling", "sub", "sub.deep", "sub.late", "sub.beside", "up", "table",
-        "preloaded", "inside", "named", "untyped", "native",
+        "preloaded", "inside", "named", "untyped", "native", "assigned", "assigned.deep",
     }  # fmt: skip
     files = set(closure.files("tree.main"))
     assert {name for name in files if not name.endswith(".py")} == {"tree/csource/kernel.c", "tree/page.html.j2"}

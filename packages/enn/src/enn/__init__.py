@@ -5,18 +5,25 @@ Names below are imported at first use: `import enn` alone pulls in neither torch
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from enn.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from enn.encoder import Encoder, EncoderSettings, Samples, fit_encoder, scripted_samples
-    from enn.networks.features import MultimodalExtractor, layer_table, modality_keys
-    from enn.networks.policies import AsymmetricSACPolicy
-    from enn.policy import Policy
-    from enn.reinforcement.encoded import EncodedEnvs
-    from enn.reinforcement.training import Training
-    from enn.reinforcement.training_settings import TrainingSettings
-    from enn.trajectory import Trajectory
+    from enn.encoder import Encoder as Encoder
+    from enn.encoder import EncoderSettings as EncoderSettings
+    from enn.encoder import Samples as Samples
+    from enn.encoder import fit_encoder as fit_encoder
+    from enn.encoder import scripted_samples as scripted_samples
+    from enn.networks.features import MultimodalExtractor as MultimodalExtractor
+    from enn.networks.features import layer_table as layer_table
+    from enn.networks.features import modality_keys as modality_keys
+    from enn.networks.policies import AsymmetricSACPolicy as AsymmetricSACPolicy
+    from enn.policy import Policy as Policy
+    from enn.reinforcement.encoded import EncodedEnvs as EncodedEnvs
+    from enn.reinforcement.training import Training as Training
+    from enn.reinforcement.training_settings import TrainingSettings as TrainingSettings
+    from enn.trajectory import Trajectory as Trajectory
 
 __version__ = "0.1.0"
 
@@ -37,26 +44,5 @@ _HOME = {
     "scripted_samples": "encoder",
 }
 
-__all__ = [
-    "AsymmetricSACPolicy",
-    "EncodedEnvs",
-    "Encoder",
-    "EncoderSettings",
-    "MultimodalExtractor",
-    "Policy",
-    "Samples",
-    "Training",
-    "TrainingSettings",
-    "Trajectory",
-    "__version__",
-    "fit_encoder",
-    "layer_table",
-    "modality_keys",
-    "scripted_samples",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"enn.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'enn' has no attribute '{name}'")
+__all__ = [*_HOME, "__version__"]
+__getattr__ = lazy_names(__name__, _HOME)

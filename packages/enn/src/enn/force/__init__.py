@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from enn.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from enn.force.evaluation import ForceScore, calibration, evaluate_predictor, score
-    from enn.force.prediction import (
-        DESK_FORCE,
-        THESIS_FORCE,
-        ForceNetwork,
-        ForceNetworkSettings,
-        ForcePredictionSettings,
-        ForcePredictor,
-        fit_force,
-        force_preset,
-    )
-    from enn.force.samples import FORCE_INPUTS, ForceInputs, ForceSamples, force_samples, principal_components
+    from enn.force.evaluation import ForceScore as ForceScore
+    from enn.force.evaluation import calibration as calibration
+    from enn.force.evaluation import evaluate_predictor as evaluate_predictor
+    from enn.force.evaluation import score as score
+    from enn.force.prediction import DESK_FORCE as DESK_FORCE
+    from enn.force.prediction import THESIS_FORCE as THESIS_FORCE
+    from enn.force.prediction import ForceNetwork as ForceNetwork
+    from enn.force.prediction import ForceNetworkSettings as ForceNetworkSettings
+    from enn.force.prediction import ForcePredictionSettings as ForcePredictionSettings
+    from enn.force.prediction import ForcePredictor as ForcePredictor
+    from enn.force.prediction import fit_force as fit_force
+    from enn.force.prediction import force_preset as force_preset
+    from enn.force.samples import FORCE_INPUTS as FORCE_INPUTS
+    from enn.force.samples import ForceInputs as ForceInputs
+    from enn.force.samples import ForceSamples as ForceSamples
+    from enn.force.samples import force_samples as force_samples
+    from enn.force.samples import principal_components as principal_components
 
 _HOME = {
     "DESK_FORCE": "prediction",
@@ -39,28 +45,5 @@ _HOME = {
     "score": "evaluation",
 }
 
-__all__ = [
-    "DESK_FORCE",
-    "FORCE_INPUTS",
-    "THESIS_FORCE",
-    "ForceInputs",
-    "ForceNetwork",
-    "ForceNetworkSettings",
-    "ForcePredictionSettings",
-    "ForcePredictor",
-    "ForceSamples",
-    "ForceScore",
-    "calibration",
-    "evaluate_predictor",
-    "fit_force",
-    "force_preset",
-    "force_samples",
-    "principal_components",
-    "score",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+__all__ = list(_HOME)
+__getattr__ = lazy_names(__name__, _HOME)

@@ -5,14 +5,20 @@ The names below are imported at first use, so that a light module of this folder
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from enn.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from enn.reinforcement.checkpoint import CheckpointError
-    from enn.reinforcement.training import Training
-    from enn.reinforcement.training_result import Progress, TrainingResult
-    from enn.reinforcement.training_settings import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC, TrainingSettings
+    from enn.reinforcement.checkpoint import CheckpointError as CheckpointError
+    from enn.reinforcement.training import Training as Training
+    from enn.reinforcement.training_result import Progress as Progress
+    from enn.reinforcement.training_result import TrainingResult as TrainingResult
+    from enn.reinforcement.training_settings import DESK_PPO as DESK_PPO
+    from enn.reinforcement.training_settings import DESK_SAC as DESK_SAC
+    from enn.reinforcement.training_settings import THESIS_PPO as THESIS_PPO
+    from enn.reinforcement.training_settings import THESIS_SAC as THESIS_SAC
+    from enn.reinforcement.training_settings import TrainingSettings as TrainingSettings
 
 _HOME = {
     "CheckpointError": "checkpoint",
@@ -26,20 +32,5 @@ _HOME = {
     "TrainingSettings": "training_settings",
 }
 
-__all__ = [
-    "DESK_PPO",
-    "DESK_SAC",
-    "THESIS_PPO",
-    "THESIS_SAC",
-    "CheckpointError",
-    "Progress",
-    "Training",
-    "TrainingResult",
-    "TrainingSettings",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+__all__ = list(_HOME)
+__getattr__ = lazy_names(__name__, _HOME)
