@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.devices import device_of
+from enn.imitation.segmenter_fitting import fitted
 
 WORKING_SIZE = 96  # px: images are brought to this side
 _SHIFT = 6  # px, of the augmentation
@@ -65,8 +66,6 @@ def fit_segmenter(
     lumens: NDArray[np.floating],
     *,
     epochs: int = 30,
-    batch_size: int = 8,
-    learning_rate: float = 5e-3,
     working_size: int = WORKING_SIZE,
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
@@ -78,8 +77,6 @@ def fit_segmenter(
         images: grey levels without a wire. Shape (n, size, size).
         lumens: 1 where the lumen is seen. Shape (n, size, size).
         epochs: passes over the images.
-        batch_size: images an update.
-        learning_rate: of Adam at its largest; it rises first and falls to nothing.
         working_size: px, of the segmenter.
         seed: of everything.
         progress: called with each epoch's number and loss.
@@ -93,30 +90,18 @@ def fit_segmenter(
     """
     if images.ndim != 3 or images.shape != lumens.shape or not len(images):
         raise ValueError(f"expected images and lumens of one shape (n, size, size), got {images.shape}, {lumens.shape}")
-    generator = np.random.default_rng(seed)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        network = LumenSegmenter(working_size=working_size).to(device)
     x = _resized(torch.as_tensor(np.asarray(images, np.float32))[:, None], working_size)
     y = _resized(torch.as_tensor(np.asarray(lumens, np.float32))[:, None], working_size)
-    optimiser = torch.optim.Adam(network.parameters(), learning_rate, fused=True)
-    updates = epochs * -(-len(x) // batch_size)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, learning_rate, total_steps=updates)
-    network.train()
-    for epoch in range(epochs):
-        total = 0.0
-        for rows in np.array_split(generator.permutation(len(x)), -(-len(x) // batch_size)):
-            chosen = torch.as_tensor(rows)
-            pair = _augmented(torch.cat((x[chosen], y[chosen]), 1).to(device), generator)
-            loss = functional.binary_cross_entropy_with_logits(network(pair[:, :1]), pair[:, 1:])
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            total += float(loss.detach()) * len(rows) / len(x)
-        if progress is not None:
-            progress(epoch, total)
-    network.eval()
+
+    def loss_of(network: LumenSegmenter, rows: NDArray[np.intp], generator: np.random.Generator) -> Tensor:
+        chosen = torch.as_tensor(rows)
+        pair = _augmented(torch.cat((x[chosen], y[chosen]), 1).to(device), generator)
+        return functional.binary_cross_entropy_with_logits(network(pair[:, :1]), pair[:, 1:])
+
+    network = fitted(
+        lambda: LumenSegmenter(working_size=working_size), len(x), loss_of,
+        epochs=epochs, seed=seed, progress=progress, device=device,
+    )  # fmt: skip
     return network, overlap(network, images, lumens)
 
 

@@ -17,6 +17,7 @@ from torch.nn import functional
 
 from enn.devices import device_of
 from enn.imitation.perturbed_controller import PerturbedController
+from enn.imitation.segmenter_fitting import fitted
 from enn.policy import Policy
 
 DARKENING = 10.0  # grey levels that count as one
@@ -79,8 +80,6 @@ def fit_wire_segmenter(
     masks: NDArray[np.uint8],
     *,
     epochs: int = 6,
-    batch_size: int = 8,
-    learning_rate: float = 5e-3,
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
     device: torch.device | str = "cpu",
@@ -92,8 +91,6 @@ def fit_wire_segmenter(
         plains: the same without it. Shape (n, size, size).
         masks: the wire's pixels, not 0. Shape (n, size, size).
         epochs: passes over the images.
-        batch_size: images an update.
-        learning_rate: of Adam at its largest; it rises first and falls to nothing.
         seed: of everything.
         progress: called with each epoch's number and loss.
         device: where the network is trained and stays.
@@ -107,28 +104,13 @@ def fit_wire_segmenter(
     shapes = {images.shape, plains.shape, masks.shape}
     if len(shapes) != 1 or images.ndim != 3 or not len(images):
         raise ValueError(f"expected images and masks of one shape (n, size, size), got {sorted(shapes)}")
-    generator = np.random.default_rng(seed)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        network = WireSegmenter().to(device)
-    optimiser = torch.optim.Adam(network.parameters(), learning_rate, fused=True)
-    batches = -(-len(images) // batch_size)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, learning_rate, total_steps=epochs * batches)
-    network.train()
-    for epoch in range(epochs):
-        total = 0.0
-        for rows in np.array_split(generator.permutation(len(images)), batches):
-            parts = [_part(images[k], plains[k], masks[k], generator) for k in rows]
-            darker, wire = (torch.as_tensor(np.stack(one))[:, None].to(device) for one in zip(*parts, strict=True))
-            loss = _loss(network(darker), wire)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            total += float(loss.detach()) * len(rows) / len(images)
-        if progress is not None:
-            progress(epoch, total)
-    network.eval()
+
+    def loss_of(network: WireSegmenter, rows: NDArray[np.intp], generator: np.random.Generator) -> Tensor:
+        parts = [_part(images[k], plains[k], masks[k], generator) for k in rows]
+        darker, wire = (torch.as_tensor(np.stack(one))[:, None].to(device) for one in zip(*parts, strict=True))
+        return _loss(network(darker), wire)
+
+    network = fitted(WireSegmenter, len(images), loss_of, epochs=epochs, seed=seed, progress=progress, device=device)
     return network, dice(network, images, plains, masks)
 
 
