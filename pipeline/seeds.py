@@ -63,7 +63,7 @@ RETIRED_ARCHES = range(30_000, 32_000), range(33_000, 34_000)
 
 EPISODES = {
     "sampling expert": SeedRange(0, 1_000, _TRAININGS, "demonstrations"),
-    # as enn.reinforcement.best_policy counts
+    # as enn.reinforcement.evaluation counts
     "evaluation while training": SeedRange(500_000, 1_000, _TRAININGS, "evaluations"),
     "expert": SeedRange(2_000_000, 1_000, _TRAININGS, "expert episodes"),
     "disturbed expert": SeedRange(2_500_000, 1_000, _TRAININGS, "disturbed expert episodes"),

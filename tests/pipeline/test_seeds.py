@@ -62,7 +62,7 @@ def test_what_functions_give_lies_in_their_range() -> None:
 
 
 def test_evaluations_while_training_are_those_of_enn() -> None:
-    from enn.reinforcement.best_policy import BestPolicy
+    from enn.reinforcement.evaluation import BestPolicy
 
     known = seeds.EPISODES["evaluation while training"]
     for seed in (0, 3, 499):

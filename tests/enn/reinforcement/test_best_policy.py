@@ -30,7 +30,7 @@ def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytes
             tuple(EpisodeOutcome(number < success, 20, 0.0, path_mm, 0.0, 0.0) for number in range(3))
         )
 
-    monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", played)
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
     settings = dataclasses.replace(SMALL, decisions=800, evaluate_every=200, evaluation_episodes=3)
     result = Training(settings, point_env, None, seed=1).run()
     kept = torch.cat([value.flatten() for value in result.policy.module.actor.parameters()])
@@ -56,7 +56,7 @@ def test_a_few_hard_episodes_do_not_end_an_evaluation(point_env: Any, monkeypatc
         played.append(len(seeds))
         return EvaluationResult(tuple(EpisodeOutcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
 
-    monkeypatch.setattr("enn.reinforcement.best_policy.run_episodes", hard_first)
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", hard_first)
     settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, evaluation_episodes=24)
     result = Training(settings, point_env, seed=0).run()
     assert played == [6, 18, 24]

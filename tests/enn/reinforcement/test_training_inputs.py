@@ -13,7 +13,7 @@ import torch
 
 from enn.encoder import Encoder, EncoderSettings
 from enn.policy import Policy
-from enn.reinforcement.demonstrations import demonstration_replay
+from enn.reinforcement.replay import demonstration_replay
 from enn.reinforcement.sampling import NotFiniteError
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (

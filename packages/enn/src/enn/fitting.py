@@ -40,7 +40,6 @@ class EpisodeFitSettings:
     checkpoint_seconds: Seconds = 20.0  # between checkpoints; 0: after every epoch
 
     def __post_init__(self) -> None:
-        """Refuses an unknown schedule."""
         if self.schedule not in SCHEDULES:
             raise ValueError(f"unknown schedule '{self.schedule}'; there are {', '.join(SCHEDULES)}")
 

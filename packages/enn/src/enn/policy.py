@@ -102,7 +102,9 @@ class Policy:
                     raise ValueError("a stochastic action needs a seeded numpy Generator")
                 noise = generator.standard_normal(raw.shape, np.float32)
                 raw = raw + np.exp(log_std.cpu().numpy()) * noise
-        return self._bounded(raw)
+        if self.network.algorithm == "sac":
+            raw = (self._low + 0.5 * (np.tanh(raw) + 1.0) * (self._high - self._low)).astype(np.float32)
+        return np.asarray(raw.clip(self._low, self._high), np.float32)
 
     def features(self, observations: Observation) -> NDArray[np.float32]:
         """The features Z that the decision rests on, for observations with a leading N. Shape (N, features)."""
@@ -112,11 +114,6 @@ class Policy:
     def controller(self, deterministic: bool = True, seed: int = 0) -> PolicyController:
         """The policy over an episode, with its action repeat; call `reset()` at the start of each."""
         return PolicyController(self, deterministic, seed)
-
-    def _bounded(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
-        if self.network.algorithm == "sac":
-            raw = (self._low + 0.5 * (np.tanh(raw) + 1.0) * (self._high - self._low)).astype(np.float32)
-        return np.asarray(raw.clip(self._low, self._high), np.float32)
 
     def _encoded(self, observations: Observation) -> dict[str, Tensor] | Tensor:
         tensors = self._tensors(observations)

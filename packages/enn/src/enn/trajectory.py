@@ -29,7 +29,6 @@ class Trajectory:
     metadata: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Checks lengths and values."""
         if self.actions.ndim != 2 or len(self.actions) == 0:
             raise ValueError(f"actions must have shape (T, a) with T >= 1, got {self.actions.shape}")
         steps = len(self.actions)
@@ -48,18 +47,15 @@ class Trajectory:
         for name, array in self.observations.items():
             if len(array) != steps + 1:
                 raise ValueError(f"observation '{name}' of {steps} actions needs {steps + 1} entries, got {len(array)}")
-        for name, array in (*self.observations.items(), *self._numbers()):
+        named = {name: getattr(self, name) for name in ("actions", "rewards", "forces", "tips", "simulation_states")}
+        for name, array in (*self.observations.items(), *named.items()):
+            if array is None:
+                continue
             if array.dtype.kind == "f" and not np.isfinite(array).all():
                 step = int(np.argwhere(~np.isfinite(array))[0][0])
                 raise ValueError(f"'{name}' is not finite at step {step}: leave this episode out")
         if (self.forces < 0).any():
             raise ValueError(f"forces are magnitudes and cannot be negative, got {self.forces.min():.3g} N")
-
-    def _numbers(self) -> list[tuple[str, NDArray[Any]]]:
-        named = [("actions", self.actions), ("rewards", self.rewards), ("forces", self.forces), ("tips", self.tips)]
-        if self.simulation_states is not None:
-            named.append(("simulation_states", self.simulation_states))
-        return named
 
     def __len__(self) -> int:
         """Number of steps T."""

@@ -36,7 +36,6 @@ class ForceNetworkSettings:
     hidden: tuple[Units, ...] = (128, 128)  # units of the head's layers
 
     def __post_init__(self) -> None:
-        """Refuses a network without input."""
         if self.image_shape[0] == 0 and self.vector == 0:
             raise ValueError("a force network needs images or numbers to predict from, got neither")
         if self.image_shape[0] and not min(self.image_shape):

@@ -62,16 +62,11 @@ class ForceSamples:
     features: NDArray[np.float32] | None = None  # (N, z) float32, the expert's feature vector Z, or None
 
     def __post_init__(self) -> None:
-        """Checks lengths and values."""
         count = len(self.forces)
-        named: list[tuple[str, NDArray[Any]]] = [
-            ("images", self.images),
-            ("vectors", self.vectors),
-            ("episodes", self.episodes),
-        ]
-        if self.features is not None:
-            named.append(("features", self.features))
-        for name, array in named:
+        for name in ("images", "vectors", "episodes", "features"):
+            array = getattr(self, name)
+            if array is None:
+                continue
             if len(array) != count:
                 raise ValueError(f"{count} forces need as many {name}, got {len(array)}")
             if array.dtype.kind == "f" and not np.isfinite(array).all():

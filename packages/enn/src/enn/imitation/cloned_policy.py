@@ -32,7 +32,6 @@ class CloningNetworkSettings:
     expert_features: UnitsOrNone = 0  # size of the expert's Z that is matched; 0: none
 
     def __post_init__(self) -> None:
-        """Refuses what it cannot see."""
         if not self.keys or any(key not in KEYS for key in self.keys):
             raise ValueError(f"a cloned policy sees some of {', '.join(KEYS)}, got {', '.join(self.keys) or 'none'}")
 

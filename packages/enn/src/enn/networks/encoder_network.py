@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -156,10 +156,8 @@ class Encoder(nn.Module):
 
     def prepare(self, observations: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """What no weight changes, by the name of the part that takes it."""
-        return {name: part.prepare(self._group(name, observations)) for name, part in self._named_parts()}
-
-    def _named_parts(self) -> Iterator[tuple[str, Any]]:
-        yield from self.parts.items()
+        parts: Any = self.parts
+        return {name: part.prepare(self._group(name, observations)) for name, part in parts.items()}
 
     def bottleneck(self, prepared: Mapping[str, Tensor]) -> Tensor:
         """Features before normalisation. Shape (n, features)."""

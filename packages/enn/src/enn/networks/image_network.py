@@ -25,7 +25,6 @@ class ImageSettings:
     features: Units = 128  # at the network's end; the thesis's table says 128
 
     def __post_init__(self) -> None:
-        """Refuses what cannot be built."""
         if self.variant not in VARIANTS:
             raise ValueError(f"unknown variant '{self.variant}'; there are {', '.join(VARIANTS)}")
         if min(self.shape[1:]) < 36:

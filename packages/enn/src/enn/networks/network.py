@@ -5,21 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
-from stable_baselines3.common.policies import (
-    ActorCriticPolicy,
-    BasePolicy,
-    MultiInputActorCriticPolicy,
-)
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy, MultiInputActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
 from torch import Tensor, nn, optim
 
+from enn.networks.features import VARIANTS, MultimodalExtractor
 from enn.networks.normalisation import VectorExtractor, select_keys, vector_spaces
 from enn.networks.policies import AsymmetricSACPolicy, LayerNormSACPolicy
 from enn.setting_kinds import Units, settings
 
 ALGORITHMS = ("sac", "ppo")
 EXTRACTORS = ("vectors", "multimodal")
-VARIANTS = ("thesis", "desk", "baselines")
 SHARED = ("", "actor", "critic")
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
@@ -44,7 +40,6 @@ class NetworkSettings:
     critic_layer_norm: bool = False  # layer normalisation in the critics; SAC only
 
     def __post_init__(self) -> None:
-        """Refuses unknown names."""
         choices = (
             ("algorithm", ALGORITHMS),
             ("extractor", EXTRACTORS),
@@ -80,8 +75,6 @@ def network_class(settings: NetworkSettings, space: gymnasium.Space[Any]) -> tup
         vector_spaces(space, keys)  # refuses images
         extractor: tuple[Any, dict[str, Any]] = (VectorExtractor, {})
     elif is_dict:
-        from enn.networks.features import MultimodalExtractor
-
         extractor = (MultimodalExtractor, {"variant": settings.variant, "image_features": settings.image_features})
     else:
         raise ValueError("the multimodal extractor needs observations by name: make the environment with several names")

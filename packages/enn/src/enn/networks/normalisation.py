@@ -33,7 +33,7 @@ class VectorExtractor(BaseFeaturesExtractor):
 
     def __init__(self, observation_space: gymnasium.Space, keys: Sequence[str] = ()) -> None:
         spaces = vector_spaces(observation_space, keys)
-        super().__init__(observation_space, sum(_size(space) for space in spaces.values()))
+        super().__init__(observation_space, sum(map(gymnasium.spaces.flatdim, spaces.values())))
         self.keys = tuple(spaces)
         self.register_buffer("mean", torch.zeros(self.features_dim))
         self.register_buffer("scale", torch.ones(self.features_dim))
@@ -114,10 +114,3 @@ def select_keys(space: gymnasium.spaces.Dict, keys: Sequence[str]) -> tuple[str,
     if unknown:
         raise ValueError(f"no observation {', '.join(unknown)}; the environment gives {', '.join(space.spaces)}")
     return tuple(keys) or tuple(space.spaces)
-
-
-def _size(space: gymnasium.spaces.Box) -> int:
-    size = 1
-    for length in space.shape:
-        size *= length
-    return size

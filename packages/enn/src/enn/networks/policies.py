@@ -19,10 +19,6 @@ from enn.networks.features import MultimodalExtractor, require_keys
 TRAINED_BY = ("actor", "critic")  # whose loss trains shared features
 
 
-def _seen(space: gymnasium.spaces.Dict, keys: Sequence[str]) -> gymnasium.spaces.Dict:
-    return gymnasium.spaces.Dict({key: space[key] for key in keys})
-
-
 class KeyedActor(Actor):
     """SAC's actor that looks at the keys of its own space only; with `detached`, its loss leaves the features alone."""
 
@@ -169,7 +165,7 @@ class AsymmetricSACPolicy(LayerNormSACPolicy):
         )
 
     def _arguments(self, keys: Sequence[str], common: dict[str, Any], extractor: Any) -> dict[str, Any]:
-        space = _seen(self.observation_space, keys)
+        space = gymnasium.spaces.Dict({key: self.observation_space[key] for key in keys})
         if extractor is None:
             make: Any = self.features_extractor_class
             extractor = make(space, keys=keys, **self.features_extractor_kwargs)

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecEnv
 
 from enn.networks.network import network_class
@@ -168,7 +169,7 @@ class PpoLearner:
         self.rollout.pos, self.rollout.full = position, position == self.rollout.buffer_size
 
     def _tensors(self, observations: Any) -> Any:
-        return _each(observations, lambda array: torch.as_tensor(array, device=self.model.device))
+        return obs_as_tensor(observations, self.model.device)
 
 
 def _each(values: Any, work: Any) -> Any:

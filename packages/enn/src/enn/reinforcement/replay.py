@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import gymnasium
@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from enn.reinforcement.free_memory import available_bytes
 from enn.reinforcement.observation_store import FrameStore, bytes_per_observation, make_store
+from enn.trajectory import Trajectory
 
 CHUNK = 512  # slots that are saved together
 _STORED, _LARGE = "observation_", ("actions", "rewards", "dones")
@@ -280,3 +281,52 @@ def _joined(first: Any, second: Any) -> Any:
     if isinstance(first, dict):
         return {key: _joined(first[key], second[key]) for key in first}
     return np.concatenate((first, second))
+
+
+def demonstration_replay(
+    trajectories: Sequence[Trajectory],
+    space: gymnasium.Space[Any],
+    action_space: gymnasium.spaces.Box,
+    *,
+    action_repeat: int = 1,
+    encode: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+    seed: int = 0,
+) -> ReplayBuffer:
+    """A replay buffer filled with demonstrations.
+
+    With an action repeat, a decision is the mean of the actions that it stands for, and the sum of their rewards: an
+    approximation, since the demonstrator did not hold them.
+
+    Args:
+        trajectories: with rewards of the task that is trained; at least one.
+        action_repeat: environment steps a decision.
+        encode: observations, name to (T + 1, ...), to those that reach the network.
+
+    Raises:
+        ValueError: there are no trajectories, or one lacks an observation.
+    """
+    if not trajectories:
+        raise ValueError("there are no demonstrations to put into the replay buffer")
+    names = list(space) if isinstance(space, gymnasium.spaces.Dict) else []
+    decisions = sum(-(-len(trajectory) // action_repeat) for trajectory in trajectories)
+    buffer = ReplayBuffer(decisions, space, action_space, seed=seed)
+    half = 0.5 * (action_space.high - action_space.low)
+    for trajectory in trajectories:
+        if encode is not None:
+            seen = encode(trajectory.observations)
+        else:
+            trajectory.require(names)
+            seen = trajectory.observations
+        for start in range(0, len(trajectory), action_repeat):
+            end = min(start + action_repeat, len(trajectory))
+            last = end == len(trajectory)
+            before = {name: seen[name][start][None] for name in names}
+            after = {name: seen[name][end][None] for name in names}
+            if not names:
+                single = next(iter(seen.values()))
+                before, after = single[start][None], single[end][None]
+            action = (trajectory.actions[start:end].mean(axis=0) - action_space.low) / half - 1.0
+            cut = [{"TimeLimit.truncated": not trajectory.terminated}]
+            reward = trajectory.rewards[start:end].sum()
+            buffer.add(before, after, action[None], np.array([reward]), np.array([last]), cut)
+    return buffer

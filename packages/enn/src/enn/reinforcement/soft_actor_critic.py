@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import SAC
+from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 from torch.nn import functional
@@ -152,7 +153,7 @@ class SacLearner:
             self._scaled = self._generator.uniform(-1, 1, (self.n_envs, *space.shape)).astype(np.float32)
         else:
             with torch.inference_mode():
-                mean, log_std = action_distribution(self.policy, _tensors(observations, self.model.device))
+                mean, log_std = action_distribution(self.policy, obs_as_tensor(observations, self.model.device))
             noise = self._generator.standard_normal(mean.shape, np.float32)
             self._scaled = np.tanh(mean.cpu().numpy() + np.exp(log_std.cpu().numpy()) * noise)
         return self.policy.unscale_action(self._scaled)
@@ -253,9 +254,3 @@ class SacLearner:
         weight = state["entropy_weight"]
         model._n_updates, model._entropy_weight = self.updates, None if weight is None else weight.to(model.device)
         self.replay.restore(state["replay"], chunks)
-
-
-def _tensors(observations: Any, device: Any) -> Any:
-    if isinstance(observations, dict):
-        return {name: torch.as_tensor(values, device=device) for name, values in observations.items()}
-    return torch.as_tensor(observations, device=device)

@@ -20,10 +20,10 @@ from stable_baselines3.common.utils import get_device
 
 from enn.model_file import UNFIT
 from enn.policy import Policy
-from enn.reinforcement.best_policy import BestPolicy
 from enn.reinforcement.checkpoint import CheckpointFolder, random_states, restore_random_states
-from enn.reinforcement.demonstrations import demonstration_replay
+from enn.reinforcement.evaluation import BestPolicy
 from enn.reinforcement.proximal_policy import PpoLearner
+from enn.reinforcement.replay import demonstration_replay
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
 from enn.reinforcement.sampling import SampledEnvs, without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
@@ -117,7 +117,7 @@ class TrainingRun:
                 self.envs.observation_space,
                 self.envs.action_space,
                 action_repeat=settings.action_repeat,
-                encode=None if inputs.encoder is None else self._encode,
+                encode=None if inputs.encoder is None else self.envs.encode,
                 seed=inputs.seed,
             )
         self.learner: SacLearner | PpoLearner
@@ -320,7 +320,7 @@ class TrainingRun:
     def _restore(self, state: dict[str, Any], pieces: dict[str, Any]) -> None:
         self.learner.restore(state["learner"], pieces)
         observations = self.sampled.restore(state["envs"])
-        self.observations = observations if self.inputs.encoder is None else self._encode(observations)
+        self.observations = observations if self.inputs.encoder is None else self.envs.encode(observations)
         restore_random_states(state["random"])
         self.decisions, self.env_steps, self.next_row, self.next_evaluation = state["counters"]
         self.best_policy.restore(state["best_policy"])
@@ -332,9 +332,6 @@ class TrainingRun:
         self.episodes.extend(state["episodes"])
         self.spent |= state["spent"]
         logger.info("training goes on after %d of %d decisions", self.decisions, self.settings.decisions)
-
-    def _encode(self, observations: Any) -> dict[str, Any]:
-        return self.envs.encode(observations)
 
     def _finish(self) -> TrainingResult:
         wall, cpu = self._clocks()

@@ -78,7 +78,6 @@ class TrainingSettings(NetworkSettings):
     device: str = "cpu"  # of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one
 
     def __post_init__(self) -> None:
-        """Refuses what cannot be trained with."""
         if self.algorithm == "ppo":
             if isinstance(self.ent_coef, str):
                 raise ValueError(f"PPO needs a number as ent_coef, got '{self.ent_coef}': only SAC learns it")
