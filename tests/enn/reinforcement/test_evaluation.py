@@ -1,4 +1,4 @@
-"""Evaluation episodes: the same for the same seeds."""
+"""Evaluation: the same for the same seeds; which weights are kept, scouts, the early end."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import dataclasses
 from typing import Any
 
 import pytest
+import torch
 
-from enn.reinforcement.evaluation import run_episodes
-from enn.reinforcement.training import (
-    Training,
-)
+from enn.policy import Policy
+from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult, run_episodes
+from enn.reinforcement.training import Training
 from tests.enn.reinforcement.small_training import SMALL
 
 
@@ -26,3 +26,51 @@ def test_evaluation_is_the_same_for_the_same_seeds(point_env: Any) -> None:
     drawn = run_episodes(result.policy, [point_env()], range(9), deterministic=False)
     assert drawn == run_episodes(result.policy, [point_env()], range(9), deterministic=False)
     assert drawn != run_episodes(result.policy, [point_env()], range(9), deterministic=True)
+
+
+def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    successes, weights = iter([1, 2, 2, 1]), []
+
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
+        if not deterministic:
+            return EvaluationResult((EpisodeOutcome(True, 10, 0.0, 0.0, 0.0, 0.0),))
+        assert len(seeds) == 3
+        weights.append(torch.cat([value.flatten().clone() for value in policy.module.actor.parameters()]))
+        success = next(successes)
+        path_mm = 30.0 if len(weights) == 2 else 25.0
+        return EvaluationResult(
+            tuple(EpisodeOutcome(number < success, 20, 0.0, path_mm, 0.0, 0.0) for number in range(3))
+        )
+
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
+    settings = dataclasses.replace(SMALL, decisions=800, evaluate_every=200, evaluation_episodes=3)
+    result = Training(settings, point_env, None, seed=1).run()
+    kept = torch.cat([value.flatten() for value in result.policy.module.actor.parameters()])
+    # as successful as the second, but shorter
+    assert [torch.equal(kept, one) for one in weights] == [False, False, True, False]
+    assert result.evaluation is not None
+    assert result.evaluation["decisions"] == 600
+    assert result.evaluation["path_mm"] == 25
+
+
+def test_stops_early_once_perfect_and_no_shorter(point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, decisions=100_000, evaluate_every=200, stop_after=2)
+    result = Training(settings, point_env, None, seed=1).run()
+    assert result.timings["decisions"] < 4000
+    assert result.evaluation is not None
+    assert result.evaluation["success"] == 1.0
+
+
+def test_a_few_hard_episodes_do_not_end_an_evaluation(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    played: list[int] = []
+
+    def hard_first(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
+        played.append(len(seeds))
+        return EvaluationResult(tuple(EpisodeOutcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
+
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", hard_first)
+    settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, evaluation_episodes=24)
+    result = Training(settings, point_env, seed=0).run()
+    assert played == [6, 18, 24]
+    assert result.evaluation is not None
+    assert result.evaluation["success"] == pytest.approx(20 / 24)
