@@ -8,7 +8,6 @@ contrast run before the episode.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,17 +22,12 @@ from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, DemonstrationsJob, record_demonstrations
+from pipeline.stages.unseen.held_out import misregistered, test_sets
 from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
-from pipeline.stages.unseen.jobs import (
-    PRELOAD,
-    AnatomiesJob,
-    RoadmapJob,
-    build_anatomies,
-    train_roadmap,
-)
+from pipeline.stages.unseen.jobs import PRELOAD, AnatomiesJob, RoadmapJob, build_anatomies, train_roadmap
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.starts import STARTS, StartsJob, lay_starts
-from pipeline.stages.unseen.tables import MISREGISTERED, UNSEEN, curve, registration
+from pipeline.stages.unseen.tables import curve, registration
 from pipeline.stages.unseen.task import IMAGE, ROADMAP, ROADMAP_KEYS, TEST_PHANTOM, XRAY, UnseenTask, training_arch
 from pipeline.stages.unseen.trials import HeldOutSet
 from pipeline.store.errors import ConfigurationError
@@ -43,7 +37,6 @@ if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
 ROADMAP_TESTS = "roadmap tests"
-REAL_MESH = "real_mesh"
 ACTION_REPEAT = 3  # steps of a decision
 STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
 _ANATOMIES_A_JOB = 16
@@ -54,14 +47,9 @@ BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what h
 _SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 10.0, "advised": 0.6, "test": 0.4,
             "xray": 1.5}  # fmt: skip
 
-_LOGGER = logging.getLogger(__name__)
-
 
 def check_unseen(settings: UnseenSettings) -> None:
     """Refuses unknown phantoms, targets and wires.
-
-    Args:
-        settings: of the stage.
 
     Raises:
         ConfigurationError: listing the valid names.
@@ -80,12 +68,7 @@ def check_unseen(settings: UnseenSettings) -> None:
 
 
 def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
-    """Trains and tests every policy.
-
-    Args:
-        settings: of the stage.
-        context: where to write.
-    """
+    """Trains and tests every policy."""
     jobs = plan(settings, context.path, context.seed, context.budget)
     outcomes = run_jobs(
         context.folder,
@@ -251,42 +234,6 @@ def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) 
         evaluation_episodes=settings.validation_episodes,
         stop_after=STOP_AFTER,
         tensorboard=settings.tensorboard,
-    )
-
-
-def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
-    """The tests of a policy: unseen random arches first, named phantoms, the mesh, and other wires on unseen arches.
-
-    Args:
-        settings: of the stage.
-
-    Returns:
-        Those that there are; a mesh that is not there is left out with a warning.
-    """
-    unseen = tuple(unseen_arches(settings.test_anatomies))
-    wire = settings.task.wire
-    tests = [HeldOutSet(UNSEEN, unseen, wire=wire, modes=("deterministic", "stochastic"))]
-    tests += [HeldOutSet(name, (name,), settings.named_episodes, wire) for name in settings.phantoms]
-    if settings.mesh is not None:
-        if Path(settings.mesh).is_file():
-            tests.append(HeldOutSet(REAL_MESH, (settings.mesh,), settings.mesh_episodes, wire))
-        else:
-            _LOGGER.warning("there is no mesh %s: the test on a scanned anatomy is left out", settings.mesh)
-    tests += [HeldOutSet(f"{UNSEEN} {kind}", unseen[: settings.wire_anatomies], wire=kind) for kind in settings.wires]
-    return tuple(tests)
-
-
-def misregistered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
-    """The tests of the roadmap policy with errors of the registration, on the same arches and starts as without.
-
-    Args:
-        settings: of the stage.
-    """
-    arches = tuple(unseen_arches(settings.test_anatomies))
-    return tuple(
-        HeldOutSet(f"{MISREGISTERED} {noise:g} mm", arches, registration_noise=noise / 1e3)
-        for noise in settings.registration_noise_mm
-        if noise
     )
 
 
