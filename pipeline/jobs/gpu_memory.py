@@ -36,9 +36,7 @@ def policy_gb(image_px: int, channels: int, batch: int = 0) -> float:
     """For a policy, a student or a force predictor.
 
     Args:
-        image_px: side of its images.
         channels: grey images that it sees at once; 0: vectors alone.
-        batch: samples an update.
     """
     pixels = max(batch * _PASSES, _LEAST_BATCH) * max(channels, 0) * image_px**2
     return CONTEXT_GB + _WEIGHTS_GB + pixels * _BYTES_A_PIXEL / _GB

@@ -120,9 +120,6 @@ class GpuShare:
     def take(self, key: str, gigabytes: float, count: int = 1) -> tuple[Gpu, ...] | None:
         """Promises a job memory on the GPUs with the most room.
 
-        Args:
-            gigabytes: on each of them.
-
         Returns:
             The GPUs; None while there is no room.
         """

@@ -100,7 +100,6 @@ def run_jobs(
         jobs: all of the stage, in the order in which they should start.
         workers: processes beside each other; 0: one a core.
         preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
-        find: lists the GPUs.
         available: counts the bytes of memory that may still be taken.
 
     Returns:

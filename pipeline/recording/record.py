@@ -171,7 +171,6 @@ def record_episode(
 
     Args:
         path: of the log; one that is there is replaced.
-        seed: of the reset.
         operator: who steers, e.g. "sampling_expert".
         pictures: log image and mask of every step, whatever the observation is; without, nothing is drawn that the
             policy does not look at.

@@ -49,7 +49,6 @@ def gather_figures(
 
     Args:
         stage: name of the folder, ``expert`` or ``expert@seed=1``; it heads figures without a group of their own.
-        folder: that folder.
         report: the report's folder; large files are copied below it, so that it can be moved as a whole.
         embed_limit: size in bytes up to which a file goes inside the page.
         room: bytes of the page that its figures may take together; what does not fit lies beside it.

@@ -82,9 +82,7 @@ def table_rows(c: ForceComparison, pushed: Array, agrees: str, differs: str) -> 
     """Fills the report's table `force_validation`.
 
     Args:
-        c: the tests.
         pushed: (n,) N, forces of the same wire pushed without a planner.
-        agrees, differs: the verdict in words.
 
     Returns:
         Row to column to cell.

@@ -40,16 +40,12 @@ def render_page(
     """Renders the page as HTML.
 
     Args:
-        run: name of the run.
         budget: of the stages; several are joined by "+".
-        seeds: of the stages.
         written: when, ISO 8601.
         records: every stage, run or not.
         tables: of the thesis, and own ones.
         figures: in the order they are shown.
         git: commit of the code that renders, and whether it had changes.
-        versions: of the software.
-        machine: the computer.
         remarks: table -> what the reader should know of its cells, e.g. which logs were left out.
         made: table -> how its measured rows were made, a note a stage folder.
     """

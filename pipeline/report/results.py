@@ -104,7 +104,6 @@ def check_cell(cell: Any, place: str) -> None:
     """Refuses what is neither a finite number, nor a pair of such, nor text, nor None.
 
     Args:
-        cell: anything.
         place: table, row and column, for the message.
 
     Raises:

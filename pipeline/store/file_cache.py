@@ -78,7 +78,6 @@ class FileCache:
 
         Args:
             folder: that the files' names are relative to.
-            files: name to entry.
         """
         changed = (n for n, entry in files.items() if not self.holds(folder / n, entry["sha256"], entry["bytes"]))
         return next(changed, None)

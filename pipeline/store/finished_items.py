@@ -112,9 +112,6 @@ class FinishedItems:
         """Removes items whose files are not as they were left, and what is left of those files.
 
         Files that no other item wrote go, too: the stage made them from the items.
-
-        Returns:
-            How many items count.
         """
         items = {path: _read(path) for path in sorted(self._place.glob("item-*.json"))}
         broken = []

@@ -104,7 +104,6 @@ class McapFile:
         Args:
             schema_name: full name of its message.
             schema_data: the schema: for protobuf a serialised FileDescriptorSet.
-            encoding: of schema and messages.
 
         Returns:
             The channel id: 1, 2, ... in the order of declaration.

@@ -27,7 +27,6 @@ class Curve:
 
     Attributes:
         stage: whose training it was.
-        phantom, target: their names.
         row: what was trained, with whatever else a sweep changed in brackets.
         seed: of the training, as its folder names it.
         columns: name to (n,) values, NaN where a row of the file has none.
@@ -59,7 +58,6 @@ class Band:
         x: (m,) common positions.
         mean: (m,).
         spread: (m,) standard deviation over the seeds, n - 1 in the denominator; nought with one seed.
-        seeds: how many.
     """
 
     x: Array

@@ -39,8 +39,6 @@ class Material:
 
     Attributes:
         run_path: folder of the run, which the logs' names are relative to.
-        evaluations: of all stages.
-        curves: of all trainings.
         tables: computed from the logs, and those the stages wrote.
     """
 

@@ -42,9 +42,6 @@ class Evaluation:
         row: what steered: a set of modalities, an algorithm with its observation, ...
         variant: of the training, with whatever else a sweep changed; rows of different variants are never pooled.
         mode: "deterministic", "stochastic" or "demonstration".
-        training_seed: of the policy.
-        seed: of the episode.
-        phantom, target: their names.
         test_set: which anatomies it stands for; the phantom where the log names none.
         entry: where the wire comes in.
         start_jitter: m, by which starts differ.
@@ -52,7 +49,6 @@ class Evaluation:
         success_radius: m.
         max_steps: after which the episode was truncated.
         force_weight: of the force in the policy's reward, 1/N; None where the log says nothing of it.
-        wire: digest of the wire.
         started_ns: since the epoch.
         contact_force: mean magnitude of a single contact's force, N; None without contacts in the log.
         metrics: from the arrays, with the thesis's reward.
@@ -127,7 +123,6 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
     """Reads one log and computes its metrics.
 
     Args:
-        path: of the log.
         run_path: folder of the run, an ancestor.
 
     Raises:

@@ -42,7 +42,6 @@ def learning_section(run_path: Path, finished: Collection[str], figures: Path) -
     Args:
         run_path: the folder of the run.
         finished: names of its finished stage folders.
-        figures: folder for the figures.
     """
     counting = {*finished, *([_HUMAN] if _USER_STUDY in finished else [])}
     folders = [folder for folder in evaluation_folders(run_path) if folder.name in counting]

@@ -106,7 +106,6 @@ def learning_tables(evaluations: Sequence[Evaluation], shortest: Shortest) -> di
     """Computes every table that the evaluations have something for.
 
     Args:
-        evaluations: of any stages.
         shortest: from `shortest_paths`.
 
     Returns:

@@ -42,7 +42,6 @@ def style(axes: Axes, *, grid: Any = "both", **legend: Any) -> None:
     """Adds a faint grid, and a legend where something has a label.
 
     Args:
-        axes: drawn already.
         grid: "both", "x" or "y".
         legend: further arguments of `Axes.legend`, such as `loc`.
     """
@@ -67,7 +66,6 @@ def window(points: np.ndarray, shape: tuple[int, ...], margin_px: int) -> tuple[
     Args:
         points: (n, 2) px, column and row; n >= 1.
         shape: of the image, rows and columns.
-        margin_px: room around the points.
 
     Returns:
         Rows and columns, inside the image.
@@ -83,7 +81,6 @@ def draw_in_space(wires: Sequence[tuple[str, Mapping[str, np.ndarray]]], file: P
 
     Args:
         wires: title and, by name, curves of shape (n, 3) mm from the tip, which a dot marks.
-        file: of the picture.
     """
     figure = new_figure(4.0 * len(wires), 7.6)
     for column, (title, curves) in enumerate(wires):

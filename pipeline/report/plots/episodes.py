@@ -23,10 +23,7 @@ def draw_task(
     """Draws the paths of the tip in the frontal view of a phantom, and the forces.
 
     Args:
-        phantom: the vessel.
-        target: its name.
         episodes: arrays of each log: tip (T + 1, 3) m, resultant_force (T + 1, 3) N.
-        file: of the picture.
         radius_mm: of the sphere of success.
     """
     figure = new_figure(9.0, 4.6)

@@ -70,9 +70,6 @@ def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *,
 
     Args:
         vertices: (v, 3) m, of the lumen's surface, as dense as the pixels.
-        episodes: in this vessel.
-        file: of the picture.
-        title: of the figure.
     """
     from cathsim.metrics.forces import wall_heat
 

@@ -22,7 +22,6 @@ class Overlay:
     """One camera's image with what was drawn and what came of it.
 
     Attributes:
-        title: above it.
         image: (h, w) uint8.
         annotation: (n, 2) px.
         curves: name to (m, 2) px, reprojected.

@@ -23,7 +23,6 @@ def draw_success(
     Args:
         curves: task to (expert episodes, success in %, evaluation episodes).
         beside: task to (row, success in %) of other ways to imitate.
-        file: of the picture.
     """
     from cathsim.metrics.intervals import wilson_interval
 
@@ -48,7 +47,6 @@ def draw_calibration(bins: Mapping[str, Mapping[str, Any]], file: Path) -> None:
 
     Args:
         bins: name of a predictor to `predicted`, `true` and `true_sd`, N, an entry a bin.
-        file: of the picture.
     """
     with chart(file, *_SIZE) as axes:
         top = 0.0

@@ -56,7 +56,6 @@ class Point:
         force_n: mean force, N.
         success_pct: %.
         force_max_n: largest force of an episode, N.
-        steps: of an episode.
     """
 
     task: str
@@ -121,8 +120,6 @@ def draw_lengths(tasks: Grouped, human: Mapping[str, Array], labels: Mapping[str
     Args:
         tasks: at least one.
         human: task to the (n,) lengths of people's episodes, steps.
-        labels: row to words.
-        file: of the picture.
     """
     panel = Panel("decisions", "evaluation_length", "decisions", "episode length (steps)")
     figure = new_figure(max(5.0, 3.9 * len(tasks)), 3.6)
@@ -149,7 +146,6 @@ def draw_largest_forces(phantoms: Mapping[str, Mapping[tuple[str, str], Array]],
 
     Args:
         phantoms: phantom in words -> (row in words, target) -> (n,) N.
-        file: of the picture.
     """
     figure = new_figure(max(6.0, 6.2 * len(phantoms)), 4.4)
     panels = figure.subplots(1, len(phantoms), squeeze=False, sharey=True)[0]
@@ -181,10 +177,7 @@ def draw_paths(
     """Draws the paths of the tip in the vessel, a panel for each who steered.
 
     Args:
-        phantom: the vessel.
-        target: its name.
         paths: who -> (T + 1, 3) m and whether it succeeded, for each path.
-        file: of the picture.
         radius_mm: of the sphere of success.
     """
     shown = {who: of_one for who, of_one in paths.items() if of_one}

@@ -19,9 +19,7 @@ def draw_failures(
 
     Args:
         rows: name of a bar to "success" and each mode, numbers of trials.
-        labels: of success and modes.
         modes: of failure, in their order.
-        file: of the picture.
     """
     figure = new_figure(7.2, max(3.6, 0.32 * len(rows) + 1.2))
     axes = figure.subplots()

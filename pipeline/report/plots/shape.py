@@ -32,7 +32,6 @@ def draw_reprojections(folder: Path, guide3d: Path, file: Path) -> None:
     Args:
         folder: of the network, with ``examples.npz``.
         guide3d: folder of the stage guide3d.
-        file: of the picture.
     """
     from pipeline.stages.guide3d.folder import open_dataset
 
@@ -69,7 +68,6 @@ def draw_training(networks: Mapping[str, Mapping[str, Any]], file: Path, quantit
 
     Args:
         networks: name to ``curve``: epoch, loss and validation an epoch.
-        file: of the picture.
         quantity: label of the axis of losses.
     """
     with chart(file) as axes:

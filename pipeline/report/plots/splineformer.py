@@ -21,9 +21,7 @@ def draw_comparison(examples: Path, rival: str, variants: Sequence[str], labels:
     Args:
         examples: ``examples.npz`` of the comparison.
         rival: name of the segmentation network.
-        variants: their names.
         labels: names as they are shown.
-        file: of the picture.
     """
     with np.load(examples) as kept:
         kinds = [str(kind).replace("_", " ") for kind in kept["kinds"]]
@@ -81,7 +79,6 @@ def draw_errors(outcome: Mapping[str, Mapping[str, Any]], labels: Mapping[str, s
     Args:
         outcome: disturbance to reader to its figures: see `splineformer.comparison.evaluation`.
         labels: names of the readers as they are shown.
-        file: of the picture.
     """
     figure = new_figure(11.0, 4.0)
     means, tips, medians = figure.subplots(1, 3)

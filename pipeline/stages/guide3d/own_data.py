@@ -27,9 +27,6 @@ def own_source(settings: Guide3dSettings, folder: Path) -> Source:
     the X-ray images of perforated sheets there (``*undistort*16710*.jpg``). Where nobody says whether the annotation is
     undistorted, and there are maps, the epipolar residuals decide.
 
-    Returns:
-        Where everything lies.
-
     Raises:
         StageError: the data set or its calibration cannot be used.
     """

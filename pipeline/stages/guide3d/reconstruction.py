@@ -42,7 +42,6 @@ class ReconstructionJob:
     Attributes:
         compared: those of them that all ways take, not only ours.
         settings: with the standard deviation of a click.
-        seed: of the clicks.
     """
 
     folder: Path

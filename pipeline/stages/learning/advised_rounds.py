@@ -54,18 +54,11 @@ def teach(
     """Plays and fits the rounds that are missing.
 
     Args:
-        folder: of the policy.
         policy: fitted in place; that of `last_policy` where there is one.
         episodes: learnt before; those of all rounds are added.
         play: as `enn.imitation.advised_episodes.advised_rounds` takes it.
-        settings: of the fits.
-        rounds: how many in all.
-        seed: of the fits.
         began: of the training, on the monotonic clock.
         report: takes the share done and a few words.
-
-    Returns:
-        All rounds.
     """
     from enn.imitation.advised_episodes import advised_rounds
 

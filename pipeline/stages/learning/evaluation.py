@@ -30,7 +30,6 @@ def evaluate(
         controllers: gives for a mode what `run_trials` takes.
         folder: of the training; the logs go into ``evaluation/<mode>``.
         origin: its training seed chooses the episodes.
-        episodes: in each mode.
 
     Returns:
         Mode to the summary of its episodes.

@@ -133,7 +133,6 @@ def expert_folder(enn: Path, task: str, row: str) -> Path:
     """The training whose policy is the expert: the first seed that has expert episodes, or else a policy.
 
     Args:
-        enn: folder of the stage.
         task: ``type_1/bca``.
         row: ``I+V+M``.
 

@@ -35,11 +35,7 @@ class FilmJob:
     """Films of one success and one failure.
 
     Attributes:
-        folder: of the stage.
-        settings: of the stage.
         rows: of navigators, the one whose success is shown by preference first.
-        tests: their trials.
-        origin: kept in the logs.
     """
 
     folder: Path
@@ -50,12 +46,7 @@ class FilmJob:
 
 
 class NavigationFilm(Film):
-    """Each camera's image at the left; at the right the same with attention map, predicted spline and mark.
-
-    Args:
-        scene: that is filmed.
-        network: reads its images.
-    """
+    """Each camera's image at the left; at the right the same with attention map, predicted spline and mark."""
 
     def __init__(self, scene: Scene, network: PerceptionNetwork) -> None:
         super().__init__()
@@ -131,13 +122,7 @@ def film_trials(job: FilmJob, report: Report) -> dict[str, Any]:
 
 
 def find(rows: Sequence[str], job: FilmJob, success: bool) -> tuple[str, TrialSet, str, int, int] | None:
-    """The first trial with an outcome: its navigator, set, target, number and seed.
-
-    Args:
-        rows: of navigators.
-        job: with tests and targets.
-        success: the outcome.
-    """
+    """The first trial with an outcome: its navigator, set, target, number and seed."""
     for row in rows:
         for test in job.tests:
             for target in reversed(job.settings.targets):

@@ -37,12 +37,7 @@ def frames_in(
     """Pictures of wires in an anatomy: laid ones, then steered ones.
 
     Args:
-        anatomy: kind and seed.
-        settings: of the stage.
-        seed: of the run.
         teacher: file of a policy that steers; None: all wires are laid.
-        size_px: of the pictures.
-        device: of the teacher.
         between: steps between two pictures of a steered wire.
 
     Returns:

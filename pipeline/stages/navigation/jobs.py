@@ -58,13 +58,8 @@ class LogsJob:
     """An expert's episodes of one task to be seen by the C-arms.
 
     Attributes:
-        folder: of the stage.
-        settings: of the stage.
-        phantom: of the task.
-        target: of the task.
         logs: of the expert's episodes; damaged ones are left out.
         expert: file of its policy, which plays on where there are fewer logs than the settings ask for.
-        seed: of the run.
     """
 
     folder: Path
@@ -86,10 +81,8 @@ class Course:
     """What a teacher teaches.
 
     Attributes:
-        teacher: file of its policy.
         anatomies: in which it knows the way.
         targets: to which it knows the way.
-        task: of the episodes.
         hints: whether the navigator learns to predict the teacher's roadmap.
     """
 
@@ -105,16 +98,10 @@ class NavigatorJob:
     """A navigator to train and to test.
 
     Attributes:
-        folder: of the stage.
-        settings: of the stage.
         origin: kept in the logs; its row names the navigator's folder, its seed is that of everything.
-        tests: trials.
         hidden: units.
         epochs: of the cloning; of every round of advised episodes.
         logs: files of experts' episodes to clone.
-        episodes: of each file.
-        courses: of the advised episodes.
-        rounds: of advised episodes.
         round_episodes: episodes a round, shared among the courses.
     """
 
@@ -164,7 +151,6 @@ def load_navigator(path: Path, network: PerceptionNetwork) -> tuple[RecurrentPol
     """Reads a navigator and its perception.
 
     Args:
-        path: of its file.
         network: that it was trained with.
 
     Raises:

@@ -22,8 +22,6 @@ def episode_of_log(log: Path, arms: CArms, perception: NavigatorPerception, acti
     Args:
         log: of an episode that a feeder steered.
         arms: of the images, which are drawn from the logged shapes of the wire.
-        perception: of the navigator.
-        action_repeat: steps of a decision.
 
     Raises:
         EpisodeReadError: the log is damaged or unfinished.

@@ -41,11 +41,8 @@ class PerceptionJob:
     """The fine-tuning of the perception network.
 
     Attributes:
-        folder: of the network.
-        settings: of the stage.
         splineformer: model file of the stage splineformer.
         anatomies: whose wires are shown.
-        seed: of everything.
         teacher: file of a policy that steers some of the wires; None: all are laid.
     """
 
@@ -98,7 +95,6 @@ def load_perception(folder: Path, device: str = "cpu") -> PerceptionNetwork:
     """The perception network of a finished job.
 
     Args:
-        folder: of the stage.
         device: where it reads images.
     """
     import torch

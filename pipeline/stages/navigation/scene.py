@@ -95,8 +95,6 @@ def view_of(
 
     Args:
         settings: of the navigator's perception.
-        phantom: the anatomy.
-        target: name.
         arms: whose cameras see it.
         images: gives the moment's image of each camera.
     """
@@ -140,10 +138,7 @@ def scene_of(task: Task, anatomy: Anatomy, target: str, arms: CArms, observation
 
     Args:
         task: wire, limits and start; its images are those of a teacher.
-        anatomy: kind and seed.
-        target: of the episodes.
         arms: of the navigator's images; the wire that they show is the task's.
-        observation: of a teacher.
     """
     seen = replace(arms, wire=task.wire)
     arguments = {"reward": REWARD_OF_EVALUATION, **task.arguments()}
@@ -161,11 +156,7 @@ def episode_starts(
     """Starts of advised episodes, each scene made when its turn comes and closed when the episode has ended.
 
     Args:
-        task: of the episodes.
         cases: anatomy and target of each.
-        seeds: of the resets.
-        arms: of the images.
-        observation: of the teacher.
         settings: of the navigator's perception.
     """
     from enn.imitation.advised_episodes import EpisodeStart

@@ -72,7 +72,6 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     """The jobs: the perception network, the experts' episodes seen through it, navigators, rivals, films.
 
     Args:
-        settings: of the stage.
         context: where experts, teachers and the SplineFormer lie, and where to write.
 
     Raises:

@@ -31,9 +31,7 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
     """The thesis's table, every set of trials with failure modes, success by expert trials, and the perception.
 
     Args:
-        settings: of the stage.
         context: where other stages' episodes lie.
-        outcomes: of the jobs.
 
     Returns:
         Table to row to column to cell.
@@ -132,13 +130,7 @@ def _of_logs(logs: Iterable[Path], settings: NavigationSettings, operator: str) 
 
 
 def figures(settings: NavigationSettings, folder: Path, outcomes: dict[str, Any]) -> list[Figure]:
-    """Draws the curve and the failure modes, and lists the films.
-
-    Args:
-        settings: of the stage.
-        folder: of the stage.
-        outcomes: of the jobs.
-    """
+    """Draws the curve and the failure modes, and lists the films."""
     first = settings.phantoms[0]
     curves: dict[str, list[tuple[int, float, int]]] = {}
     for count in settings.episodes:

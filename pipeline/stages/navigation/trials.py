@@ -33,10 +33,8 @@ class TrialSet:
     """Trials on held-out starts.
 
     Attributes:
-        name: in the tables.
         anatomies: one after the other.
         trials: in each, for each target.
-        task: of the trials.
     """
 
     name: str
@@ -58,11 +56,7 @@ def run_tests(
     """Puts a navigator to its trials; those whose log is there are not repeated.
 
     Args:
-        policy: that steers.
-        perception: of the policy.
-        tests: sets of trials.
         settings: of the stage: targets and cameras.
-        folder: of the navigator.
         origin: kept in the logs; its seed is that of the training.
         report: takes the share done and a few words.
 
@@ -105,12 +99,7 @@ def controllers(policy: RecurrentPolicy, perception: NavigatorPerception, scene:
 
 
 def count_failures(logs: Iterable[Path], phantom: Phantom) -> dict[str, int]:
-    """How often each of `cathsim.failure_modes.MODES` occurs among trials in one anatomy.
-
-    Args:
-        logs: of the trials.
-        phantom: the anatomy.
-    """
+    """How often each of `cathsim.failure_modes.MODES` occurs among trials in one anatomy."""
     counts = dict.fromkeys(FAILURES, 0)
     for log in logs:
         with EpisodeReader(log) as episode:

@@ -75,7 +75,6 @@ class ComparisonJob:
     Attributes:
         folder: gets a record a disturbance, and examples.
         rival: folder of the segmentation network.
-        seed: of the disturbances.
     """
 
     folder: Path

@@ -31,13 +31,9 @@ class DemonstrationsJob:
     """Demonstrations to make.
 
     Attributes:
-        folder: of all demonstrations.
-        task: of the episodes.
         anatomies: seeds of all random arches trained on, so that states know their case.
         shown: those of them with a demonstration each.
-        target: that is demonstrated.
         hold: steps for which the expert holds an action: those of a decision of the policy.
-        seed: of the run.
     """
 
     folder: Path
@@ -80,7 +76,6 @@ def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajecto
     """The demonstrations that reached their target, in some anatomies.
 
     Args:
-        folder: of all demonstrations.
         anatomies: seeds of the random arches wanted.
     """
     from enn.trajectory import Trajectory

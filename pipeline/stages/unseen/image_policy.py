@@ -48,11 +48,7 @@ _LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class ImagePolicyJob(PolicyJob):
-    """An image policy that learns from the advice of the roadmap policy; its row says what it sees.
-
-    Attributes:
-        settings: of the stage.
-    """
+    """An image policy that learns from the advice of the roadmap policy; its row says what it sees."""
 
     settings: UnseenSettings
 

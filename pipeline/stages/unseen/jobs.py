@@ -53,7 +53,6 @@ class RoadmapJob(PolicyJob):
     """A policy on the local roadmap.
 
     Attributes:
-        settings: of the training.
         validated: seeds of random arches that the best policy is chosen by; none: those trained on.
         demonstrated: whether it learns from the stage's demonstrations in its anatomies.
         laid: whether the stage's laid starts in its anatomies go into the reset bank.

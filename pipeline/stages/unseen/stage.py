@@ -89,8 +89,6 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     """The jobs: anatomies first, then the roadmap policies, the image policies' teacher before the others.
 
     Args:
-        settings: of the stage.
-        folder: of the stage.
         run_seed: of the run; also which random arches are trained on.
         variant: kept in the logs: the budget, whose sizes the policies have.
 
@@ -210,9 +208,7 @@ def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) 
     """Those of the roadmap policies: a wider network than for one anatomy, and a reset bank with its cases.
 
     Args:
-        settings: of the stage.
         anatomies: how many the policy is trained on.
-        decisions: of the training.
     """
     from enn.reinforcement.training import DESK_SAC
 

@@ -27,8 +27,6 @@ class StartsJob:
     """Starts to lay.
 
     Attributes:
-        folder: of all starts.
-        task: of the episodes.
         anatomies: seeds of the random arches.
         seed: of the turns while drawing back.
     """
@@ -71,9 +69,7 @@ def read_starts(folder: Path, anatomies: Sequence[int], targets: Sequence[str]) 
     """The starts of some anatomies as an environment over them takes them.
 
     Args:
-        folder: of all starts.
         anatomies: seeds of the environment's random arches.
-        targets: of the environment.
 
     Returns:
         For each case that has some, states with the case's number last. Shapes (k, n + 1).

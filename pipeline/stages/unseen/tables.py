@@ -21,7 +21,6 @@ def registration(settings: UnseenSettings, tests: Sequence[dict[str, Any]]) -> d
     """Success of the roadmap policy on unseen arches by the error of its registration.
 
     Args:
-        settings: of the stage.
         tests: rows of the roadmap policy's tests.
 
     Returns:
@@ -38,7 +37,6 @@ def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, 
     """Success on unseen arches by policy, with the anatomies and the decisions that it was trained with.
 
     Args:
-        jobs: of the stage.
         outcomes: a job's key to its result.
 
     Returns:

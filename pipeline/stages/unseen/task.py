@@ -74,9 +74,7 @@ class UnseenTask:
 
         Args:
             phantom: a named phantom, a mesh's path, or the seed of a random arch.
-            target: name.
             wire: as `wire` takes it.
-            observation: names.
             registration_noise: of the roadmap, m an axis.
         """
         from cathsim import NavigateEnv

@@ -20,7 +20,6 @@ class HeldOutSet:
     """Anatomies and a wire that a policy has not been trained with.
 
     Attributes:
-        name: in the tables.
         phantoms: names, paths of meshes, or seeds of random arches.
         episodes: on each, for each target.
         wire: a preset, "softer" or "stiffer".
@@ -41,9 +40,7 @@ class PolicyJob:
     """A policy to train and to test.
 
     Attributes:
-        folder: of the stage.
         origin: kept in the logs; its row and seed name the policy's folder, its seed is that of everything.
-        task: of the episodes.
         anatomies: seeds of the random arches trained on.
         tests: that the policy is put to.
     """
@@ -82,7 +79,6 @@ def run_tests(
     Args:
         job: whose tests.
         controllers: gives, for a mode, the policy for the episode of a seed.
-        observation: that the policy sees.
         report: takes the share done and a few words.
         seen: the environment as the policy sees it.
 

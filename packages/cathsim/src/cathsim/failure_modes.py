@@ -29,7 +29,6 @@ def places(phantom: Phantom, tips: np.ndarray) -> tuple[list[str], np.ndarray]:
     """Where tips are.
 
     Args:
-        phantom: the anatomy.
         tips: (n, 3) m.
 
     Returns:
@@ -54,7 +53,6 @@ def failure_mode(phantom: Phantom, target: str, tips: np.ndarray, *, steps_allow
     """Why a trial failed.
 
     Args:
-        phantom: the anatomy.
         target: that was not reached.
         tips: (steps + 1, 3) m, way of the tip.
         steps_allowed: of the trial; one that ended before was given up by the simulator.

@@ -62,7 +62,6 @@ def fit_encoder(
     single view, does not drown what can.
 
     Args:
-        samples: with the observations.
         settings: choices of network and training; keys, shapes and epochs of 0 are filled in.
         progress: called after every epoch with the share done and the errors of its batches (`loss`).
         device: where the encoder is trained and stays.

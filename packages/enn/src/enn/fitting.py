@@ -171,7 +171,6 @@ def split(
     Args:
         episodes: (N,) number of the episode of each sample.
         share: of the episodes; one at least where there are two, unless it is zero.
-        generator: that draws them.
 
     Returns:
         Indices to train with, and indices held out.

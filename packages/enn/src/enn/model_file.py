@@ -85,7 +85,6 @@ def read_model(path: Path, form: str, *, kind: str, verb: str) -> dict[str, Any]
     Args:
         form: that `format` must be.
         kind: of model, as messages call it: "policy".
-        verb: what makes one: "train".
 
     Raises:
         FileNotFoundError: there is no such file.

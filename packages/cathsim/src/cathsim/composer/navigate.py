@@ -206,7 +206,6 @@ def load(
 
     Args:
         seed: of the starts; the same seed gives the same episodes to the same actions.
-        numerics: time stepping.
         visual: with the lumen's surface and a camera for `environment.physics.render(camera_id="frontal")`.
         task: the task, a `NavigationTask` or of a subclass.
         task_fields: fields of the task, over its own.

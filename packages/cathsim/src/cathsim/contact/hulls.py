@@ -46,7 +46,6 @@ class Decomposition:
         thickness: of the wall, m. A thicker one holds a wire that is pushed hard.
         lattice: distance between the points of which the wall's surfaces are made, m; never finer than the phantom's.
         search: tries of CoACD's tree search for each cut; more give a few hulls less and take longer.
-        seed: of that search.
     """
 
     threshold: Annotated[float, Interval(ge=0.01, le=1)] = 0.02  # CoACD's range

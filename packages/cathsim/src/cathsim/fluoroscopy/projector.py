@@ -98,7 +98,6 @@ class Projector:
             roll_deg: degrees by which the image is turned clockwise; 90 puts the head on its right.
             source_detector_distance: m.
             source_object_distance: m, from the source to the isocentre.
-            name: of the view.
 
         Raises:
             ValueError: for distances that are not 0 < source to object < source to detector, an empty field or image,
@@ -131,7 +130,6 @@ class Projector:
         """Named view whose field holds the whole of a phantom's bounding box.
 
         Args:
-            name: one of VIEWS.
             bounds: (2, 3) m, lowest and highest corner in the world frame.
             size: px, the side of a square image or (width, height).
             geometry: source_detector_distance and source_object_distance in m, if not the usual ones.

@@ -120,7 +120,6 @@ class EpisodeMetrics:
             forces: (T,) N magnitudes, or (T, 3) N resultant vectors.
             rewards: (T,).
             success: whether the target was reached in time.
-            target: the vessel aimed at.
             force_limit: N, at which a step counts as unsafe.
 
         Raises:

@@ -25,7 +25,6 @@ class CArms:
 
     Attributes:
         cameras: names, "a" and "b" of the public data set's geometry.
-        image_size_px: side of the images.
         filling: of the lumen while the wire moves, "fluid" (clear) or "air".
         wire: preset whose material is drawn.
     """
@@ -68,10 +67,8 @@ def images_of_shape(phantom: Phantom, arms: CArms, nodes: np.ndarray, seed: Any)
     """Images of a wire in a phantom.
 
     Args:
-        phantom: the anatomy.
         arms: whose cameras see it.
         nodes: (n, 3) m, from the tip, the part in the sheath included.
-        seed: of the noise.
 
     Returns:
         An image a camera, in the order of `arms.cameras`.
@@ -91,10 +88,7 @@ def c_arm_environment(
     """An environment whose bi-planar view is that of the C-arms, drawn when it is asked for.
 
     Args:
-        phantom: the anatomy.
-        target: of the task.
         arms: whose cameras see it.
-        observation: names.
         arguments: of `NavigateEnv`.
     """
     return NavigateEnv(

@@ -176,7 +176,6 @@ def target_image(pixel: np.ndarray, size: int, radius_px: float) -> np.ndarray:
     Args:
         pixel: where the target is seen, px, column and row. Shape (2,).
         size: side of the image, px.
-        radius_px: of the dot.
     """
     column, row = np.arange(size), np.arange(size)[:, None]
     distance = np.hypot(column - pixel[0], row - pixel[1])

@@ -35,7 +35,6 @@ def fluoroscope_of(phantom: Phantom, size: int, wire_radius: float) -> BiplaneFl
     """The frontal X-ray camera over a phantom while the wire moves.
 
     Args:
-        phantom: the anatomy.
         size: side of the images, px.
         wire_radius: m.
     """
@@ -55,7 +54,6 @@ def contrast_run(phantom: Phantom, size: int, wire_radius: float) -> ContrastRun
     """The images before an episode, with a noise of the phantom's own.
 
     Args:
-        phantom: the anatomy.
         size: side of the images, px.
         wire_radius: m, of the wire that is not in them.
     """

@@ -58,7 +58,6 @@ def median_speeds(
 
     Args:
         observations: a name to what the environment is asked for.
-        steps: an observation and round.
 
     Returns:
         The name to the median of `steps_per_second` over the rounds.

@@ -25,9 +25,6 @@ def demonstrate(
     """One episode of the sampling expert.
 
     Args:
-        environment: over many anatomies.
-        case: that it plays in.
-        keys: observations that are kept.
         hold: steps for which an action is held.
         seed: of the start and of the expert.
         tick: called after every step.

@@ -274,7 +274,6 @@ def picture(
 
     Args:
         file: where the PNG goes; its folder must exist.
-        title: over the picture.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -35,12 +35,10 @@ class Script:
     """What the operator does in one acquisition.
 
     Attributes:
-        phantom: name of the anatomy.
         target: branch that the wire is meant for, e.g. "bca".
         wire: a key of `WIRES`.
         shapes: number of shapes to film.
         steps: of 0.1 s between two shapes.
-        seed: of every draw.
     """
 
     phantom: str
@@ -96,7 +94,6 @@ def placement_paths(phantom: Phantom, target: str) -> tuple[np.ndarray, ...]:
     """Plans the paths that a wire is laid along: to every end of a branch, or down the ascending aorta.
 
     Args:
-        phantom: the anatomy.
         target: one of `arch_branches`, or `ROOT`.
 
     Returns:
@@ -117,7 +114,6 @@ class ScriptedOperator:
     """Films scripted motions of one wire in one anatomy.
 
     Args:
-        phantom: the anatomy.
         wire: a key of `WIRES`.
     """
 
@@ -129,7 +125,6 @@ class ScriptedOperator:
         """Runs a script.
 
         Args:
-            script: what to do.
             in_view: whether both cameras see a tip at (3,) m.
 
         Returns:

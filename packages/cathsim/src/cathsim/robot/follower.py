@@ -26,9 +26,7 @@ class FollowerRobot:
     """A robot that feeds and turns a wire stroke by stroke.
 
     Attributes:
-        settings: measures and limits.
         model: of the robot alone; see `cathsim.robot.model` for its frame and joints.
-        data: its state.
         cycle: the state machine behind its set points.
 
     Args:

@@ -34,11 +34,7 @@ class Film:
         self._view: Any = None
 
     def add(self, environment: NavigateEnv) -> None:
-        """Looks at a step of the episode.
-
-        Args:
-            environment: always the same one.
-        """
+        """Looks at a step of the episode."""
         if self._fluoroscope is None:
             self._open(environment)
         ended = bool(environment.steps and environment.ended)
@@ -79,7 +75,6 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], colours: Sequence[int], 
     Args:
         frames: (h, w, 3) uint8 each.
         colours: of the palette, red, green and blue of each in turn, at most 256.
-        frames_per_second: of playback.
     """
     from PIL import Image
 

@@ -189,7 +189,6 @@ def training_and_test_samples(
 
     Args:
         groups: of at least one episode each, e.g. those of a target.
-        inputs: what the network sees.
         expert: whose features are to be matched; None: none are.
         test_every: of so many episodes of a group, the last is held out.
 

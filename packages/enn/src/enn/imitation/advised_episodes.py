@@ -31,10 +31,8 @@ class EpisodeStart:
 
     Attributes:
         environment: observes what the teacher and the perception see.
-        seed: of its reset.
         begin: makes the perception's view from the first observation.
         done: called when the episode has ended.
-        target: name of the target.
     """
 
     environment: gymnasium.Env[Any, Any]
@@ -63,12 +61,10 @@ def play_advised(
         starts: of the episodes, each taken when its turn comes.
         teacher: a policy on observations of its own; its advice is held as long as the policy's actions.
         policy: steers the episodes that the teacher does not.
-        perception: of the policy.
         teacher_share: share of the episodes that the teacher steers.
         noise: standard deviation of what is added to the actions that are carried out, never to those learnt.
         generator: of who steers and of the noise.
         hint_key: observation of the teacher that the policy learns to predict; None: none.
-        side_by_side: episodes at a time.
         tick: called with the number of finished episodes after every decision.
 
     Returns:
@@ -110,7 +106,6 @@ class AdvisedRound:
 
     Attributes:
         number: from 0.
-        new: episodes of this round.
         loss: mean of the last epoch of its fit.
     """
 
@@ -132,7 +127,6 @@ def advised_rounds(
     """Rounds of DAgger: the policy steers most episodes, the teacher advises, and the policy is fitted to all so far.
 
     Args:
-        policy: fitted in place.
         episodes: learnt before; those of the rounds are added.
         play: takes a round's number, the share of its episodes that the teacher steers and the noise of the actions.
         settings: of each fit; the last round has twice as many epochs.

@@ -74,9 +74,6 @@ def record(
     Args:
         environment: with dictionary observations that both actors can see, and `tip` and `force` in its info.
         labels: whose actions are kept; None: the steering actor's.
-
-    Returns:
-        The episode.
     """
     for actor in (steers, labels):
         if hasattr(actor, "reset"):

@@ -50,7 +50,6 @@ def distil(
     The expert's features are matched where the settings say so and every episode has the observations for them.
 
     Args:
-        expert: that is learnt from.
         make_environment: makes an environment for disturbed episodes and DAgger.
         disturbed_seeds: starts of further episodes with disturbed actions, one each.
         rounds: of DAgger; None: none.

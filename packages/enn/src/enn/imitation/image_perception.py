@@ -31,7 +31,6 @@ class ImagePerception:
     Args:
         segmenter: finds the lumen in an episode's first image, or in that of a contrast run.
         wire: finds the wire in every image; None: the mask is observed.
-        device: of both networks.
     """
 
     def __init__(

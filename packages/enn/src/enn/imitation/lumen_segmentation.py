@@ -76,9 +76,7 @@ def fit_segmenter(
     Args:
         images: grey levels without a wire. Shape (n, size, size).
         lumens: 1 where the lumen is seen. Shape (n, size, size).
-        epochs: passes over the images.
         working_size: px, of the segmenter.
-        seed: of everything.
         progress: called with each epoch's number and loss.
         device: where the network is trained and stays.
 

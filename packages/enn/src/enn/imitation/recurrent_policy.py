@@ -42,8 +42,6 @@ class Perception(Protocol):
         """Features of N episodes' moment; called once a decision.
 
         Args:
-            views: of the episodes.
-            observations: of the moment.
             actions: (2,) each, carried out since the last decision; zeros at first.
 
         Returns:
@@ -126,8 +124,6 @@ class RecurrentPolicy:
     """A network and what its perception is made from.
 
     Args:
-        settings: of the network.
-        seed: of its weights.
         device: where it computes.
         perception: what the file keeps for the perception: numbers, strings, lists, dictionaries and tensors.
     """
@@ -183,7 +179,6 @@ class RecurrentController:
     """A policy over episodes, holding each action for its action repeat; call `reset()` at the start of each.
 
     Args:
-        policy: that steers.
         perception: makes its features; asked only when the policy decides.
         begin: makes an episode's view from its first observation.
     """

@@ -29,9 +29,7 @@ def fitted(
 
     Args:
         make: gives the network, with fresh weights.
-        count: training images.
         loss_of: gives the loss of a batch, from the network, the images' indices and the generator of augmentation.
-        epochs: passes over the images.
         seed: of weights, order and augmentation.
         progress: called with each epoch's number and loss.
         device: where the network is trained and stays.

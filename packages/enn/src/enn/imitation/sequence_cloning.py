@@ -27,9 +27,7 @@ class SequenceCloningSettings:
     Attributes:
         epochs: passes over all episodes, at least.
         updates: at least so many; few episodes are passed over more often.
-        batch_size: episodes an update.
         learning_rate: of AdamW at its start; it falls to a tenth.
-        weight_decay: of the weights.
         noise: standard deviation of what is added to the features, in their own standard deviations.
         hint_weight: of the hints in the loss.
     """
@@ -87,8 +85,6 @@ def clone_sequences(
 
     Args:
         policy: to be fitted; its features are scaled as in the first episodes that it is fitted to.
-        episodes: to learn from.
-        settings: of the fit.
         seed: of order, noise and dropout.
         progress: called with each epoch's number, from 1, and mean loss.
 

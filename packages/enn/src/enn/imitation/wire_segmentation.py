@@ -90,8 +90,6 @@ def fit_wire_segmenter(
         images: grey levels with a wire. Shape (n, size, size).
         plains: the same without it. Shape (n, size, size).
         masks: the wire's pixels, not 0. Shape (n, size, size).
-        epochs: passes over the images.
-        seed: of everything.
         progress: called with each epoch's number and loss.
         device: where the network is trained and stays.
 
@@ -166,9 +164,6 @@ def wire_frames(
 
     Args:
         environment: with the expert's observations, `image`, `plain` and `mask`, and the option `case` of a reset.
-        expert: that steers.
-        cases: of the episodes.
-        generator: of starts and noise.
         tick: called with the number of finished episodes.
 
     Returns:

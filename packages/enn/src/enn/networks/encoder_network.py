@@ -112,9 +112,6 @@ class VectorPart(nn.Module):
 class Encoder(nn.Module):
     """Observations to features, from which a linear layer reads points of the wire.
 
-    Args:
-        settings: with keys and shapes.
-
     Raises:
         ValueError: there are no keys.
     """

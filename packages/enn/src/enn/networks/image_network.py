@@ -86,9 +86,6 @@ def shifted(images: Tensor, offsets: Tensor, fill: Tensor) -> Tensor:
         images: (N, channels, height, width).
         offsets: (N, 2) px, down and right, small integers.
         fill: (channels, height, width), what comes in at the border.
-
-    Returns:
-        As images.
     """
     reach = int(offsets.abs().max()) if len(offsets) else 0
     if reach == 0:

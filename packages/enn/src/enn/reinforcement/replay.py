@@ -299,7 +299,6 @@ def demonstration_replay(
 
     Args:
         trajectories: with rewards of the task that is trained; at least one.
-        action_repeat: environment steps a decision.
         encode: observations, name to (T + 1, ...), to those that reach the network.
 
     Raises:

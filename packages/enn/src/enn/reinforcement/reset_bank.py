@@ -23,7 +23,6 @@ class ResetBank:
 
     Args:
         share: probability that `draw` gives a state, once there is one; from 0 to 1.
-        capacity: number of states kept.
 
     Raises:
         ValueError: a share outside 0 to 1, or a capacity below 1.
@@ -119,7 +118,6 @@ class CaseResetBank(ResetBank):
     more of its latest ones failed.
 
     Args:
-        cases: how many there are.
         share: probability that `draw` gives a state, once there is one; from 0 to 1.
         capacity: number of states kept of each case.
 

@@ -78,7 +78,6 @@ class TrainingRun:
     """A training while it runs: its environments, learner, counters and clocks.
 
     Args:
-        inputs: what it starts from.
         progress: called a few times a second between decisions.
     """
 

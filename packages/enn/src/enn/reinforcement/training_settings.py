@@ -114,7 +114,6 @@ class TrainingSettings(NetworkSettings):
 
         Args:
             evaluation_episodes: at most so many.
-            changed: further fields.
         """
         if self.algorithm == "ppo":
             changed["n_steps"] = min(self.n_steps, max(decisions // (2 * self.n_envs), 16))

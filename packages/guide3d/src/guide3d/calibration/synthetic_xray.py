@@ -82,7 +82,6 @@ def draw_sheet(
     """An image of a perforated sheet.
 
     Args:
-        pitch_px: Between ideal hole centres.
         angle: Of the rows, rad.
         irregular: Standard deviation of a hole's place, ideal px a coordinate.
 
@@ -133,13 +132,11 @@ def draw_cube(
     """An image of a bead cube.
 
     Args:
-        detector: That takes it.
         camera: Its ideal geometry, world: the cube's frame.
         points_mm: (n, 3) beads.
         marked: Beads with a wire beside them, by "single", "double" or "circle".
         left_out: Share of beads that are missing.
         clutter: Dark discs of bead size that belong to nothing.
-        bead_mm: Diameter.
 
     Returns:
         (h, w) uint8; numbers (m,) of the beads drawn with their centres in the lit image; those raw centres (m, 2).

@@ -96,7 +96,6 @@ def fgrn_loss(
         points_mm: (n, points, 3), padded.
         last: (n,) index of each curve's last point: those beyond do not count.
         alpha: weight of the Huber loss (threshold 1 m: it is quadratic throughout).
-        spacing_mm: that neighbours should have.
 
     Returns:
         (n,) a loss a curve.

@@ -80,7 +80,6 @@ def undistorted_or_raw(
     """Tells whether annotations are "undistorted" already, or "raw" pixels of the image intensifier.
 
     Args:
-        camera_a, camera_b: of undistorted pixels.
         pairs: annotations ((n, 2), (m, 2)) px, tip first.
         undistort_a, undistort_b: take raw px (n, 2) of A and B to undistorted ones.
     """

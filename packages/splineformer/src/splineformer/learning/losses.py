@@ -32,7 +32,6 @@ class PublishedWeights:
         curve: of the squared error of samples of the decoded curve.
         tip: of the squared error of the first token.
         kind: of the kind of image, which is an addition.
-        samples: of the decoded curve.
     """
 
     knots: Weight = 100.0

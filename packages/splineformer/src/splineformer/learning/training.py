@@ -43,7 +43,6 @@ def train(
     """Trains a variant on both cameras' images.
 
     Args:
-        data: square images.
         folder: of the checkpoints, which `guide3d.learning.training.finished` removes.
         pictures: folder that keeps small pictures; None: in memory.
         seed: of weights, shuffling and variety.

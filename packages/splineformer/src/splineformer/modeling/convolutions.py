@@ -38,7 +38,6 @@ class Stem(nn.Module):
     """Halvings of the image, each a convolution of stride 2 and residual blocks.
 
     Args:
-        channels: of each halving.
         blocks: residual blocks of each halving.
     """
 

@@ -42,8 +42,6 @@ class OrderedSettings:
         line_px: to each side of a line, px of the picture.
         channels: of the stem's maps, each half as wide as the one before.
         width: of the tokens of the coarsest map.
-        encoder_layers: over the coarsest map.
-        decoder_layers: of the queries.
         kept: numbers of each token from which the curve is predicted.
         hidden: units of the layers that predict it.
         steps: of the course, from where the wire comes in.
@@ -54,7 +52,6 @@ class OrderedSettings:
         revision_layers: of attention between the points.
         cells: of each refinement, px of the picture.
         reach: such places to each side, of revisions and refinements.
-        refinement_width: of its hidden layers.
     """
 
     image_px: Pixels = 256

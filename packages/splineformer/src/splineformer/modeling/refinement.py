@@ -22,9 +22,7 @@ class Revision(nn.Module):
     """One step of moving the points of a curve towards their own places along the wire.
 
     Args:
-        channels: of the fine map.
         width: of the features and of the points' tokens.
-        queries: points.
         cell: distance of the places looked at, as a share of the image's side.
         reach: such places to each side of a point.
     """

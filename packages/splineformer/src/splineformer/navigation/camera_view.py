@@ -37,7 +37,6 @@ class ViewSettings:
     """What a view holds.
 
     Attributes:
-        tokens: of a reading.
         encoded: numbers of the encoder's output in a reading.
         guided: whether a contrast run's map is at hand, or the target's mark alone.
     """
@@ -68,7 +67,6 @@ class CameraView:
     """What one camera shows over an episode.
 
     Args:
-        settings: of the view.
         target: (2,) the mark, x and y as shares of the image's side.
         vessels: of the contrast run; needed where the view is guided.
 

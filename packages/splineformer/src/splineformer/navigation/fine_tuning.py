@@ -34,7 +34,6 @@ class WirePictures:
         pictures: (N, size, size) in the network's size.
         curves: (N, CURVE_POINTS, 2) x and y of the true curves, tip first, shares of the picture's sides.
         held_out: (N,) whether a picture is kept for validation.
-        cameras: number of cameras.
     """
 
     pictures: NDArray[Any]
@@ -73,9 +72,7 @@ def fine_tune(
         predictor: whose network is trained in place.
         shown: pictures to train with and to validate with.
         variant: whose recipe for a desk is followed.
-        epochs: over the pictures.
         folder: for the checkpoint of the fit.
-        seed: of the fit.
         device: where it is trained.
         progress: called after every epoch.
 

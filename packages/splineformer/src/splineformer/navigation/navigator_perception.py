@@ -27,7 +27,6 @@ class NavigatorPerceptionSettings:
     """What a navigator sees.
 
     Attributes:
-        cameras: names of the cameras.
         tokens: spline tokens of a camera's reading.
         encoded: numbers of the encoder's output in a reading.
         guided: whether it is guided by a contrast run, or by the target's mark alone.
@@ -67,10 +66,6 @@ class NavigatorPerceptionSettings:
 class NavigatorPerception:
     """Images of several episodes to features, read together.
 
-    Args:
-        settings: of the features.
-        network: that reads the images.
-
     Raises:
         ValueError: the network gives other numbers of tokens or encoder outputs than the settings say.
     """
@@ -89,7 +84,6 @@ class NavigatorPerception:
         """Features of N episodes' moment; called once a decision.
 
         Args:
-            views: of the episodes.
             observations: not looked at.
             actions: (2,) each, carried out since the last decision; zeros at first.
 
@@ -111,7 +105,6 @@ class EpisodeView:
     """What the navigator has seen of an episode.
 
     Args:
-        settings: of the features.
         images: gives the moment's (h, w) image of each of `settings.cameras`; asked once a decision.
         marks: camera to (2,) the target's mark, x and y as shares of the image's side.
         vessels: camera to its map, where the navigator is guided.

@@ -40,11 +40,7 @@ class WireReading:
 
 
 class PerceptionNetwork:
-    """Reads images for a navigator; the network's weights stay as they are.
-
-    Args:
-        predictor: either variant.
-    """
+    """Reads images for a navigator; the network's weights stay as they are."""
 
     def __init__(self, predictor: Predictor) -> None:
         self.predictor = predictor

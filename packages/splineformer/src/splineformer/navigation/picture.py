@@ -21,7 +21,6 @@ def picture_of_moment(image: NDArray[np.uint8], network: PerceptionNetwork, mark
 
     Args:
         image: (h, h) grey levels.
-        network: that reads it.
         mark: (2,) the target's mark as shares of the sides.
 
     Returns:

@@ -96,7 +96,6 @@ class SpaceMap:
     """Ways through a hull to a target; places are in mm, world.
 
     Args:
-        hull: of the vessels.
         marks: (2,) of each camera, the target's mark as shares of the image's sides.
     """
 

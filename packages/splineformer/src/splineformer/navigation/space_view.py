@@ -66,9 +66,6 @@ class SpaceView:
     def wire(self, readings: Sequence[WireReading]) -> tuple[Array, float]:
         """The wire behind its tip, in space.
 
-        Args:
-            readings: of both images.
-
         Returns:
             (n, 3) mm, world, tip first; the share of it that is measured, 0 where the curves do not match at all.
         """

@@ -32,7 +32,6 @@ def lumen_of_run(plain: ArrayLike, contrast: ArrayLike, size: int = MAP_SIZE) ->
     Args:
         plain: (h, h) grey levels without contrast medium.
         contrast: (h, h) with it, from the same camera.
-        size: of the map.
 
     Returns:
         (size, size) in 0 to 1, 1 where there is lumen.

@@ -41,7 +41,6 @@ def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) 
     """Follows a vessel to its end; None where its wall surrounds it nowhere.
 
     Args:
-        cavity: the lumen.
         wall: (nx, ny, nz) the wall's voxels, thickened so that no ray slips through.
         way: (n, 3) m along the vessel's middle, to somewhere at its end.
         depth: (n,) m, distance to the wall along it.
