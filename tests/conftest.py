@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,26 @@ PROJECT_ROOT = Path(__file__).resolve().parent.parent
 
 # Before numpy or torch is imported anywhere: tests run beside each other and beside other work.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+@pytest.fixture(autouse=True)
+def logging_as_before() -> Iterator[None]:
+    """Undoes what a command line run in this process sets: levels, handlers, and loggers that are switched off."""
+    root, manager = logging.getLogger(), logging.root.manager
+    level, handlers, threshold = root.level, root.handlers[:], manager.disable
+    known = {
+        name: (logger.level, logger.handlers[:], logger.propagate, logger.disabled)
+        for name, logger in manager.loggerDict.items()
+        if isinstance(logger, logging.Logger)
+    }
+    yield
+    root.level, root.handlers[:], manager.disable = level, handlers, threshold
+    for name, logger in manager.loggerDict.items():
+        if isinstance(logger, logging.Logger):
+            before = known.get(name, (logging.NOTSET, [], True, False))
+            logger.level, logger.handlers[:], logger.propagate, logger.disabled = before
+            logger._cache.clear()
+    root._cache.clear()
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,13 @@ from cathsim.environment import NavigateEnv
 from cathsim.fluoroscopy import BiplaneFluoroscope, askew_pair, scene, wire_material
 from cathsim.guidewire import load_guidewire
 from cathsim.lifetime_cache import kept_with_owner
+from cathsim.validation import Pixels, settings
 
 _RUN_SEED = 7  # of the contrast run's noise
 _BEHIND_M = 0.3  # m of wire outside the body, which no image shows the end of
 
 
-@dataclass(frozen=True)
+@settings
 class CArms:
     """How the images are made.
 
@@ -30,7 +30,7 @@ class CArms:
     """
 
     cameras: tuple[str, ...] = ("a",)
-    image_size_px: int = 1024
+    image_size_px: Pixels = 1024
     filling: str = "fluid"
     wire: str = "default"
 
