@@ -68,12 +68,12 @@ def replay(
     if env.phantom.hash != info.phantom_hash:
         raise ReplayError(
             f"{log} was recorded in {info.phantom} ({info.phantom_hash[:8]}), the simulator has {env.phantom.name} "
-            f"({env.phantom.hash[:8]}): record it anew"
+            f"({env.phantom.hash[:8]}): record it again"
         )
     if actions.shape[1:] != env.action_space.shape or not np.isfinite(actions).all():
         raise ReplayError(
             f"{log} holds actions of shape {actions.shape[1:]}, the environment takes finite ones of "
-            f"{env.action_space.shape}: record it anew"
+            f"{env.action_space.shape}: record it again"
         )
     tips, forces = arrays["tip"], arrays["resultant_force_norm"][1:]
     seen, moment = env.reset(seed=info.seed)
@@ -149,7 +149,7 @@ def checked_values(info: EpisodeInfo, what: str) -> Iterator[None]:
         reason = sentence(error) if isinstance(error, ValidationError) else f"{type(error).__name__}: {error}"
         raise EpisodeReadError(
             f"the log of seed {info.seed} in {shown(info.phantom)} says a {what} that cannot be used "
-            f"({shown(reason)}): record it anew"
+            f"({shown(reason)}): record it again"
         ) from error
 
 
@@ -170,5 +170,5 @@ def _compare(log: Path | str, step: int, recorded: np.ndarray, now: np.ndarray) 
         away = _MM * float(np.linalg.norm(recorded - now))
         raise ReplayError(
             f"{log} does not repeat: at step {step} the tip is {away:.2g} mm from where it was; it was recorded by "
-            "another version or with other settings, so record it anew"
+            "another version or with other settings, so record it again"
         )

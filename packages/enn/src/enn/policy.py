@@ -220,7 +220,7 @@ class PolicyController:
         self._action: NDArray[np.float32] = np.zeros(policy.action_space.shape, np.float32)
 
     def reset(self) -> None:
-        """Starts an episode: the next call decides anew."""
+        """Starts an episode: the next call decides again."""
         self._left = 0
 
     def __call__(self, observation: Observation, info: Mapping[str, Any] | None = None) -> NDArray[np.float32]:

@@ -21,7 +21,7 @@ from guide3d.setting_kinds import PixelDistanceOrNone, settings
 
 DEGREE = 3
 FEWEST_TOKENS = DEGREE + 1
-_FEWEST_POINTS = 8  # a stub is sampled anew until a cubic can be fitted to it
+_FEWEST_POINTS = 8  # a stub is sampled again until a cubic can be fitted to it
 _COARSER = 2.0  # of the smoothing, until the tokens are few enough
 _LEAST_SQUARES_A_KNOT = 12  # points
 _SAMPLES_A_TOKEN = 40  # of a curve whose distance from a polyline is measured

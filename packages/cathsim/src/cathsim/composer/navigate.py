@@ -155,7 +155,7 @@ class NavigateTask(composer.Task):
             self.force[:] = force
 
     def after_step(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
-        """Judges the step."""
+        """Computes reward, success and the end of the episode."""
         model, data = physics.model.ptr, physics.data.ptr
         if not np.isfinite(data.qpos).all():
             mujoco.mj_resetData(model, data)  # the episode ends here; so that its last observation is at least finite
