@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -110,3 +111,35 @@ def test_import_loads_nothing_it_should_not(
     loaded = set(json.loads(run_python(snippet)))
     assert package in loaded
     assert not loaded & forbidden
+
+
+def imports_at_load(body: list[ast.stmt], *, with_types: bool) -> Iterator[tuple[str, str]]:
+    """Yields module and name of the imports outside functions; those for type checkers only if asked."""
+    for node in body:
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((node.module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.If):
+            for_types = "TYPE_CHECKING" in ast.unparse(node.test)
+            yield from imports_at_load([] if for_types and not with_types else node.body, with_types=with_types)
+            yield from imports_at_load(node.orelse, with_types=with_types)
+        elif isinstance(node, ast.ClassDef | ast.Try):
+            yield from imports_at_load(node.body, with_types=with_types)
+
+
+def test_no_module_imports_itself_through_others_not_even_for_types() -> None:
+    files = {}
+    for package in ALLOWED:
+        for file in sources(package):
+            parts = [package, *file.relative_to(source_root(package)).with_suffix("").parts]
+            files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    graph: dict[str, set[str]] = {}
+    for name, file in files.items():
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        # a package's __init__ names for type checkers what it imports at first use
+        found = imports_at_load(tree.body, with_types=file.name != "__init__.py")
+        modules = {f"{module}.{wanted}" if f"{module}.{wanted}" in files else module for module, wanted in found}
+        graph[name] = (modules & files.keys()) - {name}
+    assert sum(map(len, graph.values())) > len(files)
+    list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle
