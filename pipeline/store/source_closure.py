@@ -26,6 +26,8 @@ WITHOUT_EFFECT = frozenset(
     )
 )  # fmt: skip
 _FOLDERS_WITHOUT_EFFECT = ("pipeline.jobs.", "pipeline.store.")
+# But these decide what the files of a stage hold.
+_WITH_EFFECT = frozenset({"pipeline.jobs.costs", "pipeline.store.atomic_files"})
 _NO_DATA = {".py", ".pyc", ".so", ".pyd", ".o"}
 
 
@@ -154,7 +156,7 @@ class SourceClosure:
 
 def is_without_effect(name: str) -> bool:
     """Whether results never depend on a module."""
-    return name in WITHOUT_EFFECT or name.startswith(_FOLDERS_WITHOUT_EFFECT)
+    return name in WITHOUT_EFFECT or (name.startswith(_FOLDERS_WITHOUT_EFFECT) and name not in _WITH_EFFECT)
 
 
 def installed_packages() -> dict[str, Path]:

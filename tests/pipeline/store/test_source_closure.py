@@ -118,6 +118,7 @@ EDITS = {
     "splineformer/tokens.py": {"navigation"},
     "pipeline/report/page.html.j2": {"report"},
     "pipeline/report/thesis.yaml": {"report"},
+    "pipeline/store/atomic_files.py": {"phantoms", "expert", "enn", "force", "guide3d", "navigation", "report"},
     "pipeline/store/progress.py": set(),
 }
 LOOKED_AT = ("phantoms", "expert", "enn", "force", "guide3d", "navigation", "report")
