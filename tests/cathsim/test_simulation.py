@@ -228,6 +228,28 @@ def test_force_is_the_sum_of_the_contacts_and_holds_the_wire(make_simulation: Ma
     assert ((contacts.forces * inward).sum(axis=1) > 0).all(), "the wall pushes the wire inwards"
 
 
+def test_the_summary_holds_time_means_that_balance_the_feeder(make_simulation: MakeSimulation) -> None:
+    simulation = make_simulation()
+    run(simulation, straight(60))
+    for translation, rotation in random_actions(60, seed=6).tolist():
+        simulation.advance(translation, rotation)
+        summary = simulation.summary
+        assert np.linalg.norm(summary.mean_force) <= summary.force_mean + 1e-12, "a mean's norm, a norm's mean"
+        assert summary.force_mean <= summary.magnitude_sum + 1e-12, "triangle inequality"
+        assert summary.contact_max >= np.linalg.norm(simulation.contacts().forces, axis=1).max(initial=0.0)
+    run(simulation, np.zeros((40, 2)))
+    summary, contacts = simulation.summary, simulation.contacts()
+    assert np.abs(simulation.data.qvel[:2]).max() < 1e-4, "at rest"
+    magnitudes = np.linalg.norm(contacts.forces, axis=1)
+    assert np.array(summary.mean_force) == pytest.approx(simulation.force(), rel=0.02, abs=1e-4)
+    assert summary.magnitude_sum == pytest.approx(magnitudes.sum(), rel=0.02)
+    assert summary.contact_max == pytest.approx(magnitudes.max(), rel=0.02)
+    # wall and sheath hold the wire against the feeder, which pushes along its axis and guides across
+    sheath, along = np.array(summary.sheath_force), simulation.vessel.direction
+    assert abs(sheath @ along) < 1e-3 * max(np.linalg.norm(sheath), 1e-3), "the sheath is frictionless"
+    assert np.linalg.norm(sheath) > 1e-3
+
+
 def test_insertion_ends_where_the_wire_does(make_simulation: MakeSimulation) -> None:
     simulation = make_simulation()
     simulation.reset(insertion=simulation.max_insertion - 0.005)

@@ -72,6 +72,8 @@ class StepSummary(ctypes.Structure):
         *_fields(ctypes.c_double * 3, "force"),
         *_fields(ctypes.c_double, "force_max", "force_mean", "penetration_max"),
         *_fields(ctypes.c_int, "contacts", "refined", "warnings"),
+        *_fields(ctypes.c_double * 3, "mean_force", "sheath_force"),
+        *_fields(ctypes.c_double, "magnitude_sum", "contact_max"),
     )
 
 

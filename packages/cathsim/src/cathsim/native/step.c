@@ -55,13 +55,33 @@ typedef struct {
   StepSummary* summary;
 } Account;
 
+/* Adds the sheath's contact forces on the wire, times `share`, to `sum`: those of the world's geoms after the wall's. */
+static void add_sheath_forces(const Simulation* s, const Engine* engine, double share, double sum[3]) {
+  const mjData* d = s->data;
+  for (int i = 0; i < d->ncon; i++) {
+    const mjContact* c = d->contact + i;
+    if (c->efc_address < 0 || c->geom[1] <= s->vessel_geom + s->hulls || s->model->geom_bodyid[c->geom[1]]) continue;
+    mjtNum local[6];
+    engine->contact_force(s->model, d, i, local);
+    for (int k = 0; k < 3; k++)
+      sum[k] -= share * (c->frame[k] * local[0] + c->frame[3 + k] * local[1] + c->frame[6 + k] * local[2]);
+  }
+}
+
 /* Enters the contact forces of the step just made, which lasted `share` of the control step. */
 static void enter_forces(const Simulation* s, const Engine* engine, const Account* a, double share) {
   StepSummary* summary = a->summary;
   const int count = cathsim_contact_forces(s, engine, a->capacity, a->now_points, a->now_forces);
   double f[3] = {0, 0, 0};
-  for (int c = 0; c < count; c++)
-    for (int k = 0; k < 3; k++) f[k] += a->now_forces[3 * c + k];
+  for (int c = 0; c < count; c++) {
+    const double* one = a->now_forces + 3 * c;
+    for (int k = 0; k < 3; k++) f[k] += one[k];
+    const double magnitude = sqrt(one[0] * one[0] + one[1] * one[1] + one[2] * one[2]);
+    summary->magnitude_sum += magnitude * share;
+    if (magnitude > summary->contact_max) summary->contact_max = magnitude;
+  }
+  for (int k = 0; k < 3; k++) summary->mean_force[k] += f[k] * share;
+  add_sheath_forces(s, engine, share, summary->sheath_force);
   const double norm = sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
   summary->force_mean += norm * share;
   if (norm > summary->force_max) {

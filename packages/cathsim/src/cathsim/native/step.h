@@ -40,6 +40,10 @@ typedef struct {
   int contacts;             /* contacts with the vessel (the sheath left out) in the substep of the largest force */
   int refined;              /* substeps that were repeated */
   int warnings;             /* nonzero: MuJoCo found the state invalid */
+  double mean_force[3];     /* time mean over the control step of the wall's resultant on the wire, N, world */
+  double sheath_force[3];   /* likewise of the sheath's */
+  double magnitude_sum;     /* time mean of the sum of the wall's contact force magnitudes, N */
+  double contact_max;       /* largest single contact force of the wall over the substeps, N */
 } StepSummary;
 
 int cathsim_contact_forces(const Simulation* s, const Engine* engine, int capacity, double* points, double* forces);
