@@ -89,6 +89,29 @@ def test_stiffness_profile() -> None:
     assert all(a <= b for a, b in itertools.pairwise(profile))
 
 
+def test_profiles_take_arrays() -> None:
+    wire = Guidewire()
+    distance = np.linspace(0.0, 0.1, 23)
+    assert wire.stiffness(distance).tolist() == pytest.approx([wire.stiffness(s) for s in distance], rel=1e-14)
+    assert wire.torsional_stiffness(distance) == pytest.approx(wire.stiffness(distance) / 1.33)
+    curvature = wire.rest_curvature(distance)
+    assert curvature.tolist() == [wire.rest_curvature(s) for s in distance]
+    assert type(wire.stiffness(0.01)) is type(wire.torsional_stiffness(0.01)) is float
+
+
+def test_rest_curvature_is_the_tips_angle_over_its_length() -> None:
+    wire = Guidewire()
+    assert wire.rest_curvature(wire.tip_length / 2) == pytest.approx(wire.tip_angle / wire.tip_length)
+    assert wire.rest_curvature(-1e-3) == wire.rest_curvature(wire.tip_length + 1e-3) == 0
+    assert load_guidewire("nitrex_straight").rest_curvature(0.0) == 0
+
+
+def test_torsion_follows_bending_unless_it_is_given() -> None:
+    wire = Guidewire(shaft_stiffness_nmm2=266.0, torsional_stiffness_nmm2=100.0)
+    assert wire.torsional_stiffness(1.0) == pytest.approx(100e-6)
+    assert dataclasses.replace(wire, torsional_stiffness_nmm2=None).torsional_stiffness(1.0) == pytest.approx(200e-6)
+
+
 def test_hinges_have_the_rods_compliance(space: Vessel) -> None:
     """Joint compliances of a uniform wire add up to length / EI between the middles of the first and last link."""
     wire = straight()

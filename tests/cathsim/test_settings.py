@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import cathsim
+from cathsim.devices.catheter import Catheter
 from cathsim.fluoroscopy.body import Box, Ellipsoid
 from cathsim.fluoroscopy.distortion import DetectorDistortion
 from cathsim.fluoroscopy.materials import Section, WireMaterial
@@ -51,6 +52,7 @@ RECORDS = {
 # What has no defaults.
 EXAMPLES: dict[type[Any], Any] = {
     Accuracy: ACCURACY["accurate"],
+    Catheter: Catheter(shape=((0.010, 0.030, 0.5, 0.5),)),
     Box: Box((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 20.0),
     Ellipsoid: Ellipsoid((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 20.0),
     DetectorDistortion: DetectorDistortion(64, 64),
@@ -69,6 +71,7 @@ ZERO = {
     },
     "BloodFlow": {"peak_velocity", "descending_share", "phase"},
     "Box": {"centre", "attenuation"},
+    "Catheter": {"taper", "shape", "friction", "relaxation", "marker_length"},
     "Decomposition": {"seed"},
     "Detector": {
         *("video_noise", "focal_blur", "screen_blur", "glare", "field_centre", "penumbra", "heel", "equalisation"),
@@ -85,6 +88,7 @@ ZERO = {
 MINUS_ONE = {
     "Aneurysm": {"angle"},
     "Box": {"centre", "attenuation"},
+    "Catheter": {"shape"},
     "Detector": {"field_centre"},
     "DetectorDistortion": {"centre", "twist"},
     "Ellipsoid": {"centre", "attenuation"},

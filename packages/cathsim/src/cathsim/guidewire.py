@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated
+from typing import Annotated, TypeVar, cast, overload
 
 import mujoco
 import numpy as np
 from annotated_types import Interval, Len
+from numpy.typing import NDArray
 
 from cathsim.validation import Angle, LengthOrNone, Listed, Turn, Unit, quantity, settings
 
 LINK_NAME, TIP_SITE = "wire{}", "tip"
 NMM2 = 1.0e-6  # one N mm^2 in N m^2
 THICKEST, LONGEST = 0.01, 5.0  # m: what goes beyond was meant in another unit
+POISSON_RATIO = 0.33  # of nitinol and of steel, within 0.03
 
-_Stiffness = Annotated[float, Interval(gt=0, le=1e6), Unit("N mm^2")]
+Array = NDArray[np.float64]
+Distance = TypeVar("Distance", float, Array)  # one distance from the tip, or an array of them
+Stiffness = Annotated[float, Interval(gt=0, le=1e6), Unit("N mm^2")]
 _LinkLength = Annotated[float, Interval(gt=0, le=0.5), Unit("m")]
+
+
+def tapered(from_tip: Distance, taper: tuple[float, float], tip: float, shaft: float) -> Distance:
+    """A stiffness at distances from the tip (m), whose logarithm is linear between the two distances of `taper` (m).
+
+    Nearer to the tip it is `tip`, farther from it `shaft`, in any unit.
+    """
+    value = np.exp(np.interp(from_tip, taper, (np.log(tip), np.log(shaft))))
+    return cast(Distance, value if np.ndim(from_tip) else float(value))
 
 
 @settings
@@ -39,12 +52,15 @@ class Guidewire:
         friction: sliding friction coefficient on the wall.
         motor_joints: distal joints with motors in the 21-action control mode.
         motor_angle: angle by which a motor bends its free joint at full action, rad.
+        torsional_stiffness_nmm2: torsional stiffness GJ of the shaft, N mm^2, for simulations with elastic torsion; it
+            falls towards the tip as EI does. None: EI / (1 + Poisson's ratio), as of a solid round core.
+        working_length: from the hub, where the wire is turned, to the tip, m, for elastic torsion.
     """
 
     links: Annotated[tuple[_LinkLength, ...], Listed, Len(2, 2000)] = (0.016,) * 10 + (0.008,) * 8 + (0.004,) * 10
     diameter: Annotated[float, Interval(gt=0, le=THICKEST), Unit("m")] = 0.89e-3
-    shaft_stiffness_nmm2: _Stiffness = 400.0
-    tip_stiffness_nmm2: _Stiffness = 15.0
+    shaft_stiffness_nmm2: Stiffness = 400.0
+    tip_stiffness_nmm2: Stiffness = 15.0
     taper: Annotated[tuple[LengthOrNone, LengthOrNone], Listed] = (0.025, 0.060)
     tip_angle: Angle = np.radians(80.0)
     tip_length: Annotated[float, Interval(ge=0, le=LONGEST), Unit("m")] = 0.020
@@ -53,6 +69,8 @@ class Guidewire:
     friction: Annotated[float, Interval(ge=0, le=10)] = 0.06
     motor_joints: Annotated[int, Interval(ge=0, le=2000)] = 10
     motor_angle: Turn = np.radians(12.0)
+    torsional_stiffness_nmm2: Stiffness | None = None
+    working_length: Annotated[float, Interval(gt=0, le=LONGEST), Unit("m")] = 1.5
 
     def __post_init__(self) -> None:
         if self.length > LONGEST:
@@ -79,10 +97,32 @@ class Guidewire:
         """Number of two-hinge joints."""
         return len(self.links) - 1
 
-    def stiffness(self, from_tip: float) -> float:
-        """Bending stiffness EI (N m^2) at a distance from the tip (m)."""
-        low, high = np.log(self.tip_stiffness_nmm2), np.log(self.shaft_stiffness_nmm2)
-        return float(np.exp(np.interp(from_tip, self.taper, (low, high)))) * NMM2
+    def stiffness(self, from_tip: Distance) -> Distance:
+        """Bending stiffness EI (N m^2) at distances from the tip (m), one or an array."""
+        return tapered(from_tip, self.taper, self.tip_stiffness_nmm2, self.shaft_stiffness_nmm2) * NMM2
+
+    def torsional_stiffness(self, from_tip: Distance) -> Distance:
+        """Torsional stiffness GJ (N m^2) at distances from the tip (m), one or an array."""
+        shaft = self.torsional_stiffness_nmm2
+        ratio = 1 / (1 + POISSON_RATIO) if shaft is None else shaft / self.shaft_stiffness_nmm2
+        return ratio * self.stiffness(from_tip)
+
+    @overload
+    def rest_curvature(self, from_tip: float) -> complex: ...
+
+    @overload
+    def rest_curvature(self, from_tip: Array) -> NDArray[np.complex128]: ...
+
+    def rest_curvature(self, from_tip: float | Array) -> complex | NDArray[np.complex128]:
+        """Curvature of the unloaded wire (1/m) at distances from the tip (m), one or an array.
+
+        A real number, as the tip is bent in one plane: the complex plane is the wire's cross-section. 0 beyond the
+        bent part and beyond the tip.
+        """
+        distance = np.asarray(from_tip, dtype=np.float64)
+        bent = (distance >= 0) & (distance <= self.tip_length)
+        curvature = np.where(bent, self.tip_angle / self.tip_length if self.tip_length else 0.0, 0.0).astype(complex)
+        return curvature if distance.ndim else complex(curvature)
 
     def scaled(self, length: float) -> Guidewire:
         """The same wire made `length` (m) long by adding or dropping links at the proximal end."""

@@ -1,0 +1,1 @@
+"""Devices that are steered in a vessel: guidewires and catheters, their presets and pictures."""
