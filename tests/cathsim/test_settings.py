@@ -31,6 +31,7 @@ RECORDS = {
     *("anatomy.distance_grid:SignedDistanceGrid", "anatomy.lumen_report:LumenReport"),
     *("anatomy.phantom:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
+    "devices.device_file:DeviceFile",
     *("anatomy.vessel_tree:Branch", "anatomy.vessel_tree:VesselTree"),
     *("contact.hull_vessel:HullVessel", "contact.hulls:Hull", "contact.sdf:Vessel"),
     *("registration.description:Specification", "link_ladder:Ladder", "planning.path:LumenPath", "validation:Unit"),

@@ -224,7 +224,7 @@ def test_an_invalid_state_ends_the_episode(make_composer: MakeComposer) -> None:
     [
         ({"phantom": "aorta"}, "unknown phantom 'aorta'"),
         ({"target": "coronary"}, "unknown target 'coronary'"),
-        ({"wire": "amplatz"}, "unknown guidewire 'amplatz'"),
+        ({"wire": "steel"}, "unknown guidewire 'steel'"),
         ({"actions": "tip"}, "unknown actions 'tip'; there are feeder, tip_motors"),
         ({"entry": "radial"}, "no entry 'radial'"),
         ({"colour": "red"}, "the environment has no argument colour"),

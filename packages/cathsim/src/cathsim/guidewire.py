@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Annotated, TypeVar, cast, overload
 
 import mujoco
@@ -10,6 +11,7 @@ import numpy as np
 from annotated_types import Interval, Len
 from numpy.typing import NDArray
 
+from cathsim.devices.device_file import GUIDEWIRE, in_file, is_file, preset_path, read_device
 from cathsim.validation import Angle, LengthOrNone, Listed, Turn, Unit, quantity, settings
 
 LINK_NAME, TIP_SITE = "wire{}", "tip"
@@ -197,33 +199,40 @@ class Guidewire:
             )
 
 
-GUIDEWIRES: dict[str, Guidewire] = {
-    # 56 degrees of freedom with the feeder's two
-    "default": Guidewire(),
-    # the thesis's chain: 80 links and a tip of 4, 168 degrees of freedom; 3 mm links, so that it reaches the targets
-    "thesis": Guidewire(links=(0.003,) * 84, diameter=1.0e-3),
-    # hydrophilic nitinol, 0.035 in, angled; shaft at the low end of what is estimated for the stiff version
-    "radifocus_angled": Guidewire(
-        shaft_stiffness_nmm2=260.0, tip_stiffness_nmm2=12.0, tip_angle=np.radians(45.0), tip_length=0.012, friction=0.04
-    ),
-    # nitinol, 0.035 in, straight; stiffness computed from a superelastic core of 0.6 mm at 60 GPa
-    "nitrex_straight": Guidewire(shaft_stiffness_nmm2=380.0, tip_stiffness_nmm2=20.0, tip_angle=0.0, tip_length=0.0),
-}
+_NAMES = ("default", "thesis", "radifocus_angled", "nitrex_straight", "floppy", "amplatz", "stiff")
 
 
-def load_guidewire(name: str, **changes: object) -> Guidewire:
-    """A preset wire, with fields of `Guidewire` replaced.
+def _of_file(path: str | Path) -> Guidewire:
+    try:
+        return Guidewire(**read_device(path, GUIDEWIRE).fields)
+    except ValueError as error:
+        raise ValueError(in_file(path, error)) from None
+
+
+# files in cathsim/devices/presets/guidewires
+GUIDEWIRES: dict[str, Guidewire] = {name: _of_file(preset_path(GUIDEWIRE, name)) for name in _NAMES}
+
+
+def load_guidewire(name: str | Path, **changes: object) -> Guidewire:
+    """A preset wire, or one's own from a YAML file, with fields of `Guidewire` replaced.
+
+    Args:
+        name: of a preset, or a path that ends in .yaml or .yml.
 
     Raises:
-        ValueError: unknown preset or field.
+        ValueError: unknown preset or field; a file that is missing or does not describe a guidewire.
     """
-    if name not in GUIDEWIRES:
-        raise ValueError(f"unknown guidewire '{name}'; there are {', '.join(GUIDEWIRES)}")
+    if is_file(name):
+        wire = _of_file(name)
+    elif name in GUIDEWIRES:
+        wire = GUIDEWIRES[str(name)]
+    else:
+        raise ValueError(f"unknown guidewire '{name}'; there are {', '.join(GUIDEWIRES)}, or a path of a .yaml file")
     unknown = set(changes) - {field.name for field in dataclasses.fields(Guidewire)}
     if unknown:
         fields = ", ".join(field.name for field in dataclasses.fields(Guidewire))
         raise ValueError(f"a guidewire has no {', '.join(sorted(unknown))}; its parameters are {fields}")
-    return dataclasses.replace(GUIDEWIRES[name], **changes)  # type: ignore[arg-type]
+    return dataclasses.replace(wire, **changes)  # type: ignore[arg-type]
 
 
 def preset_of(wire: Guidewire) -> tuple[str, float] | None:

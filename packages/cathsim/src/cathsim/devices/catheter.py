@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Callable
 from typing import Annotated, overload
 
 import numpy as np
@@ -109,26 +111,8 @@ class Catheter:
         return curvature if distance.ndim else complex(curvature)
 
     def centreline(self, from_tip: Array) -> Array:
-        """The unloaded shape, free of gravity and of a wire.
-
-        Args:
-            from_tip: (n,) distances from the tip, increasing, m; curvature is integrated between them.
-
-        Returns:
-            (n, 3) m, from the tip on. The most proximal point is the origin, where the axis comes along +z; a bend in
-            plane 0 by a positive angle turns the tip towards -y, as a guidewire's `tip_angle` does.
-        """
-        proximal_first = np.asarray(from_tip, dtype=np.float64)[::-1]
-        steps = proximal_first[:-1] - proximal_first[1:]
-        turns = self.rest_curvature((proximal_first[:-1] + proximal_first[1:]) / 2) * steps
-        points = np.zeros((len(proximal_first), 3))
-        frame = np.eye(3)  # columns: both directions of the cross-section, and the axis
-        for index, (step, turn) in enumerate(zip(steps, turns, strict=True)):
-            half = _rotation(turn / 2)
-            frame = frame @ half
-            points[index + 1] = points[index] + step * frame[:, 2]
-            frame = frame @ half
-        return points[::-1].copy()
+        """The unloaded shape, (n, 3) m, at increasing distances (n,) from the tip, m; see `unloaded_centreline`."""
+        return unloaded_centreline(self.rest_curvature, from_tip)
 
     def _check_bends(self) -> None:
         for start, end, angle, _ in self.shape:
@@ -176,6 +160,30 @@ class Catheter:
             )
 
 
+def unloaded_centreline(rest_curvature: Callable[[Array], NDArray[np.complex128]], from_tip: Array) -> Array:
+    """The axis of a device without loads, gravity and another device.
+
+    Args:
+        rest_curvature: curvature (1/m) at distances from the tip (m), as the devices' method gives it.
+        from_tip: (n,) distances from the tip, increasing, m; curvature is integrated by the midpoint rule between them.
+
+    Returns:
+        (n, 3) m, from the tip on. The most proximal point is the origin, where the axis comes along +z; a bend in plane
+        0 by a positive angle turns the tip towards -y, as a guidewire's `tip_angle` does.
+    """
+    proximal_first = np.asarray(from_tip, dtype=np.float64)[::-1]
+    steps = proximal_first[:-1] - proximal_first[1:]
+    turns = rest_curvature((proximal_first[:-1] + proximal_first[1:]) / 2) * steps
+    points = np.zeros((len(proximal_first), 3))
+    frame = np.eye(3)  # columns: both directions of the cross-section, and the axis
+    for index, (step, turn) in enumerate(zip(steps, turns, strict=True)):
+        half = _rotation(complex(turn) / 2)
+        frame = frame @ half
+        points[index + 1] = points[index] + step * frame[:, 2]
+        frame = frame @ half
+    return points[::-1].copy()
+
+
 def _ramp(start: float, end: float) -> float:
     return min(RAMP, (end - start) / 2)
 
@@ -187,7 +195,7 @@ def _rotation(turn: complex) -> Array:
     """
     angle = abs(turn)
     x, y = (turn.real / angle, turn.imag / angle) if angle else (1.0, 0.0)
-    c, s = np.cos(angle), np.sin(angle)
+    c, s = math.cos(angle), math.sin(angle)
     return np.array(
         [
             [c + x * x * (1 - c), x * y * (1 - c), y * s],

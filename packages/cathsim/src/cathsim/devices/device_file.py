@@ -1,0 +1,279 @@
+"""Devices in YAML files: lengths in mm and angles in degrees with the unit in the key, sizes, sources, inheritance."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Mapping
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+PRESETS = Path(__file__).parent / "presets"
+GUIDEWIRE, CATHETER = "guidewire", "catheter"
+FOLDERS = {GUIDEWIRE: "guidewires", CATHETER: "catheters"}
+LARGEST = 20_000  # bytes of a file; more is no description of a device
+
+# key in a file: field of the settings class
+KEYS: dict[str, dict[str, str]] = {
+    GUIDEWIRE: {
+        "links": "links",
+        "diameter_mm": "diameter",
+        "shaft_stiffness_nmm2": "shaft_stiffness_nmm2",
+        "tip_stiffness_nmm2": "tip_stiffness_nmm2",
+        "taper_mm": "taper",
+        "tip_angle_deg": "tip_angle",
+        "tip_length_mm": "tip_length",
+        "density_kg_m3": "density",
+        "relaxation_s": "relaxation",
+        "friction": "friction",
+        "motor_joints": "motor_joints",
+        "motor_angle_deg": "motor_angle",
+        "torsional_stiffness_nmm2": "torsional_stiffness_nmm2",
+        "working_length_mm": "working_length",
+    },
+    CATHETER: {
+        "outer_diameter_mm": "outer_diameter",
+        "inner_diameter_mm": "inner_diameter",
+        "length_mm": "length",
+        "shaft_stiffness_nmm2": "shaft_stiffness_nmm2",
+        "tip_stiffness_nmm2": "tip_stiffness_nmm2",
+        "taper_mm": "taper",
+        "shape": "shape",
+        "torsional_stiffness_nmm2": "torsional_stiffness_nmm2",
+        "density_kg_m3": "density",
+        "friction": "friction",
+        "relaxation_s": "relaxation",
+        "marker_length_mm": "marker_length",
+    },
+}
+_ABOUT = ("kind", "description", "based_on", "source")
+_SIZES, _SIZE = "sizes_french", "default_french"  # of a catheter only
+_EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")  # a number, which YAML 1.1 takes for a text
+_BEND = ("from_mm", "to_mm", "angle_deg", "plane_deg")
+
+
+@dataclasses.dataclass(frozen=True)
+class DeviceFile:
+    """What a file says of a device, with what it is based on.
+
+    Attributes:
+        name: the file's, without folder and ending.
+        kind: "guidewire" or "catheter".
+        fields: fields of `Guidewire` or `Catheter`, SI, without those that only a size has.
+        sizes: fields of each size in French; empty where there are no sizes.
+        default_french: size that is meant where none is asked for; None without sizes.
+        description: one sentence.
+        source: where values come from, by group of values.
+    """
+
+    name: str
+    kind: str
+    fields: dict[str, Any]
+    sizes: dict[int, dict[str, Any]]
+    default_french: int | None
+    description: str
+    source: dict[str, str]
+
+    def of_size(self, french: int | None = None) -> dict[str, Any]:
+        """Fields of a size; None: the default one.
+
+        Raises:
+            ValueError: there is no such size.
+        """
+        if not self.sizes and french is None:
+            return self.fields
+        size = self.default_french if french is None else french
+        if isinstance(size, bool) or size not in self.sizes:
+            sizes = ", ".join(f"{one}F" for one in self.sizes) or "no sizes"
+            raise ValueError(f"the {self.kind} '{self.name}' is not made in {size}F: it has {sizes}")
+        return self.sizes[size]
+
+
+def is_file(name: str | Path) -> bool:
+    """Whether a device's name means a file: a path, or what ends in .yaml or .yml."""
+    return isinstance(name, Path) or str(name).lower().endswith((".yaml", ".yml"))
+
+
+def preset_path(kind: str, name: str) -> Path:
+    """The file of a preset."""
+    return PRESETS / FOLDERS[kind] / f"{name}.yaml"
+
+
+def in_file(path: str | Path, error: ValueError) -> str:
+    """A refusal's sentence with the file that it is about in front, once."""
+    return str(error) if str(path) in str(error) else f"{path}: {error}"
+
+
+def read_device(path: str | Path, kind: str) -> DeviceFile:
+    """Reads a device's file.
+
+    Args:
+        path: of a YAML file; docs/cathsim/devices.md describes its keys.
+        kind: "guidewire" or "catheter".
+
+    Raises:
+        ValueError: one sentence: the file is missing, no YAML, of another kind, or has an unknown key or a value that
+            cannot be converted. Ranges are checked by the settings class.
+    """
+    path = Path(path)
+    content = _content(path, kind)
+    allowed = (*_ABOUT, *KEYS[kind], *((_SIZES, _SIZE) if kind == CATHETER else ()))
+    _require_known(content, allowed, f"{path}: a {kind}")
+    base = _base(path, kind, content.get("based_on"))
+    own = _fields(content, kind, path)
+    if _SIZES in content:
+        rows = _sizes(content[_SIZES], kind, path)
+        sizes = {french: {**base.fields, **row, **own} for french, row in rows.items()}
+    else:
+        sizes = {french: {**fields, **own} for french, fields in base.sizes.items()}
+    default = content.get(_SIZE, base.default_french)
+    if sizes and (isinstance(default, bool) or default not in sizes):
+        raise ValueError(f"{path}: {_SIZE} must be one of its sizes, {', '.join(map(str, sizes))}, got {default!r}")
+    return DeviceFile(
+        path.stem,
+        kind,
+        {**base.fields, **own},
+        sizes,
+        default if sizes else None,
+        _text(content.get("description", base.description), f"{path}: description"),
+        {**base.source, **_source(content.get("source", {}), path)},
+    )
+
+
+def file_kind(path: str | Path) -> str:
+    """Which kind of device a file describes, "guidewire" or "catheter".
+
+    Raises:
+        ValueError: as `read_device` raises it.
+    """
+    return str(_mapping(Path(path))["kind"])
+
+
+def _content(path: Path, kind: str) -> dict[str, Any]:
+    content = _mapping(path)
+    if content["kind"] != kind:
+        raise ValueError(f"{path} describes a {content['kind']}, but a {kind} is expected")
+    return content
+
+
+def _mapping(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            text = file.read(LARGEST + 1)
+        content = yaml.safe_load(text) if len(text) <= LARGEST else None  # libyaml crashes on deep lists
+    except FileNotFoundError:
+        raise ValueError(f"there is no device's file {path}") from None
+    except OSError as error:
+        raise ValueError(f"the device's file {path} cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        reason = str(getattr(error, "problem", None) or type(error).__name__)
+        raise ValueError(f"{path} is no YAML file: {reason}") from None
+    except (ValueError, OverflowError) as error:  # of a date or a number that YAML's reader makes
+        raise ValueError(f"{path} is no device's file: {' '.join(str(error).split())}") from None
+    if len(text) > LARGEST:
+        raise ValueError(f"{path} is no device's file: it has more than {LARGEST} bytes")
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} must hold keys and values, as 'kind: catheter'")
+    found = content.get("kind")
+    if not isinstance(found, str) or found not in KEYS:
+        raise ValueError(f"{path} must say 'kind: guidewire' or 'kind: catheter', got {found!r}")
+    return content
+
+
+def _base(path: Path, kind: str, name: Any) -> DeviceFile:
+    """The preset that a device is based on; an empty one without."""
+    if name is None:
+        return DeviceFile(path.stem, kind, {}, {}, None, "", {})
+    there = sorted(one.stem for one in (PRESETS / FOLDERS[kind]).glob("*.yaml"))
+    if name not in there or preset_path(kind, name).resolve() == path.resolve():
+        raise ValueError(f"{path}: based_on must be a preset of a {kind}, {', '.join(there)}, got {name!r}")
+    return read_device(preset_path(kind, name), kind)
+
+
+def _sizes(values: Any, kind: str, path: Path) -> dict[int, dict[str, Any]]:
+    if not isinstance(values, Mapping) or not values:
+        raise ValueError(f"{path}: {_SIZES} must have a size in French and its values in each line")
+    sizes = {}
+    for french, row in values.items():
+        if isinstance(french, bool) or not isinstance(french, int) or not 1 <= french <= 34:
+            raise ValueError(f"{path}: a size must be a whole number of French, 1 to 34, got {french!r}")
+        if not isinstance(row, Mapping):
+            raise ValueError(f"{path}: the size {french} must have keys and values, got {row!r}")
+        _require_known(row, tuple(KEYS[kind]), f"{path}: a {kind}'s size")
+        sizes[french] = _fields(row, kind, path)
+    return sizes
+
+
+def _require_known(values: Mapping[Any, Any], allowed: tuple[str, ...], what: str) -> None:
+    for key in values:
+        if key not in allowed:
+            raise ValueError(f"{what} has no {key!r}; its keys are {', '.join(allowed)}")
+
+
+def _fields(values: Mapping[str, Any], kind: str, path: Path) -> dict[str, Any]:
+    """Fields of the settings class, SI, of what has a key of its own."""
+    return {name: _value(key, values[key], path) for key, name in KEYS[kind].items() if key in values}
+
+
+def _value(key: str, value: Any, path: Path) -> Any:
+    if key == "links":
+        return tuple(length for part in _list(key, value, path) for length in _links(part, path))
+    if key == "shape":
+        return tuple(_bend(part, path) for part in _list(key, value, path))
+    if key == "taper_mm":
+        return tuple(_quantity(key, part, path) for part in _list(key, value, path))
+    return _quantity(key, value, path)
+
+
+def _links(part: Any, path: Path) -> tuple[float, ...]:
+    if not isinstance(part, Mapping) or set(part) != {"count", "length_mm"}:
+        raise ValueError(f"{path}: links are given as {{count: 10, length_mm: 16}}, proximal first, got {part!r}")
+    count = part["count"]
+    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= 2000:
+        raise ValueError(f"{path}: the count of links must be a whole number from 1 to 2000, got {count!r}")
+    return (_quantity("length_mm", part["length_mm"], path),) * count
+
+
+def _bend(part: Any, path: Path) -> tuple[float, ...]:
+    if not isinstance(part, Mapping) or not set(_BEND[:3]) <= set(part) <= set(_BEND):
+        raise ValueError(f"{path}: a bend is given as {{from_mm: 0, to_mm: 12, angle_deg: 45}}, got {part!r}")
+    return tuple(_quantity(key, part.get(key, 0), path) for key in _BEND)
+
+
+def _list(key: str, value: Any, path: Path) -> list[Any]:
+    if not isinstance(value, list):
+        raise ValueError(f"{path}: {key} must be a list, got {value!r}")
+    return value
+
+
+def _quantity(key: str, value: Any, path: Path) -> float:
+    """A number in SI units. Millimetres are converted in decimals, so that 0.89 mm is the number 0.89e-3 m."""
+    if isinstance(value, str) and _EXPONENT.fullmatch(value):
+        value = float(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{path}: {key} must be a number, got {value!r}")
+    if not abs(value) < math.inf:
+        raise ValueError(f"{path}: {key} must be a finite number, got {value!r}")
+    if key.endswith("_mm"):
+        return float(Decimal(repr(value)).scaleb(-3))
+    try:
+        return float(np.radians(float(value))) if key.endswith("_deg") else float(value)
+    except OverflowError:
+        raise ValueError(f"{path}: {key} must be a finite number, got one of {len(str(value))} digits") from None
+
+
+def _source(values: Any, path: Path) -> dict[str, str]:
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{path}: source must have a text for each group of values, got {values!r}")
+    return {str(group): _text(text, f"{path}: the source of {group}") for group, text in values.items()}
+
+
+def _text(value: Any, what: str) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"{what} must be a text, got {value!r}")
+    return " ".join(value.split())
