@@ -109,6 +109,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             window that shows every step at the speed of the simulated time; the extra `human` brings pygame for it).
         blood: None, "steady", "pulsatile", or a `BloodFlow`: its drag on the wire.
         contact: "sdf", "hulls" (convex hulls of the wall, made in minutes and cached), or a `Decomposition`.
+        wall_stiffness: of the wall at each contact, N/mm; at most 1 with accuracy="accurate", 0.5 with "fast", 10 with
+            "reference". None: what the solver makes of the usual contact.
         drive: "direct", or "robot": the follower robot feeds the wire stroke by stroke, so that a step may move it less
             than its action says, or not at all while the clamp goes back; see `info["driven"]`.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
@@ -135,6 +137,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         phantom_seed: int | None = None,
         blood: str | BloodFlow | None = None,
         contact: str | Decomposition = "sdf",
+        wall_stiffness: float | None = None,
         drive: str = "direct",
         cameras: str | BiplaneFluoroscope | None = None,
         registration_noise: float = 0.0,
@@ -156,6 +159,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             contact=contact if isinstance(contact, str) else chosen("contact", contact, Decomposition, decomposition),
             tip_motors=actions == "tip_motors",
             blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),
+            wall_stiffness=wall_stiffness,
         )
         self.render_mode, self._contact_info = render_mode, contact_info
         self.robot = FollowerRobot() if drive == "robot" else None

@@ -16,6 +16,7 @@ LAYOUT_FIELDS = (
     *("qpos", "qvel", "ctrl", "qacc_warmstart", "geom_xpos", "geom_xmat"),
     *("contact_x", "contact_geom", "contact_efc_address"),
     *("geom_bodyid", "body_mass", "xanchor", "xaxis", "qfrc_applied"),
+    *("efc_diagA", "contact_solref", "contact_solimp"),
 )
 
 
@@ -26,7 +27,7 @@ def _fields(kind: Any, *names: str) -> tuple[tuple[str, Any], ...]:
 class Engine(ctypes.Structure):
     """MuJoCo functions that the native code calls (struct Engine of step.h)."""
 
-    _fields_ = (("step", ctypes.c_void_p), ("kinematics", ctypes.c_void_p), ("contact_force", ctypes.c_void_p))
+    _fields_ = _fields(ctypes.c_void_p, "step", "first_half", "forward", "second_half", "kinematics", "contact_force")
 
 
 class SimulationStruct(ctypes.Structure):
@@ -39,6 +40,7 @@ class SimulationStruct(ctypes.Structure):
         *_fields(ctypes.c_int, "depth_samples"),
         *_fields(ctypes.c_double, "depth"),
         *_fields(ctypes.c_void_p, "drag", "loads"),
+        *_fields(ctypes.c_double, "wall_stiffness"),
     )
 
 
@@ -179,7 +181,9 @@ def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int
         int(contact.geom[0, 1]) if some else 0,
         int(contact.efc_address[0]) if some else 0,
         *(array.ctypes.data for array in (model.geom_bodyid, model.body_mass)),
-        *(array.ctypes.data for array in (data.xanchor, data.xaxis, data.qfrc_applied)),
+        *(array.ctypes.data for array in (data.xanchor, data.xaxis, data.qfrc_applied, data.efc_diagA)),
+        int(contact.solref[0, 0] * 1e9) if some else 0,
+        int(contact.solimp[0, 0] * 1e9) if some else 0,
     )
     return dict(zip(LAYOUT_FIELDS, (int(value) for value in values), strict=True))
 
@@ -187,5 +191,5 @@ def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int
 @functools.cache
 def engine() -> Engine:
     """Addresses of MuJoCo's functions for the native code."""
-    names = ("mj_step", "mj_kinematics", "mj_contactForce")
+    names = ("mj_step", "mj_step1", "mj_forwardSkip", "mj_step2", "mj_kinematics", "mj_contactForce")
     return Engine(*(ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value for name in names))

@@ -149,11 +149,36 @@ static void take_back_account(const Account* a, const Before* before) {
   memcpy(a->forces, a->kept_forces, sizeof(double) * count);
 }
 
+/* One step of `model`. In a compliant wall every contact is a spring of `wall_stiffness`, without damping, integrated
+ * implicitly. MuJoCo's regularisation of a contact is (1 - d) / d times the diagonal A of the constraint's inverse
+ * inertia, which it knows only once it has solved: the state is solved twice, and d set between. Its discrete integrator
+ * divides the reference acceleration k r + b v by 1 + h b + h^2 k, which is 3 with b = 1 / h and k = 1 / h^2: so the
+ * regularisation must be 1 / (3 h^2 K). */
+static void step_engine(const Simulation* s, const Engine* engine, const mjModel* model) {
+  mjData* d = s->data;
+  if (!(s->wall_stiffness > 0)) {
+    engine->step(model, d);
+    return;
+  }
+  const double h = model->opt.timestep, compliance = 1 / (3 * h * h * s->wall_stiffness);
+  engine->first_half(model, d);
+  engine->forward(model, d, mjSTAGE_VEL, 1);
+  for (int i = 0; i < d->ncon; i++) {
+    mjContact* c = d->contact + i;
+    if (c->geom[1] < s->vessel_geom || c->geom[1] > s->vessel_geom + s->hulls || c->efc_address < 0) continue;
+    const double diagonal = d->efc_diagA[c->efc_address], impedance = diagonal / (diagonal + compliance);
+    c->solimp[0] = c->solimp[1] = impedance;
+    c->solref[0] = -impedance / (h * h);
+    c->solref[1] = -impedance / h;
+  }
+  engine->second_half(model, d);
+}
+
 /* `count` steps of `model`, which last `share` of the control step together; returns the penetration after them. */
 static double step_finely(const Simulation* s, const Engine* engine, const Account* a, const mjModel* model, int count,
                           double share) {
   for (int i = 0; i < count; i++) {
-    engine->step(model, s->data);
+    step_engine(s, engine, model);
     enter_forces(s, engine, a, share / count);
   }
   engine->kinematics(model, s->data);
@@ -167,14 +192,14 @@ static double step_finely(const Simulation* s, const Engine* engine, const Accou
 static int substep(Simulation* s, const Engine* engine, const Account* account, double share) {
   mjData* d = s->data;
   if (s->refinement <= 1) {
-    engine->step(s->model, d);
+    step_engine(s, engine, s->model);
     enter_forces(s, engine, account, share);
     return 0;
   }
   Before before;
   keep_state(s, &before);
   const int invalid_before = warnings(d);
-  engine->step(s->model, d);
+  step_engine(s, engine, s->model);
   engine->kinematics(s->model, d);
   double depth = cathsim_penetration(s, 3);
   const int repeat = (depth > s->tolerance && depth > s->depth + s->rise) || warnings(d) > invalid_before;

@@ -8,6 +8,9 @@
 /* MuJoCo's functions; their addresses come from the running library, so nothing is linked against it. */
 typedef struct {
   void (*step)(const mjModel* m, mjData* d);
+  void (*first_half)(const mjModel* m, mjData* d);  /* mj_step1, mj_forwardSkip and mj_step2 */
+  void (*forward)(const mjModel* m, mjData* d, int skip_stage, int skip_sensors);
+  void (*second_half)(const mjModel* m, mjData* d);
   void (*kinematics)(const mjModel* m, mjData* d);
   void (*contact_force)(const mjModel* m, const mjData* d, int id, mjtNum result[6]);
 } Engine;
@@ -30,6 +33,7 @@ typedef struct {
   double depth;           /* penetration at the end of the last substep, m */
   const Drag* drag;       /* of the blood on the wire; NULL: there is none */
   double* loads;          /* room for that on each link: 6 numbers */
+  double wall_stiffness;  /* of each contact with the wall, N/m; 0: as the wire's geoms say */
 } Simulation;
 
 typedef struct {

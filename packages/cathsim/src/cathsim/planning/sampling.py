@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
+from cathsim.contact.compliance import stiffest_wall
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
 from cathsim.navigation import NavigationTask
 from cathsim.presets import ACCURACY, Accuracy
@@ -71,8 +72,17 @@ class SamplingExpert:
         self._generator = np.random.default_rng(seed)
         real = environment.simulation
         count = threads or os.cpu_count() or 1
+        wall = None if real.wall_stiffness is None else min(real.wall_stiffness, stiffest_wall(numerics))
         self._copies = [
-            Simulation(real.phantom, real.wire, numerics, entry=real.entry, contact=real.contact, blood=real.blood)
+            Simulation(
+                real.phantom,
+                real.wire,
+                numerics,
+                entry=real.entry,
+                contact=real.contact,
+                blood=real.blood,
+                wall_stiffness=wall,
+            )
             for _ in range(count)
         ]
         self._pool = ThreadPoolExecutor(count, "expert") if count > 1 else None
