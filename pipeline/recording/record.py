@@ -42,8 +42,10 @@ def step_record(
         step: its index; 0 is the state after reset.
         action: shape (actions,).
     """
+    from cathsim.metrics.load_cell import step_forces
+
     simulation = environment.simulation
-    contacts = simulation.contacts()
+    contacts, forces = simulation.contacts(), step_forces(simulation)
     return StepRecord(
         step=step,
         action=np.asarray(action, np.float64),
@@ -59,7 +61,13 @@ def step_record(
         resultant_force=info["force_vector"],
         insertion=info["insertion"],
         rotation=info["rotation"],
-        extra={"distance_m": info["distance"]},
+        extra={
+            "distance_m": info["distance"],
+            **{f"load_{axis}_n": float(value) for axis, value in zip("xyz", forces.load, strict=True)},
+            **{f"sheath_{axis}_n": float(value) for axis, value in zip("xyz", forces.sheath, strict=True)},
+            "magnitude_sum_n": forces.magnitude_sum,
+            "largest_contact_n": forces.largest_contact,
+        },
     )
 
 

@@ -47,6 +47,7 @@ RECORDS = {
         "simulation:Contacts",
     ),
     *("metrics.episodes:EpisodeMetrics", "metrics.episodes:Statistic", "metrics.episodes:Summary"),
+    "metrics.load_cell:StepForces",
     *("metrics.forces:ForceComparison", "physics_checks.contact:Helix", "physics_checks.rig:TheoryCheck"),
     *("physics_checks.statics:Column", "planning.scripted_motions:Script"),
 }
@@ -82,6 +83,7 @@ ZERO = {
     "ExpertSettings": {"rounds", "force_cost", "free_force"},
     "Guidewire": {"taper", "tip_angle", "tip_length", "relaxation", "friction", "motor_joints", "motor_angle"},
     "Leader": {"position"},
+    "LoadCell": {"resolution", "cutoff"},
     "NavigationTask": {"target", "start_jitter", "start_rotation", "force_penalty", "path_penalty"},
     "XRayScene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},
     "Section": {"layers"},

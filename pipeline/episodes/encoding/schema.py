@@ -29,6 +29,10 @@
 | rotation              | -      | rad          | how far it was turned                                                |
 | extra                 | map    | in the name  | further scalars                                                      |
 
+The recorder's further scalars, which logs of before they existed lack: distance_m to the target; load_x_n, load_y_n,
+load_z_n, the mean force on the vessel over the control step, and sheath_x_n, sheath_y_n, sheath_z_n, that on the sheath
+(N, world); magnitude_sum_n, the mean sum of the contacts' magnitudes; largest_contact_n, the largest single contact.
+
 Record i has log_time = start_time_ns + i * control step, so that a step index is a time. Two metadata records hold the
 rest as JSON with its CRC-32: `endonav.episode` (written twice, so that one damaged byte cannot make a log anonymous)
 and `endonav.outcome`.
