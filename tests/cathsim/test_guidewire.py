@@ -112,6 +112,20 @@ def test_torsion_follows_bending_unless_it_is_given() -> None:
     assert dataclasses.replace(wire, torsional_stiffness_nmm2=None).torsional_stiffness(1.0) == pytest.approx(200e-6)
 
 
+def test_torsion_leaves_the_bare_wires_model_as_it_is(space: Vessel) -> None:
+    wire = Guidewire()
+    twisting = dataclasses.replace(wire, torsional_stiffness_nmm2=50.0, working_length=2.6)
+    one, other = (model_spec(space, each, ACCURACY["accurate"]).to_xml() for each in (wire, twisting))
+    assert one == other
+
+
+@pytest.mark.parametrize("name", ["default", "thesis", "radifocus_angled", "nitrex_straight"])
+def test_a_wire_of_a_log_without_torsion_is_its_preset(name: str) -> None:
+    fields = dataclasses.asdict(load_guidewire(name))
+    del fields["torsional_stiffness_nmm2"], fields["working_length"]
+    assert preset_of(Guidewire(**fields)) == (name, 0.0)
+
+
 def test_hinges_have_the_rods_compliance(space: Vessel) -> None:
     """Joint compliances of a uniform wire add up to length / EI between the middles of the first and last link."""
     wire = straight()

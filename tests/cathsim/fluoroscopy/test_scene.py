@@ -14,9 +14,11 @@ from cathsim.fluoroscopy import (
     coil_tipped_wire,
     jacketed_wire,
     scene,
+    steel_wire,
     wire_material,
 )
 from cathsim.fluoroscopy.materials import ATTENUATION
+from cathsim.guidewire import load_guidewire
 
 
 def test_section_attenuates_as_nested_cylinders():
@@ -37,6 +39,17 @@ def test_wires_have_the_radius_and_the_tip_they_should():
     assert tip > 1.3 * shaft  # the coil is radiopaque
     assert wire_material("nitrex_straight", 4e-4) == coil_tipped_wire(4e-4)
     assert wire_material("default", 4e-4) == jacketed_wire(4e-4)
+
+
+def test_steel_wires_are_as_full_of_steel_as_their_density_says():
+    section = steel_wire(0.445e-3).sections[-1]
+    inner, filled = 0.0, 0.0
+    for radius, attenuation in section.layers:
+        filled += attenuation / ATTENUATION["steel"] * (radius**2 - inner**2) / section.radius**2
+        inner = radius
+    for name in ("floppy", "amplatz", "stiff"):
+        assert load_guidewire(name).density / 7900 == pytest.approx(filled, rel=0.02)
+        assert wire_material(name, 4e-4) == steel_wire(4e-4)
 
 
 @pytest.mark.parametrize(("material", "low", "high"), [("nitinol", 740, 780), ("silicone", 24, 28), ("water", 20, 22)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from typing import Annotated, overload
 
@@ -16,7 +15,7 @@ from cathsim.validation import Angle, Length, LengthOrNone, Listed, Unit, settin
 
 RAMP = 3e-3  # m over which a bend's curvature rises at its one end and falls at the other
 
-_SAMPLE = 0.25  # of the diameter: distance between points of the centreline that are tried for a crossing
+_SAMPLE = 0.33  # of the diameter: distance between points of the centreline that are tried for a crossing
 _SAMPLES = 2000  # at most
 _MARGIN = 1e-9  # m
 
@@ -174,13 +173,13 @@ def unloaded_centreline(rest_curvature: Callable[[Array], NDArray[np.complex128]
     proximal_first = np.asarray(from_tip, dtype=np.float64)[::-1]
     steps = proximal_first[:-1] - proximal_first[1:]
     turns = rest_curvature((proximal_first[:-1] + proximal_first[1:]) / 2) * steps
-    points = np.zeros((len(proximal_first), 3))
+    axes = np.zeros((len(steps), 3))
     frame = np.eye(3)  # columns: both directions of the cross-section, and the axis
-    for index, (step, turn) in enumerate(zip(steps, turns, strict=True)):
-        half = _rotation(complex(turn) / 2)
+    for index, half in enumerate(_rotations(turns / 2)):
         frame = frame @ half
-        points[index + 1] = points[index] + step * frame[:, 2]
+        axes[index] = frame[:, 2]
         frame = frame @ half
+    points = np.concatenate((np.zeros((1, 3)), np.cumsum(steps[:, None] * axes, axis=0)))
     return points[::-1].copy()
 
 
@@ -188,21 +187,20 @@ def _ramp(start: float, end: float) -> float:
     return min(RAMP, (end - start) / 2)
 
 
-def _rotation(turn: complex) -> Array:
-    """The rotation of a frame (columns x, y, axis) by a bend whose plane is the complex number's direction.
+def _rotations(turns: NDArray[np.complex128]) -> Array:
+    """Rotations (n, 3, 3) of a frame (columns x, y, axis) by bends whose planes are the numbers' directions.
 
     A real number is a rotation about x, as of a guidewire's hinge; an imaginary one about y.
     """
-    angle = abs(turn)
-    x, y = (turn.real / angle, turn.imag / angle) if angle else (1.0, 0.0)
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array(
-        [
-            [c + x * x * (1 - c), x * y * (1 - c), y * s],
-            [x * y * (1 - c), c + y * y * (1 - c), -x * s],
-            [-y * s, x * s, c],
-        ]
+    angle = np.abs(turns)
+    direction = np.where(angle > 0, turns, 1.0) / np.where(angle > 0, angle, 1.0)
+    x, y, c, s = direction.real, direction.imag, np.cos(angle), np.sin(angle)
+    rows = (
+        (c + x * x * (1 - c), x * y * (1 - c), y * s),
+        (x * y * (1 - c), c + y * y * (1 - c), -x * s),
+        (-y * s, x * s, c),
     )
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def _mm(length: float) -> str:

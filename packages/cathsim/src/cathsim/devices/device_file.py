@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import re
 from collections.abc import Mapping
@@ -145,6 +146,17 @@ def read_device(path: str | Path, kind: str) -> DeviceFile:
     )
 
 
+@functools.cache
+def read_preset(kind: str, name: str) -> DeviceFile:
+    """What the file of a preset says: description, sources, fields of each size.
+
+    Args:
+        kind: "guidewire" or "catheter".
+        name: of the preset, without a size.
+    """
+    return read_device(preset_path(kind, name), kind)
+
+
 def file_kind(path: str | Path) -> str:
     """Which kind of device a file describes, "guidewire" or "catheter".
 
@@ -165,7 +177,7 @@ def _mapping(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST + 1)
-        content = yaml.safe_load(text) if len(text) <= LARGEST else None  # libyaml crashes on deep lists
+        content = yaml.load(text, _loader(path)) if len(text) <= LARGEST else None
     except FileNotFoundError:
         raise ValueError(f"there is no device's file {path}") from None
     except OSError as error:
@@ -185,6 +197,12 @@ def _mapping(path: Path) -> dict[str, Any]:
     return content
 
 
+def _loader(path: Path) -> type[yaml.SafeLoader] | type[yaml.CSafeLoader]:
+    """What reads a file: for the presets libyaml, which is fast but crashes on lists that are nested deeply."""
+    fast = getattr(yaml, "CSafeLoader", None)  # not in every build of PyYAML
+    return fast if fast is not None and path.parent.parent == PRESETS else yaml.SafeLoader
+
+
 def _base(path: Path, kind: str, name: Any) -> DeviceFile:
     """The preset that a device is based on; an empty one without."""
     if name is None:
@@ -192,7 +210,7 @@ def _base(path: Path, kind: str, name: Any) -> DeviceFile:
     there = sorted(one.stem for one in (PRESETS / FOLDERS[kind]).glob("*.yaml"))
     if name not in there or preset_path(kind, name).resolve() == path.resolve():
         raise ValueError(f"{path}: based_on must be a preset of a {kind}, {', '.join(there)}, got {name!r}")
-    return read_device(preset_path(kind, name), kind)
+    return read_preset(kind, name)
 
 
 def _sizes(values: Any, kind: str, path: Path) -> dict[int, dict[str, Any]]:

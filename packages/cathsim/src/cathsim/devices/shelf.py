@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import re
 from pathlib import Path
 
 from cathsim.devices.catheter import Catheter
-from cathsim.devices.device_file import CATHETER, GUIDEWIRE, DeviceFile, in_file, is_file, preset_path, read_device
+from cathsim.devices.device_file import (
+    CATHETER,
+    GUIDEWIRE,
+    DeviceFile,
+    in_file,
+    is_file,
+    preset_path,
+    read_device,
+    read_preset,
+)
 
 # files in cathsim/devices/presets/catheters; the names are those of their unloaded shapes
 SHAPES = ("straight", "vertebral", "simmons1", "simmons2", "headhunter", "jb2", "pigtail")
@@ -34,7 +42,7 @@ def load_catheter(name: str | Path, *, french: int | None = None, **changes: obj
         if french is not None and size is not None and french != size:
             raise ValueError(f"the catheter '{name}' is of {size}F, but french={french} is asked for")
         french = size if french is None else french
-        path, file = preset_path(CATHETER, shape), device_file(CATHETER, shape)
+        path, file = preset_path(CATHETER, shape), read_preset(CATHETER, shape)
     unknown = set(changes) - {field.name for field in dataclasses.fields(Catheter)}
     if unknown:
         fields = ", ".join(field.name for field in dataclasses.fields(Catheter))
@@ -47,25 +55,14 @@ def load_catheter(name: str | Path, *, french: int | None = None, **changes: obj
     return dataclasses.replace(catheter, **changes)  # type: ignore[arg-type]
 
 
-@functools.cache
-def device_file(kind: str, name: str) -> DeviceFile:
-    """What the file of a preset says: description, sources, sizes.
-
-    Args:
-        kind: "guidewire" or "catheter".
-        name: of the preset, without a size.
-    """
-    return read_device(preset_path(kind, name), kind)
-
-
 def wire_file(name: str) -> DeviceFile:
     """What the file of a preset guidewire says."""
-    return device_file(GUIDEWIRE, name)
+    return read_preset(GUIDEWIRE, name)
 
 
 def catheter_file(name: str) -> DeviceFile:
     """What the file of a preset catheter says; its name may have a size."""
-    return device_file(CATHETER, _shape_and_size(name)[0])
+    return read_preset(CATHETER, _shape_and_size(name)[0])
 
 
 def catheter_preset_of(catheter: Catheter) -> str | None:
@@ -90,7 +87,7 @@ def _presets() -> dict[str, Catheter]:
     sized = {
         f"{shape}_{french}f": load_catheter(shape, french=french)
         for shape in SHAPES
-        for french in device_file(CATHETER, shape).sizes
+        for french in read_preset(CATHETER, shape).sizes
     }
     return plain | sized
 

@@ -11,7 +11,14 @@ from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera, askew_pair, clinical_p
 from cathsim.fluoroscopy.calibration_file import read_projection, write_calibration
 from cathsim.fluoroscopy.detector import Detector, quantum_noise
 from cathsim.fluoroscopy.distortion import DetectorDistortion
-from cathsim.fluoroscopy.materials import Section, WireMaterial, coil_tipped_wire, jacketed_wire, wire_material
+from cathsim.fluoroscopy.materials import (
+    Section,
+    WireMaterial,
+    coil_tipped_wire,
+    jacketed_wire,
+    steel_wire,
+    wire_material,
+)
 from cathsim.fluoroscopy.projector import VIEWS, Projector
 from cathsim.fluoroscopy.radiograph import Radiograph, expose_depth, radiograph
 from cathsim.fluoroscopy.renderer import FluoroscopyRenderer
@@ -49,6 +56,7 @@ __all__ = [
     "radiograph",
     "read_projection",
     "scene",
+    "steel_wire",
     "wire_material",
     "write_calibration",
 ]

@@ -103,6 +103,23 @@ def coil_tipped_wire(radius: float) -> WireMaterial:
     return WireMaterial((tip, Section(1.0, ((radius, core),))))
 
 
+def steel_wire(radius: float) -> WireMaterial:
+    """A steel core in a steel coil of an outer radius (m) (the kind of the Amplatz); the core thins over 30 mm.
+
+    The core has 0.6 of the diameter, the coil fills 85 % of the ring from 0.7 of it on: 79 % of the section is steel,
+    as the presets' density says.
+    """
+    steel = ATTENUATION["steel"]
+    sections = [
+        Section(length, ((share * radius, steel), (0.7 * radius, 0.0), (radius, 0.85 * steel)))
+        for length, share in ((0.010, 0.2), (0.020, 0.4), (1.0, 0.6))
+    ]
+    return WireMaterial(tuple(sections))
+
+
+_MATERIALS = {"nitrex_straight": coil_tipped_wire, **dict.fromkeys(("floppy", "amplatz", "stiff"), steel_wire)}
+
+
 def wire_material(name: str, radius: float) -> WireMaterial:
     """Material of a guidewire preset of an outer radius (m): the jacketed wire unless the preset has its own."""
-    return coil_tipped_wire(radius) if name == "nitrex_straight" else jacketed_wire(radius)
+    return _MATERIALS.get(name, jacketed_wire)(radius)
