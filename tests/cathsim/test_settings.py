@@ -15,6 +15,7 @@ import pytest
 
 import cathsim
 from cathsim.devices.catheter import Catheter
+from cathsim.devices.pair import DevicePair
 from cathsim.fluoroscopy.body import Box, Ellipsoid
 from cathsim.fluoroscopy.distortion import DetectorDistortion
 from cathsim.fluoroscopy.materials import Section, WireMaterial
@@ -55,6 +56,7 @@ RECORDS = {
 EXAMPLES: dict[type[Any], Any] = {
     Accuracy: ACCURACY["accurate"],
     Catheter: Catheter(shape=((0.010, 0.030, 0.5, 0.5),)),
+    DevicePair: DevicePair(cathsim.Guidewire(), Catheter()),
     Box: Box((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 20.0),
     Ellipsoid: Ellipsoid((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 20.0),
     DetectorDistortion: DetectorDistortion(64, 64),
@@ -79,6 +81,7 @@ ZERO = {
         *("video_noise", "focal_blur", "screen_blur", "glare", "field_centre", "penumbra", "heel", "equalisation"),
     },
     "DetectorDistortion": {"pincushion", "barrel", "twist", "tilt", "centre"},
+    "DevicePair": {"most_ahead", "most_behind", "reach"},
     "Ellipsoid": {"centre", "attenuation"},
     "ExpertSettings": {"rounds", "force_cost", "free_force"},
     "Guidewire": {"taper", "tip_angle", "tip_length", "relaxation", "friction", "motor_joints", "motor_angle"},

@@ -19,7 +19,7 @@ from cathsim.contact.compliance import N_PER_MM, checked_wall_stiffness
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.contact.native import SimulationStruct, StepSummary, address, engine, library
-from cathsim.contact.sdf import GEOM_NAME, Vessel
+from cathsim.contact.sdf import GEOM_NAME, SHEATH_RADIUS, Vessel
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.link_ladder import Ladder, pass_on, rung_models
@@ -41,8 +41,8 @@ class Contacts:
 
 
 @kept_with_owner
-def vessel_of(phantom: Phantom, entry: str) -> Vessel:
-    """The native vessel of a phantom with a sheath at one of its entries.
+def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS) -> Vessel:
+    """The native vessel of a phantom with a sheath of an inner radius (m) at one of its entries.
 
     Raises:
         ValueError: the phantom has no such entry.
@@ -50,33 +50,28 @@ def vessel_of(phantom: Phantom, entry: str) -> Vessel:
     if entry not in phantom.entries:
         raise ValueError(f"phantom {phantom.name} has no entry '{entry}'; there are {', '.join(phantom.entries)}")
     gate, grid = phantom.entries[entry], phantom.grid
-    return Vessel(grid.values, grid.origin, grid.spacing, gate.position, gate.direction)
+    return Vessel(grid.values, grid.origin, grid.spacing, gate.position, gate.direction, sheath_radius)
 
 
-class _Rung:
-    """One model of the ladder with its data, and the native struct of both."""
+class Rung:
+    """One model of the ladder with its data, and the native struct of both.
 
-    def __init__(
-        self,
-        vessel: Vessel,
-        wire: Guidewire,
-        numerics: Accuracy,
-        tip_motors: bool,
-        depth_samples: int,
-        drag: Drag | None,
-        wall_stiffness: float,
-    ) -> None:
-        self.model, self.fine, self.finest = rung_models(
-            vessel, wire, numerics, tip_motors, compliant=wall_stiffness > 0
-        )
+    Args:
+        models: the model, and the addresses of its twins with shorter timesteps; they live as long as the rung.
+    """
+
+    def __init__(self, simulation: Simulation, wire: Guidewire, models: tuple[mujoco.MjModel, int, int]) -> None:
+        vessel, numerics, drag = simulation.vessel, simulation.numerics, simulation.drag
+        self.model, fine, finest = models
         self.data = mujoco.MjData(self.model)
+        self.kept: tuple[Any, ...] = ()  # what the native struct points to
         self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
         first = self.model.geom(LINK_NAME.format(0)).id
         self.loads = np.zeros((len(wire.links) if drag else 0, 6))
         self.struct = SimulationStruct(
             model=self.model._address,
-            fine=self.fine._address,
-            finest=self.finest._address,
+            fine=fine,
+            finest=finest,
             data=self.data._address,
             saved=self._saved.ctypes.data,
             vessel_geom=self.model.geom(GEOM_NAME).id,
@@ -86,10 +81,10 @@ class _Rung:
             refinement=numerics.refinement,
             tolerance=numerics.tolerance,
             rise=numerics.rise,
-            depth_samples=depth_samples,
+            depth_samples=simulation.depth_samples,
             drag=drag.address if drag else None,
             loads=self.loads.ctypes.data,
-            wall_stiffness=wall_stiffness,
+            wall_stiffness=N_PER_MM * (simulation.wall_stiffness or 0.0),
         )
         self.reference = ctypes.byref(self.struct)
         self.tip = self.data.site_xpos[self.model.site(TIP_SITE).id]
@@ -133,9 +128,7 @@ class Simulation:
         self.phantom, self.wire, self.numerics, self.entry = phantom, wire, numerics, entry
         self.wall_stiffness = None if wall_stiffness is None else checked_wall_stiffness(wall_stiffness, numerics)
         self.contact, self._measured = contact, measure_penetration
-        self.vessel = (
-            vessel_of(phantom, entry) if contact == "sdf" else hull_vessel(phantom, entry, decomposition(contact))
-        )
+        self.vessel = self._make_vessel()
         self.tip_motors = tip_motors
         self.substeps = round(CONTROL_STEP / numerics.timestep)
         self.max_insertion = max_insertion(wire)
@@ -144,10 +137,10 @@ class Simulation:
         self.ladder = Ladder.of(wire)
         self.nq = 2 + 2 * wire.joints
         self.motors = 2 * min(wire.motor_joints, wire.joints) if tip_motors else 0
-        self._measure = 6 if measure_penetration else 0
+        self.depth_samples = 6 if measure_penetration else 0
         self.blood = blood
         self.drag = Drag(blood_field(phantom, blood), wire) if blood else None
-        self._rungs: dict[int, _Rung] = {}
+        self._rungs: dict[int, Rung] = {}
 
         self._points, self._forces = np.zeros((MAX_CONTACTS, 3)), np.zeros((MAX_CONTACTS, 3))
         self._scratch = np.zeros((4 * MAX_CONTACTS, 3))
@@ -178,7 +171,7 @@ class Simulation:
             "wall_stiffness": self.wall_stiffness,
         }
         return {
-            "arguments": ((self.phantom, self.wire, self.numerics), arguments),
+            "arguments": (self._positional(), arguments),
             "state": self.state(),
             "data": self.data,
             "loads": self._rung.loads,
@@ -188,20 +181,32 @@ class Simulation:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         positional, arguments = state["arguments"]
-        Simulation.__init__(self, *positional, **arguments)
+        self.__init__(*positional, **arguments)  # type: ignore[misc]
         self.restore(state["state"])
         mujoco.mj_copyData(self.data, self.model, state["data"])
         self._rung.loads[:], self.depths[:] = state["loads"], state["depths"]
         self.restore_forces(state["forces"])
 
-    def _rung_at(self, index: int) -> _Rung:
+    def _positional(self) -> tuple[Any, ...]:
+        """The arguments by position that this simulation was made with."""
+        return self.phantom, self.wire, self.numerics
+
+    def _make_vessel(self) -> Vessel:
+        if self.contact == "sdf":
+            return vessel_of(self.phantom, self.entry)
+        return hull_vessel(self.phantom, self.entry, decomposition(self.contact))
+
+    def _rung_at(self, index: int) -> Rung:
         if index not in self._rungs:
-            wire = self.wire.distal(self.ladder.counts[index])
-            stiffness = N_PER_MM * (self.wall_stiffness or 0.0)
-            self._rungs[index] = _Rung(
-                self.vessel, wire, self.numerics, self.tip_motors, self._measure, self.drag, stiffness
-            )
+            self._rungs[index] = self._make_rung(self.wire.distal(self.ladder.counts[index]))
         return self._rungs[index]
+
+    def _make_rung(self, wire: Guidewire) -> Rung:
+        compliant = self.wall_stiffness is not None
+        model, fine, finest = rung_models(self.vessel, wire, self.numerics, self.tip_motors, compliant=compliant)
+        rung = Rung(self, wire, (model, fine._address, finest._address))
+        rung.kept = fine, finest
+        return rung
 
     @property
     def model(self) -> mujoco.MjModel:

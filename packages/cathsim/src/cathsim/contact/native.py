@@ -41,6 +41,7 @@ class SimulationStruct(ctypes.Structure):
         *_fields(ctypes.c_double, "depth"),
         *_fields(ctypes.c_void_p, "drag", "loads"),
         *_fields(ctypes.c_double, "wall_stiffness"),
+        *_fields(ctypes.c_void_p, "rod"),
     )
 
 

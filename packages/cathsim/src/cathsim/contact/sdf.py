@@ -13,6 +13,7 @@ from cathsim.contact.native import address, library
 MAGIC = 1129469011.0
 GEOM_NAME, SHEATH_NAME = "vessel", "sheath"
 LUMEN, SHEATH = 0, 1
+SHEATH_RADIUS = 0.75e-3  # inner radius of the sheath of a bare wire, m
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class Vessel:
     spacing: float  # distance between nodes, m
     entry: np.ndarray  # where the sheath opens into the vessel, m. Shape (3,).
     direction: np.ndarray  # unit vector into the vessel. Shape (3,).
-    sheath_radius: float = 0.75e-3  # inner radius of the sheath, m; 0 for no sheath
+    sheath_radius: float = SHEATH_RADIUS  # inner radius of the sheath, m; 0 for no sheath
     sheath_overlap: float = 6.0e-3  # how far the bore reaches past `entry`, m
     number: int = field(init=False)
 

@@ -234,6 +234,7 @@ void cathsim_step(Simulation* s, const Engine* engine, int substeps, const doubl
   for (int i = 0; i < substeps; i++) {
     const double t = (i + 1.0) / substeps;
     for (int k = 0; k < s->model->nu; k++) d->ctrl[k] = control_from[k] + t * (control_to[k] - control_from[k]);
+    if (s->rod) rod_update(s->rod, d, t);
     if (s->drag) apply_drag(s, engine, i == 0);
     summary->refined += substep(s, engine, &account, 1.0 / substeps);
     if (s->depth_samples > 0) {
@@ -244,6 +245,7 @@ void cathsim_step(Simulation* s, const Engine* engine, int substeps, const doubl
     }
   }
   if (s->refinement <= 1) engine->kinematics(s->model, d);
+  if (s->rod) rod_report(s->rod, d);
   summary->warnings = warnings(d);
   if (!(summary->force_max >= 0)) summary->force_max = 0; /* NaN forces: the warnings tell */
 }

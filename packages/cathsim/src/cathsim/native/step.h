@@ -3,6 +3,7 @@
 #define CATHSIM_STEP_H_
 
 #include "blood.h"
+#include "rod.h"
 #include "vessel.h"
 
 /* MuJoCo's functions; their addresses come from the running library, so nothing is linked against it. */
@@ -34,6 +35,7 @@ typedef struct {
   const Drag* drag;       /* of the blood on the wire; NULL: there is none */
   double* loads;          /* room for that on each link: 6 numbers */
   double wall_stiffness;  /* of each contact with the wall, N/m; 0: as the wire's geoms say */
+  Rod* rod;               /* two devices; NULL: the chain is a bare wire */
 } Simulation;
 
 typedef struct {

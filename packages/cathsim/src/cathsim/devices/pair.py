@@ -1,0 +1,98 @@
+"""A wire and a catheter that are used together, either of which may be absent."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Annotated, Literal
+
+from annotated_types import Interval
+
+from cathsim.devices.catheter import Catheter
+from cathsim.guidewire import LONGEST, Guidewire
+from cathsim.validation import LengthOrNone, Unit, settings
+
+REACH = 0.33  # m of each device are simulated at least
+SHEATH_GAP = 0.27e-3  # between the outer device and the sheath's bore, m
+_FINE, _MEDIUM, _COARSE = 0.004, 0.012, 0.016  # links, m
+_FINE_LENGTH, _MEDIUM_LENGTH = 0.024, 0.084  # of the chain's end where links are fine, and then medium, m
+_SHAPE_MARGIN = 0.040  # links are medium this far beyond a catheter's shape, so that the wire can be ahead, m
+
+
+@settings
+class DevicePair:
+    """A wire within a catheter: one rod, whose end is the tip of the device that is further in.
+
+    Attributes:
+        wire: None: the catheter alone.
+        catheter: None: the wire alone.
+        torsion: "elastic": hub and tip of a device are turned differently; "rigid": what turns the hub turns the tip.
+        most_ahead: how far the wire's tip may be ahead of the catheter's, m.
+        most_behind: how far it may be drawn back into the catheter, m.
+        reach: length of both devices that is simulated, m; 0: the wire's, 0.33 m at least.
+
+    Raises:
+        ValueError: neither device, a catheter that the wire does not pass, or a reach beyond a device's length.
+    """
+
+    wire: Guidewire | None
+    catheter: Catheter | None
+    torsion: Literal["elastic", "rigid"] = "elastic"
+    most_ahead: Annotated[float, Interval(ge=0, le=LONGEST), Unit("m")] = 0.30
+    most_behind: Annotated[float, Interval(ge=0, le=LONGEST), Unit("m")] = 0.20
+    reach: LengthOrNone = 0.0
+
+    def __post_init__(self) -> None:
+        if self.wire is None and self.catheter is None:
+            raise ValueError("neither a wire nor a catheter is there: give one of them at least")
+        if self.wire is not None and self.catheter is not None and self.wire.diameter >= self.catheter.inner_diameter:
+            raise ValueError(
+                f"a wire of {1e3 * self.wire.diameter:.2f} mm does not pass a catheter with a lumen of "
+                f"{1e3 * self.catheter.inner_diameter:.2f} mm: take a thinner wire or a wider catheter"
+            )
+        if self.simulated_length > self.shortest:
+            raise ValueError(
+                f"a reach of {self.simulated_length:.3f} m is longer than the shorter device, {self.shortest:.3f} m"
+            )
+
+    @property
+    def shortest(self) -> float:
+        """Length of the shorter device from hub to tip, m."""
+        wire = self.wire.working_length if self.wire else math.inf
+        return min(wire, self.catheter.length if self.catheter else math.inf)
+
+    @property
+    def simulated_length(self) -> float:
+        """Length of the chain, m."""
+        return self.reach or max(REACH, self.wire.length if self.wire else 0.0)
+
+    @property
+    def radius(self) -> float:
+        """Of the outermost device, m."""
+        if self.catheter is not None:
+            return self.catheter.radius
+        assert self.wire is not None
+        return self.wire.radius
+
+    @property
+    def sheath_radius(self) -> float:
+        """Of the bore of the sheath that both are fed through, m."""
+        return self.radius + SHEATH_GAP
+
+    def links(self) -> tuple[float, ...]:
+        """Lengths of the chain's links from the proximal end, m: finer where a shape is to be followed."""
+        shape = max((bend[1] for bend in self.catheter.shape), default=0.0) if self.catheter else 0.0
+        medium = max(_MEDIUM_LENGTH, shape + _SHAPE_MARGIN - _FINE_LENGTH if shape > _FINE_LENGTH else 0.0)
+        counts = [round(_FINE_LENGTH / _FINE), math.ceil(medium / _MEDIUM - 1e-9)]
+        left = self.simulated_length - counts[0] * _FINE - counts[1] * _MEDIUM
+        counts.append(max(1, math.ceil(left / _COARSE - 1e-9)))
+        return (_COARSE,) * counts[2] + (_MEDIUM,) * counts[1] + (_FINE,) * counts[0]
+
+    def chain(self, linear_density: float, radius: float) -> Guidewire:
+        """The chain as a wire of a mass a metre (kg) and a radius (m), from which models are made."""
+        density = linear_density / (math.pi * radius**2)
+        return Guidewire(links=self.links(), diameter=2 * radius, density=density, motor_joints=0)
+
+    def without_catheter(self) -> DevicePair:
+        """The same pair with the wire alone."""
+        return dataclasses.replace(self, catheter=None)

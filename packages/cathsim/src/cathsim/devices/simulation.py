@@ -1,0 +1,322 @@
+"""A wire in a catheter in a vessel: state, stepping, forces and shapes, without any task."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy import Phantom
+from cathsim.arena import ADVANCE, FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, PROTRUSION, model_spec
+from cathsim.blood.flow import BloodFlow
+from cathsim.contact.compliance import soften_contacts
+from cathsim.contact.sdf import Vessel
+from cathsim.devices.pair import DevicePair
+from cathsim.devices.rod import CATHETER, DEVICES, WIRE, Rod, device_tables, twin
+from cathsim.guidewire import Guidewire
+from cathsim.lifetime_cache import kept_with_owner
+from cathsim.presets import Accuracy
+from cathsim.simulation import Rung, Simulation, vessel_of
+
+DEVICE_NAMES = ("wire", "catheter")
+_UNTWIST = 200  # iterations of the twist at a new start, at most
+
+Array = NDArray[np.float64]
+
+
+@kept_with_owner
+def _covered_model(
+    vessel: Vessel, pair: DevicePair, chain: Guidewire, numerics: Accuracy
+) -> tuple[mujoco.MjModel, Array]:
+    """The model of a chain that the outer device covers, and the inverse weights of a bare and of a covered chain."""
+    tables = device_tables(pair)
+    both = sum(table.linear_density for table in tables if table)
+    inner = next(table for table in tables if table)
+    spread = pair.chain(both, pair.radius).distal(len(chain.links))
+    bare = pair.chain(inner.linear_density, inner.struct.radius).distal(len(chain.links))
+    models = [model_spec(vessel, one, numerics).compile() for one in (bare, spread)]
+    first = models[0].body(FEEDER).id
+    weights = np.stack([model.body_invweight0[first : first + len(chain.links)] for model in models])
+    return models[1], weights.copy()
+
+
+class _PairRung(Rung):
+    """A rung whose model belongs to one simulation, with the rod that rewrites it."""
+
+    def __init__(self, simulation: DualSimulation, chain: Guidewire) -> None:
+        numerics = simulation.numerics
+        pattern, weights = _covered_model(simulation.vessel, simulation.pair, chain, numerics)
+        model = pattern.__copy__()
+        if simulation.wall_stiffness is not None:
+            soften_contacts(model, len(chain.links))
+        step = numerics.timestep / numerics.refinement
+        twins = twin(model, step), twin(model, step / numerics.refinement)
+        super().__init__(simulation, chain, (model, *(ctypes.addressof(one) for one in twins)))
+        joints = len(chain.links) - 1
+        self.rod = Rod(
+            model,
+            simulation.tables,
+            chain.links,
+            weights,
+            simulation.twist[:, simulation.twist.shape[1] - joints :],
+            rigid=simulation.pair.torsion == "rigid",
+        )
+        self.kept = (*twins, self.rod)
+        self.struct.rod = self.rod.address
+
+
+class DualSimulation(Simulation):
+    """A guidewire and a catheter, fed through one sheath into a phantom; one control step lasts 0.1 s.
+
+    Both lie in one chain of links, whose end is the tip of the device that is further in (`tip`, `wire_points`);
+    `device_points` gives each device. Insertions and rotations are those of the devices' hubs. Friction between the
+    devices is left out, and where the catheter covers the wire, moving the wire moves the catheter's surface along the
+    wall with it.
+
+    Args:
+        pair: the devices, of which one may be absent.
+        entry, measure_penetration, wall_stiffness: as of `Simulation`.
+        blood: that flows past a rod of the outer device's diameter; None: there is none.
+
+    Raises:
+        ValueError: the phantom has no such entry, or the devices are too short.
+    """
+
+    def __init__(
+        self,
+        phantom: Phantom,
+        pair: DevicePair,
+        numerics: Accuracy,
+        *,
+        entry: str = "descending",
+        contact: str = "sdf",
+        tip_motors: bool = False,
+        blood: BloodFlow | None = None,
+        measure_penetration: bool = False,
+        wall_stiffness: float | None = None,
+    ) -> None:
+        if contact != "sdf" or tip_motors:
+            raise ValueError(
+                "two devices are simulated with contact 'sdf' and without tip motors: leave out the catheter for the "
+                "others"
+            )
+        self.pair = pair
+        self.tables = device_tables(pair, numerics)
+        both = sum(table.linear_density for table in self.tables if table)
+        chain = pair.chain(both, pair.radius)
+        self.twist = np.zeros((DEVICES, chain.joints))
+        self._lead, self._hub = 0.0, [0.0, 0.0]
+        self._lead_target, self._hub_target = 0.0, [0.0, 0.0]
+        super().__init__(
+            phantom,
+            chain,
+            numerics,
+            entry=entry,
+            blood=blood,
+            measure_penetration=measure_penetration,
+            wall_stiffness=wall_stiffness,
+        )
+
+    def _positional(self) -> tuple[Any, ...]:
+        return self.phantom, self.pair, self.numerics
+
+    def _make_vessel(self) -> Vessel:
+        return vessel_of(self.phantom, self.entry, self.pair.sheath_radius)
+
+    def _make_rung(self, wire: Guidewire) -> Rung:
+        return _PairRung(self, wire)
+
+    @property
+    def _rod(self) -> Rod:
+        assert isinstance(self._rung, _PairRung)
+        return self._rung.rod
+
+    def device_insertions(self) -> tuple[float, float]:
+        """How far wire and catheter are advanced, m; of an absent one, as the other."""
+        chain = float(self.data.qpos[0])
+        return chain + min(self._lead, 0.0), chain - max(self._lead, 0.0)
+
+    def device_rotations(self) -> tuple[float, float]:
+        """Angles of both hubs, rad."""
+        return self._hub[WIRE], self._hub[CATHETER]
+
+    def tip_rotations(self) -> Array:
+        """Angles of both tips, rad: those of the hubs, less the torsion between. Shape (2,), NaN of an absent one."""
+        turns = np.full(DEVICES, np.nan)
+        bends = self.data.qpos[2:].reshape(-1, 2)
+        around = 2 * np.arctan(np.tan(bends[:, 0] / 2) * np.tan(bends[:, 1] / 2))
+        for device, table in enumerate(self.tables):
+            if table is not None:
+                turns[device] = self.twist[device, -1] + self.data.qpos[1] + around.sum() - around[-1] / 2
+        return turns
+
+    @property
+    def insertion(self) -> float:
+        """How far the wire is advanced, or the catheter that is alone, m."""
+        return self.device_insertions()[WIRE if self.pair.wire else CATHETER]
+
+    @property
+    def rotation(self) -> float:
+        """Angle of the wire's hub, or of the catheter's that is alone, rad."""
+        return self._hub[WIRE if self.pair.wire else CATHETER]
+
+    @property
+    def device_lead(self) -> float:
+        """How far the wire's tip is ahead of the catheter's, m; negative: drawn back into it; 0 with one device."""
+        return self._lead
+
+    def _lead_limits(self) -> tuple[float, float]:
+        pair = self.pair
+        both = pair.wire is not None and pair.catheter is not None
+        return (-pair.most_behind, pair.most_ahead) if both else (0.0, 0.0)
+
+    def _frame_turn(self, turns: Sequence[float]) -> float:
+        """How far the chain turns with its devices: the outer surface of what lies in the vessel turns with its own."""
+        if self.pair.wire is None or self.pair.catheter is None:
+            return turns[WIRE if self.pair.wire else CATHETER]
+        wire, catheter = self.device_insertions()
+        covered = min(max((catheter + PROTRUSION) / (max(wire, catheter) + PROTRUSION), 0.0), 1.0)
+        return turns[WIRE] + covered * (turns[CATHETER] - turns[WIRE])
+
+    def reset(
+        self, insertion: float = 0.0, rotation: float = 0.0, *, catheter: tuple[float, float] | None = None
+    ) -> None:
+        """Puts both devices straight into the sheath and lets them unbend for 0.3 s.
+
+        Args:
+            insertion: of the wire, m; of the catheter where there is no wire.
+            rotation: of its hub, rad.
+            catheter: the catheter's insertion (m) and rotation of its hub (rad); None: as far back as it may be, and
+                not turned.
+
+        Raises:
+            ValueError: an insertion out of range, or a lead beyond the pair's limits.
+        """
+        low, high = self._lead_limits()
+        if catheter is None:
+            catheter = (max(insertion - high, 0.0), 0.0)
+        lead = insertion - catheter[0] if high > low else 0.0
+        if not low - 1e-9 <= lead <= high + 1e-9 or not np.isfinite((*catheter, lead)).all():
+            raise ValueError(
+                f"the wire may be {1e3 * low:.0f} to {1e3 * high:.0f} mm ahead of the catheter, asked for "
+                f"{1e3 * lead:.0f} mm"
+            )
+        for device, at in zip(DEVICE_NAMES, (insertion, catheter[0] if high > low else insertion), strict=True):
+            if not 0 <= at <= self.max_insertion:
+                raise ValueError(f"insertion of the {device} must lie in 0 to {self.max_insertion:.3f} m, got {at:.3f}")
+        only = self.pair.wire is None
+        self._lead = self._lead_target = float(lead)
+        self._hub[:] = self._hub_target[:] = [rotation, rotation if only else float(catheter[1])]
+        self.twist[:] = np.array(self._hub)[:, None] - rotation
+        super().reset(insertion - min(self._lead, 0.0), rotation)
+
+    def _change_rung(self, index: int) -> None:
+        before = self.active_links - 1
+        super()._change_rung(index)
+        joints, total = self.active_links - 1, self.twist.shape[1]
+        if joints > before:  # the added links are straight: twist is linear between the hub and them
+            known = self.twist[:, total - before]
+            at_hub = np.array(self._hub) - self.data.qpos[1]
+            lengths = np.array([table.struct.length if table else 1.0 for table in self.tables])
+            from_end = np.cumsum(self.wire.links[::-1])[::-1][-before:][0]
+            added = np.cumsum(self.wire.links[::-1])[::-1][total + 1 - joints : total + 1 - before]
+            share = (added[None, :] - from_end) / (lengths[:, None] - from_end)
+            self.twist[:, total - joints : total - before] = known[:, None] + share * (at_hub - known)[:, None]
+        self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._rod.move(self._lead, self._lead_target, self._hub, self._hub_target)
+
+    def advance(
+        self,
+        translation: float,
+        rotation: float,
+        motors: Array | None = None,
+        *,
+        catheter: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """One control step of 0.1 s, both feeders moving at constant speed.
+
+        A movement that would leave the limits of lead, or of the insertion, is cut short.
+
+        Args:
+            translation: of the wire's feeder, m; positive inserts. With a catheter alone, the catheter's.
+            rotation: of the wire's hub, rad; positive about the direction of insertion.
+            motors: must be None.
+            catheter: translation (m) and rotation (rad) of the catheter's.
+        """
+        low, high = self._lead_limits()
+        if high > low:
+            wire, covering = self.device_insertions()
+            wire_to = min(max(wire + translation, 0.0), self.max_insertion)
+            covering_to = min(max(covering + catheter[0], 0.0), self.max_insertion)
+            excess = wire_to - covering_to - min(max(wire_to - covering_to, low), high)
+            # who moves apart is held back: first the wire, then the catheter
+            held = min(max(excess, min(wire_to - wire, 0.0)), max(wire_to - wire, 0.0))
+            wire_to -= held
+            covering_to += excess - held
+            self._lead_target = wire_to - covering_to
+            translation = max(wire_to, covering_to) - max(wire, covering)
+            turns = (rotation, catheter[1])
+        else:
+            turns = (rotation, rotation)
+        self._hub_target = [at + turn for at, turn in zip(self._hub, turns, strict=True)]
+        self._hand_over()
+        super().advance(translation, self._frame_turn(turns))
+        self._lead = self._lead_target
+        self._hub[:] = self._hub_target
+
+    def feeder_forces(self) -> Array:
+        """What wire's and catheter's feeders push with, N, positive inserts. Shape (2,), 0 of an absent one."""
+        drive = self.data.ctrl[self.model.actuator(ADVANCE).id] - self.data.qpos[0]
+        chain = FEEDER_STIFFNESS * drive - FEEDER_DAMPING * self.data.qvel[0]
+        forces = np.array(self._rod.struct.feeder_force[:])
+        leading = WIRE if self.pair.catheter is None or (self.pair.wire is not None and self._lead >= 0) else CATHETER
+        forces[leading] += chain
+        return forces
+
+    def hub_torques(self) -> Array:
+        """Torques by which both hubs are held, N m. Shape (2,), 0 of an absent one."""
+        return np.array(self._rod.struct.hub_torque[:])
+
+    def device_points(self, device: str) -> Array:
+        """A device from its tip to the chain's proximal end, m. Shape (k, 3); (0, 3) of an absent one.
+
+        Raises:
+            ValueError: there is no such device.
+        """
+        if device not in DEVICE_NAMES:
+            raise ValueError(f"unknown device '{device}'; there are {', '.join(DEVICE_NAMES)}")
+        index = DEVICE_NAMES.index(device)
+        if self.tables[index] is None:
+            return np.empty((0, 3))
+        points = self.wire_points()
+        behind = max(-self._lead, 0.0) if index == WIRE else max(self._lead, 0.0)
+        arcs = np.concatenate(([0.0], np.cumsum(self.wire.links[::-1])))
+        first = int(np.searchsorted(arcs, behind, side="right"))
+        share = (behind - arcs[first - 1]) / (arcs[first] - arcs[first - 1]) if first < len(arcs) else 0.0
+        start = points[first - 1] + share * (points[min(first, len(points) - 1)] - points[first - 1])
+        return np.concatenate((start[None], points[first:]))
+
+    def state(self) -> Array:
+        """As of `Simulation`, followed by lead, both hubs' angles and both devices' twist at each joint."""
+        return np.concatenate((super().state(), [self._lead, *self._hub], self.twist.ravel()))
+
+    def restore(self, state: Array) -> None:
+        """Returns to a state of a simulation with the same arguments.
+
+        Raises:
+            ValueError: the state has another size.
+        """
+        extra = 1 + DEVICES + self.twist.size
+        if len(state) != len(super().state()) + extra:
+            raise ValueError(f"expected a state of shape ({len(super().state()) + extra},), got {state.shape}")
+        self._lead, self._hub[:] = float(state[-extra]), state[1 - extra : 1 - extra + DEVICES].tolist()
+        self._lead_target, self._hub_target = self._lead, list(self._hub)
+        super().restore(state[:-extra])
+        self.twist[:] = state[len(state) - self.twist.size :].reshape(self.twist.shape)
+        self._rod.place(self._lead, self._hub)

@@ -1,0 +1,209 @@
+"""Tests of the simulation of a wire in a catheter."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy import load_phantom
+from cathsim.devices.pair import DevicePair
+from cathsim.devices.shelf import load_catheter
+from cathsim.devices.simulation import DualSimulation
+from cathsim.guidewire import load_guidewire
+from cathsim.presets import accuracy
+from cathsim.simulation import Simulation
+
+
+def made(catheter: str | None = "vertebral", *, wire: str | None = "default", **pair: object) -> DualSimulation:
+    devices = DevicePair(load_guidewire(wire) if wire else None, load_catheter(catheter) if catheter else None, **pair)
+    return DualSimulation(load_phantom("type_1"), devices, accuracy("accurate"), measure_penetration=True)
+
+
+def steered(simulation: DualSimulation, steps: int, seed: int = 0) -> np.ndarray:
+    generator = np.random.default_rng(seed)
+    tips = []
+    for _ in range(steps):
+        wire, turn, catheter, catheter_turn = generator.uniform(-0.4, 1.0, 4)
+        simulation.advance(0.002 * wire, 0.26 * turn, catheter=(0.002 * catheter, 0.26 * catheter_turn))
+        tips.append(simulation.tip)
+    return np.array(tips)
+
+
+@pytest.mark.parametrize("catheter", ["simmons2", "pigtail"])
+def test_stays_valid_and_out_of_the_wall(catheter: str) -> None:
+    simulation = made(catheter)
+    depths = []
+    for _ in range(4):
+        steered(simulation, 40)
+        depths.append(simulation.summary.penetration_max)
+    assert simulation.valid
+    assert simulation.insertion > 0.05
+    assert max(depths) < 1e-3
+
+
+def test_same_actions_same_trajectory() -> None:
+    assert np.array_equal(steered(made(), 40), steered(made(), 40))
+
+
+def test_a_state_goes_on_bit_for_bit() -> None:
+    simulation = made("simmons1")
+    steered(simulation, 60)
+    state = simulation.state()
+    first = steered(simulation, 10, seed=1)
+    simulation.restore(state)
+    assert np.array_equal(steered(simulation, 10, seed=1), first)
+    other = made("simmons1")
+    other.restore(state)
+    assert np.array_equal(steered(other, 10, seed=1), first)
+
+
+def test_a_pickled_simulation_goes_on() -> None:
+    simulation = made()
+    steered(simulation, 30)
+    copy = pickle.loads(pickle.dumps(simulation))
+    assert np.array_equal(steered(copy, 5), steered(simulation, 5))
+
+
+def test_each_device_moves_alone() -> None:
+    simulation = made()
+    simulation.reset(0.05, catheter=(0.05, 0.0))
+    for _ in range(10):
+        simulation.advance(0.002, 0.0)
+    wire, catheter = simulation.device_insertions()
+    assert simulation.device_lead == pytest.approx(0.020)
+    assert wire == pytest.approx(0.070, abs=1e-3)
+    assert catheter == pytest.approx(0.050, abs=1e-3)
+    for _ in range(15):
+        simulation.advance(0.0, 0.0, catheter=(0.002, 0.1))
+    assert simulation.device_lead == pytest.approx(-0.010)
+    assert simulation.device_insertions()[0] == pytest.approx(0.070, abs=1e-3)
+    assert simulation.device_rotations() == pytest.approx((0.0, 1.5))
+
+
+def test_lead_is_limited() -> None:
+    simulation = made(most_ahead=0.02, most_behind=0.01)
+    simulation.reset(0.05, catheter=(0.05, 0.0))
+    for _ in range(20):
+        simulation.advance(0.002, 0.0)
+    assert simulation.device_lead == pytest.approx(0.02)
+    for _ in range(40):
+        simulation.advance(-0.002, 0.0)
+    assert simulation.device_lead == pytest.approx(-0.01)
+    assert simulation.device_insertions()[1] == pytest.approx(0.05, abs=1e-3)
+
+
+def test_device_points_are_those_of_one_chain() -> None:
+    simulation = made()
+    simulation.reset(0.08, catheter=(0.05, 0.0))
+    wire, catheter = simulation.device_points("wire"), simulation.device_points("catheter")
+    assert np.array_equal(wire, simulation.wire_points())
+    lengths = [np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in (wire, catheter)]
+    assert lengths[0] - lengths[1] == pytest.approx(0.03, abs=1e-9)
+    assert np.array_equal(wire[-5:], catheter[-5:])
+
+
+def test_the_catheter_straightens_and_the_wire_lets_it_bend() -> None:
+    """A shape returns when the wire is drawn back out of it."""
+    simulation = made("simmons2", wire="stiff")
+    simulation.reset(0.16, catheter=(0.16, 0.0))
+    straight = np.linalg.norm(np.diff(simulation.device_points("catheter")[[0, -1]], axis=0))
+    for _ in range(60):
+        simulation.advance(-0.002, 0.0)
+    bent = np.linalg.norm(np.diff(simulation.device_points("catheter")[[0, -1]], axis=0))
+    assert bent < straight - 0.005
+
+
+def test_hub_and_tip_turn_differently_with_elastic_torsion() -> None:
+    lags = {}
+    for torsion in ("elastic", "rigid"):
+        simulation = made("simmons2", torsion=torsion)
+        simulation.reset(0.12, catheter=(0.12, 0.0))
+        for _ in range(12):
+            simulation.advance(0.0, 0.0, catheter=(0.0, 0.2))
+        lags[torsion] = simulation.device_rotations()[1] - simulation.tip_rotations()[1]
+    assert lags["elastic"] > 0.1
+    assert abs(lags["rigid"]) < 0.05
+
+
+def test_the_catheters_feeder_is_pushed_back_by_its_shape() -> None:
+    """The feeder's force is minus the derivative of the energy by the catheter's insertion."""
+    simulation = made("simmons2")
+    simulation.reset(0.10, catheter=(0.06, 0.0))
+    for _ in range(5):
+        simulation.advance(0.0, 0.0)
+    rod = simulation._rung.rod
+    step = 1e-4
+    lead = simulation.device_lead
+    slope = (rod.energy(simulation.data, lead - step) - rod.energy(simulation.data, lead + step)) / (2 * step)
+    forces = simulation.feeder_forces()
+    assert forces[1] == pytest.approx(slope, rel=0.05)
+    assert abs(forces[1]) > 1e-3
+
+
+def test_the_wire_alone_as_a_pair_bends_as_the_bare_wire() -> None:
+    """Without a catheter and without torsion both simulations are of one rod, but for the links' lengths."""
+    pair = made(None, torsion="rigid")
+    bare = Simulation(load_phantom("type_1"), load_guidewire("default"), accuracy("accurate"))
+    for simulation in (pair, bare):
+        simulation.reset(0.0)
+        for _ in range(60):
+            simulation.advance(0.002, 0.0)
+    assert np.linalg.norm(pair.tip - bare.tip) < 5e-3
+
+
+def test_the_catheter_alone() -> None:
+    simulation = made("vertebral", wire=None)
+    for _ in range(40):
+        simulation.advance(0.002, 0.1)
+    assert simulation.valid
+    assert simulation.insertion == pytest.approx(0.08, abs=1e-3)
+    assert len(simulation.device_points("wire")) == 0
+    assert simulation.feeder_forces()[0] == 0.0
+
+
+def test_more_links_leave_shape_and_twist_as_they_were() -> None:
+    simulation = made("simmons1")
+    simulation.reset(0.06, catheter=(0.06, 0.0))
+    steered(simulation, 10)
+    points, twist = simulation.device_points("catheter"), simulation.twist.copy()
+    before = simulation.active_links
+    simulation._change_rung(simulation._index + 2)
+    added = simulation.active_links - before
+    assert added > 0
+    known = twist.shape[1] - before + 1
+    assert np.array_equal(simulation.twist[:, known:], twist[:, known:])
+    hubs = np.array(simulation.device_rotations()) - simulation.data.qpos[1]
+    for device in range(2):  # the new links lie between the hub and the known ones
+        ends = sorted((hubs[device], twist[device, known]))
+        new = simulation.twist[device, known - added : known]
+        assert (new >= ends[0] - 1e-9).all()
+        assert (new <= ends[1] + 1e-9).all()
+    simulation.advance(0.0, 0.0)
+    assert np.abs(simulation.device_points("catheter")[:10] - points[:10]).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"insertion": -0.01}, "insertion of the wire must lie in"),
+        ({"insertion": 0.05, "catheter": (-0.02, 0.0)}, "insertion of the catheter must lie in"),
+        ({"insertion": 0.0, "catheter": (0.25, 0.0)}, "ahead of the catheter"),
+        ({"insertion": float("nan")}, "ahead of the catheter"),
+    ],
+)
+def test_refuses_a_start_that_cannot_be(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        made().reset(**arguments)
+
+
+def test_refuses_tip_motors_and_hulls() -> None:
+    simulation = made()
+    for extra in ({"tip_motors": True}, {"contact": "hulls"}):
+        with pytest.raises(ValueError, match="without tip motors"):
+            DualSimulation(simulation.phantom, simulation.pair, simulation.numerics, **extra)
+    with pytest.raises(ValueError, match="unknown device"):
+        simulation.device_points("sheath")
+    with pytest.raises(ValueError, match="expected a state"):
+        simulation.restore(np.zeros(3))
