@@ -108,6 +108,7 @@ EDITS = {
     "guide3d/native/matching.c": {"guide3d", "navigation"},
     "guide3d/native_library.py": {"guide3d", "navigation"},
     "cathsim/native/step.c": {"phantoms", "expert", "enn", "force", "guide3d", "navigation"},
+    "cathsim/devices/presets/guidewires/default.yaml": {"expert", "enn", "force", "guide3d", "navigation"},
     "cathsim/environment.py": {"expert", "enn", "force", "navigation"},
     "enn/networks/network.py": {"enn", "force", "navigation"},
     "enn/imitation/behaviour_cloning.py": {"force", "navigation"},

@@ -12,6 +12,8 @@ from cathsim.registration import ENVIRONMENT, register
 
 if TYPE_CHECKING:
     from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
+    from cathsim.devices.catheter import Catheter
+    from cathsim.devices.shelf import CATHETERS, load_catheter
     from cathsim.environment import NavigateEnv
     from cathsim.guidewire import GUIDEWIRES, Guidewire, load_guidewire
     from cathsim.navigation import NavigationTask
@@ -25,6 +27,9 @@ _HOME = {
     "PHANTOMS": "anatomy",
     "Phantom": "anatomy",
     "load_phantom": "anatomy",
+    "Catheter": "devices.catheter",
+    "CATHETERS": "devices.shelf",
+    "load_catheter": "devices.shelf",
     "NavigateEnv": "environment",
     "GUIDEWIRES": "guidewire",
     "Guidewire": "guidewire",
@@ -38,16 +43,19 @@ _HOME = {
 
 __all__ = [
     "ACCURACY",
+    "CATHETERS",
     "ENVIRONMENT",
     "GUIDEWIRES",
     "PHANTOMS",
     "Accuracy",
+    "Catheter",
     "Guidewire",
     "NavigateEnv",
     "NavigationTask",
     "Phantom",
     "Simulation",
     "ThreadedVectorEnv",
+    "load_catheter",
     "load_guidewire",
     "load_phantom",
 ]

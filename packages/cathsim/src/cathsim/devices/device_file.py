@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 import re
+import reprlib
 from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
@@ -54,6 +55,7 @@ KEYS: dict[str, dict[str, str]] = {
 }
 _ABOUT = ("kind", "description", "based_on", "source")
 _SIZES, _SIZE = "sizes_french", "default_french"  # of a catheter only
+_MOST = {"links": 2000, "shape": 100, "taper_mm": 2}  # entries of a list, as the settings classes have them
 _EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")  # a number, which YAML 1.1 takes for a text
 _BEND = ("from_mm", "to_mm", "angle_deg", "plane_deg")
 
@@ -89,7 +91,7 @@ class DeviceFile:
         if not self.sizes and french is None:
             return self.fields
         size = self.default_french if french is None else french
-        if isinstance(size, bool) or size not in self.sizes:
+        if isinstance(size, bool) or not isinstance(size, int) or size not in self.sizes:
             sizes = ", ".join(f"{one}F" for one in self.sizes) or "no sizes"
             raise ValueError(f"the {self.kind} '{self.name}' is not made in {size}F: it has {sizes}")
         return self.sizes[size]
@@ -133,8 +135,10 @@ def read_device(path: str | Path, kind: str) -> DeviceFile:
     else:
         sizes = {french: {**fields, **own} for french, fields in base.sizes.items()}
     default = content.get(_SIZE, base.default_french)
-    if sizes and (isinstance(default, bool) or default not in sizes):
-        raise ValueError(f"{path}: {_SIZE} must be one of its sizes, {', '.join(map(str, sizes))}, got {default!r}")
+    if sizes and (isinstance(default, bool) or not isinstance(default, int) or default not in sizes):
+        raise ValueError(
+            f"{path}: {_SIZE} must be one of its sizes, {', '.join(map(str, sizes))}, got {_shown(default)}"
+        )
     return DeviceFile(
         path.stem,
         kind,
@@ -193,7 +197,7 @@ def _mapping(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} must hold keys and values, as 'kind: catheter'")
     found = content.get("kind")
     if not isinstance(found, str) or found not in KEYS:
-        raise ValueError(f"{path} must say 'kind: guidewire' or 'kind: catheter', got {found!r}")
+        raise ValueError(f"{path} must say 'kind: guidewire' or 'kind: catheter', got {_shown(found)}")
     return content
 
 
@@ -209,7 +213,7 @@ def _base(path: Path, kind: str, name: Any) -> DeviceFile:
         return DeviceFile(path.stem, kind, {}, {}, None, "", {})
     there = sorted(one.stem for one in (PRESETS / FOLDERS[kind]).glob("*.yaml"))
     if name not in there or preset_path(kind, name).resolve() == path.resolve():
-        raise ValueError(f"{path}: based_on must be a preset of a {kind}, {', '.join(there)}, got {name!r}")
+        raise ValueError(f"{path}: based_on must be a preset of a {kind}, {', '.join(there)}, got {_shown(name)}")
     return read_preset(kind, name)
 
 
@@ -219,9 +223,9 @@ def _sizes(values: Any, kind: str, path: Path) -> dict[int, dict[str, Any]]:
     sizes = {}
     for french, row in values.items():
         if isinstance(french, bool) or not isinstance(french, int) or not 1 <= french <= 34:
-            raise ValueError(f"{path}: a size must be a whole number of French, 1 to 34, got {french!r}")
+            raise ValueError(f"{path}: a size must be a whole number of French, 1 to 34, got {_shown(french)}")
         if not isinstance(row, Mapping):
-            raise ValueError(f"{path}: the size {french} must have keys and values, got {row!r}")
+            raise ValueError(f"{path}: the size {french} must have keys and values, got {_shown(row)}")
         _require_known(row, tuple(KEYS[kind]), f"{path}: a {kind}'s size")
         sizes[french] = _fields(row, kind, path)
     return sizes
@@ -230,7 +234,7 @@ def _sizes(values: Any, kind: str, path: Path) -> dict[int, dict[str, Any]]:
 def _require_known(values: Mapping[Any, Any], allowed: tuple[str, ...], what: str) -> None:
     for key in values:
         if key not in allowed:
-            raise ValueError(f"{what} has no {key!r}; its keys are {', '.join(allowed)}")
+            raise ValueError(f"{what} has no {_shown(key)}; its keys are {', '.join(allowed)}")
 
 
 def _fields(values: Mapping[str, Any], kind: str, path: Path) -> dict[str, Any]:
@@ -240,7 +244,10 @@ def _fields(values: Mapping[str, Any], kind: str, path: Path) -> dict[str, Any]:
 
 def _value(key: str, value: Any, path: Path) -> Any:
     if key == "links":
-        return tuple(length for part in _list(key, value, path) for length in _links(part, path))
+        parts = [_links(part, path) for part in _list(key, value, path)]
+        if sum(map(len, parts)) > _MOST[key]:
+            raise ValueError(f"{path}: a guidewire has at most {_MOST[key]} links, got {sum(map(len, parts))}")
+        return tuple(length for part in parts for length in part)
     if key == "shape":
         return tuple(_bend(part, path) for part in _list(key, value, path))
     if key == "taper_mm":
@@ -250,22 +257,24 @@ def _value(key: str, value: Any, path: Path) -> Any:
 
 def _links(part: Any, path: Path) -> tuple[float, ...]:
     if not isinstance(part, Mapping) or set(part) != {"count", "length_mm"}:
-        raise ValueError(f"{path}: links are given as {{count: 10, length_mm: 16}}, proximal first, got {part!r}")
+        raise ValueError(f"{path}: links are given as {{count: 10, length_mm: 16}}, proximal first, got {_shown(part)}")
     count = part["count"]
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= 2000:
-        raise ValueError(f"{path}: the count of links must be a whole number from 1 to 2000, got {count!r}")
+        raise ValueError(f"{path}: the count of links must be a whole number from 1 to 2000, got {_shown(count)}")
     return (_quantity("length_mm", part["length_mm"], path),) * count
 
 
 def _bend(part: Any, path: Path) -> tuple[float, ...]:
     if not isinstance(part, Mapping) or not set(_BEND[:3]) <= set(part) <= set(_BEND):
-        raise ValueError(f"{path}: a bend is given as {{from_mm: 0, to_mm: 12, angle_deg: 45}}, got {part!r}")
+        raise ValueError(f"{path}: a bend is given as {{from_mm: 0, to_mm: 12, angle_deg: 45}}, got {_shown(part)}")
     return tuple(_quantity(key, part.get(key, 0), path) for key in _BEND)
 
 
 def _list(key: str, value: Any, path: Path) -> list[Any]:
     if not isinstance(value, list):
-        raise ValueError(f"{path}: {key} must be a list, got {value!r}")
+        raise ValueError(f"{path}: {key} must be a list, got {_shown(value)}")
+    if len(value) > _MOST[key]:
+        raise ValueError(f"{path}: {key} has {len(value)} entries, {_MOST[key]} at most are allowed")
     return value
 
 
@@ -274,24 +283,33 @@ def _quantity(key: str, value: Any, path: Path) -> float:
     if isinstance(value, str) and _EXPONENT.fullmatch(value):
         value = float(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{path}: {key} must be a number, got {value!r}")
-    if not abs(value) < math.inf:
-        raise ValueError(f"{path}: {key} must be a finite number, got {value!r}")
+        raise ValueError(f"{path}: {key} must be a number, got {_shown(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"{path}: {key} must be a finite number, got {number}")
     if key.endswith("_mm"):
         return float(Decimal(repr(value)).scaleb(-3))
-    try:
-        return float(np.radians(float(value))) if key.endswith("_deg") else float(value)
-    except OverflowError:
-        raise ValueError(f"{path}: {key} must be a finite number, got one of {len(str(value))} digits") from None
+    return float(np.radians(number)) if key.endswith("_deg") else number
 
 
 def _source(values: Any, path: Path) -> dict[str, str]:
     if not isinstance(values, Mapping):
-        raise ValueError(f"{path}: source must have a text for each group of values, got {values!r}")
+        raise ValueError(f"{path}: source must have a text for each group of values, got {_shown(values)}")
     return {str(group): _text(text, f"{path}: the source of {group}") for group, text in values.items()}
+
+
+def _shown(value: Any) -> str:
+    """The beginning of a value of the file, for a sentence."""
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # of a whole number with thousands of digits
+        return "a long number"
 
 
 def _text(value: Any, what: str) -> str:
     if not isinstance(value, str):
-        raise ValueError(f"{what} must be a text, got {value!r}")
+        raise ValueError(f"{what} must be a text, got {_shown(value)}")
     return " ".join(value.split())
