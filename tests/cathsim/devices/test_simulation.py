@@ -207,3 +207,14 @@ def test_refuses_tip_motors_and_hulls() -> None:
         simulation.device_points("sheath")
     with pytest.raises(ValueError, match="expected a state"):
         simulation.restore(np.zeros(3))
+
+
+def test_another_time_stepping_of_the_same_devices() -> None:
+    simulation = made("simmons1")
+    steered(simulation, 20)
+    coarse = simulation.stepped_by(accuracy("fast"))
+    assert coarse.numerics == accuracy("fast")
+    coarse.restore(simulation.state())
+    assert np.array_equal(coarse.device_points("catheter"), simulation.device_points("catheter"))
+    steered(coarse, 3, seed=2)
+    assert coarse.valid

@@ -77,5 +77,5 @@ def test_bad_settings_are_refused(make_env: MakeEnv) -> None:
         ExpertSettings(elites=30)
     with pytest.raises(ValueError, match=r"hold and execute must lie in 1 to the horizon \(2\)"):
         ExpertSettings(horizon=2)
-    with pytest.raises(ValueError, match="the sampling expert steers the two actions of the feeder"):
+    with pytest.raises(ValueError, match="the sampling expert steers the actions of the feeders"):
         SamplingExpert(make_env(actions="tip_motors"))

@@ -15,7 +15,7 @@ from cathsim.arena import FEEDER, max_insertion
 from cathsim.blood.drag import Drag
 from cathsim.blood.field import blood_field
 from cathsim.blood.flow import BloodFlow
-from cathsim.contact.compliance import N_PER_MM, checked_wall_stiffness
+from cathsim.contact.compliance import N_PER_MM, checked_wall_stiffness, stiffest_wall
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.contact.native import SimulationStruct, StepSummary, address, engine, library
@@ -160,9 +160,9 @@ class Simulation:
         self._rung = self._rung_at(0)
         self.reset()
 
-    def __getstate__(self) -> dict[str, Any]:
-        # models and native structs are made again; MuJoCo's data go along, so that every value in them stays
-        arguments = {
+    def _keywords(self) -> dict[str, Any]:
+        """The keyword arguments that this simulation was made with."""
+        return {
             "entry": self.entry,
             "contact": self.contact,
             "tip_motors": self.tip_motors,
@@ -170,8 +170,22 @@ class Simulation:
             "measure_penetration": self._measured,
             "wall_stiffness": self.wall_stiffness,
         }
+
+    def stepped_by(self, numerics: Accuracy) -> Simulation:
+        """Another simulation of the same devices in the same vessel, with another time stepping, at its start.
+
+        A wall that is too stiff for the timestep is taken as stiff as it can be; penetration is not measured.
+        """
+        keywords = self._keywords() | {"measure_penetration": False}
+        if self.wall_stiffness is not None:
+            keywords["wall_stiffness"] = min(self.wall_stiffness, stiffest_wall(numerics))
+        phantom, devices, _ = self._positional()
+        return type(self)(phantom, devices, numerics, **keywords)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # models and native structs are made again; MuJoCo's data go along, so that every value in them stays
         return {
-            "arguments": (self._positional(), arguments),
+            "arguments": (self._positional(), self._keywords()),
             "state": self.state(),
             "data": self.data,
             "loads": self._rung.loads,
@@ -187,7 +201,7 @@ class Simulation:
         self._rung.loads[:], self.depths[:] = state["loads"], state["depths"]
         self.restore_forces(state["forces"])
 
-    def _positional(self) -> tuple[Any, ...]:
+    def _positional(self) -> tuple[Any, Any, Any]:
         """The arguments by position that this simulation was made with."""
         return self.phantom, self.wire, self.numerics
 

@@ -121,7 +121,7 @@ class DualSimulation(Simulation):
             wall_stiffness=wall_stiffness,
         )
 
-    def _positional(self) -> tuple[Any, ...]:
+    def _positional(self) -> tuple[Any, Any, Any]:
         return self.phantom, self.pair, self.numerics
 
     def _make_vessel(self) -> Vessel:

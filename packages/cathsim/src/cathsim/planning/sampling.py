@@ -10,9 +10,10 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from cathsim.contact.compliance import stiffest_wall
+from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
 from cathsim.navigation import NavigationTask
+from cathsim.planning.primitives import motion_primitives
 from cathsim.presets import ACCURACY, Accuracy
 from cathsim.simulation import Simulation
 from cathsim.validation import Count, Unit, settings
@@ -33,6 +34,7 @@ class ExpertSettings:
     # cost of a newton of contact force above `free_force`, in metres of distance to the target
     force_cost: Annotated[float, Interval(ge=0, le=1000), Unit("m/N")] = 0.004
     free_force: Annotated[float, Interval(ge=0, le=1000), Unit("N")] = 0.15  # N
+    primitives: bool = False  # tries the motions of an operator first, and samples around the best of them
 
     def __post_init__(self) -> None:
         if self.elites > self.samples:
@@ -41,14 +43,18 @@ class ExpertSettings:
             raise ValueError(f"hold and execute must lie in 1 to the horizon ({self.horizon})")
 
 
+TWO_DEVICES = ExpertSettings(samples=32, elites=6, primitives=True)
+
+
 class SamplingExpert:
-    """Steers the two-action environment to its target by looking ahead in copies of its simulation.
+    """Steers a wire, or a wire and a catheter, to the target by looking ahead in copies of the simulation.
 
     A plan's cost is the distance along the lumen that is left at its end, plus its contact forces; reaching the target
     early costs least. As long as the plan in hand still advances nearly as fast as the feeder can, no search is made.
 
     Args:
         environment: to be steered; its state is only read.
+        settings: by default `TWO_DEVICES` with a catheter.
         seed: of the sampling; the same seed gives the same actions, whatever the number of threads.
         threads: by default one a core.
     """
@@ -62,31 +68,21 @@ class SamplingExpert:
         numerics: Accuracy = ACCURACY["fast"],
         threads: int | None = None,
     ) -> None:
-        if environment.action_space.shape != (2,):
+        real = environment.simulation
+        if real.motors:
             raise ValueError(
-                "the sampling expert steers the two actions of the feeder: make the environment with actions='feeder'"
+                "the sampling expert steers the actions of the feeders: make the environment with actions='feeder'"
             )
-        self.settings = settings or ExpertSettings()
+        both = isinstance(real, DualSimulation) and real.pair.catheter is not None and real.pair.wire is not None
+        self.settings = settings or (TWO_DEVICES if both else ExpertSettings())
         self.environment = environment
+        self._actions = 4 if both else 2
         self._goal = environment.goal
         self._generator = np.random.default_rng(seed)
-        real = environment.simulation
         count = threads or os.cpu_count() or 1
-        wall = None if real.wall_stiffness is None else min(real.wall_stiffness, stiffest_wall(numerics))
-        self._copies = [
-            Simulation(
-                real.phantom,
-                real.wire,
-                numerics,
-                entry=real.entry,
-                contact=real.contact,
-                blood=real.blood,
-                wall_stiffness=wall,
-            )
-            for _ in range(count)
-        ]
+        self._copies = [real.stepped_by(numerics) for _ in range(count)]
         self._pool = ThreadPoolExecutor(count, "expert") if count > 1 else None
-        self._plan = np.zeros((0, 2))
+        self._plan = np.zeros((0, self._actions))
         self._left = 0
         self.rollouts = 0
 
@@ -97,12 +93,12 @@ class SamplingExpert:
 
     def restart(self, seed: int | None = None) -> None:
         """Forgets the plan; to be called when the environment is reset."""
-        self._plan, self._left = np.zeros((0, 2)), 0
+        self._plan, self._left = np.zeros((0, self._actions)), 0
         if seed is not None:
             self._generator = np.random.default_rng(seed)
 
     def action(self) -> np.ndarray:
-        """The next action for the environment's present state. Shape (2,), in [-1, 1]."""
+        """The next action for the environment's present state. Shape (2,), with two devices (4,), in [-1, 1]."""
         if self._left == 0:
             self._search()
             self._left = self.settings.execute
@@ -116,9 +112,11 @@ class SamplingExpert:
         state, self._goal = simulation.state(), self.environment.goal
         here = self.task.remaining(self.environment.phantom, simulation.tip)
         knots = -(-settings.horizon // settings.hold)
-        straight = np.tile([1.0, 0.0], (settings.horizon, 1))
+        straight = np.tile([1.0, 0.0] * (self._actions // 2), (settings.horizon, 1))
         kept = np.concatenate((self._plan, straight))[: settings.horizon]
         candidates = np.stack((kept, straight))
+        if settings.primitives:
+            candidates = np.concatenate((candidates, motion_primitives(self._actions, settings.horizon)))
         costs = self._costs(state, candidates)
         best = int(np.argmin(costs))
         self._plan, cost = candidates[best], float(costs[best])
@@ -126,10 +124,10 @@ class SamplingExpert:
         if cost <= good:
             return
 
-        mean = np.tile([0.6, 0.0], (knots, 1))
-        spread = np.tile([0.7, 0.9], (knots, 1))
+        mean = self._plan[:: settings.hold] if settings.primitives else np.tile([0.6, 0.0], (knots, 1))
+        spread = np.tile([0.7, 0.9] * (self._actions // 2), (knots, 1))
         for _ in range(settings.rounds):
-            draws = np.clip(generator.normal(mean, spread, (settings.samples, knots, 2)), -1.0, 1.0)
+            draws = np.clip(generator.normal(mean, spread, (settings.samples, knots, self._actions)), -1.0, 1.0)
             plans = np.repeat(draws, settings.hold, axis=1)[:, : settings.horizon]
             costs = self._costs(state, plans)
             order = np.argsort(costs, kind="stable")[: settings.elites]
@@ -141,7 +139,7 @@ class SamplingExpert:
             spread = 0.1 + 0.9 * draws[order].std(0)
 
     def _costs(self, state: np.ndarray, plans: np.ndarray) -> np.ndarray:
-        """Costs of plans (n, horizon, 2) from a state, in metres. Shape (n,)."""
+        """Costs of plans (n, horizon, actions) from a state, in metres. Shape (n,)."""
         costs = np.empty(len(plans))
         order = itertools.count()
 
@@ -161,8 +159,13 @@ class SamplingExpert:
         settings, radius = self.settings, self.task.success_radius
         copy.restore(state)
         force = 0.0
-        for step, (translation, rotation) in enumerate(plan.tolist()):
-            copy.advance(TRANSLATION_STEP * translation, ROTATION_STEP * rotation)
+        for step, (translation, rotation, *catheter) in enumerate(plan.tolist()):
+            if catheter:
+                assert isinstance(copy, DualSimulation)
+                along = TRANSLATION_STEP * catheter[0], ROTATION_STEP * catheter[1]
+                copy.advance(TRANSLATION_STEP * translation, ROTATION_STEP * rotation, catheter=along)
+            else:
+                copy.advance(TRANSLATION_STEP * translation, ROTATION_STEP * rotation)
             if not copy.valid:
                 return 1.0
             force += max(copy.summary.force_max - settings.free_force, 0.0) / len(plan)
