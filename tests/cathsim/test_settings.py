@@ -51,6 +51,9 @@ RECORDS = {
     "metrics.load_cell:StepForces",
     *("metrics.forces:ForceComparison", "physics_checks.contact:Helix", "physics_checks.rig:TheoryCheck"),
     *("physics_checks.statics:Column", "planning.scripted_motions:Script"),
+    *("statics.ensemble_summary:ContactForces", "statics.ensemble_summary:Estimate", "statics.estimator:_Feeder"),
+    *("statics.observed_curve:ObservedCurve", "statics.resting_contacts:RestingContacts"),
+    "statics.uncertainty:Deviation",
 }
 # What has no defaults.
 EXAMPLES: dict[type[Any], Any] = {
@@ -88,6 +91,7 @@ ZERO = {
     "Leader": {"position"},
     "LoadCell": {"resolution", "cutoff"},
     "NavigationTask": {"target", "start_jitter", "start_rotation", "force_penalty", "path_penalty"},
+    "Uncertainty": {"stiffness", "insertion", "rotation", "registration", "lumen", "friction", "curve"},
     "XRayScene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},
     "Section": {"layers"},
 }

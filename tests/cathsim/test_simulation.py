@@ -250,6 +250,22 @@ def test_the_summary_holds_time_means_that_balance_the_feeder(make_simulation: M
     assert np.linalg.norm(sheath) > 1e-3
 
 
+def test_joint_positions_set_are_those_of_a_wire_that_is_held(make_simulation: MakeSimulation) -> None:
+    driven, other = make_simulation(), make_simulation()
+    run(driven, random_actions(60, 3))
+    other.set_joint_positions(driven.joint_positions())
+    np.testing.assert_allclose(other.joint_positions(), driven.joint_positions(), atol=1e-12)
+    np.testing.assert_allclose(other.wire_points(), driven.wire_points(), atol=1e-9)
+    assert not other.joint_velocities().any()
+    assert not other.lead().any()
+    other.advance(0.0, 0.0)
+    assert other.insertion == pytest.approx(driven.insertion, abs=1e-3)
+    with pytest.raises(ValueError, match="joint positions must have shape"):
+        other.set_joint_positions(np.zeros(3))
+    with pytest.raises(ValueError, match="insertion must lie in 0 to"):
+        other.set_joint_positions(driven.joint_positions() + 1.0)
+
+
 def test_insertion_ends_where_the_wire_does(make_simulation: MakeSimulation) -> None:
     simulation = make_simulation()
     simulation.reset(insertion=simulation.max_insertion - 0.005)

@@ -335,6 +335,22 @@ class Simulation:
         """Feeder's advance (m) and rotation (rad), then two angles (rad) a joint from the proximal end. Shape (nq,)."""
         return pass_on(self.data.qpos, self.nq, bend=False)
 
+    def set_joint_positions(self, positions: np.ndarray) -> None:
+        """Puts the wire into `joint_positions` of another moment, without a velocity, its feeder held there.
+
+        Raises:
+            ValueError: another shape, or an insertion that the wire cannot have.
+        """
+        if np.shape(positions) != (self.nq,):
+            raise ValueError(f"joint positions must have shape ({self.nq},), got {np.shape(positions)}")
+        if not 0 <= positions[0] <= self.max_insertion:
+            raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {positions[0]}")
+        state = np.zeros(3 * self.nq + len(self._to) + 3)
+        state[: self.nq] = positions
+        state[3 * self.nq : 3 * self.nq + 2] = positions[:2]
+        state[-1] = self.ladder.rung(float(positions[0]))
+        self.restore(state)
+
     def joint_velocities(self) -> np.ndarray:
         """Rates of `joint_positions`. Shape (nq,)."""
         return pass_on(self.data.qvel, self.nq, bend=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 from collections.abc import Iterator
 
@@ -15,6 +14,7 @@ from cathsim.arena import FEEDER, PROTRUSION
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
 from cathsim.planning.path import UnreachableError, plan_path
 from cathsim.simulation import Simulation
+from cathsim.statics.laying import joint_angles
 
 REST_STEPS = 10  # control steps in which the wire finds its place between the walls
 WAY_CLEARANCE, PREFERRED_CLEARANCE = 1e-3, 3e-3  # m from the wall that a planned way keeps, and would rather keep
@@ -88,12 +88,7 @@ def place_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, r
     nodes = _points_at(tip_arc - behind_tip, arcs, points, simulation.vessel.direction)
     model, data = simulation.model, simulation.data
     axes = data.xmat[model.body(FEEDER).id].reshape(3, 3).copy()
-    bends = np.empty((simulation.active_links - 1, 2))
-    for joint, (start, end) in enumerate(itertools.pairwise(nodes[1:])):
-        along = axes.T @ ((end - start) / np.linalg.norm(end - start))
-        bends[joint] = np.arctan2(-along[1], along[2]), np.arcsin(np.clip(along[0], -1.0, 1.0))
-        axes = axes @ _turned(*bends[joint])
-    data.qpos[2:] = bends.ravel()
+    data.qpos[2:] = joint_angles(nodes[1:], axes).ravel()
     data.qvel[:] = 0.0
     mujoco.mj_forward(model, data)
     for _ in range(rest_steps):
@@ -179,9 +174,3 @@ def _points_at(at: np.ndarray, arcs: np.ndarray, points: np.ndarray, direction: 
     """Points of the way at distances from its start; before it, on the sheath's axis. Shape (k, 3)."""
     on_way = np.stack([np.interp(at, arcs, points[:, axis]) for axis in range(3)], axis=1)
     return on_way + np.minimum(at, 0.0)[:, None] * direction
-
-
-def _turned(about_x: float, about_y: float) -> np.ndarray:
-    """Rotation about x, then about the new y. Shape (3, 3)."""
-    cx, sx, cy, sy = np.cos(about_x), np.sin(about_x), np.cos(about_y), np.sin(about_y)
-    return np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

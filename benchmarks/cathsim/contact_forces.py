@@ -1,0 +1,275 @@
+"""Contact forces from a wire's shape against the simulator's: errors and intervals by noise of the curve.
+
+Truth is a wire at rest after random pushes and turns. The estimator gets its curve with noise that is smooth over
+10 mm, and in the real case a wrong insertion (1 mm), rotation (0.2 rad), place of the lumen (0.5 mm an axis), radius of
+the lumen (0.2 mm) and bending stiffness (10 %), all normal. The last line is JSON.
+
+    python benchmarks/cathsim/contact_forces.py [--quick] [--training] [--members 16] [--out results.json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy import Phantom, load_phantom
+from cathsim.anatomy.centreline import resampled
+from cathsim.guidewire import Guidewire
+from cathsim.presets import ACCURACY
+from cathsim.simulation import Simulation
+from cathsim.statics import ContactForceEstimator, ContactForces, Uncertainty, inserted_curve
+from cathsim.statics.observed_curve import observed_curve
+from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
+from cathsim.statics.simulated_device import deviating_phantom
+from cathsim.statics.uncertainty import Deviation, smooth_noise
+
+NAMED, NAMED_STATES = ("type_1", "type_2", "bovine"), 6
+RANDOM, RANDOM_STATES = range(20), 2
+TRAINING = range(200, 220)  # seeds of random arches for choices and calibration
+NOISES_MM = (0.0, 0.25, 0.5, 1.0)
+SEEDS = 3
+LEAST_RESULTANT = 0.03  # N: relative errors of less mean little
+WIRE = Guidewire().scaled(0.36)  # the default one, long enough for every branch
+REST = 20  # control steps before the truth is read
+QUANTITIES = ("resultant", "normal_sum", "largest")
+RESAMPLES = 1000
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """A wire at rest."""
+
+    phantom: Phantom
+    curve: Array  # from the entry to the tip, m. Shape (n, 3).
+    insertion: float  # m
+    rotation: float  # rad
+    truth: RestingContacts
+
+    @property
+    def forces(self) -> dict[str, float]:
+        """The true numbers, N."""
+        resultant = float(np.linalg.norm(self.truth.resultant))
+        return {"resultant": resultant, "normal_sum": self.truth.normal_sum, "largest": self.truth.largest}
+
+
+def states_at_rest(phantom: Phantom, count: int, seed: int) -> Iterator[State]:
+    """Wires at rest after random pushes and turns, with a resultant of 0.03 N at least."""
+    simulation = Simulation(phantom, WIRE, ACCURACY["accurate"])
+    generator = np.random.default_rng(seed)
+    simulation.reset(0.0, generator.uniform(-np.pi, np.pi))
+    while count:
+        goal, turn = generator.uniform(0.10, 0.30), generator.uniform(-0.5, 0.5)
+        for _ in range(int((simulation.insertion - goal) / 0.002)):
+            simulation.advance(-0.002, 0.0)
+        for _ in range(250):
+            if simulation.insertion > goal - 0.001:
+                break
+            push, twist = generator.normal(0.7, 0.4), turn + generator.normal(0.0, 0.35)
+            simulation.advance(0.002 * float(np.clip(push, -1, 1)), 0.26 * float(np.clip(twist, -1, 1)))
+        lean, turn = generator.uniform(-1, 1, 2)
+        for _ in range(generator.integers(5, 20)):
+            push, twist = lean + generator.normal(0.0, 0.4), turn + generator.normal(0.0, 0.7)
+            simulation.advance(0.002 * float(np.clip(push, -1, 1)), 0.26 * float(np.clip(twist, -1, 1)))
+        for _ in range(REST):
+            simulation.advance(0.0, 0.0)
+        curve = inserted_curve(simulation)
+        truth = resting_contacts(simulation, observed_curve(curve, phantom, "descending", simulation.max_insertion))
+        if simulation.valid and np.linalg.norm(truth.resultant) >= LEAST_RESULTANT:
+            count -= 1
+            yield State(phantom, curve, simulation.insertion, simulation.rotation, truth)
+
+
+def noisy(curve: Array, noise_mm: float, seed: int) -> Array:
+    """A curve (n, 3) m with noise that is smooth over 10 mm."""
+    points = resampled(curve, 1e-3)
+    return points + 1e-3 * noise_mm * smooth_noise(len(points), 1e-3, 0.010, np.random.default_rng(seed))
+
+
+def wrong_case(state: State, seed: int) -> tuple[Phantom, Guidewire, float, float]:
+    """What the estimator is told in the real case: phantom, wire, insertion (m), rotation (rad)."""
+    generator, sizes = np.random.default_rng(seed), Uncertainty()
+    x, y, z = (float(value) for value in sizes.registration * generator.standard_normal(3))
+    lumen = sizes.lumen * float(generator.standard_normal())
+    stiffness = float(np.exp(sizes.stiffness * generator.standard_normal()))
+    wire = dataclasses.replace(
+        WIRE,
+        shaft_stiffness_nmm2=WIRE.shaft_stiffness_nmm2 * stiffness,
+        tip_stiffness_nmm2=WIRE.tip_stiffness_nmm2 * stiffness,
+    )
+    insertion = state.insertion + sizes.insertion * float(generator.standard_normal())
+    rotation = state.rotation + sizes.rotation * float(generator.standard_normal())
+    return deviating_phantom(state.phantom, Deviation(shift=(x, y, z), lumen=lumen)), wire, insertion, rotation
+
+
+def compared(state: State, estimate: ContactForces) -> dict[str, float]:
+    """Relative errors, whether the intervals hold the truth, and the largest contact's distance in mm."""
+    row = {}
+    for name, true in state.forces.items():
+        found = getattr(estimate, name)
+        row[name] = abs(found.value - true) / true
+        row[f"{name}_log"] = float(np.log(max(found.value, 1e-4) / true))
+        row[f"{name}_held"] = float(found.low <= true <= found.high)
+        row[f"{name}_low"], row[f"{name}_high"] = found.low, found.high
+        row[f"{name}_value"], row[f"{name}_true"] = found.value, true
+    if len(estimate.points) and len(state.truth.points):
+        place = estimate.points[np.argmax(estimate.normal_forces)]
+        row["place_mm"] = 1e3 * float(np.linalg.norm(place - state.truth.points[np.argmax(state.truth.normal_forces)]))
+    return row
+
+
+def measured(state: State, seed: int, noises: tuple[float, ...], members: int, workers: int) -> dict[Any, dict]:
+    """Rows of a state by case and noise."""
+    rows = {}
+    exact = ContactForceEstimator(state.phantom, WIRE)
+    phantom, wire, insertion, rotation = wrong_case(state, seed)
+    insertion = min(max(insertion, 0.0), exact.max_insertion)
+    real = ContactForceEstimator(phantom, wire, members=members, workers=workers)
+    for noise in noises:
+        curve = noisy(state.curve, noise, seed)
+        for case, estimator, feeder in (
+            ("exact", exact, (state.insertion, state.rotation)),
+            ("real", real, (insertion, rotation)),
+            ("real, no feeder data", real, (None, None)),
+        ):
+            estimator.reset()
+            began = time.perf_counter()
+            estimate = estimator.update(curve, *feeder)
+            rows[case, noise] = {**compared(state, estimate), "s": time.perf_counter() - began}
+    return rows
+
+
+def interval(values: Array, groups: Array, statistic: Callable[[Array], float]) -> list[float]:
+    """95 % interval of a statistic, the states drawn again (bootstrap)."""
+    generator = np.random.default_rng(0)
+    names = np.unique(groups)
+    parts = [values[groups == name] for name in names]
+    drawn = [
+        statistic(np.concatenate([parts[i] for i in generator.integers(len(parts), size=len(parts))]))
+        for _ in range(RESAMPLES)
+    ]
+    return [float(end) for end in np.percentile(drawn, [2.5, 97.5])]
+
+
+def table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One line a case and noise."""
+    lines = []
+    for case, noise in dict.fromkeys((row["case"], row["noise_mm"]) for row in rows):
+        chosen = [row for row in rows if (row["case"], row["noise_mm"]) == (case, noise)]
+        groups = np.array([row["state"] for row in chosen])
+        line: dict[str, Any] = {"case": case, "noise_mm": noise, "n": len(chosen), "states": len(set(groups))}
+        for name in QUANTITIES:
+            errors = np.array([row[name] for row in chosen])
+            line[name] = {
+                "median_pct": 100 * float(np.median(errors)),
+                "median_95": [100 * end for end in interval(errors, groups, lambda v: float(np.median(v)))],
+                "p90_pct": 100 * float(np.percentile(errors, 90)),
+                "p90_95": [100 * end for end in interval(errors, groups, lambda v: float(np.percentile(v, 90)))],
+            }
+            if case != "exact":
+                held = np.array([row[f"{name}_held"] for row in chosen])
+                line[name]["held_pct"] = 100 * float(held.mean())
+                line[name]["held_95"] = [100 * end for end in interval(held, groups, lambda v: float(np.mean(v)))]
+        places = [row["place_mm"] for row in chosen if "place_mm" in row]
+        line["place_mm"] = [float(np.median(places)), float(np.percentile(places, 90))]
+        line["s"] = float(np.median([row["s"] for row in chosen]))
+        lines.append(line)
+    return lines
+
+
+def printed(line: dict[str, Any]) -> str:
+    """A line of the table as text."""
+    text = f"{line['case']:22s} {line['noise_mm']:5.2f} {line['n']:4d}"
+    for name in QUANTITIES:
+        cell = line[name]
+        held = f"{cell['held_pct']:5.0f}" if "held_pct" in cell else "    -"
+        text += f" | {cell['median_pct']:5.1f} {cell['p90_pct']:6.1f} {held}"
+    return text + f" | {line['place_mm'][0]:5.1f} {line['place_mm'][1]:6.1f} | {line['s']:.2f}"
+
+
+def sequences(count: int, frames: int, members: int) -> dict[str, float]:
+    """Frames a second and errors of the tracker on moving wires, 0.5 mm noise, real case, with feeder data."""
+    errors: dict[str, list[float]] = {name: [] for name in QUANTITIES}
+    spent = total = 0.0
+    for number in range(count):
+        state = next(states_at_rest(load_phantom(NAMED[number % len(NAMED)]), 1, 900 + number))
+        generator = np.random.default_rng(number)
+        simulation = Simulation(state.phantom, WIRE, ACCURACY["accurate"])
+        simulation.reset(0.0, state.rotation)
+        for _ in range(75):
+            simulation.advance(0.002, 0.0)
+        phantom, wire, insertion, rotation = wrong_case(state, number)
+        offsets = insertion - state.insertion, rotation - state.rotation
+        tracker = ContactForceEstimator(phantom, wire, members=members)
+        for frame in range(frames):
+            push, twist = generator.normal(0.5, 0.5), generator.normal(0.2, 0.7)
+            simulation.advance(0.002 * float(np.clip(push, -1, 1)), 0.26 * float(np.clip(twist, -1, 1)))
+            curve = inserted_curve(simulation)
+            seen = observed_curve(curve, state.phantom, "descending", simulation.max_insertion)
+            truth = resting_contacts(simulation, seen)
+            feeder = min(max(simulation.insertion + offsets[0], 0.0), simulation.max_insertion)
+            began = time.process_time()
+            estimate = tracker.update(
+                noisy(curve, 0.5, 1000 * number + frame), feeder, simulation.rotation + offsets[1]
+            )
+            if frame > 0:
+                spent, total = spent + time.process_time() - began, total + 1
+            moving = State(state.phantom, curve, simulation.insertion, simulation.rotation, truth)
+            if moving.forces["resultant"] >= LEAST_RESULTANT:
+                row = compared(moving, estimate)
+                for name in QUANTITIES:
+                    errors[name].append(row[name])
+    summary = {f"{name}_median_pct": 100 * float(np.median(values)) for name, values in errors.items()}
+    summary |= {f"{name}_p90_pct": 100 * float(np.percentile(values, 90)) for name, values in errors.items()}
+    return {"members": members, "frames_per_s": total / spent, "n": len(errors["resultant"]), **summary}
+
+
+def main() -> None:
+    """Measures and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="six states, one seed, noise 0.5 mm")
+    parser.add_argument("--training", action="store_true", help="other random arches: for choices and calibration")
+    parser.add_argument("--members", type=int, default=16, help="of the ensemble")
+    parser.add_argument("--workers", type=int, default=1, help="threads")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="of noise and errors")
+    parser.add_argument("--out", type=Path, help="gets every single row too")
+    chosen = parser.parse_args()
+    noises = (0.5,) if chosen.quick or chosen.training else NOISES_MM
+    places: list[tuple[str, int | None, int]] = [(name, None, 2 if chosen.quick else NAMED_STATES) for name in NAMED]
+    places += [("random", seed, RANDOM_STATES) for seed in (() if chosen.quick else RANDOM)]
+    if chosen.training:
+        places = [("random", seed, 3) for seed in TRAINING]
+    began, rows, number = time.perf_counter(), [], 0
+    for name, seed, count in places:
+        for state in states_at_rest(load_phantom(name, seed=seed), count, seed or 0):
+            number += 1
+            for draw in range(1 if chosen.quick else chosen.seeds):
+                found = measured(state, 10 * number + draw, noises, chosen.members, chosen.workers)
+                for (case, noise), row in found.items():
+                    where = {"state": number, "anatomy": state.phantom.name, "seed": draw}
+                    rows.append({**where, "case": case, "noise_mm": noise, **row})
+    lines = table(rows)
+    head = " | ".join(f"{name:>19s}" for name in QUANTITIES)
+    print(f"{'case':22s} noise    n | {head} | place, mm    | s\n{'':34s} | (median %, 90th percentile %, held %)")
+    print("\n".join(printed(line) for line in lines))
+    tracked = [sequences(3, 10 if chosen.quick else 40, members) for members in (1, chosen.members)]
+    for line in tracked:
+        print({key: round(value, 1) for key, value in line.items()})
+    summary = {"states": number, "members": chosen.members, "wall_s": time.perf_counter() - began}
+    if chosen.out:
+        chosen.out.write_text(json.dumps({**summary, "table": lines, "sequences": tracked, "rows": rows}, indent=1))
+    print(json.dumps({**summary, "table": lines, "sequences": tracked}))
+
+
+if __name__ == "__main__":
+    main()

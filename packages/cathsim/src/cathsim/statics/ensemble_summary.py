@@ -1,0 +1,153 @@
+"""An ensemble's contacts as one estimate: medians and 90 % intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.statics.resting_contacts import RestingContacts
+
+QUANTILES = (0.05, 0.5, 0.95)
+# Factor on the interval's half widths, in logarithms: members share the observed curve's error and the solver.
+WIDENING = 1.0
+MATCH = 0.015  # m along the device within which contacts of two members are the same
+_LEAST_FORCE = 1e-4  # N: smaller forces are none
+_CURVE_ERROR = 0.5e-3  # m: members that lie this much further from the curve than the nearest one count less
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 90 % interval; without an ensemble both ends are the number itself."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class ContactForces:
+    """Contact forces of a device at rest along a curve. Lengths in m, forces in N, world frame.
+
+    Contacts are those of the member nearest to the medians of the sums, from the tip on; their intervals are over the
+    contacts of the other members at the same place along the device (`MATCH`) and on the same side.
+    """
+
+    points: Array  # on the wall, m. Shape (k, 3).
+    forces: Array  # of the wall on the device, friction included, N. Shape (k, 3).
+    normal_forces: Array  # N. Shape (k,).
+    normal_forces_90: Array  # ends of the 90 % intervals, N. Shape (k, 2).
+    from_tip: Array  # distance from the tip along the device, m. Shape (k,).
+    from_tip_90: Array  # ends of the 90 % intervals, m. Shape (k, 2).
+    presence: Array  # share of the members with a contact there. Shape (k,).
+    normal_sum: Estimate  # sum of the normal forces, N
+    resultant: Estimate  # magnitude of the sum of all forces, N
+    resultant_vector: Array  # sum of `forces`, N. Shape (3,).
+    largest: Estimate  # largest normal force of a contact, N
+    insertion: float  # of the feeder, m: as given, or found
+    rotation: float  # of the feeder, rad: as given, or found
+    shape_error: float  # root mean square distance between the resting device and the curve, m; median of the members
+    members: int  # that came to rest
+
+
+def summarise(members: Sequence[RestingContacts], insertion: float, rotation: float) -> ContactForces:
+    """The estimate of an ensemble, the nominal member first.
+
+    Args:
+        members: one at least.
+        insertion: nominal, m.
+        rotation: nominal, rad.
+    """
+    weights = _weights(np.array([member.shape_error for member in members]))
+    sums = {
+        name: np.array([value(member) for member in members])
+        for name, value in (
+            ("normal_sum", lambda member: member.normal_sum),
+            ("resultant", lambda member: float(np.linalg.norm(member.resultant))),
+            ("largest", lambda member: member.largest),
+        )
+    }
+    estimates = {name: _estimate(values, weights) for name, values in sums.items()}
+    away = sum(np.abs(_log(sums[name]) - _log(estimates[name].value)) for name in ("normal_sum", "resultant"))
+    shown = members[int(np.argmin(away))]
+    order = np.argsort(shown.from_tip)
+    force_90, place_90, presence = _contact_intervals(shown, members, weights)
+    return ContactForces(
+        points=shown.points[order],
+        forces=shown.forces[order],
+        normal_forces=shown.normal_forces[order],
+        normal_forces_90=force_90[order],
+        from_tip=shown.from_tip[order],
+        from_tip_90=place_90[order],
+        presence=presence[order],
+        resultant_vector=shown.resultant,
+        insertion=insertion,
+        rotation=rotation,
+        shape_error=float(np.median([member.shape_error for member in members])),
+        members=len(members),
+        **estimates,
+    )
+
+
+def weighted_quantiles(values: Array, weights: Array, at: Sequence[float]) -> Array:
+    """Quantiles of weighted values (n,), linear between them; weights of less than 1 % of the largest are left out.
+
+    Returns:
+        Shape (len(at),).
+    """
+    kept = weights > 0.01 * weights.max()
+    values, weights = values[kept], weights[kept]
+    order = np.argsort(values)
+    share = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return np.asarray(np.interp(at, share / weights.sum(), values[order]))
+
+
+def _weights(shape_errors: Array) -> Array:
+    excess = shape_errors**2 - shape_errors.min() ** 2
+    return np.asarray(np.exp(-0.25 * excess / _CURVE_ERROR**2))
+
+
+def _log(values: Array | float) -> Array:
+    return np.log(np.maximum(values, _LEAST_FORCE))
+
+
+def _estimate(values: Array, weights: Array) -> Estimate:
+    low, middle, high = weighted_quantiles(_log(values), weights, QUANTILES)
+    low, high = middle + WIDENING * (low - middle), middle + WIDENING * (high - middle)
+    none = np.log(_LEAST_FORCE)
+    return Estimate(*(float(np.exp(end)) if end > none else 0.0 for end in (middle, low, high)))
+
+
+def _contact_intervals(
+    shown: RestingContacts, members: Sequence[RestingContacts], weights: Array
+) -> tuple[Array, Array, Array]:
+    """Intervals of normal force (k, 2) N and place (k, 2) m of the shown contacts, and their presence (k,)."""
+    count = len(shown.from_tip)
+    forces, places = np.zeros((len(members), count)), np.full((len(members), count), np.nan)
+    for row, member in enumerate(members):
+        if count == 0 or len(member.from_tip) == 0:
+            continue
+        gap = np.abs(member.from_tip[:, None] - shown.from_tip)
+        gap[member.forces @ shown.forces.T < 0] = np.inf
+        nearest = gap.argmin(axis=1)
+        matched = gap[np.arange(len(gap)), nearest] < MATCH
+        np.add.at(forces[row], nearest[matched], member.normal_forces[matched])
+        moment = np.zeros(count)
+        np.add.at(moment, nearest[matched], (member.normal_forces * member.from_tip)[matched])
+        there = forces[row] > 0
+        places[row, there] = moment[there] / forces[row, there]
+    force_90, place_90 = np.empty((count, 2)), np.empty((count, 2))
+    for contact in range(count):
+        estimate = _estimate(forces[:, contact], weights)
+        own = shown.normal_forces[contact]
+        force_90[contact] = min(estimate.low, own), max(estimate.high, own)
+        there = np.isfinite(places[:, contact])
+        place_90[contact] = shown.from_tip[contact]
+        if there.any():
+            ends = weighted_quantiles(places[there, contact], weights[there], (QUANTILES[0], QUANTILES[-1]))
+            place_90[contact] = min(ends[0], shown.from_tip[contact]), max(ends[1], shown.from_tip[contact])
+    return force_90, place_90, (forces > 0).mean(axis=0)

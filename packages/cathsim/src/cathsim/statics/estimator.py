@@ -1,0 +1,249 @@
+"""Contact forces from the shape of a device: the simulated device is laid along the curve, held, and left to rest."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cathsim.anatomy import Phantom
+from cathsim.anatomy.centreline import resampled
+from cathsim.guidewire import Guidewire
+from cathsim.presets import Accuracy
+from cathsim.presets import accuracy as preset
+from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, Simulation
+from cathsim.statics.ensemble_summary import ContactForces, summarise
+from cathsim.statics.feeder_search import found_rotation
+from cathsim.statics.laying import distance_to, lay_along
+from cathsim.statics.observed_curve import STEP, ObservedCurve, checked_insertion, observed_curve
+from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
+from cathsim.statics.simulated_device import simulated_device
+from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations, smooth_noise
+
+MEMBERS = 24
+REST_STEPS = 10  # control steps of 0.1 s in which the device finds its place between the walls
+FOLLOW_DISTANCE = 2.0e-3  # m between a followed device and the curve beyond which it is laid anew
+# Standard deviations of a feeder that is found from the curve.
+FOUND_INSERTION, FOUND_ROTATION = 1.5e-3, 0.3
+
+
+@dataclass(frozen=True)
+class _Feeder:
+    """Where the feeder is, nominally."""
+
+    insertion: float  # m
+    rotation: float  # rad
+
+
+class ContactForceEstimator:
+    """Contact forces from a sequence of curves; each frame starts from the last.
+
+    With feeder data a frame moves the feeder from its last position to the new one, so that friction acts against the
+    motion; where the device then lies too far from the curve (`FOLLOW_DISTANCE`), it is laid along the curve and rests.
+    Without feeder data each frame is laid, and its rotation searched near the last.
+
+    Args:
+        phantom: the anatomy, in the curve's frame.
+        device: that lies in it.
+        entry: name of the phantom's entry.
+        members: of the ensemble, the nominal one included; 1: no intervals.
+        uncertainty: what the ensemble varies.
+        seed: of the ensemble.
+        accuracy: "accurate", "fast", "reference", or an `Accuracy`.
+        friction: nominal coefficient; None: the device's, 0.1 at least, which keeps the device at the observed shape.
+        workers: threads among which the members are divided.
+
+    Raises:
+        ValueError: an unknown entry or accuracy, another device than a guidewire, no member.
+    """
+
+    def __init__(
+        self,
+        phantom: Phantom,
+        device: Guidewire,
+        *,
+        entry: str = "descending",
+        members: int = 1,
+        uncertainty: Uncertainty | None = None,
+        seed: int = 0,
+        accuracy: str | Accuracy = "accurate",
+        friction: float | None = None,
+        workers: int = 1,
+    ) -> None:
+        if members < 1 or workers < 1:
+            raise ValueError(f"members and workers must be 1 at least, got {members} and {workers}")
+        phantom.entry(entry)
+        numerics = accuracy if isinstance(accuracy, Accuracy) else preset(accuracy)
+        self.phantom, self.device, self.entry = phantom, device, entry
+        self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
+        self._case = (phantom, device, numerics, entry, friction)
+        self._nominal = simulated_device(*self._case, Deviation())
+        self.max_insertion = self._nominal.max_insertion
+        self._workers, self._members = workers, [_Member(self._nominal)]
+        # with feeder data, and with a feeder that is found: the same draws, of other widths
+        self._deviations = tuple(
+            deviations(members, one, seed) for one in (self.uncertainty, _of_found_feeder(self.uncertainty))
+        )
+        self._feeder: _Feeder | None = None
+
+    def reset(self) -> None:
+        """Forgets the last frame."""
+        self._feeder = None
+
+    def update(self, curve: ArrayLike, insertion: float | None = None, rotation: float | None = None) -> ContactForces:
+        """The contact forces of a frame.
+
+        Args:
+            curve: points (n, 3) m, world frame, from the entry to the tip; `inserted_curve` of a simulation.
+            insertion: of the feeder, m; None: from the curve's length.
+            rotation: of the feeder, rad; None: searched.
+
+        Raises:
+            ValueError: a curve or feeder that cannot be; the device does not come to rest.
+        """
+        observed = observed_curve(curve, self.phantom, self.entry, self._nominal.max_insertion)
+        if rotation is not None and not math.isfinite(rotation):
+            raise ValueError(f"rotation must be a finite number (rad), got {rotation}")
+        known = insertion is not None and rotation is not None
+        advance = (
+            min(observed.insertion, self._nominal.max_insertion)
+            if insertion is None
+            else checked_insertion(insertion, observed, self._nominal.max_insertion)
+        )
+        last = self._feeder
+        if rotation is None:
+            rotation = found_rotation(self._nominal, observed, advance, None if last is None else last.rotation)
+        self._feeder = _Feeder(advance, float(rotation))
+        cases = self._deviations[0 if known else 1]
+        for case in cases[len(self._members) :]:
+            self._members.append(_Member(simulated_device(*self._case, case)))
+        turn, follow = float(rotation), known and last is not None
+
+        def estimate(member: _Member, case: Deviation) -> RestingContacts | None:
+            moved = _Feeder(advance + case.insertion, turn + case.rotation)
+            return member.estimate(observed, self._noisy(observed, case), moved, follow=follow)
+
+        if self._workers > 1:
+            with ThreadPoolExecutor(self._workers) as pool:
+                read = list(pool.map(estimate, self._members, cases))
+        else:
+            read = [estimate(member, case) for member, case in zip(self._members, cases, strict=True)]
+        rested = [one for one in read if one is not None]
+        if not rested:
+            self._feeder = None
+            raise ValueError(
+                "the simulated device does not come to rest along this curve: check the curve, the phantom it is "
+                "registered to and the device's stiffness"
+            )
+        return summarise(rested, advance, turn)
+
+    def _noisy(self, observed: ObservedCurve, case: Deviation) -> ObservedCurve:
+        """The curve with the noise of a case."""
+        if case.curve_seed is None or self.uncertainty.curve == 0:
+            return observed
+        points = resampled(observed.points, STEP)
+        generator = np.random.default_rng(case.curve_seed)
+        noise = smooth_noise(len(points), STEP, self.uncertainty.curve_width, generator)
+        return ObservedCurve(points + self.uncertainty.curve * noise, observed.length)
+
+
+def contact_forces(
+    curve: ArrayLike,
+    phantom: Phantom,
+    device: Guidewire,
+    insertion: float | None = None,
+    rotation: float | None = None,
+    *,
+    entry: str = "descending",
+    members: int = MEMBERS,
+    uncertainty: Uncertainty | None = None,
+    seed: int = 0,
+    accuracy: str | Accuracy = "accurate",
+    friction: float | None = None,
+    workers: int = 1,
+) -> ContactForces:
+    """Contact forces of a device that rests in a vessel, from its shape.
+
+    The simulated device is laid along the curve, its feeder held, and left to rest; its contacts are read. An ensemble
+    over what is not known (`Uncertainty`) gives medians and 90 % intervals. The device is assumed at rest, its
+    stiffness measured, its torsion rigid; blood and pulsation are left out.
+
+    Args:
+        curve: points (n, 3) m, world frame, from the entry to the tip: simulated (`inserted_curve`) or reconstructed.
+        phantom: the anatomy, registered to the curve.
+        device: with its stiffness, to which forces are proportional.
+        insertion: of the feeder, m; None: from the curve's length.
+        rotation: of the feeder, rad; None: searched.
+        entry: name of the phantom's entry.
+        members: of the ensemble; 1: the nominal case alone, without intervals.
+        uncertainty: what the ensemble varies.
+        seed: of the ensemble.
+        accuracy: "accurate", "fast", "reference", or an `Accuracy`.
+        friction: nominal coefficient; None: the device's, 0.1 at least.
+        workers: threads among which the members are divided.
+
+    Raises:
+        ValueError: a curve, feeder, entry or device that cannot be, in one sentence; the device does not come to rest.
+    """
+    estimator = ContactForceEstimator(
+        phantom,
+        device,
+        entry=entry,
+        members=members,
+        uncertainty=uncertainty,
+        seed=seed,
+        accuracy=accuracy,
+        friction=friction,
+        workers=workers,
+    )
+    return estimator.update(curve, insertion, rotation)
+
+
+def _of_found_feeder(uncertainty: Uncertainty) -> Uncertainty:
+    return dataclasses.replace(
+        uncertainty,
+        insertion=max(uncertainty.insertion, FOUND_INSERTION),
+        rotation=max(uncertainty.rotation, FOUND_ROTATION),
+    )
+
+
+class _Member:
+    """A case of the ensemble: its simulation, and where its feeder was in the last frame."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self.feeder: _Feeder | None = None
+
+    def estimate(
+        self, observed: ObservedCurve, laid: ObservedCurve, feeder: _Feeder, *, follow: bool
+    ) -> RestingContacts | None:
+        """The contacts of a frame; None where the simulation fails.
+
+        Args:
+            observed: the frame's curve.
+            laid: along which the device is laid where it is.
+            follow: whether the feeder goes on from the last frame, if it can.
+        """
+        simulation = self.simulation
+        insertion = min(max(feeder.insertion, 0.0), simulation.max_insertion)
+        if not (follow and self._follow(observed, insertion, feeder.rotation)):
+            lay_along(simulation, laid, insertion, feeder.rotation)
+            for _ in range(REST_STEPS):
+                simulation.advance(0.0, 0.0)
+        self.feeder = _Feeder(insertion, feeder.rotation)
+        return resting_contacts(simulation, observed) if simulation.valid else None
+
+    def _follow(self, observed: ObservedCurve, insertion: float, rotation: float) -> bool:
+        """Moves the feeder to a new position; whether the device then lies along the curve."""
+        simulation, last = self.simulation, self.feeder
+        if last is None or not simulation.valid:
+            return False
+        if abs(insertion - last.insertion) > LEAD_ADVANCE or abs(rotation - last.rotation) > LEAD_ROTATION:
+            return False
+        lead = simulation.lead() * (LEAD_ADVANCE, LEAD_ROTATION)
+        simulation.advance(insertion - simulation.insertion - lead[0], rotation - simulation.rotation - lead[1])
+        return simulation.valid and distance_to(simulation, observed) < FOLLOW_DISTANCE

@@ -1,0 +1,72 @@
+"""Laying a simulated device along a curve: joint angles whose links point along it."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.arena import FEEDER, PROTRUSION
+from cathsim.simulation import Simulation
+from cathsim.statics.observed_curve import ObservedCurve
+
+Array = NDArray[np.float64]
+
+
+def joint_angles(nodes: Array, axes: Array) -> Array:
+    """The two angles of each joint that turn the links of a chain along a polyline.
+
+    Args:
+        nodes: ends of the links behind the first, which is held, from the proximal end, m. Shape (k + 1, 3).
+        axes: of the first link, its z along it, in columns. Shape (3, 3).
+
+    Returns:
+        Shape (k, 2), rad: about a link's x, then about its new y.
+    """
+    bends = np.empty((len(nodes) - 1, 2))
+    for joint, (start, end) in enumerate(itertools.pairwise(nodes)):
+        along = axes.T @ ((end - start) / np.linalg.norm(end - start))
+        bends[joint] = np.arctan2(-along[1], along[2]), np.arcsin(np.clip(along[0], -1.0, 1.0))
+        axes = axes @ _turned(*bends[joint])
+    return bends
+
+
+def lay_along(simulation: Simulation, curve: ObservedCurve, insertion: float, rotation: float) -> None:
+    """Lays the device along a curve, without a velocity; what is not inserted lies straight in the sheath.
+
+    The curve is stretched to the inserted length. Links keep its directions, so that a curve beside the entry is moved
+    to it.
+
+    Args:
+        insertion: of the feeder, m.
+        rotation: of the feeder, rad.
+    """
+    straight = np.zeros(simulation.nq)
+    straight[:2] = insertion, rotation
+    simulation.set_joint_positions(straight)
+    links = np.asarray(simulation.wire.links[-simulation.active_links :])
+    from_tip = np.concatenate((np.cumsum(links[::-1])[::-1], [0.0]))
+    length = insertion + PROTRUSION
+    behind = np.maximum(from_tip - length, 0.0)
+    nodes = curve.at(from_tip, length) - behind[:, None] * simulation.vessel.direction
+    axes = simulation.data.xmat[simulation.model.body(FEEDER).id].reshape(3, 3).copy()
+    bends = joint_angles(nodes[1:], axes).ravel()
+    straight[len(straight) - len(bends) :] = bends
+    simulation.set_joint_positions(straight)
+
+
+def distance_to(simulation: Simulation, curve: ObservedCurve) -> float:
+    """Root mean square distance (m) between the device and a curve, at equal distances from their tips."""
+    points = simulation.inserted_points()
+    from_tip = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    inserted = from_tip <= curve.length
+    gaps = points[inserted] - curve.at(from_tip[inserted])
+    weights = np.gradient(from_tip[inserted]) if inserted.sum() > 1 else np.ones(1)
+    return float(np.sqrt((weights * (gaps**2).sum(axis=1)).sum() / weights.sum()))
+
+
+def _turned(about_x: float, about_y: float) -> Array:
+    """Rotation about x, then about the new y. Shape (3, 3)."""
+    cx, sx, cy, sy = np.cos(about_x), np.sin(about_x), np.cos(about_y), np.sin(about_y)
+    return np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

@@ -1,0 +1,141 @@
+"""Contact forces from a curve agree with the simulator's, alone, as an ensemble and in a sequence; bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy.centreline import resampled
+from cathsim.guidewire import Guidewire
+from cathsim.statics import ContactForceEstimator, contact_forces, inserted_curve
+from cathsim.statics.resting_contacts import RestingContacts
+from cathsim.statics.uncertainty import smooth_noise
+
+
+def resultant(truth: RestingContacts) -> float:
+    return float(np.linalg.norm(truth.resultant))
+
+
+@pytest.fixture(scope="module")
+def feeder(resting) -> tuple[float, float]:
+    return resting.simulation.insertion, resting.simulation.rotation
+
+
+def test_the_exact_curve_gives_the_forces(resting, feeder) -> None:
+    assert resting.truth.normal_sum > 0.05
+    found = contact_forces(resting.curve, resting.phantom, resting.wire, *feeder, members=1)
+    assert found.normal_sum.value == pytest.approx(resting.truth.normal_sum, rel=0.1)
+    assert found.resultant.value == pytest.approx(resultant(resting.truth), rel=0.1)
+    assert found.largest.value == pytest.approx(resting.truth.largest, rel=0.15)
+    assert np.linalg.norm(found.resultant_vector - resting.truth.resultant) < 0.15 * resultant(resting.truth)
+    assert found.normal_sum.low == found.normal_sum.high == pytest.approx(found.normal_sum.value)
+    assert found.shape_error < 1e-3
+    assert found.members == 1
+
+
+def test_a_stiffer_wire_of_the_same_shape_presses_harder_in_proportion(resting, feeder) -> None:
+    wire = resting.wire
+    stiff = dataclasses.replace(
+        wire,
+        shaft_stiffness_nmm2=2 * wire.shaft_stiffness_nmm2,
+        tip_stiffness_nmm2=2 * wire.tip_stiffness_nmm2,
+    )
+    soft = contact_forces(resting.curve, resting.phantom, wire, *feeder, members=1)
+    hard = contact_forces(resting.curve, resting.phantom, stiff, *feeder, members=1)
+    assert hard.normal_sum.value == pytest.approx(2 * soft.normal_sum.value, rel=0.1)
+
+
+def test_an_ensemble_holds_the_truth_and_is_repeatable(resting, feeder) -> None:
+    points = resampled(resting.curve, 1e-3)
+    noisy = points + 0.5e-3 * smooth_noise(len(points), 1e-3, 0.010, np.random.default_rng(3))
+    arguments = (noisy, resting.phantom, resting.wire, *feeder)
+    found, again = (contact_forces(*arguments, members=6, seed=1, workers=workers) for workers in (1, 2))
+    assert found.members == 6
+    for name, true in (("normal_sum", resting.truth.normal_sum), ("resultant", resultant(resting.truth))):
+        estimate = getattr(found, name)
+        assert estimate.low < estimate.value < estimate.high
+        assert estimate.low < true < estimate.high
+        assert estimate.value == pytest.approx(true, rel=0.5)
+        assert estimate == getattr(again, name)
+    count = len(found.points)
+    assert found.forces.shape == (count, 3)
+    assert found.normal_forces_90.shape == found.from_tip_90.shape == (count, 2)
+    assert (found.normal_forces_90[:, 0] <= found.normal_forces).all()
+    assert (found.normal_forces <= found.normal_forces_90[:, 1]).all()
+    assert (np.diff(found.from_tip) >= 0).all()
+    assert ((found.presence > 0) & (found.presence <= 1)).all()
+    np.testing.assert_allclose(found.forces.sum(axis=0), found.resultant_vector)
+
+
+def test_without_feeder_data_both_are_found(resting, feeder) -> None:
+    found = contact_forces(resting.curve, resting.phantom, resting.wire, members=1)
+    assert found.insertion == pytest.approx(feeder[0], abs=2e-3)
+    assert np.cos(found.rotation - feeder[1]) > np.cos(0.5)
+    assert found.normal_sum.value == pytest.approx(resting.truth.normal_sum, rel=0.4)
+
+
+def test_a_sequence_follows_the_wire(resting, feeder) -> None:
+    simulation = resting.simulation
+    state = simulation.state()
+    tracker = ContactForceEstimator(resting.phantom, resting.wire, friction=resting.wire.friction)
+    tracker.update(resting.curve, *feeder)
+    for _ in range(8):
+        simulation.advance(0.001, 0.05)
+        found = tracker.update(inserted_curve(simulation), simulation.insertion, simulation.rotation)
+    true = np.linalg.norm(simulation.contacts().forces.sum(axis=0))
+    simulation.restore(state)
+    assert found.resultant.value == pytest.approx(true, rel=0.25)
+
+
+def test_frames_without_feeder_data_go_on_from_the_last_rotation(resting, feeder) -> None:
+    tracker = ContactForceEstimator(resting.phantom, resting.wire)
+    first = tracker.update(resting.curve)
+    assert abs(tracker.update(resting.curve).rotation - first.rotation) < 0.2
+    tracker.reset()
+    assert tracker.update(resting.curve).rotation == pytest.approx(first.rotation)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda curve: curve[:, :2], r"shape \(n, 3\) with 2 points at least, got \(\d+, 2\)"),
+        (lambda curve: curve[:1], "2 points at least"),
+        (lambda curve: "curve", "must be numbers"),
+        (lambda curve: np.where(np.arange(len(curve))[:, None] == 5, np.nan, curve), "must be finite, its point 5"),
+        (lambda curve: curve[::-1], "reverse it"),
+        (lambda curve: 1e3 * curve, "give it in m"),
+        (lambda curve: np.vstack((curve, curve[-1] + [0.05, 0.0, 0.0])), "outside of it"),
+        (lambda curve: np.vstack((curve, curve[::-1][:-5], curve[5:])), "give a longer device"),
+    ],
+)
+def test_a_curve_that_cannot_be_is_refused(resting, change, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as refusal:
+        contact_forces(change(resting.curve), resting.phantom, resting.wire, members=1)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("feeder", "message"),
+    [
+        ((-0.1, 0.0), "insertion must lie in 0 to"),
+        ((np.nan, 0.0), "insertion must lie in 0 to"),
+        ((0.1, 0.0), "does not fit a curve of"),
+        ((None, np.inf), "rotation must be a finite number"),
+    ],
+)
+def test_a_feeder_that_cannot_be_is_refused(resting, feeder, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        contact_forces(resting.curve, resting.phantom, resting.wire, *feeder, members=1)
+
+
+def test_other_arguments_that_cannot_be_are_refused(resting) -> None:
+    with pytest.raises(ValueError, match="unknown entry 'femoral'"):
+        contact_forces(resting.curve, resting.phantom, resting.wire, entry="femoral")
+    with pytest.raises(ValueError, match="device must be a Guidewire, got str"):
+        contact_forces(resting.curve, resting.phantom, "default")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="unknown accuracy"):
+        contact_forces(resting.curve, resting.phantom, Guidewire(), accuracy="exact")
+    with pytest.raises(ValueError, match="must be 1 at least"):
+        contact_forces(resting.curve, resting.phantom, Guidewire(), members=0)
