@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.report.load_cell import QUANTITIES, WIRE, WallForces, device_of, wall_forces
 from pipeline.settings.checks import shown
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ class EpisodeForces:
         magnitudes: (T,) N, largest resultant of each step.
         points: (k, 3) m, contact positions of all steps, world frame.
         forces: (k,) N, their magnitudes.
+        device: "wire", or the catheter over it.
+        wall: what a load cell reads, and what else the resultant hides; None for a log from before these were kept.
     """
 
     phantom: str
@@ -37,6 +40,8 @@ class EpisodeForces:
     magnitudes: Array
     points: Array
     forces: Array
+    device: str = WIRE
+    wall: WallForces | None = None
 
 
 def read_forces(folder: Path) -> list[EpisodeForces]:
@@ -70,6 +75,8 @@ def episode_forces(path: Path) -> EpisodeForces:
         magnitudes=np.linalg.norm(arrays["resultant_force"][steps], axis=1),
         points=points[there],
         forces=norms[there],
+        device=device_of(info.configuration),
+        wall=wall_forces(arrays, interval=info.control_dt, seed=info.seed),
     )
 
 
@@ -78,11 +85,22 @@ def pooled(episodes: Sequence[EpisodeForces]) -> Array:
     return np.concatenate([episode.magnitudes for episode in episodes]) if episodes else np.zeros(0)
 
 
-def table_rows(c: ForceComparison, pushed: Array, agrees: str, differs: str) -> dict[str, dict[str, Any]]:
+def pooled_wall(episodes: Sequence[EpisodeForces]) -> WallForces | None:
+    """Joins the forces between device and vessel of every step; None where no log holds them."""
+    there = [episode.wall for episode in episodes if episode.wall is not None]
+    if not there:
+        return None
+    return WallForces(**{name: np.concatenate([getattr(one, name) for one in there]) for name in QUANTITIES})
+
+
+def table_rows(
+    c: ForceComparison, pushed: Array, agrees: str, differs: str, wall: WallForces | None = None
+) -> dict[str, dict[str, Any]]:
     """Fills the report's table `force_validation`.
 
     Args:
         pushed: (n,) N, forces of the same wire pushed without a planner.
+        wall: what a load cell reads of the same episodes.
 
     Returns:
         Row to column to cell.
@@ -104,6 +122,8 @@ def table_rows(c: ForceComparison, pushed: Array, agrees: str, differs: str) -> 
         "agrees": agrees,
         "differs": differs,
     }
+    if wall is not None:
+        cells |= {name: [float(getattr(wall, name).mean()), float(getattr(wall, name).std())] for name in QUANTITIES}
     rows = {row: {"value": cell} for row, cell in cells.items()}
     rows["simulated_force_n"]["n"] = c.n
     rows["pushed_force_n"]["n"] = len(pushed)

@@ -11,8 +11,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 
 from pipeline.jobs.pool import Job, Report, run_jobs
-from pipeline.report.force_logs import EpisodeForces, pooled, read_forces, table_rows
-from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat
+from pipeline.report.force_logs import EpisodeForces, pooled, pooled_wall, read_forces, table_rows
+from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat, draw_quantities
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import validated
 from pipeline.settings.kinds import Count, FolderName
@@ -30,7 +30,7 @@ SPEED_MODES: dict[str, str | tuple[str, ...]] = {
     "image_mask": ("image", "mask"),
 }
 GROUP = "Force validation"
-VERDICT, DISTRIBUTION, BOXES = "verdict.txt", "distribution.png", "boxes.png"
+VERDICT, DISTRIBUTION, BOXES, QUANTITIES = "verdict.txt", "distribution.png", "boxes.png", "quantities.png"
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -102,14 +102,16 @@ def validate_forces(
             f"the expert stage's episodes cannot be compared with real forces ({error}): record more of them"
         ) from error
     pushed = pushed_forces(settings.phantom, settings.speed_steps, seed=seed)
+    wall = pooled_wall(chosen)
     agrees, differs = verdict(
         comparison,
         pushed,
+        None if wall is None else wall.load_cell_n,
         operators={episode.operator for episode in chosen},
         free_force_n=min((e.free_force_n for e in chosen if e.free_force_n is not None), default=None),
     )
     write_text(folder / VERDICT, f"Agrees: {agrees}\n\nDiffers: {differs}\n")
-    return {"force_validation": table_rows(comparison, pushed, agrees, differs)}
+    return {"force_validation": table_rows(comparison, pushed, agrees, differs, wall)}
 
 
 def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
@@ -195,6 +197,14 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
         Figure("Contact forces beside real ones", f"{len(chosen)} episodes in {place}. {words}", DISTRIBUTION, GROUP),
         Figure("Contact forces by arch and target", f"{len(episodes)} expert episodes.", BOXES, GROUP),
     ]
+    wall = pooled_wall(chosen)
+    if wall is not None:
+        draw_quantities(wall, *real, folder / QUANTITIES)
+        caption = (
+            f"{len(wall.load_cell_n)} steps in {place}. The cell reads the resultant on the vessel, averaged over a "
+            "step and filtered, with its noise; opposite walls cancel in it, but not in the sum of magnitudes."
+        )
+        shown.insert(1, Figure("What a load cell under the phantom reads", caption, QUANTITIES, GROUP))
     for name in dict.fromkeys(episode.phantom for episode in episodes):
         inside = [episode for episode in episodes if episode.phantom == name]
         file = f"heat/{name}.png"
@@ -209,7 +219,7 @@ STAGE = Stage(
     settings=ValidateSettings,
     run=run_validate,
     reads=("phantoms", "expert"),
-    writes=(f"{DISTRIBUTION}, {BOXES}, heat/<phantom>.png", VERDICT, "results.json", "figures.json"),
+    writes=(f"{DISTRIBUTION}, {BOXES}, {QUANTITIES}, heat/<phantom>.png", VERDICT, "results.json", "figures.json"),
     check=check_validate,
     place=4,
 )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.report.load_cell import device_of, wall_forces
 from pipeline.store.provenance import hash_value
 
 if TYPE_CHECKING:
@@ -51,6 +52,9 @@ class Evaluation:
         force_weight: of the force in the policy's reward, 1/N; None where the log says nothing of it.
         started_ns: since the epoch.
         contact_force: mean magnitude of a single contact's force, N; None without contacts in the log.
+        device: "wire", or the catheter over it.
+        wall_forces: mean (N) and mean square (N^2) over the steps of the quantities of `pipeline.report.load_cell`;
+            None where the log does not hold them.
         metrics: from the arrays, with the thesis's reward.
     """
 
@@ -73,6 +77,8 @@ class Evaluation:
     wire: str
     started_ns: int
     contact_force: float | None
+    device: str
+    wall_forces: dict[str, list[float]] | None
     metrics: EpisodeMetrics
 
     @property
@@ -167,6 +173,7 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
     except ValueError as error:
         raise UnusableLogError(str(error)) from error
     relative = path.relative_to(run_path)
+    forces = wall_forces(arrays, interval=info.control_dt, seed=info.seed)
     return Evaluation(
         log=relative.as_posix(),
         **_origin(info, relative),
@@ -182,6 +189,8 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
         wire=hash_value(info.configuration.get("wire"))[:12],
         started_ns=info.start_time_ns,
         contact_force=float(contacts.mean()) if len(contacts) else None,
+        device=device_of(info.configuration),
+        wall_forces=forces.moments() if forces is not None else None,
         metrics=metrics,
     )
 

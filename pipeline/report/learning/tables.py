@@ -9,6 +9,7 @@
 | `behaviour_cloning` | `imitation`, every phantom                   | phantom/target/row                         |
 | `generalisation`    | `unseen`                                     | row/target/test set                        |
 | `expert`, `human`   | the sampling expert, people; every phantom   | phantom/target                             |
+| `load_cell`         | every stage above whose logs hold the forces | phantom/target/device/stage/row            |
 
 In the thesis's tables, `expert` and `human`, pairs are mean and standard deviation over the deterministic episodes of
 all seeds, as the thesis has them. In the other own ones they are taken over the training seeds' means, with n - 1 in
@@ -34,6 +35,7 @@ from pipeline.report.learning.logs import (
 )
 from pipeline.report.learning.reading import CACHE, read_logs
 from pipeline.report.learning.statistics import counted, mean_of, of_mode, over_seeds, shortest_paths, summary
+from pipeline.report.load_cell import load_cell_table
 from pipeline.report.results import SAMPLES, Table
 from pipeline.report.table_formats import format_cell
 from pipeline.store.errors import StageError
@@ -118,6 +120,7 @@ def learning_tables(evaluations: Sequence[Evaluation], shortest: Shortest) -> di
         "imitation": _thesis(rows, shortest, _in_imitation) if any(stage == "imitation" for stage, *_ in rows) else {},
         **{OWN_TABLES[stage]: _own(rows, stage, shortest) for stage in LEARNING_STAGES},
         **{OWN_TABLES[stage]: _of_operator(rows, stage, shortest) for stage in COMPARED},
+        "load_cell": load_cell_table({key: of_mode(chosen, DETERMINISTIC) for key, chosen in rows.items()}),
     }
     return {name: table for name, table in tables.items() if table}
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.report.force_logs import EpisodeForces, pooled
+from pipeline.report.load_cell import QUANTITIES, WallForces
 from pipeline.report.plots.canvas import MM, chart, new_figure, save_figure, style
 
 if TYPE_CHECKING:
@@ -44,6 +45,24 @@ def draw_distribution(simulated: Array, real_mean_n: float, real_sd_n: float, fi
     style(density)
     style(cumulated)
     save_figure(figure, file)
+
+
+def draw_quantities(wall: WallForces, real_mean_n: float, real_sd_n: float, file: Path) -> None:
+    """Draws the cumulated distributions of load cell, sum of magnitudes and largest contact beside the real one."""
+    from scipy.stats import norm
+
+    labels = dict(zip(QUANTITIES, ("load cell", "sum of the contacts' magnitudes", "largest contact"), strict=True))
+    with chart(file, 6.0) as axes:
+        top = max(
+            real_mean_n + 3.5 * real_sd_n, *(float(np.percentile(getattr(wall, name), 99)) for name in QUANTITIES)
+        )
+        at = np.linspace(0.0, top, 400)
+        for name, label in labels.items():
+            ordered = np.sort(getattr(wall, name))
+            axes.step(ordered, np.arange(1, len(ordered) + 1) / len(ordered), where="post", label=label)
+        real = f"real, N({real_mean_n:.2f}, {real_sd_n:.2f}) N"
+        axes.plot(at, norm.cdf(at, real_mean_n, real_sd_n), color=_REAL, linestyle="--", label=real)
+        axes.set(xlabel="force of a step (N)", ylabel="share of the steps below", xlim=(0, top), ylim=(0, 1.02))
 
 
 def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n: float, file: Path) -> None:

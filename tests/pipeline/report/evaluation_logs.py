@@ -31,13 +31,14 @@ def write_evaluation(
     outcome_success: bool | None = None,
     started_ns: int = 1_700_000_000_000_000_000,
     task: dict[str, Any] | None = None,
+    loads: dict[str, float] | None = None,
     **metadata: Any,
 ) -> Path:
     """A log of a straight way of `way` metres in equal steps, each with the same resultant force.
 
     Distances to the target fall from 0.1 m by equal steps to `end_distance`: 4 mm on success, 30 mm otherwise. Every
     step has `contacts` contacts that share the force. The first record, the state after reset, has a force of 9 N,
-    which counts nowhere. Returns the path.
+    which counts nowhere. `loads` are further scalars of every record. Returns the path.
     """
     end = (0.004 if success else 0.03) if end_distance is None else end_distance
     distances = np.linspace(0.1, end, steps + 1)
@@ -79,7 +80,7 @@ def write_evaluation(
                     resultant_force=np.array([0.0, pressed, 0.0]),
                     insertion=0.0,
                     rotation=0.0,
-                    extra={"distance_m": float(distances[step])},
+                    extra={"distance_m": float(distances[step]), **(loads or {})},
                 )
             )
         said = success if outcome_success is None else outcome_success

@@ -97,12 +97,18 @@ def compare_forces(
 
 
 def verdict(
-    c: ForceComparison, pushed: Array, *, operators: Collection[str], free_force_n: float | None
+    c: ForceComparison,
+    pushed: Array,
+    read: Array | None = None,
+    *,
+    operators: Collection[str],
+    free_force_n: float | None,
 ) -> tuple[str, str]:
     """Says what agrees with the real forces and what does not.
 
     Args:
         pushed: (n,) N, forces of the same wire pushed without a planner.
+        read: (n,) N, what a load cell under the phantom reads of the same steps; None where it is not known.
         free_force_n: force that the operator does not pay for, N; None where it is not known.
 
     Returns:
@@ -129,7 +135,7 @@ def verdict(
     real_side = f"the real ones' mean + 3 SD is {highest:.2f} N"
     (agrees if c.safe_share > 0.99 and highest < FORCE_LIMIT else differs).append(f"Safety: {safe}; {real_side}.")
     if differs:
-        differs.append(_unlike(c, pushed, operators, free_force_n))
+        differs.append(_unlike(c, pushed, read, operators, free_force_n))
     return " ".join(agrees) or "Nothing.", " ".join(differs) or "Nothing."
 
 
@@ -146,17 +152,28 @@ def _location(c: ForceComparison) -> str:
     )
 
 
-def _unlike(c: ForceComparison, pushed: Array, operators: Collection[str], free_force_n: float | None) -> str:
+def _unlike(
+    c: ForceComparison, pushed: Array, read: Array | None, operators: Collection[str], free_force_n: float | None
+) -> str:
     """Words how the two were measured differently, and which part of it was tested."""
     names = ", ".join(sorted(operator.replace("_", " ") for operator in operators))
     times = float(pushed.mean()) / c.mean_n if c.mean_n > 0 else 0.0
     factor = f", {times:.1f} times as much: so much the steering can explain" if times > 0 else ""
     planner = "" if free_force_n is None else f", which pays for forces above {free_force_n:g} N and so avoids them"
+    cell = (
+        "What the load cell contributes is not known from these episodes."
+        if read is None
+        else f"Read as a load cell reads it (mean of each step, filtered, with noise), the same steps give "
+        f"{read.mean():.3f} ± {read.std():.3f} N: the cell explains none of the difference."
+        if read.mean() < 1.5 * c.mean_n or read.mean() < 0.25 * c.real_mean_n
+        else f"Read as a load cell reads it (mean of each step, filtered, with noise), the same steps give "
+        f"{read.mean():.3f} ± {read.std():.3f} N."
+    )
     return (
         "Mind what is compared: the real forces are those of a catheter on a silicone phantom, read from a load cell; "
         f"these are the contacts of a bare guidewire with a rigid wall, steered by the {names}{planner}. Pushed at "
         f"full speed with random rotation instead, the wire gives {pushed.mean():.3f} ± {pushed.std():.3f} N{factor}. "
-        "What the catheter, the elastic wall and the load cell contribute was not tested."
+        f"{cell} What the catheter contributes was not tested here."
     )
 
 
