@@ -1,18 +1,13 @@
-"""What a load cell under the phantom reads, from episode logs: the readings, and the table by operator and device."""
+"""What a load cell under the phantom reads, from episode logs: the readings, and the device of a log."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pipeline.report.results import SAMPLES, Table
-
-if TYPE_CHECKING:
-    from pipeline.report.learning.logs import Evaluation
 
 Array = NDArray[np.float64]
 
@@ -72,25 +67,3 @@ def device_of(configuration: Mapping[str, Any]) -> str:
     if isinstance(catheter, Mapping):
         return str(catheter.get("name", "catheter"))
     return WIRE if not catheter else str(catheter)
-
-
-def load_cell_table(rows: Mapping[tuple[str, str, str, str], Sequence[Evaluation]]) -> Table:
-    """Mean and standard deviation over all steps of every operator, by phantom, target and device.
-
-    Args:
-        rows: evaluations by stage, phantom, target and row.
-    """
-    table: Table = {}
-    for (stage, phantom, target, name), evaluations in rows.items():
-        for device in sorted({one.device for one in evaluations}):
-            chosen = [one for one in evaluations if one.device == device and one.wall_forces is not None]
-            if not chosen:
-                continue
-            weights = np.array([one.metrics.steps for one in chosen], float)
-            cells: dict[str, Any] = {SAMPLES: len(chosen)}
-            for quantity in QUANTITIES:
-                moments = np.array([(one.wall_forces or {})[quantity] for one in chosen])
-                mean, square = np.average(moments, axis=0, weights=weights)
-                cells[quantity] = [float(mean), float(np.sqrt(max(square - mean**2, 0.0)))]
-            table[f"{phantom}/{target}/{device}/{stage}/{name}"] = cells
-    return table

@@ -23,6 +23,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.report.learning.force_table import load_cell_table
 from pipeline.report.learning.logs import (
     COMPARED,
     DETERMINISTIC,
@@ -35,7 +36,6 @@ from pipeline.report.learning.logs import (
 )
 from pipeline.report.learning.reading import CACHE, read_logs
 from pipeline.report.learning.statistics import counted, mean_of, of_mode, over_seeds, shortest_paths, summary
-from pipeline.report.load_cell import load_cell_table
 from pipeline.report.results import SAMPLES, Table
 from pipeline.report.table_formats import format_cell
 from pipeline.store.errors import StageError
