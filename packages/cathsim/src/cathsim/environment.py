@@ -1,4 +1,4 @@
-"""The Gymnasium environment: navigate a guidewire to a branch of the aorta."""
+"""The Gymnasium environment: navigate a guidewire, or a wire in a catheter, to a branch of the aorta."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.blood.flow import BloodFlow, blood_flow
 from cathsim.contact.hulls import Decomposition, decomposition
+from cathsim.devices.catheter import Catheter
+from cathsim.devices.choice import chosen_catheter, chosen_wire, simulation_of
+from cathsim.devices.simulation import DualSimulation
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
-from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.guidewire import Guidewire
 from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
 from cathsim.observations.observables import BiplaneView, Fluoroscope, make_observable
 from cathsim.observations.progress_history import History
@@ -23,17 +26,20 @@ from cathsim.observations.roadmap import Roadmap
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
 from cathsim.registration.description import Specified, chosen, described
-from cathsim.robot.follower import DRIVES, FollowerRobot
-from cathsim.simulation import CONTROL_STEP, Simulation
+from cathsim.robot.feeders import ROTATION_STEP as ROTATION_STEP
+from cathsim.robot.feeders import TRANSLATION_STEP as TRANSLATION_STEP
+from cathsim.robot.feeders import Feeders
+from cathsim.robot.follower import FollowerRobot
+from cathsim.simulation import CONTROL_STEP
 from cathsim.viewing.display import MODES, Display
 
-TRANSLATION_STEP = 0.002  # m at full action
-ROTATION_STEP = np.radians(15.0)  # rad at full action
 ACTIONS = ("feeder", "tip_motors")
 
 
 class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     """A guidewire is fed through an introducer sheath into an aorta; its tip is to reach a target in a branch.
+
+    With `catheter`, the wire lies in a catheter, and the tip is that of the device that is further in.
 
     One step lasts 0.1 s of simulated time, the feeder moving at constant speed.
 
@@ -44,6 +50,13 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     |---|---|---|
     | 0 | translation of the feeder; positive inserts | 2 mm |
     | 1 | rotation of the feeder about the direction of insertion | 15 degrees |
+
+    A wire in a catheter: `Box(-1, 1, (4,))`; a catheter alone has two actions, as the bare wire.
+
+    | index | action | at 1 |
+    |---|---|---|
+    | 0, 1 | translation and rotation of the wire's feeder | 2 mm, 15 degrees |
+    | 2, 3 | translation and rotation of the catheter's feeder | 2 mm, 15 degrees |
 
     `actions="tip_motors"`: `Box(-1, 1, (21,))`, the order of the thesis
 
@@ -71,6 +84,16 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     | goal | position of the target | (3,) | m, world |
     | goal_image | the target's dot in the frontal view | (1, size, size) uint8 | 0 to 255 |
 
+    With a catheter, `internal`, `joints` and `shape` are those of the chain in which both devices lie, whose links are
+    finer over the catheter's shape; `links` is their number. Other sizes change with two devices, and `devices` is new:
+
+    | name | what | shape | unit |
+    |---|---|---|---|
+    | internal, joints, shape | as above | (28 links,), (4 links,), (links + 1, 3) | as above |
+    | feeder | insertion, cosine and sine of the rotation: wire, catheter; lead of the wire's tip | (7,) | m, 1 |
+    | devices | insertion, angles of hub and tip, feeder's force, hub's torque: wire, catheter | (2, 5) | SI, rad |
+    | roadmap, history | followed by what concerns the catheter | (71,), (18,) | about 1 |
+
     With `cameras`, for each of them (a and b): `image_a`, a noisy X-ray image, and `mask_a`, (1, size, size) uint8.
 
     ## Reward
@@ -80,7 +103,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     ## Start
     The wire lies in the sheath, its tip 5 mm inside the vessel, advanced by up to `start_jitter` and turned by up to
-    `start_rotation`.
+    `start_rotation`; a catheter's tip lies there, too, turned by up to `start_rotation` by its own.
 
     ## Endings
     Terminated when the tip is within `success_radius` of the target; truncated after `max_steps`, or when the
@@ -88,10 +111,12 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     ## Info
     `tip` (3,) m, `distance` m, `insertion` m, `rotation` rad, `force` N (largest resultant of the step), `force_vector`
-    (3,) N, `success`, `invalid`; with `drive="robot"` also `driven`. With `contact_info=True` also `contacts`, the
-    number k of contacts of that moment, and `contact_points` (512, 3) m and `contact_forces` (512, 3) N, whose first k
-    rows are those contacts and whose other rows are zero. Every key has the same type and shape in every step;
-    `env.simulation.contacts()` gives the k contacts alone.
+    (3,) N, `success`, `invalid`; with `drive="robot"` also `driven`. With a catheter also `catheter_insertion` m,
+    `catheter_rotation` rad of its hub, `lead` m of the wire's tip before the catheter's, `feeder_forces` (2,) N, and
+    with the robot `catheter_driven`; `insertion`, `rotation` and `driven` are the wire's, or those of a catheter alone.
+    With `contact_info=True` also `contacts`, the number k of contacts of that moment, and `contact_points` (512, 3) m
+    and `contact_forces` (512, 3) N, whose first k rows are those contacts and whose other rows are zero. Every key has
+    the same type and shape in every step; `env.simulation.contacts()` gives the k contacts alone.
 
     ## Arguments
     Args:
@@ -100,7 +125,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         target: "bca" (the default), "lcca", "lsa", or another of the phantom's targets: "rcca", "rsa", and 10 mm before
             the open ends "rcca_end", "rsa_end", "lcca_end", "lsa_end"; or a point in the lumen, (3,) m, world frame.
         entry: "descending" (femoral access) or "ascending".
-        wire: a preset's name or a `Guidewire`; for far targets a longer one, load_guidewire("default").scaled(0.36).
+        wire: a preset's name, the path of a YAML file or a `Guidewire`; for far targets a longer one,
+            load_guidewire("default").scaled(0.36). None: a catheter alone.
+        catheter: None, or a preset's name ("vertebral", "simmons2_6f"), the path of a YAML file or a `Catheter`.
+        torsion: with a catheter, "elastic", or "rigid": both tips turn as their hubs do. A bare wire's is rigid.
         accuracy: "accurate", "fast" (about twice as fast, deeper contacts), "reference", or an `Accuracy`.
         actions: "feeder" or "tip_motors".
         image_size: side of the images, px (the thesis uses 80 and 128; the public biplane data set has 1,024).
@@ -111,8 +139,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         contact: "sdf", "hulls" (convex hulls of the wall, made in minutes and cached), or a `Decomposition`.
         wall_stiffness: of the wall at each contact, N/mm; at most 1 with accuracy="accurate", 0.5 with "fast", 10 with
             "reference". None: what the solver makes of the usual contact.
-        drive: "direct", or "robot": the follower robot feeds the wire stroke by stroke, so that a step may move it less
-            than its action says, or not at all while the clamp goes back; see `info["driven"]`.
+        drive: "direct", or "robot": a follower robot feeds each device stroke by stroke, so that a step may move it
+            less than its action says, or not at all while the clamp goes back; see `info["driven"]`.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
         task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
@@ -128,7 +156,9 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         target: TargetLike | None = None,
         *,
         entry: str = "descending",
-        wire: str | Guidewire = "default",
+        wire: str | Guidewire | None = "default",
+        catheter: str | Catheter | None = None,
+        torsion: str = "elastic",
         accuracy: str | Accuracy = "accurate",
         actions: str = "feeder",
         observation: str | Sequence[str] = "internal",
@@ -145,16 +175,17 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         task: NavigationTask | None = None,
         **task_fields: Any,
     ) -> None:
-        for name, value, known in (("actions", actions, ACTIONS), ("drive", drive, DRIVES)):
-            if value not in known:
-                raise ValueError(f"unknown {name} '{value}'; there are {', '.join(known)}")
+        if actions not in ACTIONS:
+            raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
         asked = navigation_task(target, task_fields, described(task))
         self.phantom = chosen("phantom", phantom, Phantom, partial(load_phantom, seed=phantom_seed))
         asked.goal(self.phantom)  # refuses an unknown target before anything is built
-        self.simulation = Simulation(
+        self.simulation = simulation_of(
             self.phantom,
-            chosen("wire", wire, Guidewire, load_guidewire),
+            chosen_wire(wire),
+            chosen_catheter(catheter),
             chosen("accuracy", accuracy, Accuracy, preset),
+            torsion=torsion,
             entry=entry,
             contact=contact if isinstance(contact, str) else chosen("contact", contact, Decomposition, decomposition),
             tip_motors=actions == "tip_motors",
@@ -162,7 +193,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             wall_stiffness=wall_stiffness,
         )
         self.render_mode, self._contact_info = render_mode, contact_info
-        self.robot = FollowerRobot() if drive == "robot" else None
+        self.feeders = Feeders(self.simulation, drive)
         self.fluoroscope = Fluoroscope(self.simulation, image_size)
         self._display = Display(render_mode, self.fluoroscope, self.robot)
         self.biplane = None
@@ -178,9 +209,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.history = History(self.simulation, self._way_left) if self._reads_way else None
         self.steps, self.ended = 0, True
 
-        self._motors = self.simulation.motors
-        self._action_shape = (self._motors + 1,) if self._motors else (2,)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._action_shape, np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self.feeders.shape, np.float32)
         if not names:
             raise ValueError("observation must name at least one observable")
         self._observables = {
@@ -200,6 +229,11 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     def task(self, task: NavigationTask) -> None:
         self._set_task(task)
         self._own_task = task
+
+    @property
+    def robot(self) -> FollowerRobot | None:
+        """The robot that feeds the wire, or the catheter that is alone; `feeders.robots` are those of both."""
+        return self.feeders.robots[0] if self.feeders.robots else None
 
     @property
     def goal(self) -> np.ndarray:
@@ -242,8 +276,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             self.simulation.restore(np.asarray(start))
         else:
             self.task.start(self.simulation, self.np_random)
-        if self.robot is not None:
-            self.robot.reset()
+        self.feeders.reset()
         self.fluoroscope.update(restart=True)
         if self.biplane is not None:
             self.biplane.update(seed=int(self.np_random.integers(2**32)))
@@ -266,20 +299,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         """
         if self.ended:
             raise RuntimeError("the episode has ended: call reset() before step()")
-        action = np.asarray(action, np.float64)
-        if action.shape != self._action_shape:
-            raise ValueError(f"expected an action of shape {self._action_shape}, got {action.shape}")
-        if not np.isfinite(action).all():
-            raise ValueError(f"expected a finite action, got {action.tolist()}")
-        action = action.clip(-1.0, 1.0)
+        action = self.feeders.checked(action)
         simulation, task = self.simulation, self.task
-        motors = action[:-1] if self._motors else None
-        translation = TRANSLATION_STEP * float(action[-1] if self._motors else action[0])
-        rotation = 0.0 if self._motors else ROTATION_STEP * float(action[1])
-        if self.robot is not None:
-            translation, rotation = self.robot.advance(translation, rotation, CONTROL_STEP)
         before = simulation.tip
-        simulation.advance(translation, rotation, motors)
+        moves = self.feeders.advance(action)
         self.fluoroscope.update()
         if self.biplane is not None:
             self.biplane.update()
@@ -289,7 +312,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         if invalid:
             simulation.reset()  # so that the last observation is at least finite
         if self.history is not None:
-            self.history.advance(translation / TRANSLATION_STEP, rotation / ROTATION_STEP)
+            self.history.advance(*moves)
         tip = simulation.tip
         distance = straight_distance(tip, self._goal)
         success = distance <= task.success_radius and not invalid
@@ -317,7 +340,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             "registration": self.roadmap.offset.copy(),
             "history": None if self.history is None else self.history.state(),
             "biplane": None if self.biplane is None else self.biplane.state(),
-            "robot": None if self.robot is None else self.robot.state(),
+            "robots": self.feeders.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> Any:
@@ -334,8 +357,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             self.history.restore(state["history"])
         if self.biplane is not None:
             self.biplane.restore(state["biplane"])
-        if self.robot is not None:
-            self.robot.restore(state["robot"])
+        self.feeders.restore(state["robots"])
         return self.observe()
 
     def _reward(self, before_step: np.ndarray, tip: np.ndarray, distance: float, *, success: bool) -> float:
@@ -358,7 +380,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     def _info(self, tip: np.ndarray, distance: float, *, success: bool, invalid: bool) -> dict[str, Any]:
         simulation = self.simulation
-        info = {
+        info: dict[str, Any] = {
             "tip": tip,
             "distance": distance,
             "insertion": simulation.insertion,
@@ -368,8 +390,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             "success": success,
             "invalid": invalid,
         }
-        if self.robot is not None:
-            info["driven"] = self.robot.driven
+        if isinstance(simulation, DualSimulation):
+            info["catheter_insertion"], info["catheter_rotation"] = simulation.catheter_place()
+            info["lead"], info["feeder_forces"] = simulation.device_lead, simulation.feeder_forces()
+        info.update(self.feeders.info())
         if self._contact_info:
             contacts = simulation.padded_contacts()
             info["contacts"] = simulation.summary.contacts

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.point_target import Point, TargetLike, as_target, target_name
 from cathsim.arena import PROTRUSION
+from cathsim.devices.simulation import DualSimulation
 from cathsim.simulation import Simulation
 from cathsim.validation import Count, Turn, Unit, check_fields, settings
 
@@ -37,7 +38,7 @@ class NavigationTask:
         success_radius: the target is reached within this Euclidean distance of the tip, m.
         max_steps: an episode is truncated after this many control steps.
         start_jitter: the wire starts advanced by 0 to this much, uniformly, m.
-        start_rotation: the feeder starts turned by up to this much either way, uniformly, rad.
+        start_rotation: each feeder starts turned by up to this much either way, uniformly, rad.
         reward: "distance", the thesis's: minus the Euclidean distance to the target in metres; or "geodesic": the
             decrease of the distance along the lumen times 100 per metre, less 0.02 a step. Both give 10 at the target.
         force_penalty: subtracted per newton of the step's largest resultant contact force.
@@ -79,8 +80,13 @@ class NavigationTask:
         return insertion, rotation
 
     def start(self, simulation: Simulation, generator: np.random.Generator) -> None:
-        """Puts the wire at the start of an episode."""
-        simulation.reset(*self.draw_start(generator))
+        """Puts the devices at the start of an episode: of two, the catheter is not advanced, and turned by its own."""
+        insertion, rotation = self.draw_start(generator)
+        if isinstance(simulation, DualSimulation) and simulation.pair.both:
+            parked = max(insertion - simulation.pair.most_ahead, 0.0)
+            simulation.reset(insertion, rotation, catheter=(parked, self.draw_start(generator)[1]))
+        else:
+            simulation.reset(insertion, rotation)
 
     def goal(self, phantom: Phantom) -> np.ndarray:
         """Position of the target, m. Shape (3,)."""
@@ -131,9 +137,13 @@ def require_reach(task: NavigationTask, simulation: Simulation) -> None:
     if shortest > reach:
         lacking = shortest - reach + WAY_MARGIN
         length = math.ceil((simulation.wire.length + lacking) * 100 - 1e-9) / 100
+        alone = isinstance(simulation, DualSimulation) and simulation.pair.wire is None
+        device = "catheter is simulated over" if alone else "wire of"
+        verdict = "which is too short for" if alone else "is too short for"
         raise ValueError(
-            f"the wire of {simulation.wire.length * 1e3:.0f} mm is too short for {task.target_name} of {phantom.name}, "
-            f"{shortest * 1e3:.0f} mm from {simulation.entry}: pass wire=load_guidewire(...).scaled({length:.2f})"
+            f"the {device} {simulation.wire.length * 1e3:.0f} mm{',' if alone else ''} {verdict} {task.target_name} of "
+            f"{phantom.name}, {shortest * 1e3:.0f} mm from {simulation.entry}: pass "
+            f"wire=load_guidewire(...).scaled({length:.2f})"
         )
 
 

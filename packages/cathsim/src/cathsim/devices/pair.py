@@ -19,6 +19,9 @@ _FINE_LENGTH, _MEDIUM_LENGTH = 0.024, 0.084  # of the chain's end where links ar
 _SHAPE_MARGIN = 0.040  # links are medium this far beyond a catheter's shape, so that the wire can be ahead, m
 
 
+Torsion = Literal["elastic", "rigid"]
+
+
 @settings
 class DevicePair:
     """A wire within a catheter: one rod, whose end is the tip of the device that is further in.
@@ -37,7 +40,7 @@ class DevicePair:
 
     wire: Guidewire | None
     catheter: Catheter | None
-    torsion: Literal["elastic", "rigid"] = "elastic"
+    torsion: Torsion = "elastic"
     most_ahead: Annotated[float, Interval(ge=0, le=LONGEST), Unit("m")] = 0.30
     most_behind: Annotated[float, Interval(ge=0, le=LONGEST), Unit("m")] = 0.20
     reach: LengthOrNone = 0.0
@@ -54,6 +57,11 @@ class DevicePair:
             raise ValueError(
                 f"a reach of {self.simulated_length:.3f} m is longer than the shorter device, {self.shortest:.3f} m"
             )
+
+    @property
+    def both(self) -> bool:
+        """Whether neither device is absent."""
+        return self.wire is not None and self.catheter is not None
 
     @property
     def shortest(self) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
-from cathsim.arena import ADVANCE, FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, PROTRUSION, model_spec
+from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, PROTRUSION, model_spec
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
@@ -144,15 +144,34 @@ class DualSimulation(Simulation):
         """Angles of both hubs, rad."""
         return self._hub[WIRE], self._hub[CATHETER]
 
+    def catheter_place(self) -> tuple[float, float]:
+        """Insertion (m) of the catheter and angle (rad) of its hub; of an absent one, as the wire's, and 0."""
+        return self.device_insertions()[CATHETER], self._hub[CATHETER] if self.pair.catheter else 0.0
+
     def tip_rotations(self) -> Array:
         """Angles of both tips, rad: those of the hubs, less the torsion between. Shape (2,), NaN of an absent one."""
         turns = np.full(DEVICES, np.nan)
-        bends = self.data.qpos[2:].reshape(-1, 2)
-        around = 2 * np.arctan(np.tan(bends[:, 0] / 2) * np.tan(bends[:, 1] / 2))
+        around = self._turns_about_links()
         for device, table in enumerate(self.tables):
             if table is not None:
                 turns[device] = self.twist[device, -1] + self.data.qpos[1] + around.sum() - around[-1] / 2
         return turns
+
+    def _turns_about_links(self) -> Array:
+        # what the two hinges of each joint turn a link about its own axis, rad
+        bends = self.data.qpos[2:].reshape(-1, 2)
+        return np.asarray(2 * np.arctan(np.tan(bends[:, 0] / 2) * np.tan(bends[:, 1] / 2)))
+
+    @property
+    def leading(self) -> int:
+        """The device whose tip is the chain's end: 0 the wire, 1 the catheter."""
+        if self.pair.wire is None:
+            return CATHETER
+        return WIRE if self.pair.catheter is None or self._lead >= 0 else CATHETER
+
+    def turn_of_leading(self) -> float:
+        """Angle by which the leading device's cross-section at its tip is turned about the chain's last link, rad."""
+        return float(self.twist[self.leading, -1] - self._turns_about_links()[-1] / 2)
 
     @property
     def insertion(self) -> float:
@@ -170,9 +189,7 @@ class DualSimulation(Simulation):
         return self._lead
 
     def _lead_limits(self) -> tuple[float, float]:
-        pair = self.pair
-        both = pair.wire is not None and pair.catheter is not None
-        return (-pair.most_behind, pair.most_ahead) if both else (0.0, 0.0)
+        return (-self.pair.most_behind, self.pair.most_ahead) if self.pair.both else (0.0, 0.0)
 
     def _frame_turn(self, turns: Sequence[float]) -> float:
         """How far the chain turns with its devices: the outer surface of what lies in the vessel turns with its own."""
@@ -272,11 +289,10 @@ class DualSimulation(Simulation):
 
     def feeder_forces(self) -> Array:
         """What wire's and catheter's feeders push with, N, positive inserts. Shape (2,), 0 of an absent one."""
-        drive = self.data.ctrl[self.model.actuator(ADVANCE).id] - self.data.qpos[0]
+        drive = self._to[0] - self.data.qpos[0]
         chain = FEEDER_STIFFNESS * drive - FEEDER_DAMPING * self.data.qvel[0]
         forces = np.array(self._rod.struct.feeder_force[:])
-        leading = WIRE if self.pair.catheter is None or (self.pair.wire is not None and self._lead >= 0) else CATHETER
-        forces[leading] += chain
+        forces[self.leading] += chain
         return forces
 
     def hub_torques(self) -> Array:
@@ -320,3 +336,17 @@ class DualSimulation(Simulation):
         super().restore(state[:-extra])
         self.twist[:] = state[len(state) - self.twist.size :].reshape(self.twist.shape)
         self._rod.place(self._lead, self._hub)
+        self._rod.untwist(self.data, most=0)  # the model is that of the lead, also before the next step
+
+    def force_state(self) -> tuple[bytes, Array, Array]:
+        """As of `Simulation`, with forces and torques of the feeders."""
+        summary, points, forces = super().force_state()
+        rod = self._rod.struct
+        return summary + bytes(rod.feeder_force) + bytes(rod.hub_torque), points, forces
+
+    def restore_forces(self, state: tuple[bytes, Array, Array]) -> None:
+        """Returns to a measurement of `force_state`."""
+        super().restore_forces(state)
+        held = np.frombuffer(state[0], np.float64, 2 * DEVICES, len(state[0]) - 2 * DEVICES * 8)
+        rod = self._rod.struct
+        rod.feeder_force[:], rod.hub_torque[:] = held[:DEVICES].tolist(), held[DEVICES:].tolist()

@@ -18,8 +18,9 @@ from cathsim.fluoroscopy import BiplaneFluoroscope, FluoroscopyRenderer, Frame, 
 from cathsim.fluoroscopy.biplane import MAXIMUM_SIZE
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.link_ladder import pass_on
-from cathsim.observations.progress_history import HISTORY_SIZE, History
-from cathsim.observations.roadmap import ROADMAP_SIZE, Roadmap, target_image
+from cathsim.observations.device_state import DEVICES_SHAPE, devices, feeder, feeder_size, with_catheter
+from cathsim.observations.progress_history import History
+from cathsim.observations.roadmap import Roadmap, target_image
 from cathsim.simulation import Simulation
 from cathsim.validation import Unit, quantity
 
@@ -200,11 +201,6 @@ def _tip(simulation: Simulation) -> np.ndarray:
     return simulation.tip.astype(np.float32)
 
 
-def _feeder(simulation: Simulation) -> np.ndarray:
-    rotation = simulation.rotation
-    return np.array((simulation.insertion, np.cos(rotation), np.sin(rotation)), np.float32)
-
-
 def _force(simulation: Simulation) -> np.ndarray:
     return simulation.force().astype(np.float32)
 
@@ -217,9 +213,10 @@ def _mask(fluoroscope: Fluoroscope) -> np.ndarray:
     return fluoroscope.mask()[None] * np.uint8(255)
 
 
-_VECTORS = {"tip": _tip, "feeder": _feeder, "force": _force}
+_VECTORS = {"tip": _tip, "force": _force}
 GUIDANCE = ("roadmap", "history", "goal", "goal_image")  # those that know where the target is
 OBSERVABLES = ("internal", "joints", "image", "mask", "sequential", "shape", "tip", "feeder", "force", *GUIDANCE)
+DEVICES = "devices"  # one more with a catheter
 
 
 def make_observable(
@@ -256,16 +253,20 @@ def make_observable(
         return Observable(box(-np.inf, np.inf, (nodes, 3), np.float32), partial(_shape, simulation))
     if name in _VECTORS:
         return Observable(_box(3), partial(_VECTORS[name], simulation))
-    raise ValueError(f"unknown observation '{name}'; there are {', '.join(OBSERVABLES)}")
+    if name == "feeder":
+        return Observable(_box(feeder_size(simulation)), partial(feeder, simulation))
+    if name == DEVICES:
+        return Observable(box(-np.inf, np.inf, DEVICES_SHAPE, np.float32), partial(devices, with_catheter(simulation)))
+    raise ValueError(f"unknown observation '{name}'; there are {', '.join((*OBSERVABLES, DEVICES))}")
 
 
 def _guidance(name: str, fluoroscope: Fluoroscope, roadmap: Roadmap | None, history: History | None) -> Observable:
     if roadmap is None or (name == "history" and history is None):
         raise ValueError(f"observation '{name}' needs a target: use it in a navigation environment")
     if history is not None and name == "history":
-        return Observable(_box(HISTORY_SIZE), history.read)
+        return Observable(_box(history.size), history.read)
     if name == "roadmap":
-        return Observable(_box(ROADMAP_SIZE), roadmap.read)
+        return Observable(_box(roadmap.size), roadmap.read)
     if name == "goal":
         return Observable(_box(3), partial(_goal, roadmap))
     return Observable(gymnasium.spaces.Box(0, 255, (1, *fluoroscope.shape), np.uint8), _GoalDot(roadmap, fluoroscope))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from typing import Annotated, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from annotated_types import Interval
 
 from cathsim.anatomy.point_target import TargetLike, as_target
 from cathsim.contact.native import address, library
+from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import TIP_SITE
 from cathsim.simulation import Simulation
 from cathsim.validation import Unit, quantity
@@ -20,6 +22,7 @@ WIRE_ARCS = np.array([4, 8, 12, 20, 30, 45, 60]) * 1e-3  # m behind the tip: the
 CLEARANCE = 2e-3  # m: the way is nudged off walls nearer than this
 RAY_LIMIT = 0.03  # m
 RAY_SCALE, REMAINING_SCALE, NEAR_SCALE, INSERTION_SCALE = 0.015, 0.2, 0.02, 0.2  # m
+LEAD_SCALE = 0.02  # m
 SPEED_SCALE, FORCE_SCALE = 0.02, 0.05  # m/s, N
 
 # Directions of the rays in the tip's frame: ahead, four askew, four across.
@@ -31,7 +34,8 @@ RAYS = np.array(
 )
 RAYS /= np.linalg.norm(RAYS, axis=1, keepdims=True)
 
-ROADMAP_SIZE = 3 * len(PATH_ARCS) + 3 * len(WIRE_ARCS) + len(RAYS) + 13
+ROADMAP_SIZE = 3 * len(PATH_ARCS) + 3 * len(WIRE_ARCS) + len(RAYS) + 13  # with one device
+_OF_PAIR = 7  # more with two
 
 
 _Noise = Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
@@ -53,7 +57,8 @@ class Roadmap:
     """The way to a target, the walls and the wire as seen from the tip of a simulation's wire.
 
     The tip's frame is that of the wire's last link: z along the wire and out of its tip, the pre-shaped tip bends about
-    x, towards -y. It turns with the wire and has no place where it jumps.
+    x, towards -y. It turns with the wire and has no place where it jumps. Of two devices it is the frame of that whose
+    tip is ahead, with its torsion: it changes where one tip passes the other.
 
     Args:
         target: one of its phantom's targets, or a point in the lumen.
@@ -70,6 +75,8 @@ class Roadmap:
         self._path = np.empty((round(PATH_ARCS[-1] / PATH_STEP), 3))
         self._shown = np.rint(PATH_ARCS / PATH_STEP).astype(int) - 1
         self._lengths = np.empty(len(RAYS))
+        self._devices = simulation if isinstance(simulation, DualSimulation) else None
+        self.size = ROADMAP_SIZE + (_OF_PAIR if self._devices and self._devices.pair.both else 0)
 
     def __getstate__(self) -> dict[str, Any]:
         native = ("_struct", "_fields", "_follow", "_cast")  # made again where they are wanted
@@ -107,7 +114,12 @@ class Roadmap:
     def frame(self) -> np.ndarray:
         """Axes of the tip's frame, as columns, world frame. Shape (3, 3)."""
         model, data = self.simulation.model, self.simulation.data
-        return data.site_xmat[model.site(TIP_SITE).id].reshape(3, 3)
+        axes = data.site_xmat[model.site(TIP_SITE).id].reshape(3, 3)
+        if self._devices is None:
+            return axes
+        turn = self._devices.turn_of_leading()
+        about_z = [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+        return np.asarray(axes @ about_z)
 
     def way(self, start: np.ndarray) -> tuple[np.ndarray, float]:
         """The way from a place (3,) m to the target: the next 50 mm of it, (50, 3) m, and its whole length, m."""
@@ -139,10 +151,12 @@ class Roadmap:
         over 15 mm (9); points of the wire 4, 8, 12, 20, 30, 45, 60 mm behind the tip, each over its distance along the
         wire (21); insertion over 0.2 m, cosine and sine of the rotation (3); how far the feeder's drive is ahead of the
         wire, as a share of what its force limit allows, as felt by hand (2); velocity v of the tip over 20 mm/s + |v|
-        (3); contact force f over 0.05 N + |f| (3).
+        (3); contact force f over 0.05 N + |f| (3). Insertion and rotation are the wire's; with two devices there
+        follow those of the catheter (3), by how much l the wire's tip is ahead over 0.2 m, and the hyperbolic tangent
+        of l over 20 mm (2), cosine and sine of the angle between the tips' cross-sections, wire less catheter (2).
 
         Returns:
-            Shape (64,), float32.
+            Shape (64,), with two devices (71,), float32.
         """
         simulation = self.simulation
         points, axes = simulation.inserted_points(), self.frame()
@@ -166,8 +180,25 @@ class Roadmap:
                 simulation.lead(),
                 velocity / (SPEED_SCALE + np.sqrt(velocity @ velocity)),
                 force / (FORCE_SCALE + np.sqrt(force @ force)),
+                self._of_pair(),
             )
         ).astype(np.float32)
+
+    def _of_pair(self) -> tuple[float, ...]:
+        devices = self._devices
+        if devices is None or not devices.pair.both:
+            return ()
+        lead, (inserted, turned) = devices.device_lead, devices.catheter_place()
+        wire, catheter = devices.tip_rotations()
+        return (
+            inserted / INSERTION_SCALE,
+            math.cos(turned),
+            math.sin(turned),
+            lead / INSERTION_SCALE,
+            math.tanh(lead / LEAD_SCALE),
+            math.cos(wire - catheter),
+            math.sin(wire - catheter),
+        )
 
 
 def target_image(pixel: np.ndarray, size: int, radius_px: float) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gymnasium
 
 ENVIRONMENT = "cathsim/Navigate-v0"
+DUAL = "cathsim/NavigateDual-v0"
 MANY = "cathsim/NavigateMany-v0"
 
 
@@ -15,6 +16,13 @@ def register() -> None:
             id=ENVIRONMENT,
             entry_point="cathsim.environment:NavigateEnv",
             vector_entry_point="cathsim.vector:ThreadedVectorEnv",
+        )
+    if DUAL not in gymnasium.registry:
+        gymnasium.register(
+            id=DUAL,
+            entry_point="cathsim.environment:NavigateEnv",
+            vector_entry_point="cathsim.vector:ThreadedVectorEnv",
+            kwargs={"catheter": "vertebral"},
         )
     if MANY not in gymnasium.registry:
         gymnasium.register(

@@ -1,0 +1,52 @@
+"""The devices of an environment: found from names, files or descriptions, and simulated."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+from cathsim.anatomy import Phantom
+from cathsim.devices.catheter import Catheter
+from cathsim.devices.pair import DevicePair, Torsion
+from cathsim.devices.shelf import load_catheter
+from cathsim.devices.simulation import DualSimulation
+from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.presets import Accuracy
+from cathsim.registration.description import chosen
+from cathsim.simulation import Simulation
+
+TORSIONS: tuple[str, ...] = get_args(Torsion)
+
+
+def chosen_wire(wire: Any) -> Guidewire | None:
+    """A wire from a preset's name, the path of a YAML file, a `Guidewire` or its description; None: no wire."""
+    return None if wire is None else chosen("wire", wire, Guidewire, load_guidewire)
+
+
+def chosen_catheter(catheter: Any) -> Catheter | None:
+    """A catheter from a preset's name, the path of a YAML file, a `Catheter` or its description; None: no catheter."""
+    return None if catheter is None else chosen("catheter", catheter, Catheter, load_catheter)
+
+
+def simulation_of(
+    phantom: Phantom,
+    wire: Guidewire | None,
+    catheter: Catheter | None,
+    numerics: Accuracy,
+    *,
+    torsion: str = "elastic",
+    **arguments: Any,
+) -> Simulation:
+    """The simulation of a bare wire, of a wire in a catheter, or of a catheter alone.
+
+    Args:
+        torsion: of devices with a catheter, "elastic" or "rigid"; the bare wire's is rigid.
+        arguments: of `Simulation`.
+
+    Raises:
+        ValueError: neither device, devices that do not fit, or an unknown torsion.
+    """
+    if torsion not in TORSIONS:
+        raise ValueError(f"unknown torsion '{torsion}'; there are {', '.join(TORSIONS)}")
+    if catheter is None and wire is not None:
+        return Simulation(phantom, wire, numerics, **arguments)
+    return DualSimulation(phantom, DevicePair(wire, catheter, torsion), numerics, **arguments)  # type: ignore[arg-type]

@@ -1,0 +1,266 @@
+"""The environment of a wire in a catheter: actions, observations, info, copies, robots, and bad input."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+from cathsim import NavigateEnv, load_guidewire
+from cathsim.devices.shelf import load_catheter
+from cathsim.devices.simulation import DualSimulation
+from cathsim.observations.observables import DEVICES, OBSERVABLES
+from cathsim.registration import DUAL
+
+MakeEnv = Callable[..., NavigateEnv]
+
+EVERYTHING = (*OBSERVABLES, DEVICES)
+OWN_CATHETER = "kind: catheter\nbased_on: straight\ndescription: A bent tube.\n"
+
+
+def drawn(count: int, seed: int = 0) -> np.ndarray:
+    """Both devices mostly forwards. Shape (count, 4)."""
+    actions = np.random.default_rng(seed).uniform(-1, 1, (count, 4))
+    actions[:, (0, 2)] = 0.3 + 0.7 * actions[:, (0, 2)]
+    return actions.astype(np.float32)
+
+
+def same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(same(a, b) for a, b in zip(one, other, strict=True))
+    return np.asarray(one).dtype == np.asarray(other).dtype and np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("catheter", ["vertebral", "simmons2_6f", "pigtail"])
+def test_every_catheter_keeps_the_contract(make_env: MakeEnv, catheter: str) -> None:
+    env = make_env(catheter=catheter, observation=EVERYTHING, image_size=40, target="lcca", start_rotation=1.0)
+    assert env.action_space == gymnasium.spaces.Box(-1, 1, (4,), np.float32)
+    space, links = env.observation_space, len(env.simulation.wire.links)
+    assert isinstance(space, gymnasium.spaces.Dict)
+    sizes = {"internal": 28 * links, "joints": 4 * links, "feeder": 7, "roadmap": 71, "history": 18}
+    assert {name: space[name].shape for name in sizes} == {name: (size,) for name, size in sizes.items()}
+    assert space["shape"].shape == (links + 1, 3)
+    assert space["devices"].shape == (2, 5)
+    observation, info = env.reset(seed=1)
+    for action in drawn(20):
+        assert space.contains(observation)
+        assert all(np.isfinite(value).all() for value in observation.values())
+        assert info["feeder_forces"].shape == (2,)
+        observation, reward, _, _, info = env.step(action)
+        assert np.isfinite(reward)
+        assert not info["invalid"]
+    simulation = env.simulation
+    assert isinstance(simulation, DualSimulation)
+    assert info["lead"] == pytest.approx(info["insertion"] - info["catheter_insertion"])
+    wire, catheter_row = observation["devices"]
+    assert wire[0] == np.float32(info["insertion"])
+    assert catheter_row[0] == np.float32(info["catheter_insertion"])
+    assert catheter_row[1] == np.float32(info["catheter_rotation"])
+    assert observation["feeder"][6] == np.float32(info["lead"])
+    assert np.allclose(observation["devices"][:, 3], info["feeder_forces"], atol=1e-6)
+
+
+def test_each_action_moves_its_own_part(make_env: MakeEnv) -> None:
+    env = make_env(catheter="vertebral", observation="devices", start_jitter=0.0)
+    for index in range(4):
+        env.reset(seed=0)
+        for _ in range(5):
+            observation, *_, info = env.step(np.eye(4)[index])
+        moved = [info["insertion"], info["rotation"], info["catheter_insertion"], info["catheter_rotation"]]
+        assert moved[index] == pytest.approx((0.010, np.radians(75.0))[index % 2], rel=0.05)
+        others = [value for other, value in enumerate(moved) if other != index]
+        assert np.allclose(others, 0.0, atol=2e-4)
+    assert observation.shape == (2, 5)
+
+
+def test_elastic_torsion_lets_the_tip_lag(make_env: MakeEnv) -> None:
+    angles = {}
+    for torsion in ("elastic", "rigid"):
+        env = make_env(catheter="simmons2", torsion=torsion, observation="devices", start_jitter=0.0)
+        env.reset(seed=0)
+        for action in [(1, 0, 1, 0)] * 60 + [(0, 0, 0, 1)] * 6:
+            observation = env.step(np.array(action, float))[0]
+        angles[torsion] = observation[1, 1:3]
+    assert angles["elastic"][0] == pytest.approx(angles["rigid"][0])
+    assert angles["elastic"][0] - angles["elastic"][1] > angles["rigid"][0] - angles["rigid"][1] + 0.02
+
+
+def test_a_catheter_alone_has_two_actions(make_env: MakeEnv) -> None:
+    env = make_env(wire=None, catheter="headhunter", observation=("feeder", "devices", "roadmap", "history"))
+    assert env.action_space.shape == (2,)
+    env.reset(seed=0)
+    for _ in range(8):
+        observation, *_, info = env.step(np.array([1.0, 0.5]))
+    assert observation["feeder"].shape == (3,)
+    assert not observation["devices"][0].any()
+    assert info["insertion"] == info["catheter_insertion"] > 0.01
+    assert info["lead"] == 0.0
+
+
+WAYS: dict[str, Callable[[Any], Any]] = {
+    "pickle": lambda env: pickle.loads(pickle.dumps(env)),
+    "deepcopy": copy.deepcopy,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("arguments", [{"observation": EVERYTHING, "image_size": 32}, {"drive": "robot"}], ids=str)
+def test_copies_go_on_alike(make_env: MakeEnv, arguments: dict[str, Any], way: str) -> None:
+    env = make_env(catheter="simmons2", **arguments)
+    env.reset(seed=3)
+    for action in drawn(25):
+        env.step(action)
+    twin = WAYS[way](env)
+    assert way == "pickle" or twin.phantom is env.phantom
+    for action in drawn(8, seed=1):
+        assert same(env.step(action), twin.step(action))
+    assert same(env.reset(), twin.reset())
+    assert same(env.step(np.ones(4)), twin.step(np.ones(4)))
+
+
+def test_a_restored_state_goes_on_alike(make_env: MakeEnv) -> None:
+    names = [name for name in EVERYTHING if name != "internal"]  # holds accelerations of the last substep
+    arguments = {"catheter": "vertebral", "observation": names, "image_size": 32, "drive": "robot"}
+    env, other = make_env(**arguments), make_env(**arguments)
+    env.reset(seed=3)
+    for action in drawn(25):
+        env.step(action)
+    state = pickle.loads(pickle.dumps(env.state()))
+    assert same(other.restore(state), env.observe())
+    for action in drawn(8, seed=1):
+        assert same(env.step(action), other.step(action))
+
+
+def test_a_start_with_both_devices_is_an_option_of_reset(make_env: MakeEnv) -> None:
+    env = make_env(catheter="vertebral", observation="devices")
+    env.reset(seed=0)
+    for action in drawn(20):
+        env.step(action)
+    start, lead = env.start_state(), env.reset(seed=1)[1]["lead"]
+    _, info = env.reset(seed=1, options={"start": start, "target": "lcca"})
+    assert info["lead"] != lead
+    assert np.array_equal(env.start_state(), start)
+    first = [env.step(action) for action in drawn(5)]
+    env.reset(seed=2, options={"start": start})
+    assert np.array_equal([env.step(action)[0] for action in drawn(5)], [step[0] for step in first])
+
+
+def test_starts_jitter_and_turn_both_devices(make_env: MakeEnv) -> None:
+    env = make_env(catheter="vertebral", observation="devices", start_jitter=0.004, start_rotation=2.0)
+    places = np.array([env.reset(seed=seed)[0][:, :2] for seed in range(6)])
+    assert np.ptp(places[:, 0, 0]) > 1e-3
+    assert (np.abs(places[:, 1, 0]) < 2e-4).all()
+    assert (np.ptp(places[:, :, 1], axis=0) > 0.3).all()
+    assert np.array_equal(env.reset(seed=3)[0][:, :2], places[3])
+
+
+def test_two_robots_feed_by_strokes(make_env: MakeEnv) -> None:
+    env = make_env(catheter="vertebral", drive="robot", observation="feeder")
+    _, info = env.reset(seed=0)
+    seen = set()
+    for step in range(60):
+        *_, info = env.step(np.array([1.0, 0.0, 0.5 if step < 30 else 0.0, 0.0]))
+        seen.add((info["driven"], info["catheter_driven"]))
+    assert len(env.feeders.robots) == 2
+    assert (False, True) in seen or (False, False) in seen
+    assert any(catheter for _, catheter in seen)
+    assert info["insertion"] > info["catheter_insertion"] > 0.005
+
+
+def test_registered_with_a_vertebral_catheter() -> None:
+    env = gymnasium.make(DUAL, accuracy="fast", observation="devices")
+    assert env.action_space.shape == (4,)
+    env.reset(seed=0)
+    assert env.step(np.ones(4, np.float32))[0].shape == (2, 5)
+    assert env.unwrapped.simulation.pair.catheter == load_catheter("vertebral")
+    env.close()
+    many = gymnasium.make_vec(DUAL, num_envs=2, accuracy="fast", observation="devices", catheter="jb2")
+    many.reset(seed=0)
+    assert many.step(np.ones((2, 4), np.float32))[0].shape == (2, 2, 5)
+    many.close()
+
+
+@pytest.mark.parametrize("kind", ["name", "settings", "file"])
+def test_specifications_keep_the_catheter(kind: str, tmp_path: Path) -> None:
+    catheter: Any = {"name": "simmons1_4f", "settings": load_catheter("simmons1", friction=0.1)}.get(kind)
+    if kind == "file":
+        path = tmp_path / "own.yaml"
+        path.write_text(OWN_CATHETER + "friction: 0.1\n", encoding="utf-8")
+        catheter = str(path)
+    env = gymnasium.make(DUAL, catheter=catheter, torsion="rigid", accuracy="fast", observation="devices")
+    assert env.spec is not None
+    text = env.spec.to_json()
+    json.loads(text)
+    again = gymnasium.make(EnvSpec.from_json(text))
+    assert again.unwrapped.simulation.pair == env.unwrapped.simulation.pair
+    assert env.unwrapped.simulation.pair.torsion == "rigid"
+    for one in (env, again):
+        one.reset(seed=0)
+    assert same(env.step(np.ones(4, np.float32)), again.step(np.ones(4, np.float32)))
+
+
+def test_a_catheter_alone_that_is_too_short_says_so(make_env: MakeEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cathsim.devices.pair.REACH", 0.2)
+    needed = r"over 204 mm, which is too short for rcca_end .*pass wire=load_guidewire\(...\).scaled\(0.\d\d\)"
+    with pytest.raises(ValueError, match=needed):
+        make_env(wire=None, catheter="vertebral", target="rcca_end")
+
+
+def test_a_longer_wire_makes_the_simulated_part_longer(make_env: MakeEnv) -> None:
+    env = make_env(wire=load_guidewire("default").scaled(0.42), catheter="vertebral", target="bca")
+    assert 0.42 <= env.simulation.wire.length < 0.44
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"catheter": load_catheter("straight", inner_diameter=0.8e-3)}, "a wire of 0.89 mm does not pass a catheter"),
+        ({"catheter": "simmons9"}, "unknown catheter 'simmons9'; there are straight, vertebral, "),
+        ({"catheter": "there_is_none.yaml"}, "there_is_none.yaml"),
+        ({"catheter": 5}, "catheter must be a name or a Catheter, got 5"),
+        ({"catheter": "vertebral", "actions": "tip_motors"}, "without tip motors: leave out the catheter"),
+        ({"catheter": "vertebral", "contact": "hulls"}, "with contact 'sdf' and without tip motors"),
+        ({"catheter": "vertebral", "torsion": "soft"}, "unknown torsion 'soft'; there are elastic, rigid"),
+        ({"wire": None}, "neither a wire nor a catheter is there: give one of them at least"),
+        ({"observation": "devices"}, "observation 'devices' needs a catheter: pass catheter='vertebral'"),
+    ],
+    ids=str,
+)
+def test_bad_arguments_are_named_in_one_sentence(make_env: MakeEnv, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        make_env(**arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_with_an_unknown_key_is_refused(make_env: MakeEnv, tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(OWN_CATHETER + "colour: red\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="colour") as caught:
+        make_env(catheter=str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        ([0.0, 0.0, np.nan, 0.0], r"expected a finite action, got \[0.0, 0.0, nan, 0.0\]"),
+        ([0.0, 0.0], r"expected an action of shape \(4,\), got \(2,\)"),
+    ],
+)
+def test_bad_actions_are_refused_and_change_nothing(make_env: MakeEnv, action: list[float], message: str) -> None:
+    env = make_env(catheter="vertebral")
+    env.reset(seed=0)
+    before = env.start_state()
+    with pytest.raises(ValueError, match=message):
+        env.step(np.array(action))
+    assert np.array_equal(env.start_state(), before)
