@@ -58,8 +58,8 @@ def test_every_public_name_exists() -> None:
         value = getattr(cathsim, name)
         if name in cathsim._HOME:
             assert value is getattr(importlib.import_module(f"cathsim.{cathsim._HOME[name]}"), name)
-    with pytest.raises(AttributeError, match="module 'cathsim' has no attribute 'Catheter'"):
-        _ = cathsim.Catheter
+    with pytest.raises(AttributeError, match="module 'cathsim' has no attribute 'Balloon'"):
+        _ = cathsim.Balloon
 
 
 def test_registering_again_is_harmless() -> None:
