@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 
 import numpy as np
@@ -9,7 +10,10 @@ import pytest
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.contact.compliance import stiffest_wall
-from cathsim.guidewire import Guidewire
+from cathsim.devices.pair import DevicePair
+from cathsim.devices.shelf import load_catheter
+from cathsim.devices.simulation import DualSimulation
+from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
 
@@ -93,3 +97,31 @@ def test_a_wall_that_cannot_be_is_refused(phantom: Phantom, stiffness: float, ac
 def test_stiffest_wall_follows_the_timestep() -> None:
     assert stiffest_wall(ACCURACY["reference"]) == pytest.approx(10.0)
     assert stiffest_wall(ACCURACY["fast"]) == pytest.approx(0.5)
+
+
+def test_a_catheter_over_the_wire_meets_the_same_wall(phantom: Phantom) -> None:
+    pair = DevicePair(load_guidewire("default"), load_catheter("vertebral"))
+    simulation = DualSimulation(phantom, pair, ACCURACY["accurate"], wall_stiffness=0.2)
+    for step in range(90):
+        simulation.advance(0.002, 0.1 if step % 10 == 0 else 0.0, catheter=(0.0018, 0.0))
+    for _ in range(60):
+        simulation.advance(0.0, 0.0)
+    measured = contact_stiffnesses(simulation)
+    assert len(measured) >= 2
+    assert np.median(measured) == pytest.approx(0.2, rel=0.01)
+
+
+def test_repeated_substeps_of_two_devices_have_their_own_timestep(phantom: Phantom) -> None:
+    """Their models share what contacts are made with: every step leaves it as its own timestep needs it."""
+    pair = DevicePair(load_guidewire("default"), load_catheter("vertebral"))
+    numerics = dataclasses.replace(ACCURACY["accurate"], tolerance=0.0, rise=0.0)  # repeats whatever goes deeper
+    simulation = DualSimulation(phantom, pair, numerics, wall_stiffness=0.5)
+    refined, seen = 0, set()
+    for _ in range(90):
+        simulation.advance(0.002, 0.0, catheter=(0.0018, 0.0))
+        refined += simulation.summary.refined
+        first = simulation.model.geom("wire0").id
+        seen.add(round(float(np.sqrt(-0.9 / simulation.model.geom_solref[first, 0])), 9))
+    assert refined > 10
+    assert len(seen) > 1
+    assert seen <= {round(numerics.timestep / numerics.refinement**power, 9) for power in range(3)}

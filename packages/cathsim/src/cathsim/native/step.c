@@ -161,6 +161,12 @@ static void step_engine(const Simulation* s, const Engine* engine, const mjModel
     return;
   }
   const double h = model->opt.timestep, compliance = 1 / (3 * h * h * s->wall_stiffness);
+  if (s->rod) { /* its models differ in the timestep alone, and share what contacts are made with */
+    for (int g = s->first_geom; g <= s->last_geom; g++) {
+      model->geom_solref[mjNREF * g] = -model->geom_solimp[mjNIMP * g] / (h * h);
+      model->geom_solref[mjNREF * g + 1] = -model->geom_solimp[mjNIMP * g] / h;
+    }
+  }
   engine->first_half(model, d);
   engine->forward(model, d, mjSTAGE_VEL, 1);
   for (int i = 0; i < d->ncon; i++) {
