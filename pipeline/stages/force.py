@@ -1,4 +1,4 @@
-"""The force stage: contact forces predicted from what is seen, learnt from disturbed episodes of the expert."""
+"""The force stage: contact forces learnt from disturbed episodes of the expert, or estimated from the shape."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.expert_episodes import expert_folder, require_expert
 from pipeline.stages.learning.force import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
+from pipeline.stages.learning.force_from_shape import ShapeForceJob, forces_from_shape
 from pipeline.stages.learning.settings import ForceSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms
@@ -26,7 +27,10 @@ GROUP = "Force prediction"
 # Episodes are drawn apart for the test, and their lengths vary: so much more is recorded than is learnt from.
 _MORE_STEPS = 1.1 * TEST_EVERY / (TEST_EVERY - 1)
 FRAMES = 3  # that a network sees at most
-_SECONDS_A_STEP, _SECONDS_A_SAMPLE = 4e-3, 6e-3
+_SECONDS_A_STEP, _SECONDS_A_SAMPLE, _SECONDS_A_SHAPE = 4e-3, 6e-3, 1.5e-2
+_SHARE = ("mse_n2", "variance_n2", "share_pct", "correlation", "cpu_s")  # columns of the detailed table
+# Forces from the logged shape, without a network: row, and whether curve and what is known of the case have errors.
+SHAPE_ROWS = {"shape": False, "shape_errors": True}
 
 
 def check_force(settings: ForceSettings) -> None:
@@ -43,15 +47,16 @@ def check_force(settings: ForceSettings) -> None:
 def run_force(settings: ForceSettings, context: StageContext) -> None:
     """Records disturbed episodes, fits every network and sums them up."""
     recordings, fits = plan(settings, context)
+    shapes = shape_jobs(settings, context, recordings)
     outcomes = run_jobs(
         context.folder,
-        [*recordings, *fits],
+        [*recordings, *fits, *shapes],
         workers=settings.workers,
         label="force jobs",
         preload=PRELOAD,
         device=settings.device,
     )
-    write_results(context.path, tables(fits, outcomes))
+    write_results(context.path, tables(fits, outcomes, shapes))
     write_notes(context.path, {"force_prediction_mse": force_note([job.given for job in fits], settings.task)})
     write_figures(context.path, figures(fits, outcomes, context.path))
 
@@ -98,13 +103,35 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
     return recordings, fits
 
 
+def shape_jobs(settings: ForceSettings, context: StageContext, recordings: Sequence[Job]) -> list[Job]:
+    """The estimates from the logged shape on the frames that the networks are tested on, named by their rows."""
+    jobs = []
+    for row, disturbed in SHAPE_ROWS.items():
+        given = ShapeForceJob(
+            folder=context.path / row,
+            phantom=settings.phantom,
+            logs=tuple(job.given.folder for job in recordings),
+            test_samples=settings.test_samples,
+            seed=context.seed,
+            disturbed=disturbed,
+        )
+        after = tuple(job.key for job in recordings)
+        jobs.append(Job(row, forces_from_shape, given, after=after, weight=settings.test_samples * _SECONDS_A_SHAPE))
+    return jobs
+
+
 def row_of(samples: int) -> str:
     """The thesis's name of a number of samples: 1000 is ``fpn_1k``."""
     return f"fpn_{samples // 1000}k" if samples % 1000 == 0 else f"fpn_{samples}"
 
 
-def tables(fits: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, Any]:
+def tables(fits: Sequence[Job], outcomes: dict[str, Any], shapes: Sequence[Job] = ()) -> dict[str, Any]:
     """The thesis's table, the errors as a share of the variance, and the distribution of the forces.
+
+    Args:
+        fits: of networks.
+        outcomes: of all jobs, by key.
+        shapes: estimates from the logged shape.
 
     Returns:
         Table to row to column to cell.
@@ -127,8 +154,11 @@ def tables(fits: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, Any]:
         row = row_of(job.given.samples) + ("" if thesis else f" {job.given.inputs}")
         if thesis:
             mse[row] = {"mse_n2": outcome["mse_n2"], "n": outcome["test_samples"]}
-        cells = {key: outcome[key] for key in ("mse_n2", "variance_n2", "share_pct", "correlation", "cpu_s")}
-        share[row] = {**cells, "n": outcome["test_samples"]}
+        share[row] = {**{key: outcome[key] for key in _SHARE}, "n": outcome["test_samples"]}
+    for job in shapes:
+        outcome = outcomes[job.key]
+        mse[job.key] = {"mse_n2": outcome["mse_n2"], "n": outcome["test_samples"]}
+        share[job.key] = {**{key: outcome[key] for key in _SHARE}, "n": outcome["test_samples"]}
     forces = {
         "test": {key: last[key] for key in ("force_mean_n", "variance_n2", "force_p95_n", "force_max_n")}
         | {"n": last["test_samples"]}
@@ -174,6 +204,7 @@ STAGE = Stage(
     writes=(
         "<phantom>/<target>/episodes/NNN.mcap",
         "<inputs>/<samples>/{predictor.pt, force.json}",
+        "{shape, shape_errors}/force.json",
         "calibration.png, shares.png",
         "results.json",
         "notes.json",

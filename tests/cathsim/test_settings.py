@@ -53,7 +53,7 @@ RECORDS = {
     *("physics_checks.statics:Column", "planning.scripted_motions:Script"),
     *("statics.ensemble_summary:ContactForces", "statics.ensemble_summary:Estimate", "statics.estimator:_Feeder"),
     *("statics.observed_curve:ObservedCurve", "statics.resting_contacts:RestingContacts"),
-    "statics.uncertainty:Deviation",
+    *("statics.uncertainty:Deviation", "statics.drawn_errors:DrawnErrors"),
 }
 # What has no defaults.
 EXAMPLES: dict[type[Any], Any] = {

@@ -46,7 +46,7 @@ def test_contacts_are_matched_by_place_and_side() -> None:
 
 def test_a_member_far_from_the_curve_hardly_counts() -> None:
     near = [member((0.1, 1.0, 1.0)) for _ in range(3)]
-    found = summarise([*near, *(member((0.1, 9.0, 1.0), shape_error=5e-3) for _ in range(3))], 0.0, 0.0)
+    found = summarise([*near, *(member((0.1, 9.0, 1.0), shape_error=8e-3) for _ in range(3))], 0.0, 0.0)
     assert found.normal_sum.value == pytest.approx(1.0)
     assert found.normal_sum.high < 1.1
 

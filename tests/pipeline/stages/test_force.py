@@ -46,8 +46,12 @@ def results(run: Path) -> dict:
 
 
 def test_a_run_leaves_episodes_networks_tables_and_figures(run: Path, results: dict) -> None:
-    assert set(results["force_prediction_mse"]) == {"baseline", "untrained", "fpn_12", "fpn_30"}
-    assert set(results["force_share"]) == {"baseline", "fpn_12", "fpn_30", "fpn_30 I+V", "fpn_30 V3"}
+    assert set(results["force_prediction_mse"]) == {
+        *("baseline", "untrained", "fpn_12", "fpn_30", "shape", "shape_errors")
+    }
+    assert set(results["force_share"]) == {
+        *("baseline", "fpn_12", "fpn_30", "fpn_30 I+V", "fpn_30 V3", "shape", "shape_errors")
+    }
     for cells in results["force_share"].values():
         assert cells["share_pct"] == pytest.approx(100 * cells["mse_n2"] / cells["variance_n2"])
     assert results["force_distribution"]["test"]["n"] == 12

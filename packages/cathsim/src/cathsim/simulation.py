@@ -345,10 +345,12 @@ class Simulation:
             raise ValueError(f"joint positions must have shape ({self.nq},), got {np.shape(positions)}")
         if not 0 <= positions[0] <= self.max_insertion:
             raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {positions[0]}")
-        state = np.zeros(3 * self.nq + len(self._to) + 3)
+        size = 3 * self.nq + len(self._to) + 3
+        state = self.state()
+        state[:size] = 0.0
         state[: self.nq] = positions
         state[3 * self.nq : 3 * self.nq + 2] = positions[:2]
-        state[-1] = self.ladder.rung(float(positions[0]))
+        state[size - 1] = self.ladder.rung(float(positions[0]))
         self.restore(state)
 
     def joint_velocities(self) -> np.ndarray:

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from cathsim.statics.resting_contacts import RestingContacts
 
-QUANTILES = (0.05, 0.5, 0.95)
-# Factor on the interval's half widths, in logarithms: members share the observed curve's error and the solver.
-WIDENING = 1.0
+QUANTILES = (0.05, 0.95)
+WIDENING = 1.1  # of the interval's half widths, in logarithms: from 40 states in 20 random arches
 MATCH = 0.015  # m along the device within which contacts of two members are the same
 _LEAST_FORCE = 1e-4  # N: smaller forces are none
-_CURVE_ERROR = 0.5e-3  # m: members that lie this much further from the curve than the nearest one count less
+# Members further from the curve than the nearest one count less, by the excess of their squared distance: for the value
+# by a factor e with 1.6 mm, for the interval with 3.5 mm. More weight makes intervals too narrow.
+_VALUE_DISTANCE, _INTERVAL_DISTANCE = 1.6e-3, 3.5e-3
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,8 @@ def summarise(members: Sequence[RestingContacts], insertion: float, rotation: fl
         insertion: nominal, m.
         rotation: nominal, rad.
     """
-    weights = _weights(np.array([member.shape_error for member in members]))
+    errors = np.array([member.shape_error for member in members])
+    weights = _weights(errors, _VALUE_DISTANCE), _weights(errors, _INTERVAL_DISTANCE)
     sums = {
         name: np.array([value(member) for member in members])
         for name, value in (
@@ -71,11 +73,11 @@ def summarise(members: Sequence[RestingContacts], insertion: float, rotation: fl
             ("largest", lambda member: member.largest),
         )
     }
-    estimates = {name: _estimate(values, weights) for name, values in sums.items()}
+    estimates = {name: _estimate(values, *weights) for name, values in sums.items()}
     away = sum(np.abs(_log(sums[name]) - _log(estimates[name].value)) for name in ("normal_sum", "resultant"))
     shown = members[int(np.argmin(away))]
     order = np.argsort(shown.from_tip)
-    force_90, place_90, presence = _contact_intervals(shown, members, weights)
+    force_90, place_90, presence = _contact_intervals(shown, members, *weights)
     return ContactForces(
         points=shown.points[order],
         forces=shown.forces[order],
@@ -106,24 +108,24 @@ def weighted_quantiles(values: Array, weights: Array, at: Sequence[float]) -> Ar
     return np.asarray(np.interp(at, share / weights.sum(), values[order]))
 
 
-def _weights(shape_errors: Array) -> Array:
-    excess = shape_errors**2 - shape_errors.min() ** 2
-    return np.asarray(np.exp(-0.25 * excess / _CURVE_ERROR**2))
+def _weights(shape_errors: Array, distance: float) -> Array:
+    return np.asarray(np.exp((shape_errors.min() ** 2 - shape_errors**2) / distance**2))
 
 
 def _log(values: Array | float) -> Array:
     return np.log(np.maximum(values, _LEAST_FORCE))
 
 
-def _estimate(values: Array, weights: Array) -> Estimate:
-    low, middle, high = weighted_quantiles(_log(values), weights, QUANTILES)
-    low, high = middle + WIDENING * (low - middle), middle + WIDENING * (high - middle)
+def _estimate(values: Array, weights: Array, interval_weights: Array) -> Estimate:
+    (middle,) = weighted_quantiles(_log(values), weights, (0.5,))
+    low, high = weighted_quantiles(_log(values), interval_weights, QUANTILES)
+    low, high = middle + WIDENING * min(low - middle, 0.0), middle + WIDENING * max(high - middle, 0.0)
     none = np.log(_LEAST_FORCE)
     return Estimate(*(float(np.exp(end)) if end > none else 0.0 for end in (middle, low, high)))
 
 
 def _contact_intervals(
-    shown: RestingContacts, members: Sequence[RestingContacts], weights: Array
+    shown: RestingContacts, members: Sequence[RestingContacts], weights: Array, interval_weights: Array
 ) -> tuple[Array, Array, Array]:
     """Intervals of normal force (k, 2) N and place (k, 2) m of the shown contacts, and their presence (k,)."""
     count = len(shown.from_tip)
@@ -142,12 +144,12 @@ def _contact_intervals(
         places[row, there] = moment[there] / forces[row, there]
     force_90, place_90 = np.empty((count, 2)), np.empty((count, 2))
     for contact in range(count):
-        estimate = _estimate(forces[:, contact], weights)
+        estimate = _estimate(forces[:, contact], weights, interval_weights)
         own = shown.normal_forces[contact]
         force_90[contact] = min(estimate.low, own), max(estimate.high, own)
         there = np.isfinite(places[:, contact])
         place_90[contact] = shown.from_tip[contact]
         if there.any():
-            ends = weighted_quantiles(places[there, contact], weights[there], (QUANTILES[0], QUANTILES[-1]))
+            ends = weighted_quantiles(places[there, contact], interval_weights[there], QUANTILES)
             place_90[contact] = min(ends[0], shown.from_tip[contact]), max(ends[1], shown.from_tip[contact])
     return force_90, place_90, (forces > 0).mean(axis=0)

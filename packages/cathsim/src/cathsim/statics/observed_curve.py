@@ -51,13 +51,24 @@ def inserted_curve(simulation: Simulation) -> Array:
     Returns:
         Points (n, 3) m, world frame, from the entry to the tip.
     """
-    vessel = simulation.vessel
-    points = simulation.inserted_points()[::-1]
+    return inserted_part(simulation.inserted_points(), simulation.insertion)
+
+
+def inserted_part(points: Array, insertion: float) -> Array:
+    """The part of a device beyond the entry.
+
+    Args:
+        points: from the tip to the proximal end, as `Simulation.wire_points` gives them, m. Shape (k, 3).
+        insertion: of the feeder, m.
+
+    Returns:
+        Points (n, 3) m from the entry to the tip.
+    """
+    points = points[::-1]
     arcs = arc_length(points)
-    start = arcs[-1] - (simulation.insertion + PROTRUSION)
+    start = arcs[-1] - (insertion + PROTRUSION)
     at = np.concatenate(([start], arcs[arcs > start + 1e-6]))
-    curve = np.stack([np.interp(at, arcs, points[:, axis]) for axis in range(3)], axis=1)
-    return curve if start >= 0 else np.vstack((vessel.entry, curve))
+    return np.stack([np.interp(at, arcs, points[:, axis]) for axis in range(3)], axis=1)
 
 
 def observed_curve(curve: ArrayLike, phantom: Phantom, entry: str, max_insertion: float) -> ObservedCurve:
