@@ -118,6 +118,8 @@ class Rod:
         twist: room for the twist of both devices at each joint, rad, kept by the caller. Shape (2, joints).
         rigid: the devices do not twist.
         clamped: the first link is held by a joint of its own.
+        chain: what the names of the chain's parts begin with in the model.
+        rotation: name of the joint that turns the whole chain.
     """
 
     def __init__(
@@ -130,6 +132,8 @@ class Rod:
         *,
         rigid: bool,
         clamped: bool = False,
+        chain: str = "",
+        rotation: str = ROTATE,
     ) -> None:
         links = np.array(lengths, np.float64)
         halves = links / 2
@@ -146,17 +150,16 @@ class Rod:
                 f"got {twist.shape} and {weight.shape}"
             )
         self._kept = (model, tables, links, from_end, before, after, cells, room, weight, twist)
-        geom = model.geom(LINK_NAME.format(0)).id
-        rotation = -1 if clamped else int(model.jnt_qposadr[model.joint(ROTATE).id])
+        geom = model.geom(chain + LINK_NAME.format(0)).id
         self.struct = RodStruct(
             model=model._address,
             device=(ctypes.c_void_p * DEVICES)(*(ctypes.addressof(one.struct) if one else None for one in tables)),
             joints=joints,
             links=len(links),
-            first_joint=model.joint(f"{LINK_NAME.format(first)}x").id,
+            first_joint=model.joint(f"{chain}{LINK_NAME.format(first)}x").id,
             first_geom=geom,
             first_body=int(model.geom_bodyid[geom]),
-            rotation=rotation,
+            rotation=-1 if clamped else int(model.jnt_qposadr[model.joint(rotation).id]),
             rigid=int(rigid),
             from_end=from_end.ctypes.data,
             before=before.ctypes.data,
@@ -186,9 +189,9 @@ class Rod:
         struct.lead_from, struct.lead_to = lead_from, lead_to
         struct.hub_from[:], struct.hub_to[:] = from_, to
 
-    def update(self, data: mujoco.MjData) -> None:
-        """Brings the model to where the devices have been moved, for the bends of `data`."""
-        library().rod_update(ctypes.byref(self.struct), ctypes.c_void_p(data._address), ctypes.c_double(1.0))
+    def update(self, data: mujoco.MjData, share: float = 1.0) -> None:
+        """Brings the model to a share (0 to 1) of the control step's movement, for the bends of `data`."""
+        library().rod_update(ctypes.byref(self.struct), ctypes.c_void_p(data._address), ctypes.c_double(share))
 
     def untwist(self, data: mujoco.MjData, *, most: int = 10_000, tolerance: float = 1e-10) -> int:
         """Lets the devices' twist come to rest at fixed bends; returns the number of iterations.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -11,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
-from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, PROTRUSION, model_spec
+from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, max_insertion, model_spec
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
+from cathsim.devices.hubs import DEVICE_NAMES, Hubs
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.rod import CATHETER, DEVICES, WIRE, Rod, device_tables, twin
 from cathsim.guidewire import Guidewire
@@ -22,14 +22,13 @@ from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy
 from cathsim.simulation import Rung, Simulation, vessel_of
 
-DEVICE_NAMES = ("wire", "catheter")
 _UNTWIST = 200  # iterations of the twist at a new start, at most
 
 Array = NDArray[np.float64]
 
 
 @kept_with_owner
-def _covered_model(
+def covered_model(
     vessel: Vessel, pair: DevicePair, chain: Guidewire, numerics: Accuracy
 ) -> tuple[mujoco.MjModel, Array]:
     """The model of a chain that the outer device covers, and the inverse weights of a bare and of a covered chain."""
@@ -49,7 +48,7 @@ class _PairRung(Rung):
 
     def __init__(self, simulation: DualSimulation, chain: Guidewire) -> None:
         numerics = simulation.numerics
-        pattern, weights = _covered_model(simulation.vessel, simulation.pair, chain, numerics)
+        pattern, weights = covered_model(simulation.vessel, simulation.pair, chain, numerics)
         model = pattern.__copy__()
         if simulation.wall_stiffness is not None:
             soften_contacts(model, len(chain.links))
@@ -109,8 +108,7 @@ class DualSimulation(Simulation):
         both = sum(table.linear_density for table in self.tables if table)
         chain = pair.chain(both, pair.radius)
         self.twist = np.zeros((DEVICES, chain.joints))
-        self._lead, self._hub = 0.0, [0.0, 0.0]
-        self._lead_target, self._hub_target = 0.0, [0.0, 0.0]
+        self._hubs = Hubs(pair, max_insertion(chain))
         super().__init__(
             phantom,
             chain,
@@ -137,16 +135,15 @@ class DualSimulation(Simulation):
 
     def device_insertions(self) -> tuple[float, float]:
         """How far wire and catheter are advanced, m; of an absent one, as the other."""
-        chain = float(self.data.qpos[0])
-        return chain + min(self._lead, 0.0), chain - max(self._lead, 0.0)
+        return self._hubs.insertions(float(self.data.qpos[0]))
 
     def device_rotations(self) -> tuple[float, float]:
         """Angles of both hubs, rad."""
-        return self._hub[WIRE], self._hub[CATHETER]
+        return self._hubs.angles[WIRE], self._hubs.angles[CATHETER]
 
     def catheter_place(self) -> tuple[float, float]:
         """Insertion (m) of the catheter and angle (rad) of its hub; of an absent one, as the wire's, and 0."""
-        return self.device_insertions()[CATHETER], self._hub[CATHETER] if self.pair.catheter else 0.0
+        return self.device_insertions()[CATHETER], self._hubs.angles[CATHETER] if self.pair.catheter else 0.0
 
     def tip_rotations(self) -> Array:
         """Angles of both tips, rad: those of the hubs, less the torsion between. Shape (2,), NaN of an absent one."""
@@ -165,9 +162,7 @@ class DualSimulation(Simulation):
     @property
     def leading(self) -> int:
         """The device whose tip is the chain's end: 0 the wire, 1 the catheter."""
-        if self.pair.wire is None:
-            return CATHETER
-        return WIRE if self.pair.catheter is None or self._lead >= 0 else CATHETER
+        return self._hubs.leading
 
     def turn_of_leading(self) -> float:
         """Angle by which the leading device's cross-section at its tip is turned about the chain's last link, rad."""
@@ -176,28 +171,17 @@ class DualSimulation(Simulation):
     @property
     def insertion(self) -> float:
         """How far the wire is advanced, or the catheter that is alone, m."""
-        return self.device_insertions()[WIRE if self.pair.wire else CATHETER]
+        return self.device_insertions()[self._hubs.only]
 
     @property
     def rotation(self) -> float:
         """Angle of the wire's hub, or of the catheter's that is alone, rad."""
-        return self._hub[WIRE if self.pair.wire else CATHETER]
+        return self._hubs.angles[self._hubs.only]
 
     @property
     def device_lead(self) -> float:
         """How far the wire's tip is ahead of the catheter's, m; negative: drawn back into it; 0 with one device."""
-        return self._lead
-
-    def _lead_limits(self) -> tuple[float, float]:
-        return (-self.pair.most_behind, self.pair.most_ahead) if self.pair.both else (0.0, 0.0)
-
-    def _frame_turn(self, turns: Sequence[float]) -> float:
-        """How far the chain turns with its devices: the outer surface of what lies in the vessel turns with its own."""
-        if self.pair.wire is None or self.pair.catheter is None:
-            return turns[WIRE if self.pair.wire else CATHETER]
-        wire, catheter = self.device_insertions()
-        covered = min(max((catheter + PROTRUSION) / (max(wire, catheter) + PROTRUSION), 0.0), 1.0)
-        return turns[WIRE] + covered * (turns[CATHETER] - turns[WIRE])
+        return self._hubs.lead
 
     def reset(
         self, insertion: float = 0.0, rotation: float = 0.0, *, catheter: tuple[float, float] | None = None
@@ -213,23 +197,14 @@ class DualSimulation(Simulation):
         Raises:
             ValueError: an insertion out of range, or a lead beyond the pair's limits.
         """
-        low, high = self._lead_limits()
-        if catheter is None:
-            catheter = (max(insertion - high, 0.0), 0.0)
-        lead = insertion - catheter[0] if high > low else 0.0
-        if not low - 1e-9 <= lead <= high + 1e-9 or not np.isfinite((*catheter, lead)).all():
-            raise ValueError(
-                f"the wire may be {1e3 * low:.0f} to {1e3 * high:.0f} mm ahead of the catheter, asked for "
-                f"{1e3 * lead:.0f} mm"
-            )
-        for device, at in zip(DEVICE_NAMES, (insertion, catheter[0] if high > low else insertion), strict=True):
-            if not 0 <= at <= self.max_insertion:
-                raise ValueError(f"insertion of the {device} must lie in 0 to {self.max_insertion:.3f} m, got {at:.3f}")
-        only = self.pair.wire is None
-        self._lead = self._lead_target = float(lead)
-        self._hub[:] = self._hub_target[:] = [rotation, rotation if only else float(catheter[1])]
-        self.twist[:] = np.array(self._hub)[:, None] - rotation
-        super().reset(insertion - min(self._lead, 0.0), rotation)
+        chain = self._hubs.place(insertion, rotation, catheter)
+        self.twist[:] = np.array(self._hubs.angles)[:, None] - rotation
+        super().reset(chain, rotation)
+
+    def let_untwist(self) -> None:
+        """Lets the devices' twist come to rest for the bends of the moment, which were set from outside."""
+        self._rod.place(self._hubs.lead, self._hubs.angles)
+        self._rod.untwist(self.data, most=_UNTWIST)
 
     def _change_rung(self, index: int) -> None:
         before = self.active_links - 1
@@ -237,16 +212,13 @@ class DualSimulation(Simulation):
         joints, total = self.active_links - 1, self.twist.shape[1]
         if joints > before:  # the added links are straight: twist is linear between the hub and them
             known = self.twist[:, total - before]
-            at_hub = np.array(self._hub) - self.data.qpos[1]
+            at_hub = np.array(self._hubs.angles) - self.data.qpos[1]
             lengths = np.array([table.struct.length if table else 1.0 for table in self.tables])
             from_end = np.cumsum(self.wire.links[::-1])[::-1][-before:][0]
             added = np.cumsum(self.wire.links[::-1])[::-1][total + 1 - joints : total + 1 - before]
             share = (added[None, :] - from_end) / (lengths[:, None] - from_end)
             self.twist[:, total - joints : total - before] = known[:, None] + share * (at_hub - known)[:, None]
-        self._hand_over()
-
-    def _hand_over(self) -> None:
-        self._rod.move(self._lead, self._lead_target, self._hub, self._hub_target)
+        self._hubs.hand_over(self._rod)
 
     def advance(
         self,
@@ -266,26 +238,11 @@ class DualSimulation(Simulation):
             motors: must be None.
             catheter: translation (m) and rotation (rad) of the catheter's.
         """
-        low, high = self._lead_limits()
-        if high > low:
-            wire, covering = self.device_insertions()
-            wire_to = min(max(wire + translation, 0.0), self.max_insertion)
-            covering_to = min(max(covering + catheter[0], 0.0), self.max_insertion)
-            excess = wire_to - covering_to - min(max(wire_to - covering_to, low), high)
-            # who moves apart is held back: first the wire, then the catheter
-            held = min(max(excess, min(wire_to - wire, 0.0)), max(wire_to - wire, 0.0))
-            wire_to -= held
-            covering_to += excess - held
-            self._lead_target = wire_to - covering_to
-            translation = max(wire_to, covering_to) - max(wire, covering)
-            turns = (rotation, catheter[1])
-        else:
-            turns = (rotation, rotation)
-        self._hub_target = [at + turn for at, turn in zip(self._hub, turns, strict=True)]
-        self._hand_over()
-        super().advance(translation, self._frame_turn(turns))
-        self._lead = self._lead_target
-        self._hub[:] = self._hub_target
+        hubs = self._hubs
+        translation, turn = hubs.command(float(self.data.qpos[0]), (translation, rotation), catheter)
+        hubs.hand_over(self._rod)
+        super().advance(translation, turn)
+        hubs.arrive()
 
     def feeder_forces(self) -> Array:
         """What wire's and catheter's feeders push with, N, positive inserts. Shape (2,), 0 of an absent one."""
@@ -311,7 +268,7 @@ class DualSimulation(Simulation):
         if self.tables[index] is None:
             return np.empty((0, 3))
         points = self.wire_points()
-        behind = max(-self._lead, 0.0) if index == WIRE else max(self._lead, 0.0)
+        behind = max(-self.device_lead, 0.0) if index == WIRE else max(self.device_lead, 0.0)
         arcs = np.concatenate(([0.0], np.cumsum(self.wire.links[::-1])))
         first = int(np.searchsorted(arcs, behind, side="right"))
         share = (behind - arcs[first - 1]) / (arcs[first] - arcs[first - 1]) if first < len(arcs) else 0.0
@@ -320,7 +277,7 @@ class DualSimulation(Simulation):
 
     def state(self) -> Array:
         """As of `Simulation`, followed by lead, both hubs' angles and both devices' twist at each joint."""
-        return np.concatenate((super().state(), [self._lead, *self._hub], self.twist.ravel()))
+        return np.concatenate((super().state(), [self._hubs.lead, *self._hubs.angles], self.twist.ravel()))
 
     def restore(self, state: Array) -> None:
         """Returns to a state of a simulation with the same arguments.
@@ -331,12 +288,13 @@ class DualSimulation(Simulation):
         extra = 1 + DEVICES + self.twist.size
         if len(state) != len(super().state()) + extra:
             raise ValueError(f"expected a state of shape ({len(super().state()) + extra},), got {state.shape}")
-        self._lead, self._hub[:] = float(state[-extra]), state[1 - extra : 1 - extra + DEVICES].tolist()
-        self._lead_target, self._hub_target = self._lead, list(self._hub)
+        self._hubs.set(float(state[-extra]), state[1 - extra : 1 - extra + DEVICES].tolist())
         super().restore(state[:-extra])
         self.twist[:] = state[len(state) - self.twist.size :].reshape(self.twist.shape)
-        self._rod.place(self._lead, self._hub)
-        self._rod.untwist(self.data, most=0)  # the model is that of the lead, also before the next step
+        rod = self._rod
+        rod.struct.feeder_force[:] = rod.struct.hub_torque[:] = [0.0] * DEVICES
+        rod.place(self._hubs.lead, self._hubs.angles)
+        rod.untwist(self.data, most=0)  # the model is that of the lead, also before the next step
 
     def force_state(self) -> tuple[bytes, Array, Array]:
         """As of `Simulation`, with forces and torques of the feeders."""
