@@ -14,6 +14,7 @@ from pydantic import BeforeValidator
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.point_target import Point, TargetLike, as_target, target_name
 from cathsim.arena import PROTRUSION
+from cathsim.devices.pair import DevicePair
 from cathsim.devices.simulation import DualSimulation
 from cathsim.simulation import Simulation
 from cathsim.validation import Count, Turn, Unit, check_fields, settings
@@ -81,12 +82,23 @@ class NavigationTask:
 
     def start(self, simulation: Simulation, generator: np.random.Generator) -> None:
         """Puts the devices at the start of an episode: of two, the catheter is not advanced, and turned by its own."""
-        insertion, rotation = self.draw_start(generator)
-        if isinstance(simulation, DualSimulation) and simulation.pair.both:
-            parked = max(insertion - simulation.pair.most_ahead, 0.0)
-            simulation.reset(insertion, rotation, catheter=(parked, self.draw_start(generator)[1]))
+        start = self.draw_start(generator)
+        if isinstance(simulation, DualSimulation):
+            insertion, rotation, catheter = self.draw_devices(start, simulation.pair, generator)
+            simulation.reset(insertion, rotation, catheter=catheter)
         else:
-            simulation.reset(insertion, rotation)
+            simulation.reset(*start)
+
+    def draw_devices(
+        self, start: tuple[float, float], pair: DevicePair, generator: np.random.Generator
+    ) -> tuple[float, float, tuple[float, float]]:
+        """The start with a catheter: insertion (m) and rotation (rad) of `start`, and those of the catheter.
+
+        It is advanced only where the wire's lead has a limit, and turned by its own; alone, it is what `start` says.
+        """
+        if not pair.both:
+            return (*start, start)
+        return (*start, (max(start[0] - pair.most_ahead, 0.0), self.draw_start(generator)[1]))
 
     def goal(self, phantom: Phantom) -> np.ndarray:
         """Position of the target, m. Shape (3,)."""

@@ -15,8 +15,11 @@ from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena
 from cathsim.composer.parts import model_parts
+from cathsim.composer.two_devices import TwoDevices
+from cathsim.devices.catheter import Catheter
+from cathsim.devices.choice import chosen_catheter, chosen_wire, device_pair
 from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
-from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.guidewire import Guidewire
 from cathsim.navigation import NavigationTask, navigation_task
 from cathsim.observations.observables import camera, outside_sheath
 from cathsim.presets import Accuracy
@@ -30,11 +33,14 @@ class NavigateTask(composer.Task):
 
     A control step of 0.1 s is 40 plain MuJoCo steps of 2.5 ms with the whole wire in the model: `NavigateEnv` instead
     repeats substeps in which the wire goes deep into the wall, and leaves out the links that wait outside the sheath.
-    The two agree within millimetres, not bit for bit.
+    The two agree within millimetres, not bit for bit; catheters of large curves need substeps of 1 ms for that (after
+    120 mm of a Simmons 2 pushed with its wire, 2 mm from the "reference" preset, and 9 mm with 2.5 ms).
 
     Args:
         entry: name of the phantom's entry.
         tip_motors: 21 actions instead of two.
+        catheter: in which the wire lies: four actions; without a wire, the catheter alone.
+        torsion: with a catheter, "elastic" or "rigid".
         image_size: side of the fluoroscopic image, px.
         numerics: time stepping; its refinement is not used.
         visual: with the lumen's surface and a camera "frontal" in the model, for rendering.
@@ -43,30 +49,38 @@ class NavigateTask(composer.Task):
     def __init__(
         self,
         phantom: Phantom,
-        wire: Guidewire,
+        wire: Guidewire | None,
         task: NavigationTask,
         *,
         entry: str = "descending",
         tip_motors: bool = False,
+        catheter: Catheter | None = None,
+        torsion: str = "elastic",
         image_size: int = 80,
         numerics: Accuracy = STEPPING,
         visual: bool = False,
     ) -> None:
         self.phantom, self.task = phantom, task
         self.goal = task.goal(phantom)
-        vessel = vessel_of(phantom, entry)
-        parts = model_parts(vessel, wire, numerics, tip_motors=tip_motors)
-        self.arena = VesselArena(parts.arena, vessel, wire.length)
+        pair = device_pair(wire, catheter, torsion)
+        if pair is not None and tip_motors:
+            raise ValueError("two devices are simulated without tip motors: leave out the catheter for them")
+        vessel = vessel_of(phantom, entry, pair.sheath_radius) if pair else vessel_of(phantom, entry)
+        self.devices = TwoDevices(vessel, pair, numerics) if pair else None
+        chain = self.devices.chain if self.devices else wire
+        assert chain is not None
+        parts = model_parts(vessel, chain, numerics, tip_motors=tip_motors)
+        self.arena = VesselArena(parts.arena, vessel, chain.length)
         if visual:
             self.arena.show(phantom)
-        self.feeder = Feeder(parts.feeder, wire)
-        self.guidewire = GuidewireEntity(parts.guidewire, wire)
+        self.feeder = Feeder(parts.feeder, chain)
+        self.guidewire = GuidewireEntity(parts.guidewire, chain)
         self.arena.attach(self.feeder, self.arena.feeder_site)
         self.feeder.attach(self.guidewire, self.feeder.wire_site)
         self.set_timesteps(control_timestep=CONTROL_STEP, physics_timestep=numerics.timestep)
 
-        self._renderer = camera(phantom, image_size, wire.radius)
-        self._actions = len(self.guidewire.motors) + 1 if tip_motors else 2
+        self._renderer = camera(phantom, image_size, chain.radius)
+        self._actions = len(self.guidewire.motors) + 1 if tip_motors else 4 if pair and pair.both else 2
         self.steps = self._substep = 0
         self.force = np.zeros(3)
         self._remaining = 0.0
@@ -78,6 +92,8 @@ class NavigateTask(composer.Task):
             mask=Generic(lambda physics: self._draw(physics)[1]),
             force=Generic(lambda physics: self.force.copy()),
         )
+        if self.devices is not None:
+            self._observables["devices"] = Generic(self._device_state)
         for name, entry_ in self._observables.items():
             entry_.enabled = name != "mask"
         for entity in (self.feeder, self.guidewire):
@@ -92,9 +108,23 @@ class NavigateTask(composer.Task):
     def task_observables(self) -> OrderedDict[str, Generic]:
         """`image` and `mask` (1, size, size) uint8, as `NavigateEnv` gives them, and `force` (3,) N.
 
-        The mask is off until its `enabled` is set.
+        With a catheter also `devices` (2, 2), insertion (m) and angle of the hub (rad) of wire and catheter. The mask
+        is off until its `enabled` is set.
         """
         return OrderedDict(self._observables)
+
+    def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Joins the devices with the new model."""
+        super().after_compile(physics, random_state)
+        if self.devices is not None:
+            self.devices.join(physics)
+
+    def _device_state(self, physics: mjcf.Physics) -> np.ndarray:
+        assert self.devices is not None
+        return self.devices.state(self._fed(physics))
+
+    def _fed(self, physics: mjcf.Physics) -> float:
+        return float(np.asarray(physics.bind(self.feeder.joints).qpos)[0])
 
     def _draw(self, physics: mjcf.Physics) -> tuple[np.ndarray, np.ndarray]:
         points = outside_sheath(self.guidewire.nodes(physics), self.arena.vessel)
@@ -104,16 +134,23 @@ class NavigateTask(composer.Task):
         return image[None], mask[None] * np.uint8(255)
 
     def action_spec(self, physics: mjcf.Physics) -> specs.BoundedArray:
-        """-1 to 1: translation (2 mm) and rotation (15 degrees); or the tip's motors, then translation."""
+        """-1 to 1: translation (2 mm) and rotation (15 degrees), of the wire, then of the catheter.
+
+        With motors in the tip: theirs, then the translation.
+        """
         return specs.BoundedArray((self._actions,), np.float64, -1.0, 1.0, name="action")
 
     def initialize_episode(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """Puts the wire straight into the sheath and lets its tip unbend for 0.3 s."""
         generator = np.random.default_rng(int(random_state.randint(2**31)))
         insertion, rotation = self.task.draw_start(generator)
+        if self.devices is not None:
+            insertion = self.devices.place(*self.task.draw_devices((insertion, rotation), self.devices.pair, generator))
         self.feeder.place(physics, insertion, rotation)
         for _ in range(SETTLE_STEPS * self.physics_steps_per_control_step):
             self.feeder.drive(physics, 1.0)
+            if self.devices is not None:
+                self.devices.update(physics, 1.0)
             mujoco.mj_step(physics.model.ptr, physics.data.ptr)
         physics.data.time = 0.0
         physics.forward()
@@ -139,14 +176,21 @@ class NavigateTask(composer.Task):
             self.feeder.command(physics, TRANSLATION_STEP * action[-1], 0.0)
             self.guidewire.bend(physics, action[:-1])
         else:
-            self.feeder.command(physics, TRANSLATION_STEP * action[0], ROTATION_STEP * action[1])
+            scaled = action * np.tile((TRANSLATION_STEP, ROTATION_STEP), self._actions // 2)
+            move, catheter = (float(scaled[0]), float(scaled[1])), (float(scaled[-2]), float(scaled[-1]))
+            if self.devices is not None:
+                move = self.devices.command(self._fed(physics), move, catheter)
+            self.feeder.command(physics, *move)
         self._substep = 0
         self.force[:] = 0.0
 
     def before_substep(self, physics: mjcf.Physics, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Moves the servos' targets at constant speed."""
         self._substep += 1
-        self.feeder.drive(physics, self._substep / self.physics_steps_per_control_step)
+        share = self._substep / self.physics_steps_per_control_step
+        self.feeder.drive(physics, share)
+        if self.devices is not None:
+            self.devices.update(physics, share)
 
     def after_substep(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """Keeps the largest resultant contact force of the step."""
@@ -157,6 +201,8 @@ class NavigateTask(composer.Task):
     def after_step(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """Computes reward, success and the end of the episode."""
         model, data = physics.model.ptr, physics.data.ptr
+        if self.devices is not None:
+            self.devices.hubs.arrive()
         if not np.isfinite(data.qpos).all():
             mujoco.mj_resetData(model, data)  # the episode ends here; so that its last observation is at least finite
         mujoco.mj_kinematics(model, data)  # poses of the state that the step has reached
@@ -193,7 +239,9 @@ def load(
     *,
     seed: int | None = None,
     entry: str = "descending",
-    wire: str | Guidewire = "default",
+    wire: str | Guidewire | None = "default",
+    catheter: str | Catheter | None = None,
+    torsion: str = "elastic",
     actions: str = "feeder",
     image_size: int = 80,
     numerics: Accuracy = STEPPING,
@@ -221,10 +269,12 @@ def load(
         raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
     navigate = NavigateTask(
         load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom,
-        load_guidewire(wire) if isinstance(wire, str) else wire,
+        chosen_wire(wire),
         navigation_task(target, task_fields, task),
         entry=entry,
         tip_motors=actions == "tip_motors",
+        catheter=chosen_catheter(catheter),
+        torsion=torsion,
         image_size=image_size,
         numerics=numerics,
         visual=visual,

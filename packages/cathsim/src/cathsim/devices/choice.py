@@ -27,6 +27,19 @@ def chosen_catheter(catheter: Any) -> Catheter | None:
     return None if catheter is None else chosen("catheter", catheter, Catheter, load_catheter)
 
 
+def device_pair(wire: Guidewire | None, catheter: Catheter | None, torsion: str = "elastic") -> DevicePair | None:
+    """The devices as a pair; None: a bare wire, which needs none.
+
+    Raises:
+        ValueError: neither device, devices that do not fit, or an unknown torsion.
+    """
+    if torsion not in TORSIONS:
+        raise ValueError(f"unknown torsion '{torsion}'; there are {', '.join(TORSIONS)}")
+    if catheter is None and wire is not None:
+        return None
+    return DevicePair(wire, catheter, torsion)  # type: ignore[arg-type]
+
+
 def simulation_of(
     phantom: Phantom,
     wire: Guidewire | None,
@@ -45,8 +58,8 @@ def simulation_of(
     Raises:
         ValueError: neither device, devices that do not fit, or an unknown torsion.
     """
-    if torsion not in TORSIONS:
-        raise ValueError(f"unknown torsion '{torsion}'; there are {', '.join(TORSIONS)}")
-    if catheter is None and wire is not None:
-        return Simulation(phantom, wire, numerics, **arguments)
-    return DualSimulation(phantom, DevicePair(wire, catheter, torsion), numerics, **arguments)  # type: ignore[arg-type]
+    pair = device_pair(wire, catheter, torsion)
+    if pair is not None:
+        return DualSimulation(phantom, pair, numerics, **arguments)
+    assert wire is not None
+    return Simulation(phantom, wire, numerics, **arguments)

@@ -1,0 +1,104 @@
+"""Two devices in the dm_control environment: agreement with the Gymnasium one, starts, observations, bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cathsim import Accuracy, NavigateEnv
+from cathsim.devices.shelf import load_catheter
+
+pytest.importorskip("dm_control")
+
+from cathsim import composer
+
+MakeEnv = Callable[..., NavigateEnv]
+TIP = "feeder/guidewire/tip"
+FINE = Accuracy(timestep=0.001, refinement=1, mass_scale=10.0)
+QUICK = Accuracy(timestep=0.005, refinement=1, mass_scale=10.0)
+
+
+def both(step: int) -> list[float]:
+    return [1.0, 0.2, 1.0, 0.5]
+
+
+def wire_first(step: int) -> list[float]:
+    return [1.0, 0.0, 1.0 if step > 25 else 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("catheter", "numerics", "motion"),
+    [
+        ("vertebral", composer.STEPPING, both),
+        ("vertebral", composer.STEPPING, wire_first),
+        ("simmons2", FINE, wire_first),
+        ("simmons2", FINE, both),
+    ],
+)
+def test_agrees_with_the_gymnasium_environment(
+    make_env: MakeEnv, catheter: str, numerics: Accuracy, motion: Callable[[int], list[float]]
+) -> None:
+    arguments = {"catheter": catheter, "start_jitter": 0.0}
+    other = make_env(accuracy="accurate", observation="devices", **arguments)
+    env = composer.load(seed=0, numerics=numerics, **arguments)
+    other.reset(seed=0)
+    env.reset()
+    apart = []
+    for step in range(50):
+        action = np.array(motion(step))
+        seen, observation = env.step(action).observation, other.step(action)[0]
+        apart.append(np.linalg.norm(seen[TIP] - other.simulation.tip))
+    assert np.median(apart) < 1e-3
+    assert max(apart) < 4e-3
+    assert np.allclose(seen["devices"], observation[:, :2], atol=3e-4)
+    env.close()
+
+
+def test_a_reset_forgets_where_the_devices_were() -> None:
+    env = composer.load(seed=0, numerics=QUICK, catheter="headhunter", start_jitter=0.0)
+    runs = []
+    for _ in range(2):
+        runs.append(
+            [env.reset().observation, *(env.step(np.array([1.0, 0.3, 0.5, -0.4])).observation for _ in range(12))]
+        )
+    for one, again in zip(*runs, strict=True):
+        for name, value in one.items():
+            assert np.array_equal(value, again[name]), name
+    env.close()
+
+
+def test_starts_turn_both_devices_by_their_own() -> None:
+    env = composer.load(seed=0, numerics=QUICK, catheter="vertebral", start_rotation=2.0)
+    starts = np.array([env.reset().observation["devices"] for _ in range(4)])
+    assert (np.abs(starts[:, 1, 0]) < 2e-4).all()
+    assert (np.ptp(starts[:, :, 1], axis=0) > 0.3).all()
+    env.close()
+
+
+def test_a_catheter_alone_has_two_actions() -> None:
+    env = composer.load(seed=0, numerics=QUICK, wire=None, catheter="jb2")
+    env.reset()
+    assert env.action_spec().shape == (2,)
+    seen = env.step(np.ones(2)).observation["devices"]
+    assert not seen[0].any()
+    assert seen[1, 0] > 1e-3
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"catheter": "simmons9"}, "unknown catheter 'simmons9'"),
+        ({"catheter": load_catheter("straight", inner_diameter=0.8e-3)}, "a wire of 0.89 mm does not pass a catheter"),
+        ({"catheter": "vertebral", "actions": "tip_motors"}, "without tip motors: leave out the catheter"),
+        ({"catheter": "vertebral", "torsion": "soft"}, "unknown torsion 'soft'; there are elastic, rigid"),
+        ({"wire": None}, "neither a wire nor a catheter is there"),
+    ],
+    ids=str,
+)
+def test_bad_arguments(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        composer.load(**arguments)
