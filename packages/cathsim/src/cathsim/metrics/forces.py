@@ -173,7 +173,8 @@ def _unlike(
         "Mind what is compared: the real forces are those of a catheter on a silicone phantom, read from a load cell; "
         f"these are the contacts of a bare guidewire with a rigid wall, steered by the {names}{planner}. Pushed at "
         f"full speed with random rotation instead, the wire gives {pushed.mean():.3f} ± {pushed.std():.3f} N{factor}. "
-        f"{cell} What the catheter contributes was not tested here."
+        f"{cell} What the catheter contributes was not tested here; docs/results/forces.md compares devices, and shows "
+        "that the wall's stiffness changes the resultant by a few per cent."
     )
 
 
