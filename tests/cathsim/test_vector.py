@@ -56,6 +56,22 @@ def test_environments_step_together_as_they_do_alone(make_vector: MakeVector, ma
             assert infos["success"][index] == info["success"]
 
 
+def test_two_devices_step_together_as_they_do_alone(make_vector: MakeVector, make_env: MakeEnv) -> None:
+    variations = [{"catheter": "vertebral"}, {"catheter": "simmons2", "torsion": "rigid"}, {"catheter": "jb2_6f"}]
+    vector = make_vector(variations=variations, observation="devices", threads=2)
+    alone = [make_env(observation="devices", **variation) for variation in variations]
+    vector.reset(seed=5)
+    for index, env in enumerate(alone):
+        env.reset(seed=5 + index)
+    for step in np.random.default_rng(0).uniform(-0.5, 1, (15, 3, 4)):
+        together, _, _, _, infos = vector.step(step)
+        for index, env in enumerate(alone):
+            observation, *_, info = env.step(step[index])
+            assert np.array_equal(together[index], observation)
+            assert np.array_equal(infos["feeder_forces"][index], info["feeder_forces"])
+            assert infos["lead"][index] == info["lead"]
+
+
 def test_make_vec_gives_the_threaded_environment() -> None:
     vector = gymnasium.make_vec(ENVIRONMENT, num_envs=2, accuracy="fast", observation=("joints", "image"), max_steps=4)
     assert isinstance(vector.unwrapped, ThreadedVectorEnv)

@@ -7,6 +7,7 @@ import pytest
 
 from cathsim import NavigateEnv
 from cathsim.arena import PROTRUSION
+from cathsim.devices.simulation import DualSimulation
 from cathsim.wire_placement import SHAPES, laid_starts, place_wire, plan_way, pushed_shapes
 
 
@@ -106,3 +107,70 @@ def test_pushed_shapes_move_on_from_where_they_were_laid(environment: NavigateEn
     assert (np.linalg.norm(tips - entry, axis=1) > 0.01).all()
     again = list(pushed_shapes(simulation, way, np.random.default_rng(1)))
     np.testing.assert_array_equal(shapes[-1], again[-1])
+
+
+@pytest.fixture(scope="module")
+def covered() -> NavigateEnv:
+    return NavigateEnv("type_1", "lcca", catheter="vertebral", observation="devices", accuracy="fast")
+
+
+def devices_of(environment: NavigateEnv) -> DualSimulation:
+    assert isinstance(environment.simulation, DualSimulation)
+    return environment.simulation
+
+
+@pytest.mark.parametrize(("lead", "expected"), [(None, 0.05), (0.0, 0.0), (0.02, 0.02), (-0.03, -0.03), (0.29, None)])
+def test_two_devices_lie_on_the_way(
+    covered: NavigateEnv, way: np.ndarray, lead: float | None, expected: float | None
+) -> None:
+    simulation = devices_of(covered)
+    place_wire(simulation, way, 0.03, lead=lead, rest_steps=0)
+    wire, catheter = simulation.device_insertions()
+    arcs = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))))
+    assert max(wire, catheter) == pytest.approx(arcs[-1] - 0.03 - PROTRUSION, abs=1e-4)
+    # a catheter that would lie behind its start is parked
+    assert simulation.device_lead == pytest.approx(wire if expected is None else expected, abs=1e-4)
+    tip = [np.interp(arcs[-1] - 0.03, arcs, way[:, axis]) for axis in range(3)]
+    assert np.linalg.norm(simulation.tip - tip) < 2e-3
+
+
+def test_two_placed_devices_rest_and_an_episode_can_start_there(covered: NavigateEnv, way: np.ndarray) -> None:
+    simulation = devices_of(covered)
+    place_wire(simulation, way, 0.012)
+    assert simulation.valid
+    assert simulation.summary.force_max < 0.5
+    assert simulation.device_lead == pytest.approx(0.05)
+    start = simulation.state()
+    place_wire(simulation, way, 0.012)
+    assert np.array_equal(simulation.state(), start)
+    _, info = covered.reset(options={"start": start})
+    assert info["distance"] < 0.05
+    assert info["lead"] == pytest.approx(0.05)
+
+
+def test_laid_starts_of_two_devices_have_several_leads(covered: NavigateEnv) -> None:
+    starts = laid_starts(covered, np.random.default_rng(0))
+    np.testing.assert_array_equal(starts, laid_starts(covered, np.random.default_rng(0)))
+    assert len(starts) >= 4
+    leads = {round(covered.reset(options={"start": start})[1]["lead"], 6) for start in starts}
+    assert len(leads) >= 2
+    assert all(-1e-3 <= lead <= 0.081 for lead in leads)
+
+
+def test_pushed_shapes_of_two_devices_move_each(covered: NavigateEnv, way: np.ndarray) -> None:
+    simulation, leads, tips = devices_of(covered), [], []
+    for shape in pushed_shapes(simulation, way, np.random.default_rng(1)):
+        leads.append(simulation.device_lead)
+        tips.append(shape[0])
+    assert len(leads) >= 1
+    assert np.ptp(leads) > 1e-3
+    assert (np.linalg.norm(np.diff(tips, axis=0), axis=1) > 1e-4).all()
+
+
+def test_a_lead_that_there_cannot_be_is_refused(
+    environment: NavigateEnv, covered: NavigateEnv, way: np.ndarray
+) -> None:
+    with pytest.raises(ValueError, match="a lead is that of two devices, and there is one: leave it out"):
+        place_wire(environment.simulation, way, 0.03, lead=0.01)
+    with pytest.raises(ValueError, match="a lead must lie in -200 to 300 mm, got 400"):
+        place_wire(covered.simulation, way, 0.03, lead=0.4)

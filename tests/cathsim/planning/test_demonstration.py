@@ -24,3 +24,15 @@ def test_a_demonstration_is_a_trajectory_of_held_actions_in_its_case() -> None:
     assert len(np.unique(held[:, 0], axis=0)) > 1
     np.testing.assert_array_equal(made["actions"], demonstrate(environment, 1, KEYS, hold=4, seed=3)["actions"])
     environment.close()
+
+
+def test_a_demonstration_with_two_devices_has_four_actions_that_are_held() -> None:
+    environment = NavigateManyEnv(
+        ("type_1",), ("bca",), catheter="vertebral", observation="devices", accuracy="fast", max_steps=8
+    )
+    environment.reset(seed=0)
+    made = demonstrate(environment, 0, (), hold=4, seed=3)
+    assert made["actions"].shape == (8, 4)
+    held = made["actions"].reshape(2, 4, 4)
+    assert (held == held[:, :1]).all()
+    environment.close()

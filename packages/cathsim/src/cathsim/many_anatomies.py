@@ -12,9 +12,10 @@ import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike, as_target
+from cathsim.devices.choice import chosen_wire
 from cathsim.environment import NavigateEnv
-from cathsim.guidewire import Guidewire, load_guidewire
-from cathsim.registration.description import Specified, chosen, described
+from cathsim.guidewire import Guidewire
+from cathsim.registration.description import Specified, described
 
 # a phantom's name or a mesh's path; the seed of a random arch; a name that needs a seed, and that
 AnatomyChoice = str | int | tuple[str, int]
@@ -80,9 +81,9 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         phantoms: names, paths of meshes, `Phantom`s, whole numbers (seeds of random arches), or pairs of a name and a
             seed: ("random_wide", 3).
         targets: their names, or points in the lumens of all phantoms, (3,) m each.
-        wires: names of presets, or `Guidewire`s.
+        wires: names of presets, paths of YAML files, or `Guidewire`s; None: a catheter alone, with `catheter`.
         resolution: m between the nodes of the phantoms' grids.
-        arguments: of `NavigateEnv`, for every episode.
+        arguments: of `NavigateEnv`, for every episode: `catheter` among them.
 
     Raises:
         ValueError: nothing to choose from, or wires of different observations.
@@ -94,7 +95,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self,
         phantoms: Sequence[AnatomyChoice | Phantom] = tuple(range(16)),
         targets: Sequence[TargetLike] = ("bca", "lcca"),
-        wires: Sequence[str | Guidewire] = ("default",),
+        wires: Sequence[str | Guidewire | None] = ("default",),
         *,
         resolution: float = 1e-3,
         **arguments: Any,
@@ -107,7 +108,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
                 raise ValueError(f"an environment over many anatomies takes {name}s, a list, instead of {name}")
         self.phantoms = tuple(described(phantom) for phantom in phantoms)
         self.targets = tuple(as_target(target) for target in targets)
-        self.wires = tuple(chosen("a wire", wire, Guidewire, load_guidewire) for wire in wires)
+        self.wires = tuple(chosen_wire(wire) for wire in wires)
         self.resolution = resolution
         self._arguments = arguments
         self.case = 0

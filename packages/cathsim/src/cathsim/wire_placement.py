@@ -1,4 +1,4 @@
-"""Placing a wire along a way through the lumen: states beyond a branch's ostium, reached without steering."""
+"""Placing the devices along a way through the lumen: states beyond a branch's ostium, reached without steering."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.arena import FEEDER, PROTRUSION
+from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
 from cathsim.planning.path import UnreachableError, plan_path
 from cathsim.simulation import Simulation
@@ -23,12 +24,12 @@ SHORT_OF_END = (0.012, 0.018, 0.025, 0.032, 0.040, 0.050)  # m from the tip to t
 WITHDRAWALS, WITHDRAWAL_STEPS = 3, 4  # states kept while drawing back, steps between them
 MOST_FORCE = 0.5  # N: with more the wire lies jammed
 SHAPES = 6  # from one laid wire
+CATHETER_BEHIND = 0.05  # m: a placed wire is so far ahead of its catheter
+LEADS = (0.0, 0.08)  # m, of laid starts and pushed shapes
 _SHALLOWEST = 0.01  # m of wire inside the vessel
 _MOVES = 8  # of 0.1 s, before each shape
-_LEAN = (
-    -0.3,
-    1.0,
-)  # mean of a wire's pushes, of the most in a step: a wire pushed on folds at the wall
+# mean of a wire's pushes, of the most in a step: a wire pushed on folds at the wall
+_LEAN = -0.3, 1.0
 _FORWARD, _TURN = 0.4, 0.7  # spread of the moves, of the most in a step
 
 _LOGGER = logging.getLogger(__name__)
@@ -52,8 +53,17 @@ def plan_way(simulation: Simulation, place: ArrayLike) -> np.ndarray:
     return np.vstack((vessel.entry, path.points))
 
 
-def place_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, rest_steps: int = REST_STEPS) -> None:
+def place_wire(
+    simulation: Simulation,
+    way: ArrayLike,
+    short_of_end: float,
+    *,
+    lead: float | None = None,
+    rest_steps: int = REST_STEPS,
+) -> None:
     """Places the wire along a way, its tip some distance short of the way's end, and lets it come to rest.
+
+    Of two devices both lie along the way, and the tip is that of the device that is further in.
 
     Each joint turns so that its link points along the way; twist and the pre-shaped tip settle during the
     rest. The tip may slip back out of a branch meanwhile: look at where it is.
@@ -62,6 +72,8 @@ def place_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, r
         simulation: whose wire it is; it ends in the new state.
         way: points from the entry on, m, world frame, such as `plan_way` gives. Shape (n, 3).
         short_of_end: distance along the way from the tip to its end, m.
+        lead: of two devices, how far the wire's tip is ahead of the catheter's, m; None: 50 mm. A device that would
+            have to be drawn back beyond its start is left there.
         rest_steps: control steps of 0.1 s without a movement of the feeder.
 
     Raises:
@@ -82,7 +94,7 @@ def place_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, r
             f"the wire can lie 0 to {simulation.max_insertion:.3f} m along a way beyond its start, this one asks for "
             f"{insertion:.3f} m"
         )
-    simulation.reset(insertion)
+    _reset(simulation, insertion, lead)
     links = np.asarray(simulation.wire.links[-simulation.active_links :])
     behind_tip = np.concatenate((np.cumsum(links[::-1])[::-1], [0.0]))
     nodes = _points_at(tip_arc - behind_tip, arcs, points, simulation.vessel.direction)
@@ -90,17 +102,39 @@ def place_wire(simulation: Simulation, way: ArrayLike, short_of_end: float, *, r
     axes = data.xmat[model.body(FEEDER).id].reshape(3, 3).copy()
     data.qpos[2:] = joint_angles(nodes[1:], axes).ravel()
     data.qvel[:] = 0.0
+    if isinstance(simulation, DualSimulation):
+        simulation.let_untwist()
     mujoco.mj_forward(model, data)
     for _ in range(rest_steps):
         simulation.advance(0.0, 0.0)
 
 
+def _reset(simulation: Simulation, insertion: float, lead: float | None) -> None:
+    """Resets the devices so that the tip of the one that is further in is advanced by `insertion` (m)."""
+    if not (isinstance(simulation, DualSimulation) and simulation.pair.both):
+        if lead is not None:
+            raise ValueError("a lead is that of two devices, and there is one: leave it out")
+        simulation.reset(insertion)
+        return
+    pair = simulation.pair
+    if lead is None:
+        lead = min(CATHETER_BEHIND, pair.most_ahead)
+    if not -pair.most_behind <= lead <= pair.most_ahead:
+        raise ValueError(
+            f"a lead must lie in {-1e3 * pair.most_behind:.0f} to {1e3 * pair.most_ahead:.0f} mm, got {1e3 * lead:.0f}"
+        )
+    lead = min(max(lead, -insertion), insertion)
+    simulation.reset(insertion + min(lead, 0.0), catheter=(insertion - max(lead, 0.0), 0.0))
+
+
 def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.ndarray:
     """States with the wire laid towards the target, and drawn back from there.
 
+    Two devices are laid at a lead from `LEADS` and drawn back together.
+
     Args:
         environment: with the anatomy and the target; its simulation is moved.
-        generator: of the turns while drawing back.
+        generator: of the turns while drawing back, and of the leads.
 
     Returns:
         Shape (k, n); none where the wire is too short, or there is no way with a clearance.
@@ -114,13 +148,14 @@ def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.
         return np.empty((0, len(simulation.state())))
     for short in SHORT_OF_END:
         try:
-            place_wire(simulation, way, short)
+            place_wire(simulation, way, short, lead=_drawn_lead(simulation, generator))
         except ValueError:  # the wire is too short for this one
             continue
         kept = [simulation.state()] if _at_rest(environment) else []
         for _ in range(WITHDRAWALS if kept else 0):
             for _ in range(WITHDRAWAL_STEPS):
-                simulation.advance(-0.002, float(generator.uniform(-0.26, 0.26)))
+                turns = generator.uniform(-0.26, 0.26, _feeders(simulation))
+                _move(simulation, [(-0.002, float(turn)) for turn in turns])
             if _at_rest(environment):
                 kept.append(simulation.state())
         states += kept
@@ -129,6 +164,8 @@ def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.
 
 def pushed_shapes(simulation: Simulation, way: ArrayLike, generator: np.random.Generator) -> Iterator[np.ndarray]:
     """Shapes of a wire that is laid somewhere along a way and moved on from there at random, as it folds at the wall.
+
+    Two devices are laid at a lead from `LEADS`, and each is moved by itself; their shape is that of both together.
 
     Args:
         simulation: whose wire it is.
@@ -142,20 +179,40 @@ def pushed_shapes(simulation: Simulation, way: ArrayLike, generator: np.random.G
         ValueError: the wire is too short to be laid there.
     """
     length = float(np.linalg.norm(np.diff(np.asarray(way), axis=0), axis=1).sum())
-    place_wire(simulation, way, generator.uniform(0.005, length - _SHALLOWEST))
+    short = generator.uniform(0.005, length - _SHALLOWEST)
+    place_wire(simulation, way, short, lead=_drawn_lead(simulation, generator))
     return _pushed(simulation, generator)
 
 
 def _pushed(simulation: Simulation, generator: np.random.Generator) -> Iterator[np.ndarray]:
-    turn, lean = generator.uniform(-1, 1), generator.uniform(*_LEAN)
+    means = [(generator.uniform(-1, 1), generator.uniform(*_LEAN)) for _ in range(_feeders(simulation))]
     for _ in range(SHAPES):
         for _ in range(_MOVES):
-            push = np.clip(lean + _FORWARD * generator.standard_normal(), -1, 1)
-            twist = np.clip(turn + _TURN * generator.standard_normal(), -1, 1)
-            simulation.advance(TRANSLATION_STEP * float(push), ROTATION_STEP * float(twist))
+            moves = []
+            for turn, lean in means:
+                push = np.clip(lean + _FORWARD * generator.standard_normal(), -1, 1)
+                twist = np.clip(turn + _TURN * generator.standard_normal(), -1, 1)
+                moves.append((TRANSLATION_STEP * float(push), ROTATION_STEP * float(twist)))
+            _move(simulation, moves)
         if not simulation.valid:
             break
         yield simulation.wire_points()
+
+
+def _feeders(simulation: Simulation) -> int:
+    return 2 if isinstance(simulation, DualSimulation) and simulation.pair.both else 1
+
+
+def _drawn_lead(simulation: Simulation, generator: np.random.Generator) -> float | None:
+    return float(generator.uniform(*LEADS)) if _feeders(simulation) == 2 else None
+
+
+def _move(simulation: Simulation, moves: list[tuple[float, float]]) -> None:
+    """One control step: translation (m) and rotation (rad) of each feeder, the wire's first."""
+    if isinstance(simulation, DualSimulation) and len(moves) == 2:
+        simulation.advance(*moves[0], catheter=moves[1])
+    else:
+        simulation.advance(*moves[0])
 
 
 def _at_rest(environment: NavigateEnv) -> bool:

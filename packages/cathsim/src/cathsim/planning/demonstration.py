@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from cathsim.many_anatomies import NavigateManyEnv
-from cathsim.planning.sampling import ExpertSettings, SamplingExpert
+from cathsim.planning.sampling import TWO_DEVICES, ExpertSettings, SamplingExpert
 
 ROLLOUTS = 1200  # of the expert, after which a demonstration counts as failed
 
@@ -33,7 +34,8 @@ def demonstrate(
         The arrays of a trajectory: observations by their names, actions, rewards, forces, tips, states, terminated.
     """
     observation, _ = environment.reset(seed=seed, options={"case": case})
-    settings = ExpertSettings(horizon=5 * hold, hold=hold, execute=hold)
+    usual = TWO_DEVICES if environment.action_space.shape == (4,) else ExpertSettings()
+    settings = dataclasses.replace(usual, horizon=5 * hold, hold=hold, execute=hold)
     expert = SamplingExpert(environment.current, seed=seed, threads=1, settings=settings)
     rows: dict[str, list[Any]] = {
         **{key: [observation[key]] for key in keys},
