@@ -51,7 +51,7 @@ RECORDS = {
     "metrics.load_cell:StepForces",
     *("metrics.forces:ForceComparison", "physics_checks.contact:Helix", "physics_checks.rig:TheoryCheck"),
     *("physics_checks.statics:Column", "planning.scripted_motions:Script"),
-    *("statics.ensemble_summary:ContactForces", "statics.ensemble_summary:Estimate", "statics.estimator:_Feeder"),
+    *("statics.ensemble_summary:ContactForces", "statics.ensemble_summary:Estimate", "statics.feeder:Feeder"),
     *("statics.observed_curve:ObservedCurve", "statics.resting_contacts:RestingContacts"),
     *("statics.uncertainty:Deviation", "statics.drawn_errors:DrawnErrors"),
 }

@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy.centreline import resampled
+from cathsim.anatomy.library import load_phantom
+from cathsim.devices.pair import DevicePair
+from cathsim.devices.shelf import load_catheter
+from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire
+from cathsim.presets import ACCURACY
 from cathsim.statics import ContactForceEstimator, contact_forces, inserted_curve
-from cathsim.statics.resting_contacts import RestingContacts
+from cathsim.statics.observed_curve import observed_curve
+from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.uncertainty import smooth_noise
 
 
@@ -130,10 +136,43 @@ def test_a_feeder_that_cannot_be_is_refused(resting, feeder, message: str) -> No
         contact_forces(resting.curve, resting.phantom, resting.wire, *feeder, members=1)
 
 
+@pytest.fixture(scope="module")
+def pair() -> tuple[DevicePair, DualSimulation]:
+    devices = DevicePair(Guidewire(), load_catheter("vertebral_5f"))
+    simulation = DualSimulation(load_phantom("type_1"), devices, ACCURACY["accurate"])
+    simulation.reset(0.03, 0.0, catheter=(0.0, 0.5))
+    for _ in range(80):
+        simulation.advance(0.002, 0.0, catheter=(0.002, 0.02))
+    for _ in range(20):
+        simulation.advance(0.0, 0.0)
+    return devices, simulation
+
+
+def test_a_wire_in_a_catheter_is_laid_too(pair) -> None:
+    devices, simulation = pair
+    phantom, curve = simulation.phantom, inserted_curve(simulation)
+    (wire, catheter), (first, second) = simulation.device_insertions(), simulation.device_rotations()
+    observed = observed_curve(curve, phantom, "descending", simulation.max_insertion)
+    truth = resting_contacts(simulation, observed)
+    assert truth.normal_sum > 0.05
+    found = contact_forces(curve, phantom, devices, wire, first, catheter=(catheter, second), members=1)
+    assert found.normal_sum.value == pytest.approx(truth.normal_sum, rel=0.3)
+    assert found.shape_error < 2e-3
+    with pytest.raises(ValueError, match="needs the feeders' positions"):
+        contact_forces(curve, phantom, devices, members=1)
+    with pytest.raises(ValueError, match="catheter's insertion must lie in"):
+        contact_forces(curve, phantom, devices, wire, first, catheter=(9.0, second), members=1)
+
+
+def test_a_wire_alone_has_no_catheter(resting, feeder) -> None:
+    with pytest.raises(ValueError, match="catheter is for a wire in a catheter"):
+        contact_forces(resting.curve, resting.phantom, resting.wire, *feeder, catheter=(0.1, 0.0), members=1)
+
+
 def test_other_arguments_that_cannot_be_are_refused(resting) -> None:
     with pytest.raises(ValueError, match="unknown entry 'femoral'"):
         contact_forces(resting.curve, resting.phantom, resting.wire, entry="femoral")
-    with pytest.raises(ValueError, match="device must be a Guidewire, got str"):
+    with pytest.raises(ValueError, match="device must be a Guidewire or a DevicePair, got str"):
         contact_forces(resting.curve, resting.phantom, "default")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="unknown accuracy"):
         contact_forces(resting.curve, resting.phantom, Guidewire(), accuracy="exact")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cathsim.arena import PROTRUSION
+from cathsim.statics.feeder import Feeder
 from cathsim.statics.laying import distance_to, lay_along
 from cathsim.statics.observed_curve import ObservedCurve, observed_curve
 
@@ -14,7 +15,7 @@ from cathsim.statics.observed_curve import ObservedCurve, observed_curve
 def test_links_point_along_the_curve(resting, rotation: float) -> None:
     simulation, state = resting.simulation, resting.simulation.state()
     unsmoothed = ObservedCurve(resting.curve, simulation.insertion + PROTRUSION)
-    lay_along(simulation, unsmoothed, simulation.insertion, rotation)
+    lay_along(simulation, unsmoothed, Feeder(simulation.insertion, rotation))
     assert simulation.rotation == rotation
     assert np.linalg.norm(simulation.tip - resting.curve[-1]) < 1e-3
     assert distance_to(simulation, unsmoothed) < 1e-3  # links are chords
@@ -27,7 +28,7 @@ def test_a_curve_beside_the_entry_is_moved_to_it(resting) -> None:
     aside = np.cross(simulation.vessel.direction, [1.0, 0.0, 0.0])
     offset = 1e-3 * aside / np.linalg.norm(aside)
     curve = ObservedCurve(resting.curve + offset, simulation.insertion + PROTRUSION)
-    lay_along(simulation, curve, simulation.insertion, 0.0)
+    lay_along(simulation, curve, Feeder(simulation.insertion, 0.0))
     assert np.linalg.norm(simulation.tip - resting.curve[-1]) < 1e-3
     simulation.restore(state)
 

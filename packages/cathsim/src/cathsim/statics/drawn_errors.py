@@ -12,8 +12,8 @@ from cathsim.anatomy import Phantom
 from cathsim.anatomy.centreline import resampled
 from cathsim.guidewire import Guidewire
 from cathsim.statics.observed_curve import STEP
-from cathsim.statics.simulated_device import deviating_phantom
-from cathsim.statics.uncertainty import Deviation, Uncertainty, smooth_noise
+from cathsim.statics.simulated_device import with_lumen
+from cathsim.statics.uncertainty import Uncertainty, smooth_noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,8 @@ def drawn_errors(
     )
     insertion = uncertainty.insertion * float(generator.standard_normal())
     rotation = uncertainty.rotation * float(generator.standard_normal())
-    return DrawnErrors(deviating_phantom(phantom, Deviation(shift=(x, y, z), lumen=lumen)), wrong, insertion, rotation)
+    moved = with_lumen(phantom, phantom.grid.values + np.float32(lumen), (x, y, z))
+    return DrawnErrors(moved, wrong, insertion, rotation)
 
 
 def noisy_curve(

@@ -5,18 +5,20 @@ from __future__ import annotations
 import dataclasses
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.centreline import resampled
+from cathsim.devices.pair import DevicePair
+from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
 from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, Simulation
 from cathsim.statics.ensemble_summary import ContactForces, summarise
+from cathsim.statics.feeder import Feeder, checked_catheter
 from cathsim.statics.feeder_search import found_rotation
 from cathsim.statics.laying import distance_to, lay_along
 from cathsim.statics.observed_curve import STEP, ObservedCurve, checked_insertion, observed_curve
@@ -24,19 +26,11 @@ from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.simulated_device import simulated_device
 from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations, smooth_noise
 
-MEMBERS = 24
+MEMBERS = 16
 REST_STEPS = 10  # control steps of 0.1 s in which the device finds its place between the walls
 FOLLOW_DISTANCE = 2.0e-3  # m between a followed device and the curve beyond which it is laid anew
 # Standard deviations of a feeder that is found from the curve.
 FOUND_INSERTION, FOUND_ROTATION = 1.5e-3, 0.3
-
-
-@dataclass(frozen=True)
-class _Feeder:
-    """Where the feeder is, nominally."""
-
-    insertion: float  # m
-    rotation: float  # rad
 
 
 class ContactForceEstimator:
@@ -48,7 +42,7 @@ class ContactForceEstimator:
 
     Args:
         phantom: the anatomy, in the curve's frame.
-        device: that lies in it.
+        device: that lies in it: a wire, or a wire in a catheter.
         entry: name of the phantom's entry.
         members: of the ensemble, the nominal one included; 1: no intervals.
         uncertainty: what the ensemble varies.
@@ -58,13 +52,13 @@ class ContactForceEstimator:
         workers: threads among which the members are divided.
 
     Raises:
-        ValueError: an unknown entry or accuracy, another device than a guidewire, no member.
+        ValueError: an unknown entry or accuracy, something else than a guidewire or a pair, no member.
     """
 
     def __init__(
         self,
         phantom: Phantom,
-        device: Guidewire,
+        device: Guidewire | DevicePair,
         *,
         entry: str = "descending",
         members: int = 1,
@@ -88,43 +82,41 @@ class ContactForceEstimator:
         self._deviations = tuple(
             deviations(members, one, seed) for one in (self.uncertainty, _of_found_feeder(self.uncertainty))
         )
-        self._feeder: _Feeder | None = None
+        self._feeder: Feeder | None = None
 
     def reset(self) -> None:
         """Forgets the last frame."""
         self._feeder = None
 
-    def update(self, curve: ArrayLike, insertion: float | None = None, rotation: float | None = None) -> ContactForces:
+    def update(
+        self,
+        curve: ArrayLike,
+        insertion: float | None = None,
+        rotation: float | None = None,
+        *,
+        catheter: tuple[float, float] | None = None,
+    ) -> ContactForces:
         """The contact forces of a frame.
 
         Args:
             curve: points (n, 3) m, world frame, from the entry to the tip; `inserted_curve` of a simulation.
             insertion: of the feeder, m; None: from the curve's length.
             rotation: of the feeder, rad; None: searched.
+            catheter: insertion (m) and rotation (rad) of a catheter over the wire, which has to be given.
 
         Raises:
             ValueError: a curve or feeder that cannot be; the device does not come to rest.
         """
-        observed = observed_curve(curve, self.phantom, self.entry, self._nominal.max_insertion)
-        if rotation is not None and not math.isfinite(rotation):
-            raise ValueError(f"rotation must be a finite number (rad), got {rotation}")
-        known = insertion is not None and rotation is not None
-        advance = (
-            min(observed.insertion, self._nominal.max_insertion)
-            if insertion is None
-            else checked_insertion(insertion, observed, self._nominal.max_insertion)
-        )
-        last = self._feeder
-        if rotation is None:
-            rotation = found_rotation(self._nominal, observed, advance, None if last is None else last.rotation)
-        self._feeder = _Feeder(advance, float(rotation))
+        observed = observed_curve(curve, self.phantom, self.entry, self.max_insertion)
+        known, last = insertion is not None and rotation is not None, self._feeder
+        feeder = self._feeder = self._found_feeder(observed, insertion, rotation, catheter)
         cases = self._deviations[0 if known else 1]
         for case in cases[len(self._members) :]:
             self._members.append(_Member(simulated_device(*self._case, case)))
-        turn, follow = float(rotation), known and last is not None
+        follow = known and last is not None
 
         def estimate(member: _Member, case: Deviation) -> RestingContacts | None:
-            moved = _Feeder(advance + case.insertion, turn + case.rotation)
+            moved = feeder.deviating(case, self.max_insertion)
             return member.estimate(observed, self._noisy(observed, case), moved, follow=follow)
 
         if self._workers > 1:
@@ -139,7 +131,37 @@ class ContactForceEstimator:
                 "the simulated device does not come to rest along this curve: check the curve, the phantom it is "
                 "registered to and the device's stiffness"
             )
-        return summarise(rested, advance, turn)
+        return summarise(rested, feeder.insertion, feeder.rotation)
+
+    def _found_feeder(
+        self,
+        observed: ObservedCurve,
+        insertion: float | None,
+        rotation: float | None,
+        catheter: tuple[float, float] | None,
+    ) -> Feeder:
+        """The feeder's position as given, or found from the curve."""
+        if rotation is not None and not math.isfinite(rotation):
+            raise ValueError(f"rotation must be a finite number (rad), got {rotation}")
+        device = self.device
+        if isinstance(device, DevicePair) and device.wire is not None and device.catheter is not None:
+            if catheter is None or insertion is None or rotation is None:
+                raise ValueError(
+                    "a wire in a catheter needs the feeders' positions: give insertion, rotation and "
+                    "catheter=(insertion, rotation)"
+                )
+            catheter = checked_catheter(catheter, self.max_insertion)
+            checked_insertion(max(insertion, catheter[0]), observed, self.max_insertion)
+            return Feeder(float(insertion), float(rotation), catheter)
+        if catheter is not None:
+            raise ValueError("catheter is for a wire in a catheter: give a DevicePair with both, or leave it out")
+        if insertion is None:
+            insertion = min(observed.insertion, self.max_insertion)
+        insertion = checked_insertion(insertion, observed, self.max_insertion)
+        if rotation is None:
+            last = None if self._feeder is None else self._feeder.rotation
+            rotation = found_rotation(self._nominal, observed, insertion, last)
+        return Feeder(insertion, float(rotation))
 
     def _noisy(self, observed: ObservedCurve, case: Deviation) -> ObservedCurve:
         """The curve with the noise of a case."""
@@ -154,10 +176,11 @@ class ContactForceEstimator:
 def contact_forces(
     curve: ArrayLike,
     phantom: Phantom,
-    device: Guidewire,
+    device: Guidewire | DevicePair,
     insertion: float | None = None,
     rotation: float | None = None,
     *,
+    catheter: tuple[float, float] | None = None,
     entry: str = "descending",
     members: int = MEMBERS,
     uncertainty: Uncertainty | None = None,
@@ -178,6 +201,7 @@ def contact_forces(
         device: with its stiffness, to which forces are proportional.
         insertion: of the feeder, m; None: from the curve's length.
         rotation: of the feeder, rad; None: searched.
+        catheter: insertion (m) and rotation (rad) of a catheter over the wire; both feeders are needed then.
         entry: name of the phantom's entry.
         members: of the ensemble; 1: the nominal case alone, without intervals.
         uncertainty: what the ensemble varies.
@@ -200,7 +224,7 @@ def contact_forces(
         friction=friction,
         workers=workers,
     )
-    return estimator.update(curve, insertion, rotation)
+    return estimator.update(curve, insertion, rotation, catheter=catheter)
 
 
 def _of_found_feeder(uncertainty: Uncertainty) -> Uncertainty:
@@ -216,10 +240,10 @@ class _Member:
 
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
-        self.feeder: _Feeder | None = None
+        self.feeder: Feeder | None = None
 
     def estimate(
-        self, observed: ObservedCurve, laid: ObservedCurve, feeder: _Feeder, *, follow: bool
+        self, observed: ObservedCurve, laid: ObservedCurve, feeder: Feeder, *, follow: bool
     ) -> RestingContacts | None:
         """The contacts of a frame; None where the simulation fails.
 
@@ -229,21 +253,23 @@ class _Member:
             follow: whether the feeder goes on from the last frame, if it can.
         """
         simulation = self.simulation
-        insertion = min(max(feeder.insertion, 0.0), simulation.max_insertion)
-        if not (follow and self._follow(observed, insertion, feeder.rotation)):
-            lay_along(simulation, laid, insertion, feeder.rotation)
+        if not (follow and self._follow(observed, feeder)):
+            lay_along(simulation, laid, feeder)
             for _ in range(REST_STEPS):
                 simulation.advance(0.0, 0.0)
-        self.feeder = _Feeder(insertion, feeder.rotation)
+        self.feeder = feeder
         return resting_contacts(simulation, observed) if simulation.valid else None
 
-    def _follow(self, observed: ObservedCurve, insertion: float, rotation: float) -> bool:
+    def _follow(self, observed: ObservedCurve, feeder: Feeder) -> bool:
         """Moves the feeder to a new position; whether the device then lies along the curve."""
         simulation, last = self.simulation, self.feeder
         if last is None or not simulation.valid:
             return False
-        if abs(insertion - last.insertion) > LEAD_ADVANCE or abs(rotation - last.rotation) > LEAD_ROTATION:
+        wire, catheter = feeder.moves_from(last)
+        if any(abs(move[0]) > LEAD_ADVANCE or abs(move[1]) > LEAD_ROTATION for move in (wire, catheter)):
             return False
-        lead = simulation.lead() * (LEAD_ADVANCE, LEAD_ROTATION)
-        simulation.advance(insertion - simulation.insertion - lead[0], rotation - simulation.rotation - lead[1])
+        if isinstance(simulation, DualSimulation):
+            simulation.advance(*wire, catheter=catheter)
+        else:
+            simulation.advance(*wire)
         return simulation.valid and distance_to(simulation, observed) < FOLLOW_DISTANCE

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from cathsim.simulation import Simulation
+from cathsim.statics.feeder import Feeder
 from cathsim.statics.laying import distance_to, lay_along
 from cathsim.statics.observed_curve import ObservedCurve
 
@@ -28,7 +29,7 @@ def found_rotation(simulation: Simulation, curve: ObservedCurve, insertion: floa
 
     def distance(rotation: float) -> float:
         if rotation not in tried:
-            lay_along(simulation, curve, insertion, rotation)
+            lay_along(simulation, curve, Feeder(insertion, rotation))
             for _ in range(_REST_STEPS):
                 simulation.advance(0.0, 0.0)
             tried[rotation] = distance_to(simulation, curve) if simulation.valid else math.inf

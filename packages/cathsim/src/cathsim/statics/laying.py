@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.arena import FEEDER, PROTRUSION
+from cathsim.devices.simulation import DualSimulation
 from cathsim.simulation import Simulation
+from cathsim.statics.feeder import Feeder
 from cathsim.statics.observed_curve import ObservedCurve
 
 Array = NDArray[np.float64]
@@ -32,28 +34,35 @@ def joint_angles(nodes: Array, axes: Array) -> Array:
     return bends
 
 
-def lay_along(simulation: Simulation, curve: ObservedCurve, insertion: float, rotation: float) -> None:
+def lay_along(simulation: Simulation, curve: ObservedCurve, feeder: Feeder) -> None:
     """Lays the device along a curve, without a velocity; what is not inserted lies straight in the sheath.
 
     The curve is stretched to the inserted length. Links keep its directions, so that a curve beside the entry is moved
     to it.
-
-    Args:
-        insertion: of the feeder, m.
-        rotation: of the feeder, rad.
     """
+    if isinstance(simulation, DualSimulation):  # sets lead and hubs, which stay when the chain is moved
+        _reset_pair(simulation, feeder)
     straight = np.zeros(simulation.nq)
-    straight[:2] = insertion, rotation
+    straight[:2] = feeder.furthest, feeder.rotation
     simulation.set_joint_positions(straight)
     links = np.asarray(simulation.wire.links[-simulation.active_links :])
     from_tip = np.concatenate((np.cumsum(links[::-1])[::-1], [0.0]))
-    length = insertion + PROTRUSION
+    length = feeder.furthest + PROTRUSION
     behind = np.maximum(from_tip - length, 0.0)
     nodes = curve.at(from_tip, length) - behind[:, None] * simulation.vessel.direction
     axes = simulation.data.xmat[simulation.model.body(FEEDER).id].reshape(3, 3).copy()
     bends = joint_angles(nodes[1:], axes).ravel()
     straight[len(straight) - len(bends) :] = bends
     simulation.set_joint_positions(straight)
+
+
+def _reset_pair(simulation: DualSimulation, feeder: Feeder) -> None:
+    """Puts both devices as far apart as they are, as little inserted as that allows."""
+    if feeder.catheter is None:
+        simulation.reset(0.0, feeder.rotation)
+        return
+    lead = feeder.insertion - feeder.catheter[0]
+    simulation.reset(max(lead, 0.0), feeder.rotation, catheter=(max(-lead, 0.0), feeder.catheter[1]))
 
 
 def distance_to(simulation: Simulation, curve: ObservedCurve) -> float:

@@ -46,12 +46,12 @@ class ObservedCurve:
 
 
 def inserted_curve(simulation: Simulation) -> Array:
-    """The part of a simulated device beyond the entry, as `contact_forces` takes it.
+    """The part of a simulated device, or of the pair's further one, beyond the entry, as `contact_forces` takes it.
 
     Returns:
         Points (n, 3) m, world frame, from the entry to the tip.
     """
-    return inserted_part(simulation.inserted_points(), simulation.insertion)
+    return inserted_part(simulation.inserted_points(), float(simulation.data.qpos[0]))
 
 
 def inserted_part(points: Array, insertion: float) -> Array:
