@@ -428,6 +428,7 @@ def draw(episodes: Sequence[Episode], file: Path) -> None:
                     showfliers=False,
                     showmeans=True,
                     patch_artist=True,
+                    medianprops={"color": "black"},
                     meanprops={"markersize": 4, "markerfacecolor": "black", "markeredgecolor": "black"},
                 )
                 box["boxes"][0].set(facecolor=colours[index], alpha=1.0)

@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt, Le
 
 from pipeline.jobs.pool import Job, Report, run_jobs
 from pipeline.report.force_logs import EpisodeForces, pooled, pooled_wall, read_forces, table_rows
+from pipeline.report.load_cell import WIRE
 from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat, draw_quantities
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import validated
@@ -108,6 +109,7 @@ def validate_forces(
         pushed,
         None if wall is None else wall.load_cell_n,
         operators={episode.operator for episode in chosen},
+        catheters={episode.device for episode in chosen} - {WIRE},
         free_force_n=min((e.free_force_n for e in chosen if e.free_force_n is not None), default=None),
     )
     write_text(folder / VERDICT, f"Agrees: {agrees}\n\nDiffers: {differs}\n")

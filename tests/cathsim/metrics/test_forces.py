@@ -68,6 +68,9 @@ def test_verdict_says_what_a_load_cell_reads_of_the_same_steps() -> None:
     _, raised = verdict(comparison_of(small), PUSHED, small + 0.3, **asked)
     assert f"give {small.mean() + 0.3:.3f}" in raised
     assert "explains none" not in raised
+    _, covered = verdict(comparison_of(small), PUSHED, catheters={"simmons2"}, **asked)
+    assert "in a catheter (simmons2)" in covered
+    assert "was not tested" not in covered
     assert "What the load cell contributes is not known" in verdict(comparison_of(small), PUSHED, **asked)[1]
 
 

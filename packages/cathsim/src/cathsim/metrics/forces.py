@@ -103,6 +103,7 @@ def verdict(
     *,
     operators: Collection[str],
     free_force_n: float | None,
+    catheters: Collection[str] = (),
 ) -> tuple[str, str]:
     """Says what agrees with the real forces and what does not.
 
@@ -110,6 +111,7 @@ def verdict(
         pushed: (n,) N, forces of the same wire pushed without a planner.
         read: (n,) N, what a load cell under the phantom reads of the same steps; None where it is not known.
         free_force_n: force that the operator does not pay for, N; None where it is not known.
+        catheters: names of those that lay over the wire in some of the episodes.
 
     Returns:
         What agrees, and what differs; each one or several sentences.
@@ -135,7 +137,7 @@ def verdict(
     real_side = f"the real ones' mean + 3 SD is {highest:.2f} N"
     (agrees if c.safe_share > 0.99 and highest < FORCE_LIMIT else differs).append(f"Safety: {safe}; {real_side}.")
     if differs:
-        differs.append(_unlike(c, pushed, read, operators, free_force_n))
+        differs.append(_unlike(c, pushed, read, operators, free_force_n, catheters))
     return " ".join(agrees) or "Nothing.", " ".join(differs) or "Nothing."
 
 
@@ -153,7 +155,12 @@ def _location(c: ForceComparison) -> str:
 
 
 def _unlike(
-    c: ForceComparison, pushed: Array, read: Array | None, operators: Collection[str], free_force_n: float | None
+    c: ForceComparison,
+    pushed: Array,
+    read: Array | None,
+    operators: Collection[str],
+    free_force_n: float | None,
+    catheters: Collection[str],
 ) -> str:
     """Words how the two were measured differently, and which part of it was tested."""
     names = ", ".join(sorted(operator.replace("_", " ") for operator in operators))
@@ -169,12 +176,16 @@ def _unlike(
         else f"Read as a load cell reads it (mean of each step, filtered, with noise), the same steps give "
         f"{read.mean():.3f} ± {read.std():.3f} N."
     )
+    device = "a bare guidewire"
+    untested = "What the catheter contributes was not tested here; "
+    if catheters:
+        device, untested = f"a guidewire, in some episodes in a catheter ({', '.join(sorted(catheters))}),", ""
     return (
         "Mind what is compared: the real forces are those of a catheter on a silicone phantom, read from a load cell; "
-        f"these are the contacts of a bare guidewire with a rigid wall, steered by the {names}{planner}. Pushed at "
-        f"full speed with random rotation instead, the wire gives {pushed.mean():.3f} ± {pushed.std():.3f} N{factor}. "
-        f"{cell} What the catheter contributes was not tested here; docs/results/forces.md compares devices, and shows "
-        "that the wall's stiffness changes the resultant by a few per cent."
+        f"these are the contacts of {device} with a rigid wall, steered by the {names}{planner}. Pushed at full speed "
+        f"with random rotation instead, the wire alone gives {pushed.mean():.3f} ± {pushed.std():.3f} N{factor}. "
+        f"{cell} {untested}docs/results/forces.md compares devices, and shows that the wall's stiffness changes the resultant "
+        "by a few per cent."
     )
 
 
