@@ -184,8 +184,8 @@ def _unlike(
         "Mind what is compared: the real forces are those of a catheter on a silicone phantom, read from a load cell; "
         f"these are the contacts of {device} with a rigid wall, steered by the {names}{planner}. Pushed at full speed "
         f"with random rotation instead, the wire alone gives {pushed.mean():.3f} ± {pushed.std():.3f} N{factor}. "
-        f"{cell} {untested}docs/results/forces.md compares devices, and shows that the wall's stiffness changes the resultant "
-        "by a few per cent."
+        f"{cell} {untested}docs/results/forces.md compares devices, and shows that the wall's stiffness changes the "
+        "resultant by a few per cent."
     )
 
 
