@@ -13,7 +13,7 @@ from cathsim.fluoroscopy.body import body_depth
 from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.fluoroscopy.radiograph import DepthFunction
 from cathsim.fluoroscopy.scene import XRayScene
-from cathsim.observations.observables import points_to_border
+from cathsim.observations.fluoroscopes import points_to_border
 from cathsim.planning.sampling import SamplingExpert
 
 FOLDER = Path(__file__).parent

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw
 
 from cathsim import PHANTOMS, NavigateEnv, load_phantom
 from cathsim.blood.flow import picture as blood_picture
-from cathsim.observations.observables import Fluoroscope
+from cathsim.observations.fluoroscopes import Fluoroscope
 from cathsim.planning.sampling import SamplingExpert
 from cathsim.viewing.camera_view import View
 

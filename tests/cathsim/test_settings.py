@@ -78,7 +78,15 @@ ZERO = {
     },
     "BloodFlow": {"peak_velocity", "descending_share", "phase"},
     "Box": {"centre", "attenuation"},
-    "Catheter": {"taper", "shape", "friction", "relaxation", "marker_length"},
+    "Catheter": {
+        "taper",
+        "shape",
+        "friction",
+        "relaxation",
+        "marker_length",
+        "wall_attenuation",
+        "marker_attenuation",
+    },
     "Decomposition": {"seed"},
     "Detector": {
         *("video_noise", "focal_blur", "screen_blur", "glare", "field_centre", "penumbra", "heel", "equalisation"),

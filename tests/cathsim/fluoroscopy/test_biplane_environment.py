@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cathsim.observations.observables import points_to_border
+from cathsim.observations.fluoroscopes import points_to_border
 
 NAMES = ("image_a", "mask_a", "image_b", "mask_b")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.observations.observables import SHOWN_SHEATH, camera, outside_sheath, shown_points
+from cathsim.observations.fluoroscopes import SHOWN_SHEATH, camera, outside_sheath, shown_points
 
 MakeEnv = Callable[..., NavigateEnv]
 

@@ -113,3 +113,30 @@ print(env.step(np.ones(2))[1] < 0)
     assert lines[0].startswith("3-D pictures need EGL or OSMesa and neither works")
     assert lines[-1] == "True"
     assert len(lines) == 2, "one sentence"
+
+
+@pytest.mark.usefixtures("rendering")
+def test_two_devices_have_their_own_colours_and_radii(make_env: MakeEnv) -> None:
+    env = make_env(catheter="vertebral_6f", target="lcca")
+    env.reset(seed=0)
+    for _ in range(40):
+        env.step(np.array([1.0, 0.0, 0.5, 0.0]))
+    view = View(env.phantom, width=700, height=900)
+    picture = view.render(env.simulation).astype(int)
+    env.reset(seed=0)
+    without = view.render(env.simulation).astype(int)
+    view.close()
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    catheter = (blue > red + 25) & (blue > green + 25)
+    dark = (red < 140) & (green < 70) & (blue < 90)
+    marker = (red > blue + 80) & (red > green + 30)
+    assert catheter.sum() > 300, "the catheter is blue"
+    assert dark.sum() > 30, "the wire ahead of it is dark"
+    assert 3 < marker.sum() < 200, "the marker is yellow"
+    rows = np.flatnonzero(catheter.any(axis=1))
+    assert np.flatnonzero(dark.any(axis=1))[0] < rows[0], "the wire's tip is further in"
+    changed = np.abs(picture - without).sum(axis=2) > 20
+    widths = changed[rows[0] + 20 : rows[0] + 60].sum(axis=1)
+    low, high = env.phantom.bounds
+    scale = 900 / (2 * 1.25 * (high[2] - low[2]) * np.tan(np.radians(22.5)))  # px/m of MuJoCo's 45 degrees
+    assert np.median(widths) == pytest.approx(2e-3 * scale, abs=2.0)

@@ -20,7 +20,8 @@ from cathsim.devices.simulation import DualSimulation
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire
 from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
-from cathsim.observations.observables import BiplaneView, Fluoroscope, make_observable
+from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope, wire_radius_of
+from cathsim.observations.observables import make_observable
 from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap
 from cathsim.presets import Accuracy
@@ -198,7 +199,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self._display = Display(render_mode, self.fluoroscope, self.robot)
         self.biplane = None
         if cameras is not None:
-            material = wire_material(wire if isinstance(wire, str) else "default", self.simulation.wire.radius)
+            material = wire_material(wire if isinstance(wire, str) else "default", wire_radius_of(self.simulation))
             pair = partial(BiplaneFluoroscope.of, self.phantom, size=image_size, material=material)
             self.biplane = BiplaneView(self.simulation, chosen("cameras", cameras, BiplaneFluoroscope, pair))
         self.roadmap = Roadmap(self.simulation, asked.target, registration_noise)

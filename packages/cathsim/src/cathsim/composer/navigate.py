@@ -21,7 +21,7 @@ from cathsim.devices.choice import chosen_catheter, chosen_wire, device_pair
 from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
 from cathsim.guidewire import Guidewire
 from cathsim.navigation import NavigationTask, navigation_task
-from cathsim.observations.observables import camera, outside_sheath
+from cathsim.observations.fluoroscopes import camera, outside_sheath
 from cathsim.presets import Accuracy
 from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS, vessel_of
 

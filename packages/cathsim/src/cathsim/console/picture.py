@@ -12,7 +12,7 @@ from cathsim.anatomy import Phantom, SignedDistanceGrid
 from cathsim.anatomy.surface import lumen_surface
 from cathsim.console.messages import surface_message
 from cathsim.navigation import NavigationTask
-from cathsim.observations.observables import camera, outside_sheath
+from cathsim.observations.fluoroscopes import camera, outside_sheath
 from cathsim.simulation import Simulation
 
 IMAGE_SIZE = 480  # px

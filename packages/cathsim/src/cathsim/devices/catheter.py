@@ -19,6 +19,7 @@ _SAMPLE = 0.33  # of the diameter: distance between points of the centreline tha
 _SAMPLES = 2000  # at most
 _MARGIN = 1e-9  # m
 
+Attenuation = Annotated[float, Interval(ge=0, le=1e6), Unit("1/m")]
 Bend = tuple[LengthOrNone, Length, Angle, Angle]  # start and end from the tip (m), angle, plane (rad)
 
 
@@ -43,6 +44,8 @@ class Catheter:
         friction: sliding friction coefficient on the wall.
         relaxation: time in which the bent free catheter relaxes, s.
         marker_length: of the radiopaque marker at the tip, m; 0: none.
+        wall_attenuation: linear attenuation coefficient of the wall at 60 keV, 1/m.
+        marker_attenuation: that of the wall where the marker is, 1/m.
 
     Raises:
         ValueError: of a shape that no tube has: a bend of a radius below that of the tube, bends that overlap or that
@@ -61,6 +64,8 @@ class Catheter:
     friction: Annotated[float, Interval(ge=0, le=10)] = 0.06
     relaxation: Annotated[float, Interval(ge=0, le=100), Unit("s")] = 0.1
     marker_length: LengthOrNone = 0.0
+    wall_attenuation: Attenuation = 170.0
+    marker_attenuation: Attenuation = 1430.0
 
     def __post_init__(self) -> None:
         if not self.inner_diameter < self.outer_diameter:

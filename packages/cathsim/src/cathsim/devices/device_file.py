@@ -51,6 +51,8 @@ KEYS: dict[str, dict[str, str]] = {
         "friction": "friction",
         "relaxation_s": "relaxation",
         "marker_length_mm": "marker_length",
+        "wall_attenuation_per_m": "wall_attenuation",
+        "marker_attenuation_per_m": "marker_attenuation",
     },
 }
 _ABOUT = ("kind", "description", "based_on", "source")

@@ -5,15 +5,17 @@ real detectors.
 """
 
 from cathsim.fluoroscopy.attenuation import background_image, expose, lumen_path_length
-from cathsim.fluoroscopy.biplane import BiplaneFluoroscope, Frame
+from cathsim.fluoroscopy.biplane import BiplaneFluoroscope, DevicesFrame, Frame
 from cathsim.fluoroscopy.body import THORAX, WATER_BATH, Box, Ellipsoid
 from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera, askew_pair, clinical_pair, guide3d_pair
 from cathsim.fluoroscopy.calibration_file import read_projection, write_calibration
 from cathsim.fluoroscopy.detector import Detector, quantum_noise
+from cathsim.fluoroscopy.device_renderer import DeviceRenderer
 from cathsim.fluoroscopy.distortion import DetectorDistortion
 from cathsim.fluoroscopy.materials import (
     Section,
     WireMaterial,
+    catheter_material,
     coil_tipped_wire,
     jacketed_wire,
     steel_wire,
@@ -34,6 +36,8 @@ __all__ = [
     "Box",
     "Detector",
     "DetectorDistortion",
+    "DeviceRenderer",
+    "DevicesFrame",
     "Ellipsoid",
     "FluoroscopyRenderer",
     "Frame",
@@ -45,6 +49,7 @@ __all__ = [
     "XRayScene",
     "askew_pair",
     "background_image",
+    "catheter_material",
     "clinical_pair",
     "coil_tipped_wire",
     "expose",

@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.fluoroscopy.attenuation import DistanceGrid
 from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera
-from cathsim.fluoroscopy.materials import WireMaterial, jacketed_wire
+from cathsim.fluoroscopy.curve import ROUND_END, stretch
+from cathsim.fluoroscopy.materials import WireMaterial, flat_marker, jacketed_wire
 from cathsim.fluoroscopy.radiograph import Radiograph, radiograph
+from cathsim.fluoroscopy.renderer import nodes_of
 from cathsim.fluoroscopy.scene import XRayScene, scene
-from cathsim.fluoroscopy.wire_shadow import WireShadow
+from cathsim.fluoroscopy.wire_shadow import ShadowWindow, WireShadow, overlaid
 from cathsim.presets import WIRE_RADIUS
 
 MAXIMUM_SIZE = 4096  # px
@@ -29,6 +31,19 @@ class Frame(NamedTuple):
     """(height, width) grey levels"""
     mask: NDArray[np.uint8]
     """(height, width), 1 on the wire; in the same distorted pixels as the image"""
+
+
+class DevicesFrame(NamedTuple):
+    """One camera's view of a wire and a catheter; shapes (height, width), masks 0 or 1."""
+
+    image: NDArray[np.uint8]
+    """grey levels"""
+    mask: NDArray[np.uint8]
+    """1 on either"""
+    mask_wire: NDArray[np.uint8]
+    """1 on the wire, also where it lies in the catheter"""
+    mask_catheter: NDArray[np.uint8]
+    """1 on the catheter"""
 
 
 class ImagedPhantom(Protocol):
@@ -76,7 +91,9 @@ class BiplaneFluoroscope:
     Args:
         cameras: the cameras; their names are the keys of what `render` returns.
         radiographs: what each expects of the scene.
-        centre: (3,) m, the middle of where the wire will be.
+        material: of the wire; by default nitinol in a tungsten-filled jacket.
+        catheter: material of the catheter that `render_devices` draws; None: there is none.
+        centre: (3,) m, the middle of where the devices will be.
 
     Attributes:
         recipe: the arguments of `of`, where that has made it; of others None.
@@ -91,6 +108,7 @@ class BiplaneFluoroscope:
         radiographs: Sequence[Radiograph],
         *,
         material: WireMaterial | None = None,
+        catheter: WireMaterial | None = None,
         centre: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         names = [camera.name for camera in cameras]
@@ -109,12 +127,17 @@ class BiplaneFluoroscope:
         self.material = material or jacketed_wire(WIRE_RADIUS)
         self._stills = dict(zip(names, radiographs, strict=True))
         self._shadows = {camera.name: WireShadow(camera, self.material, centre) for camera in cameras}
+        self.catheter = catheter
+        tube = None if catheter is None else flat_marker(catheter)
+        self._tubes = (
+            {} if tube is None else {camera.name: WireShadow(camera, tube, centre, hollow=True) for camera in cameras}
+        )
         self._kernels = {camera.name: _kernel(camera) for camera in cameras}
         self._expose = _native_expose()
         self.recipe: dict[str, Any] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        make = functools.partial(type(self), material=self.material, centre=self._centre)
+        make = functools.partial(type(self), material=self.material, catheter=self.catheter, centre=self._centre)
         return make, (tuple(self.cameras.values()), tuple(self._stills.values())), {"recipe": self.recipe}
 
     def __deepcopy__(self, memo: dict[int, object]) -> BiplaneFluoroscope:
@@ -130,6 +153,7 @@ class BiplaneFluoroscope:
         surroundings: str | XRayScene = "bath",
         filling: str = "fluid",
         material: WireMaterial | None = None,
+        catheter: WireMaterial | None = None,
     ) -> BiplaneFluoroscope:
         """The fluoroscope of a phantom; what does not depend on the wire is computed once a process.
 
@@ -139,6 +163,7 @@ class BiplaneFluoroscope:
             surroundings: "bath", "patient", "empty", or an `XRayScene`.
             filling: of the lumen, "fluid", "contrast" or "air"; an `XRayScene` brings its own.
             material: of the wire; by default nitinol in a tungsten-filled jacket.
+            catheter: material of a catheter, as `catheter_material` makes it.
 
         Raises:
             ValueError: for an unknown geometry, scene, filling or an impossible size.
@@ -152,6 +177,13 @@ class BiplaneFluoroscope:
         made = cls.over(phantom, PAIRS[geometry](centre, size), what, material)
         made.recipe = {"phantom": phantom, "geometry": geometry, "size": size, "surroundings": surroundings}
         made.recipe |= {"filling": filling, "material": material}
+        return made if catheter is None else made.with_catheter(catheter)
+
+    def with_catheter(self, catheter: WireMaterial) -> BiplaneFluoroscope:
+        """The same fluoroscope, which draws a catheter of a material, too."""
+        cameras, stills = tuple(self.cameras.values()), tuple(self._stills.values())
+        made = type(self)(cameras, stills, material=self.material, catheter=catheter, centre=self._centre)
+        made.recipe = None if self.recipe is None else {**self.recipe, "catheter": catheter}
         return made
 
     @classmethod
@@ -184,6 +216,43 @@ class BiplaneFluoroscope:
         Raises:
             ValueError: for points of another shape, not finite, or behind a source, or an unknown camera.
         """
+        frames = {}
+        for name, own in self._seeds(seed, only).items():
+            shadow = self._shadows[name].shadow(points)
+            image = self._image(name, shadow, own)
+            frames[name] = Frame(image, _mask(shadow, image.shape))
+        return frames
+
+    def render_devices(
+        self,
+        wire: ArrayLike,
+        catheter: ArrayLike,
+        seed: int | np.random.Generator | None = None,
+        *,
+        only: Sequence[str] | None = None,
+    ) -> dict[str, DevicesFrame]:
+        """Images of a wire and a catheter by camera, with a mask of each device, new arrays.
+
+        Args:
+            wire, catheter: (n, 3) m, nodes of each from its tip, world frame; fewer than two draw nothing.
+            seed, only: as of `render`.
+
+        Raises:
+            ValueError: as of `render`, or the fluoroscope has no catheter's material.
+        """
+        if self.catheter is None:
+            raise ValueError("this fluoroscope was made without a catheter's material: make it by with_catheter().")
+        tube = stretch(nodes_of(catheter), ROUND_END * self.catheter.radius)
+        frames = {}
+        for name, own in self._seeds(seed, only).items():
+            inner, outer = self._shadows[name].shadow(wire), self._tubes[name].shadow(tube)
+            both = overlaid(inner, outer)
+            image = self._image(name, both, own)
+            frames[name] = DevicesFrame(image, *(_mask(one, image.shape) for one in (both, inner, outer)))
+        return frames
+
+    def _seeds(self, seed: int | np.random.Generator | None, only: Sequence[str] | None) -> dict[str, int | None]:
+        """A seed for each camera that is wanted."""
         unknown = [name for name in only or () if name not in self.cameras]
         if unknown:
             raise ValueError(f"unknown camera {unknown[0]!r}: there are {', '.join(self.cameras)}.")
@@ -191,22 +260,16 @@ class BiplaneFluoroscope:
         seeds: list[int | None] = [None] * len(self.cameras)
         if generator is not None:
             seeds = generator.integers(0, 2**64, len(self.cameras), dtype=np.uint64).tolist()
-        return {
-            name: self._frame(name, points, own)
-            for name, own in zip(self.cameras, seeds, strict=True)
-            if only is None or name in only
-        }
+        return {name: own for name, own in zip(self.cameras, seeds, strict=True) if only is None or name in only}
 
-    def _frame(self, name: str, points: ArrayLike, seed: int | None) -> Frame:
+    def _image(self, name: str, shadow: ShadowWindow | None, seed: int | None) -> NDArray[np.uint8]:
         camera, still, kernel = self.cameras[name], self._stills[name], self._kernels[name]
         projector, detector = camera.projector, camera.detector
         width, height = projector.width, projector.height
-        shadow = self._shadows[name].shadow(points)
-        image, mask = np.empty((height, width), np.uint8), np.zeros((height, width), np.uint8)
+        image = np.empty((height, width), np.uint8)
         window: tuple[Any, ...] = (0, 0, 0, 0, None)
         if shadow is not None:
             high, wide = shadow.mask.shape
-            mask[shadow.top : shadow.top + high, shadow.left : shadow.left + wide] = shadow.mask
             window = (shadow.left, shadow.top, wide, high, shadow.transmission.ctypes.data)
         exposure = _ExposureStruct(
             *(width, height, still.primary.ctypes.data, still.veil.ctypes.data),
@@ -220,7 +283,7 @@ class BiplaneFluoroscope:
         )
         if self._expose(ctypes.addressof(exposure), seed or 0, image.ctypes.data):
             raise ValueError(f"camera {name}'s image or blur is too large: at most {MAXIMUM_SIZE} px and 16 px.")
-        return Frame(image, mask)
+        return image
 
     def centreline(self, points: ArrayLike, name: str) -> NDArray[np.float64]:
         """The wire's smooth axis as a camera shows it: what its image and mask are drawn along.
@@ -236,6 +299,10 @@ class BiplaneFluoroscope:
     def to_json(self) -> dict[str, Any]:
         """Every camera's matrices and distortion as plain JSON values."""
         return {name: camera.to_json() for name, camera in self.cameras.items()}
+
+
+def _mask(shadow: ShadowWindow | None, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    return np.zeros(shape, np.uint8) if shadow is None else shadow.whole_mask((shape[0], shape[1]))
 
 
 def _kernel(camera: XRayCamera) -> NDArray[np.float32]:

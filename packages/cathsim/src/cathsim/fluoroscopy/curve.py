@@ -1,4 +1,4 @@
-"""The smooth curve through a wire's nodes, sampled as finely as an image asks for."""
+"""The smooth curve through a wire's nodes, sampled as finely as an image asks for, and stretches of a polyline."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+ROUND_END = np.pi / 4  # of the radius: a flat end's strip that has the area of the half disc that is drawn instead
 
 
 def smooth_curve(nodes: ArrayLike, spacing: float) -> tuple[Array, Array]:
@@ -54,3 +56,18 @@ def smooth_curve(nodes: ArrayLike, spacing: float) -> tuple[Array, Array]:
     samples = np.concatenate((samples, points[-1:]))
     lengths = np.linalg.norm(np.diff(samples, axis=0), axis=1)
     return samples, np.concatenate(([0.0], np.cumsum(lengths)))
+
+
+def stretch(nodes: Array, start: float, end: float | None = None) -> Array:
+    """Part of a polyline (n, 3) m between two distances from its first node (m); None: to its end.
+
+    Returns:
+        (k, 3) m; fewer than two nodes where the polyline ends before `start`.
+    """
+    arcs = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))))
+    if len(nodes) < 2 or start >= arcs[-1]:
+        return nodes[:0]
+    end = arcs[-1] if end is None else min(end, arcs[-1])
+    between = (arcs > start) & (arcs < end)
+    ends = np.stack([np.interp((start, end), arcs, nodes[:, axis]) for axis in range(3)], axis=1)
+    return np.concatenate((ends[:1], nodes[between], ends[1:]))

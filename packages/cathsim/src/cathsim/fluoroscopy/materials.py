@@ -1,14 +1,16 @@
-"""Materials of a wire under X-rays: attenuation coefficients, and sections of nested cylinders."""
+"""Materials of wires and catheters under X-rays: attenuation coefficients, and sections of nested cylinders."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval, Len
 from numpy.typing import ArrayLike, NDArray
 
+from cathsim.fluoroscopy.curve import ROUND_END
 from cathsim.validation import Length, Unit, settings
 
 Array = NDArray[np.float64]
@@ -31,6 +33,7 @@ ATTENUATION: dict[str, float] = {
     "iodine_mg_per_ml": 0.76,
 }
 
+LEAST_MARKER = 1e-4  # m of a marker behind the round end that is drawn
 
 _Radius = Annotated[float, Interval(gt=0, le=0.1), Unit("m")]
 _Attenuation = Annotated[float, Interval(ge=0, le=1e6), Unit("1/m")]
@@ -38,7 +41,7 @@ _Attenuation = Annotated[float, Interval(ge=0, le=1e6), Unit("1/m")]
 
 @settings
 class Section:
-    """A stretch of wire: nested cylinders, each filling what the inner ones leave."""
+    """A stretch of a device: nested cylinders, each filling what the inner ones leave."""
 
     length: Length  # m; the last section of a wire goes on to its end
     # (radius in m, attenuation in 1/m), innermost first
@@ -67,7 +70,7 @@ class Section:
 
 @settings
 class WireMaterial:
-    """A wire from its tip on."""
+    """A wire, or a catheter, from its tip on."""
 
     sections: tuple[Section, ...]  # from the tip; the last one's length does not matter
 
@@ -115,6 +118,39 @@ def steel_wire(radius: float) -> WireMaterial:
         for length, share in ((0.010, 0.2), (0.020, 0.4), (1.0, 0.6))
     ]
     return WireMaterial(tuple(sections))
+
+
+def catheter_material(
+    radius: float, inner_radius: float, *, wall: float, marker: float, marker_length: float, lumen: str = "water"
+) -> WireMaterial:
+    """A tube of outer and inner radius (m) in water or blood, with a marker (m) in its wall at the tip.
+
+    Attenuations are over that of the water that the tube displaces, which is a tenth of the wall's own, so that a wire
+    in the lumen adds its own.
+
+    Args:
+        wall: attenuation of the wall, 1/m.
+        marker: of the wall where the marker is, 1/m.
+        lumen: what fills it where no wire is, a name of `ATTENUATION`: "water" (saline), "blood".
+    """
+    over = {name: max(value - ATTENUATION["water"], 0.0) for name, value in (("wall", wall), ("marker", marker))}
+    content = max(ATTENUATION[lumen] - ATTENUATION["water"], 0.0)
+    shaft = Section(1.0, ((inner_radius, content), (radius, over["wall"])))
+    if not marker_length:
+        return WireMaterial((shaft,))
+    return WireMaterial((Section(marker_length, ((inner_radius, content), (radius, over["marker"]))), shaft))
+
+
+def flat_marker(catheter: WireMaterial) -> WireMaterial:
+    """A catheter's material for nodes that start `ROUND_END` radii behind its tip, whose end is drawn round.
+
+    So drawn, the marker covers the area of one with flat ends.
+    """
+    if len(catheter.sections) == 1:
+        return catheter
+    marker, *shaft = catheter.sections
+    length = max(marker.length - ROUND_END * catheter.radius, LEAST_MARKER)
+    return WireMaterial((replace(marker, length=length), *shaft))
 
 
 _MATERIALS = {"nitrex_straight": coil_tipped_wire, **dict.fromkeys(("floppy", "amplatz", "stiff"), steel_wire)}

@@ -17,15 +17,15 @@ from cathsim.presets import WIRE_RADIUS
 WIRE_ATTENUATION = 3500.0  # 1/m: nitinol (about 760) under a radiopaque jacket and coil
 MINIMUM_WIDTH_PX = 1.2
 MASK_REACH_PX = 0.7072  # half a pixel's diagonal: every pixel that the axis enters is in the mask, without a gap
-_ENTRIES = 1024
+ENTRIES = 1024
 
-_FAILURES = {
+FAILURES = {
     1: "a coordinate of the wire is not finite; the simulation has diverged, reset it.",
     2: "a point of the wire lies behind the X-ray source; move the camera back.",
 }
 
 
-class _ViewStruct(ctypes.Structure):
+class ViewStruct(ctypes.Structure):
     """struct FluoroscopyView of fluoroscopy.c."""
 
     _fields_ = (
@@ -38,6 +38,7 @@ class _ViewStruct(ctypes.Structure):
         ("shadow_reach", ctypes.c_float),
         ("mask_reach", ctypes.c_float),
         ("piece", ctypes.c_double),
+        ("nearest", ctypes.c_void_p),
     )
 
 
@@ -99,19 +100,9 @@ class FluoroscopyRenderer:
         radius = max(wire_radius * projector.pixels_per_metre(centre), MINIMUM_WIDTH_PX / 2)
         self.wire_width_px = 2 * radius
         self._transmission = _transmission(radius, gamma * wire_attenuation * 2 * wire_radius)
-        self._view = _ViewStruct(
-            projector.width,
-            projector.height,
-            (ctypes.c_double * 12)(*projector.P.ravel()),
-            grey.ctypes.data,
-            self._transmission.ctypes.data,
-            len(self._transmission),
-            radius + 0.5,
-            max(radius, MASK_REACH_PX),
-            max(2.0, radius),
-        )
+        self._view = view_struct(projector, grey, self._transmission, radius)
         self._address = ctypes.addressof(self._view)
-        self._draw = _native_draw()
+        self._draw = native_draw()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return functools.partial(type(self), **self._options), self._arguments  # native structs are made again
@@ -166,9 +157,7 @@ class FluoroscopyRenderer:
         Raises:
             ValueError: for points of another shape, not finite, or behind the source, or outputs that do not fit.
         """
-        nodes = np.ascontiguousarray(points, dtype=np.float64)
-        if nodes.ndim != 2 or nodes.shape[1] != 3:
-            raise ValueError(f"the wire's nodes must have shape (n, 3), got {nodes.shape}.")
+        nodes = nodes_of(points)
         image, mask = None, None
         if image_out is not None:
             self._check_output(image_out)
@@ -180,7 +169,29 @@ class FluoroscopyRenderer:
             mask = mask_out.ctypes.data
         state = self._draw(self._address, len(nodes), nodes.ctypes.data, image, mask)
         if state:
-            raise ValueError(_FAILURES[state])
+            raise ValueError(FAILURES[state])
+
+    def render_over(self, image: NDArray[np.uint8], points: ArrayLike, mask_out: NDArray[np.uint8]) -> None:
+        """Draws the wire into an image that has something else in it, and writes its mask.
+
+        Args:
+            image: (height, width) uint8, C order; the wire's transmission multiplies it.
+            points, mask_out: as of `render_into`.
+
+        Raises:
+            ValueError: as of `render_into`.
+        """
+        nodes = nodes_of(points)
+        self._check_output(image)
+        self._check_output(mask_out)
+        mask_out.fill(0)
+        below = image.astype(np.float32)
+        view = ViewStruct.from_buffer_copy(self._view)
+        view.background = below.ctypes.data
+        drawn = image.ctypes.data, mask_out.ctypes.data
+        state = self._draw(ctypes.addressof(view), len(nodes), nodes.ctypes.data, *drawn)
+        if state:
+            raise ValueError(FAILURES[state])
 
     def _check_output(self, out: NDArray[np.uint8]) -> None:
         flags = out.flags
@@ -191,7 +202,44 @@ class FluoroscopyRenderer:
             )
 
 
-def _native_draw() -> ctypes._NamedFuncPointer:
+def nodes_of(points: ArrayLike) -> NDArray[np.float64]:
+    """A device's nodes as the native code reads them.
+
+    Raises:
+        ValueError: they have not the shape (n, 3).
+    """
+    nodes = np.ascontiguousarray(points, dtype=np.float64)
+    if nodes.ndim != 2 or nodes.shape[1] != 3:
+        raise ValueError(f"the wire's nodes must have shape (n, 3), got {nodes.shape}.")
+    return nodes
+
+
+def view_struct(
+    projector: Projector, grey: NDArray[np.float32], transmission: NDArray[np.float32], radius_px: float
+) -> ViewStruct:
+    """What draws a device of a radius over a background; both arrays must be kept as long as it is used.
+
+    Args:
+        grey: (height, width), the background.
+        transmission: by squared distance from the axis, evenly over [0, (radius + 1/2)^2].
+        radius_px: px, as drawn.
+    """
+    return ViewStruct(
+        projector.width,
+        projector.height,
+        (ctypes.c_double * 12)(*projector.P.ravel()),
+        grey.ctypes.data,
+        transmission.ctypes.data,
+        len(transmission),
+        radius_px + 0.5,
+        max(radius_px, MASK_REACH_PX),
+        max(2.0, radius_px),
+        None,
+    )
+
+
+def native_draw() -> ctypes._NamedFuncPointer:
+    """cathsim_fluoroscopy_draw of fluoroscopy.c."""
     from cathsim.contact.native import library
 
     draw = library().cathsim_fluoroscopy_draw
@@ -201,15 +249,19 @@ def _native_draw() -> ctypes._NamedFuncPointer:
 
 
 def _transmission(radius_px: float, depth: float) -> NDArray[np.float32]:
-    """Grey level over background by squared distance from the wire's axis, evenly over [0, (radius + 1/2)^2].
+    """Grey level over background by squared distance from the wire's axis, evenly over [0, (radius + 1/2)^2]."""
+    distance = np.sqrt(np.linspace(0.0, (radius_px + 0.5) ** 2, ENTRIES))
+    return np.exp(-depth * mean_chord(distance, radius_px)).astype(np.float32)
 
-    A cylinder's chord at distance x is 2 sqrt(r^2 - x^2); its mean over the width of a pixel has a closed form.
+
+def mean_chord(distance: NDArray[np.float64], radius_px: float) -> NDArray[np.float64]:
+    """A cylinder's chord over its diameter, averaged over a pixel's width at distances (px) from the axis.
+
+    The chord at distance x is 2 sqrt(r^2 - x^2); its mean has a closed form.
     """
-    distance = np.sqrt(np.linspace(0.0, (radius_px + 0.5) ** 2, _ENTRIES))
 
     def area(x: NDArray[np.float64]) -> NDArray[np.float64]:
         s = np.clip(x / radius_px, -1.0, 1.0)
         return 0.5 * radius_px * (s * np.sqrt(1.0 - s * s) + np.arcsin(s))
 
-    chord = area(distance + 0.5) - area(distance - 0.5)  # over the diameter
-    return np.exp(-depth * chord).astype(np.float32)
+    return area(distance + 0.5) - area(distance - 0.5)

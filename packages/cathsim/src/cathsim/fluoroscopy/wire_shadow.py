@@ -46,6 +46,32 @@ class ShadowWindow:
     transmission: NDArray[np.float32]
     mask: NDArray[np.uint8]
 
+    @property
+    def ends(self) -> tuple[int, int]:
+        """px, the column and the row after the window's last."""
+        return self.left + self.mask.shape[1], self.top + self.mask.shape[0]
+
+    def whole_mask(self, shape: tuple[int, int]) -> NDArray[np.uint8]:
+        """The mask in an image of a shape (height, width)."""
+        mask = np.zeros(shape, np.uint8)
+        mask[self.top : self.ends[1], self.left : self.ends[0]] = self.mask
+        return mask
+
+
+def overlaid(first: ShadowWindow | None, second: ShadowWindow | None) -> ShadowWindow | None:
+    """Two devices' shadows as one: transmissions multiply, and the mask is the union."""
+    if first is None or second is None:
+        return first if second is None else second
+    left, top = min(first.left, second.left), min(first.top, second.top)
+    right, bottom = (max(ends) for ends in zip(first.ends, second.ends, strict=True))
+    transmission = np.ones((bottom - top, right - left), np.float32)
+    mask = np.zeros(transmission.shape, np.uint8)
+    for one in (first, second):
+        window = np.s_[one.top - top : one.ends[1] - top, one.left - left : one.ends[0] - left]
+        transmission[window] *= one.transmission
+        mask[window] |= one.mask
+    return ShadowWindow(left, top, transmission, mask)
+
 
 class WireShadow:
     """Draws a wire's shadow for one camera; safe to share between threads.
@@ -57,12 +83,14 @@ class WireShadow:
     Args:
         material: the wire's sections from the tip.
         centre: (3,) m, a point in the middle of where the wire will be.
+        hollow: of a tube, which is darkest off its axis: of pieces that follow each other the nearest is drawn, not
+            the darkest.
     """
 
-    def __init__(self, camera: XRayCamera, material: WireMaterial, centre: ArrayLike) -> None:
+    def __init__(self, camera: XRayCamera, material: WireMaterial, centre: ArrayLike, *, hollow: bool = False) -> None:
         from cathsim.contact.native import library
 
-        self.camera, self.material = camera, material
+        self.camera, self.material, self._hollow = camera, material, hollow
         projector, detector = camera.projector, camera.detector
         scale = projector.pixels_per_metre(centre)
         self._least = MINIMUM_WIDTH_PX / 2
@@ -83,7 +111,7 @@ class WireShadow:
         self._margin = float(max(reach.max(), self._mask_reach.max())) + 1.0
         self._spacing = _PIECE_PX / scale
         draw = library().cathsim_wire_draw
-        draw.argtypes = (ctypes.c_void_p, ctypes.c_int, *(ctypes.c_void_p,) * 8)
+        draw.argtypes = (ctypes.c_void_p, ctypes.c_int, *(ctypes.c_void_p,) * 9)
         draw.restype = None
         self._draw = draw
 
@@ -153,7 +181,9 @@ class WireShadow:
             *(table.ctypes.data for table in (self._profiles, self._reach, self._mask_reach)),
             2 * self._margin + 4 * _PIECE_PX,
         )
-        self._draw(ctypes.addressof(window), len(pixels), *(array.ctypes.data for array in arrays))
+        nearest = np.full_like(strand, np.inf) if self._hollow else None
+        drawn = (*(array.ctypes.data for array in arrays), None if nearest is None else nearest.ctypes.data)
+        self._draw(ctypes.addressof(window), len(pixels), *drawn)
         return ShadowWindow(int(low[0]), int(low[1]), strand, mask)
 
 

@@ -12,6 +12,7 @@ typedef struct {
   int entries;                  /* of `transmission`, evenly over [0, ink_reach^2] */
   float ink_reach, mask_reach;  /* px from the axis to the last pixel with ink, with mask */
   double piece;                 /* px, longest straight piece of the drawn curve */
+  float* nearest;               /* height x width, squared distances from the axis so far; NULL: the darkest wins */
 } FluoroscopyView;
 
 typedef struct {
@@ -41,7 +42,8 @@ static inline int last_pixel(float high, int size) {
   return high < (float)(size - 1) ? (high >= 0 ? (int)high : -1) : size - 1;
 }
 
-/* Ink and mask of one straight piece. The darker value wins, so pieces may overlap in any order. */
+/* Ink and mask of one straight piece. Pieces may overlap in any order: the darker value wins, or, of a tube, which is
+ * darkest off its axis, that of the nearest piece. */
 static void draw_piece(const FluoroscopyView* view, Pixel a, Pixel b, unsigned char* image, unsigned char* mask) {
   const float reach = fmaxf(image ? view->ink_reach : 0, mask ? view->mask_reach : 0);
   const float u0 = (float)a.u, v0 = (float)a.v, du = (float)(b.u - a.u), dv = (float)(b.v - a.v);
@@ -64,7 +66,11 @@ static void draw_piece(const FluoroscopyView* view, Pixel a, Pixel b, unsigned c
       if (mask && d2 <= mask2) mask[start + column] = 1;
       if (image && d2 < ink2) {
         const float grey = view->background[start + column] * view->transmission[(int)(d2 * scale)] + 0.5f;
-        if (grey < (float)image[start + column]) image[start + column] = (unsigned char)grey;
+        if (view->nearest) {
+          if (d2 >= view->nearest[start + column]) continue;
+          view->nearest[start + column] = d2;
+          image[start + column] = (unsigned char)grey;
+        } else if (grey < (float)image[start + column]) image[start + column] = (unsigned char)grey;
       }
     }
   }

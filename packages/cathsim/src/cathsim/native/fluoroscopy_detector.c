@@ -16,9 +16,11 @@ typedef struct {
 /* Draws a polyline (count x 2, px) into the window. `along` is the arc length (px) at each point, `section` and `row`
  * choose the profile of the piece that follows it. `strand`, `under` and `last` (window) hold the transmission of the
  * strand being drawn, of those before it, and the arc length of the last visit; `strand` and `under` start at 1 and
- * `last` far below 0. The result is under * strand, left in `strand`. `mask` (window) starts at 0. */
+ * `last` far below 0. The result is under * strand, left in `strand`. `mask` (window) starts at 0. Within a strand the
+ * darkest piece wins; with `nearest` (window, else NULL), of a tube, which is darkest off its axis, the nearest. */
 void cathsim_wire_draw(const WireWindow* w, int count, const float* points, const float* along, const int* section,
-                       const int* row, float* strand, float* under, float* last, unsigned char* mask) {
+                       const int* row, float* strand, float* under, float* last, unsigned char* mask,
+                       float* nearest) {
   for (int i = 0; i + 1 < count; i++) {
     const size_t profile = (size_t)section[i] * w->rows + row[i];
     const float* table = w->profiles + profile * w->entries;
@@ -48,8 +50,10 @@ void cathsim_wire_draw(const WireWindow* w, int count, const float* points, cons
         if (along[i] - last[k] > w->apart) {
           under[k] *= strand[k];
           strand[k] = transmission;
-        } else if (transmission < strand[k]) {
+          if (nearest) nearest[k] = d2;
+        } else if (nearest ? d2 < nearest[k] : transmission < strand[k]) {
           strand[k] = transmission;
+          if (nearest) nearest[k] = d2;
         }
         last[k] = along[i];
       }

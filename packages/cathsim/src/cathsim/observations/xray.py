@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
+from cathsim.devices.catheter import Catheter
 from cathsim.environment import NavigateEnv
 from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, DetectorDistortion, Projector, scene, wire_material
 from cathsim.fluoroscopy.c_arms import XRayCamera
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.many_anatomies import NavigateManyEnv
-from cathsim.observations.observables import points_to_border
+from cathsim.observations.fluoroscopes import catheter_in, frame_of, material_of, wire_radius_of
 
 VIEW = "frontal"
 BEFORE, MOVING, FILLED = "plain", "fluid", "contrast"  # what is kept of the run, and fillings of the lumen
@@ -31,14 +32,23 @@ class ContrastRun(NamedTuple):
     contrast: NDArray[np.uint8]
 
 
-def fluoroscope_of(phantom: Phantom, size: int, wire_radius: float) -> BiplaneFluoroscope:
-    """The frontal X-ray camera over a phantom while the wire moves.
+def fluoroscope_of(
+    phantom: Phantom, size: int, wire_radius: float, catheter: Catheter | None = None
+) -> BiplaneFluoroscope:
+    """The frontal X-ray camera over a phantom while the devices move.
 
     Args:
         size: side of the images, px.
         wire_radius: m.
+        catheter: over the wire, or None.
     """
-    return _fluoroscope(phantom, size, wire_radius, MOVING)
+    bare = _fluoroscope(phantom, size, wire_radius, MOVING)
+    return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter)
+
+
+@kept_with_owner
+def _with_catheter(phantom: Phantom, size: int, wire_radius: float, catheter: Catheter) -> BiplaneFluoroscope:
+    return _fluoroscope(phantom, size, wire_radius, MOVING).with_catheter(material_of(catheter))
 
 
 @kept_with_owner
@@ -71,13 +81,16 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
     Args:
         environment: with a dictionary of observations, none of them of these names.
         size: side of the images, px.
-        with_mask: also `mask`, the wire's pixels in `image`, for a segmenter to learn from.
+        with_mask: also `mask`, the devices' pixels in `image`, for a segmenter to learn from; with a catheter also
+            `mask_wire` and `mask_catheter`.
     """
 
     def __init__(self, environment: NavigateEnv | NavigateManyEnv, size: int, *, with_mask: bool = False) -> None:
-        self.environment, self.size, self._with_mask = environment, size, with_mask
+        self.environment, self.size = environment, size
         assert isinstance(environment.observation_space, gymnasium.spaces.Dict)
-        names = ("image", "plain", "contrast", *(["mask"] if with_mask else []))
+        masks = ("mask",) if catheter_in(environment.simulation) is None else ("mask", "mask_wire", "mask_catheter")
+        self._masks = masks if with_mask else ()
+        names = ("image", "plain", "contrast", *self._masks)
         picture = gymnasium.spaces.Box(0, 255, (1, size, size), np.uint8)
         self.observation_space = gymnasium.spaces.Dict(
             {**environment.observation_space.spaces, **dict.fromkeys(names, picture)}
@@ -106,12 +119,13 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
 
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
         simulation, phantom = self.environment.simulation, self.environment.phantom
-        radius = simulation.wire.radius
+        radius, catheter = wire_radius_of(simulation), catheter_in(simulation)
         run = contrast_run(phantom, self.size, radius)
         generator = np.random.default_rng((self._noise, self._step))
-        frame = fluoroscope_of(phantom, self.size, radius).render(points_to_border(simulation), generator)[VIEW]
-        mask = {"mask": frame.mask[None] * np.uint8(255)} if self._with_mask else {}
-        return {**observation, "image": frame.image[None], "plain": run.plain, "contrast": run.contrast, **mask}
+        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter)
+        frame = frame_of(simulation, fluoroscope, generator, VIEW)
+        masks = {name: getattr(frame, name)[None] * np.uint8(255) for name in self._masks}
+        return {**observation, "image": frame.image[None], "plain": run.plain, "contrast": run.contrast, **masks}
 
     def close(self) -> None:
         """Frees the renderer."""

@@ -1,4 +1,4 @@
-"""A 3-D picture of the wire in the vessel, for people; needs EGL or OSMesa."""
+"""A 3-D picture of the devices in the vessel, for people; needs EGL or OSMesa."""
 
 from __future__ import annotations
 
@@ -11,15 +11,20 @@ import mujoco
 import numpy as np
 
 from cathsim.anatomy import Phantom
+from cathsim.devices.simulation import DualSimulation
+from cathsim.fluoroscopy.curve import smooth_curve
 from cathsim.robot.follower import FollowerRobot
 from cathsim.robot.view import add_robot
 from cathsim.simulation import Simulation
 
 WALL = (0.82, 0.36, 0.34, 0.28)
 WIRE = (0.10, 0.10, 0.12, 1.0)
+CATHETER = (0.15, 0.45, 0.95, 0.30)
+MARKER = (0.95, 0.65, 0.05, 0.65)
 TARGET = (0.10, 0.62, 0.28, 0.75)
-SHOWN_RADIUS = 0.9e-3  # the wire is drawn twice as thick as it is, m
-SHOWN_SHEATH = 0.030  # this much of the wire in the sheath is drawn, m
+SHOWN_RADIUS = 0.9e-3  # a wire alone is drawn twice as thick as it is, m; two devices have their own radii
+SHOWN_SHEATH = 0.030  # this much of a device in the sheath is drawn, m
+PIECE = 1.5e-3  # of two devices' smooth curves, m
 
 
 class RenderingUnavailableError(RuntimeError):
@@ -100,14 +105,10 @@ class View:
         mujoco.mjv_updateScene(
             self._model, self._data, option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL.value, scene
         )
-        points = simulation.wire_points()
-        along = (points - simulation.vessel.entry) @ simulation.vessel.direction
-        points = points[along > -SHOWN_SHEATH]
-        for start, end in itertools.pairwise(points):
-            self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, WIRE)
-            mujoco.mjv_connector(
-                scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CAPSULE.value, SHOWN_RADIUS, start, end
-            )
+        if isinstance(simulation, DualSimulation) and simulation.pair.catheter is not None:
+            self._add_devices(simulation)
+        else:
+            self._add_rod(_seen(simulation, simulation.wire_points()), WIRE, SHOWN_RADIUS)
         if self._robot is not None:
             add_robot(scene, self._robot, simulation.vessel.entry, simulation.vessel.direction, WIRE)
         if goal is not None:
@@ -116,6 +117,30 @@ class View:
         picture = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
         mujoco.mjr_readPixels(picture, None, self._viewport, self._render_context)
         return picture[::-1].copy()
+
+    def _add_devices(self, simulation: DualSimulation) -> None:
+        """A wire in its translucent catheter, whose marker has a colour of its own; all of their own radii."""
+        wire, catheter = simulation.pair.wire, simulation.pair.catheter
+        assert catheter is not None
+        if wire is not None:
+            points, _ = smooth_curve(simulation.device_points("wire"), PIECE)
+            self._add_rod(_seen(simulation, points), WIRE, wire.radius)
+        points, arcs = smooth_curve(simulation.device_points("catheter"), PIECE)
+        ends = int(np.searchsorted(arcs, catheter.marker_length)) if catheter.marker_length else 0
+        for part, colour in ((points[: ends + 1], MARKER), (points[ends:], CATHETER)):
+            self._add_rod(_seen(simulation, part), colour, catheter.radius, mujoco.mjtGeom.mjGEOM_CYLINDER)
+
+    def _add_rod(
+        self,
+        points: np.ndarray,
+        colour: tuple[float, ...],
+        radius: float,
+        kind: mujoco.mjtGeom = mujoco.mjtGeom.mjGEOM_CAPSULE,
+    ) -> None:
+        """Capsules along nodes (n, 3) m; cylinders, which do not overlap, where they are translucent."""
+        for start, end in itertools.pairwise(points):
+            self._add(kind, colour)
+            mujoco.mjv_connector(self._scene.geoms[self._scene.ngeom - 1], kind.value, radius, start, end)
 
     def _add(
         self,
@@ -138,6 +163,12 @@ class View:
         """Frees the OpenGL context."""
         self._render_context.free()
         self._context.free()
+
+
+def _seen(simulation: Simulation, points: np.ndarray) -> np.ndarray:
+    """Those of a device's nodes (n, 3) m that do not lie deep in the sheath."""
+    along = (points - simulation.vessel.entry) @ simulation.vessel.direction
+    return points[along > -SHOWN_SHEATH]
 
 
 def _wall_model(phantom: Phantom, width: int, height: int) -> mujoco.MjModel:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cathsim.observations.observables import Fluoroscope
+from cathsim.observations.fluoroscopes import Fluoroscope
 from cathsim.robot.follower import FollowerRobot
 from cathsim.simulation import CONTROL_STEP
 

@@ -48,7 +48,7 @@ class Film:
         self._count += 1
 
     def _open(self, environment: NavigateEnv) -> None:
-        from cathsim.observations.observables import Fluoroscope
+        from cathsim.observations.fluoroscopes import Fluoroscope
         from cathsim.viewing.camera_view import RenderingUnavailableError, View
 
         self._fluoroscope = Fluoroscope(environment.simulation, HEIGHT_PX)
