@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.planning.primitives import motion_primitives
+from cathsim.planning.primitives import BEYOND, EMERGED, motion_primitives, wire_advances
 
 
 @pytest.mark.parametrize("actions", [2, 4])
@@ -22,3 +22,12 @@ def test_each_device_is_moved_by_some_plan() -> None:
         assert {-1.0, 1.0} & set(np.unique(np.sign(plans[:, :, action])))
     pulled_back = (plans[:, :3, 2] < 0) & (plans[:, 3:, 0] > 0)
     assert pulled_back.any(), "a reverse curve is engaged by drawing the catheter back"
+
+
+def test_plans_that_bring_the_wire_out_are_as_long_as_it_takes() -> None:
+    plans = wire_advances(-0.08, 0.002)
+    assert len(plans) > 3
+    for plan in plans:
+        assert plan.shape[1] == 4
+        assert 0.002 * plan[:, 0].sum() == pytest.approx(0.08 + BEYOND, abs=0.002)
+    assert wire_advances(EMERGED, 0.002) == []

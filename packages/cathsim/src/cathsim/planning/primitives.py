@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+EMERGED, BEYOND = 0.010, 0.035  # m of wire in front of the catheter
+_FIRST = 10  # steps in which the catheter is moved
 # Translation and rotation of the wire, or of wire and catheter, of the most in a step: first half, then second half.
 _WIRE = (
     ((0, 1), (1, 0)),
@@ -49,3 +51,22 @@ def motion_primitives(actions: int, horizon: int) -> NDArray[np.float64]:
     """
     halves = np.array(_WIRE if actions == 2 else _TWO_DEVICES, np.float64)
     return np.repeat(halves, [horizon - horizon // 2, horizon // 2], axis=1)
+
+
+def wire_advances(lead: float, step: float) -> list[NDArray[np.float64]]:
+    """Plans that bring the wire out of the catheter and on, which no plan of a few steps would see the end of.
+
+    Args:
+        lead: how far the wire is ahead of the catheter, m; below `EMERGED`, or there are none.
+        step: largest translation in a step, m.
+
+    Returns:
+        Plans of shape (steps, 4): the catheter is turned, or drawn back, or left; then the wire goes `BEYOND` its tip.
+    """
+    if lead >= EMERGED:
+        return []
+    push = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.ceil((BEYOND - lead) / step)), 1))
+    return [
+        np.concatenate((np.tile([0.0, 0.0, pull, turn], (_FIRST, 1)), push))
+        for pull, turn in ((0.0, 0.0), (0.0, 0.5), (0.0, -0.5), (0.0, 1.0), (-1.0, 0.0), (-1.0, 0.5), (-1.0, -0.5))
+    ]

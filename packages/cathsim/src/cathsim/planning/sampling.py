@@ -13,7 +13,7 @@ from annotated_types import Interval
 from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
 from cathsim.navigation import NavigationTask
-from cathsim.planning.primitives import motion_primitives
+from cathsim.planning.primitives import motion_primitives, wire_advances
 from cathsim.presets import ACCURACY, Accuracy
 from cathsim.simulation import Simulation
 from cathsim.validation import Count, Unit, settings
@@ -43,6 +43,7 @@ class ExpertSettings:
             raise ValueError(f"hold and execute must lie in 1 to the horizon ({self.horizon})")
 
 
+STUCK = 0.004  # m: a plan that gains less is none
 TWO_DEVICES = ExpertSettings(samples=32, elites=6, primitives=True)
 
 
@@ -100,8 +101,8 @@ class SamplingExpert:
     def action(self) -> np.ndarray:
         """The next action for the environment's present state. Shape (2,), with two devices (4,), in [-1, 1]."""
         if self._left == 0:
-            self._search()
             self._left = self.settings.execute
+            self._search()
         action, self._plan = self._plan[0], self._plan[1:]
         self._left -= 1
         return action.astype(np.float32)
@@ -137,6 +138,15 @@ class SamplingExpert:
                 break
             mean = draws[order].mean(0)
             spread = 0.1 + 0.9 * draws[order].std(0)
+        if settings.primitives and isinstance(simulation, DualSimulation) and cost > here - STUCK:
+            self._advance_wire(simulation, state, cost)
+
+    def _advance_wire(self, simulation: DualSimulation, state: np.ndarray, cost: float) -> None:
+        """Takes a plan that brings the wire out of the catheter, where one ends nearer to the target."""
+        for plan in wire_advances(simulation.device_lead, TRANSLATION_STEP):
+            other = float(self._costs(state, plan[None])[0])
+            if other < cost:
+                self._plan, cost, self._left = plan, other, len(plan)
 
     def _costs(self, state: np.ndarray, plans: np.ndarray) -> np.ndarray:
         """Costs of plans (n, horizon, actions) from a state, in metres. Shape (n,)."""
