@@ -31,13 +31,17 @@ def pushed_forces(phantom: str, steps: int, *, seed: int) -> np.ndarray:
 
 
 def steps_per_second(environment: NavigateEnv, steps: int, *, seed: int) -> float:
-    """Steps a second of processor time: half with random actions, half forwards with random rotation; resets count."""
+    """Steps a second of processor time: half with random actions, half forwards with random rotation; resets count.
+
+    Args:
+        environment: of one device or two, with the actions of the feeders; two go forwards together.
+    """
     generator = np.random.default_rng(seed)
     spent, done = 0.0, 0
     for forward in (False, True):
-        actions = generator.uniform(-1.0, 1.0, (max(steps // 2, 1), 2))
+        actions = generator.uniform(-1.0, 1.0, (max(steps // 2, 1), *environment.feeders.shape))
         if forward:
-            actions[:, 0] = 1.0
+            actions[:, ::2] = 1.0
         environment.reset(seed=seed)
         start, count = time.process_time(), 0
         for action in actions:

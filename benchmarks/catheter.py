@@ -1,0 +1,9 @@
+"""Runs `benchmarks/cathsim/catheter.py`: two devices against theory, their stability, speed and forces."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+if __name__ == "__main__":
+    runpy.run_path(str(Path(__file__).parent / "cathsim" / "catheter.py"), run_name="__main__")

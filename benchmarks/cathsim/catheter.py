@@ -1,0 +1,176 @@
+"""A wire in a catheter: statics against theory, stability under random motions, speed, forces of the expert.
+
+    python benchmarks/cathsim/catheter.py [--quick] [--seeds N] [--steps N]
+
+Prints tables and, as its last line, one JSON object: cantilever_pct, the largest error of ten coverages; two_rods_deg,
+the largest angle between the ends of the composite rod and of two rods on one centreline; penetration_p99_mm, the
+largest of the catheters' 99th percentiles of the deepest penetration after each substep; nan, the number of runs that
+became invalid; speed_ratio, steps a second of processor time with the vertebral catheter over those of the bare wire
+(`accurate`, in turns, median); force_mean_n and force_sd_n, of the readings of a load cell under the phantom (ATI
+Mini40, SI-20-1, low-pass of 2 Hz) over the steps of the sampling expert with the vertebral catheter in Type I.
+--quick takes one seed, few steps and a small budget of the search, below 60 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim import NavigateEnv, load_guidewire, load_phantom
+from cathsim.devices.choice import simulation_of
+from cathsim.devices.shelf import SHAPES, load_catheter
+from cathsim.devices.simulation import DualSimulation
+from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
+from cathsim.metrics.load_cell import MINI40, step_forces
+from cathsim.physics_checks.two_devices import cantilever_cases, coaxial_error_deg, default_pair
+from cathsim.physics_checks.unguided import steps_per_second
+from cathsim.planning.sampling import TWO_DEVICES, ExpertSettings, SamplingExpert
+from cathsim.presets import ACCURACY
+from cathsim.simulation import CONTROL_STEP
+
+Array = NDArray[np.float64]
+
+PHANTOM, CATHETER = "type_1", "vertebral"
+SPEED_CATHETERS = (CATHETER, "simmons2")
+TARGETS = ("bca", "lcca")
+REAL_MEAN, REAL_SD = 0.40, 0.19  # N, measured by the thesis, a catheter steered by hand through a robot
+BURST = (5, 40)  # control steps in which the mean motion stays
+RESTART = 500  # control steps after which a run begins again in the sheath
+SPREAD = 0.4  # of a motion about that mean, in shares of a full step
+QUICK_EXPERT = ExpertSettings(samples=8, elites=3, rounds=1, primitives=True)
+ROUNDS, QUICK_ROUNDS = 9, 3
+SPEED_STEPS = 300
+DEEPEST = 0.5  # mm, the aim
+
+
+def theory() -> dict[str, float]:
+    """Cantilevers at ten coverages, and two coaxial rods."""
+    pair = default_pair()
+    print(f"{'cantilever':<16} {'measured':>10} {'theory':>10} {'error %':>8}")
+    cases = cantilever_cases(pair)
+    for case in cases:
+        print(f"{case.name:<16} {case.measured:10.5f} {case.theory:10.5f} {case.error_pct:+8.3f}")
+    apart = coaxial_error_deg(pair)
+    print(f"two coaxial rods, ends apart by at most {apart:.4f} deg")
+    return {"cantilever_pct": max(abs(case.error_pct) for case in cases), "two_rods_deg": apart}
+
+
+def random_motions(steps: int, generator: np.random.Generator) -> Array:
+    """Motions of both feeders in bursts, in shares of a full step, shape (steps, 4): more forwards than back."""
+    rows: list[Array] = []
+    while len(rows) < steps:
+        mean = generator.uniform((-0.6, -1, -0.6, -1), 1)
+        rows += list(mean + SPREAD * generator.standard_normal((int(generator.integers(*BURST)), 4)))
+    return np.clip(np.array(rows[:steps]), -1, 1)
+
+
+def depths(catheter: str, steps: int, seed: int) -> tuple[Array, bool]:
+    """Deepest penetration (mm) after each substep of a run with random motions, and whether it stayed valid."""
+    numerics = ACCURACY["accurate"]
+    simulation = simulation_of(
+        load_phantom(PHANTOM), load_guidewire("default"), load_catheter(catheter), numerics, measure_penetration=True
+    )
+    assert isinstance(simulation, DualSimulation)
+    found = []
+    motions = random_motions(steps, np.random.default_rng(seed)) * np.tile((TRANSLATION_STEP, ROTATION_STEP), 2)
+    for step, motion in enumerate(motions):
+        if step % RESTART == 0:
+            simulation.reset()
+        simulation.advance(motion[0], motion[1], catheter=(motion[2], motion[3]))
+        found.append(simulation.depths.copy())
+        if not simulation.valid:
+            break
+    return 1e3 * np.concatenate(found), simulation.valid
+
+
+def stability(steps: int, seeds: int) -> dict[str, float]:
+    """Random motions with every catheter."""
+    print(f"\n{'catheter':<12} {'runs x steps':>14} {'p99, mm':>8} {'max, mm':>8} {'invalid':>8}")
+    largest, broken = 0.0, 0
+    for catheter in SHAPES:
+        runs = [depths(catheter, steps, seed) for seed in range(seeds)]
+        all_depths, invalid = np.concatenate([run[0] for run in runs]), sum(not run[1] for run in runs)
+        p99 = float(np.percentile(all_depths, 99))
+        largest, broken = max(largest, p99), broken + invalid
+        print(f"{catheter:<12} {f'{seeds} x {steps}':>14} {p99:8.3f} {all_depths.max():8.3f} {invalid:8d}", flush=True)
+    print(f"aim: no invalid run, p99 below {DEEPEST} mm")
+    return {"penetration_p99_mm": largest, "nan": broken}
+
+
+def speeds(rounds: int, presets: tuple[str, ...]) -> dict[str, float]:
+    """Speeds of the bare wire and with catheters in turns; half the steps at random, half forwards."""
+    ratios: dict[tuple[str, str], float] = {}
+    print(f"\n{'preset':<10} {'catheter':<12} {'steps/s':>8} {'over bare':>10} {'least':>6} {'most':>6}")
+    for preset in presets:
+        environments = {
+            name: NavigateEnv(PHANTOM, catheter=name, accuracy=preset, observation="tip", success_radius=1e-6)
+            for name in (None, *SPEED_CATHETERS)
+        }
+        rates = np.array(
+            [[steps_per_second(one, SPEED_STEPS, seed=turn) for one in environments.values()] for turn in range(rounds)]
+        )
+        for name, rate in zip(environments, rates.T, strict=True):
+            ratio = rate / rates[:, 0]
+            ratios[preset, str(name)] = float(np.median(ratio))
+            figures = f"{np.median(rate):8.0f} {np.median(ratio):10.2f} {ratio.min():6.2f} {ratio.max():6.2f}"
+            print(f"{preset:<10} {name or '-':<12} {figures}", flush=True)
+    return {"speed_ratio": ratios["accurate", CATHETER]}
+
+
+def expert_readings(target: str, seed: int, settings: ExpertSettings) -> tuple[Array, Array, bool]:
+    """Readings of the load cell and sums of the contacts' magnitudes, N, (steps,) each; whether it was reached."""
+    environment = NavigateEnv(PHANTOM, target, catheter=CATHETER, observation="tip")
+    environment.reset(seed=seed)
+    expert = SamplingExpert(environment, settings=settings, seed=seed)
+    forces, ended = [], False
+    while not ended:
+        _, _, success, truncated, _ = environment.step(expert.action())
+        forces.append(step_forces(environment.simulation))
+        ended = success or truncated
+    expert.close()
+    loads = np.array([one.load for one in forces])
+    readings = MINI40["SI-20-1"].read(loads, interval=CONTROL_STEP, generator=np.random.default_rng(seed))
+    return np.linalg.norm(readings, axis=1), np.array([one.magnitude_sum for one in forces]), success
+
+
+def expert_forces(targets: tuple[str, ...], seeds: int, settings: ExpertSettings) -> dict[str, float]:
+    """Forces of the sampling expert, beside those measured on a phantom."""
+    print(f"\n{'expert, target':<16} {'seed':>4} {'steps':>6} {'reached':>8} {'load cell, N':>16} {'sum, N':>16}")
+    everything = []
+    for target in targets:
+        for seed in range(seeds):
+            readings, sums, success = expert_readings(target, seed, settings)
+            everything.append(readings)
+            figures = f"{readings.mean():7.3f} +- {readings.std():5.3f} {sums.mean():7.3f} +- {sums.std():5.3f}"
+            print(f"{target:<16} {seed:4d} {len(readings):6d} {success!s:>8} {figures}", flush=True)
+    together = np.concatenate(everything)
+    print(f"together {together.mean():.3f} +- {together.std():.3f} N; measured {REAL_MEAN:.2f} +- {REAL_SD:.2f} N")
+    return {"force_mean_n": float(together.mean()), "force_sd_n": float(together.std())}
+
+
+def main() -> None:
+    """Runs all parts, prints their tables and a JSON line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="one seed, few steps, a small search: below 60 s")
+    parser.add_argument("--seeds", type=int, default=3, help="of the expert; random motions take one more")
+    parser.add_argument("--steps", type=int, default=20_000, help="of a run with random motions")
+    arguments = parser.parse_args()
+    quick, begin = arguments.quick, time.perf_counter()
+    figures = theory()
+    figures |= stability(300 if quick else arguments.steps, 1 if quick else arguments.seeds + 1)
+    figures |= speeds(QUICK_ROUNDS if quick else ROUNDS, ("accurate",) if quick else ("accurate", "fast"))
+    targets, seeds = (TARGETS[:1], 1) if quick else (TARGETS, arguments.seeds)
+    figures |= expert_forces(targets, seeds, QUICK_EXPERT if quick else TWO_DEVICES)
+    rounded = {name: round(value, 4) for name, value in figures.items()}
+    print(json.dumps(rounded | {"wall_s": round(time.perf_counter() - begin, 1)}))
+
+
+if __name__ == "__main__":
+    main()
