@@ -20,6 +20,7 @@ from pipeline.store.manifest import Identity
 from pipeline.store.provenance import hash_value
 from pipeline.store.run_folder import RunFolder
 from pipeline.store.source_closure import source_closure
+from pipeline.task import Task, device_files
 from pipeline.variants import RunRequest, effective_overrides, require_input, variant_of
 
 _LOGGER = logging.getLogger(__name__)
@@ -75,9 +76,11 @@ def _identity(stage: Stage, config: RunConfig, run_path: Path, input_hashes: dic
     settings: dict[str, Any] = {"settings": settings_that_matter(config.stage), "budget": config.budget_name}
     if stage.seeded:
         settings["seed"] = config.seed
+    task = getattr(config.stage, "task", None)
+    files = device_files(task) if isinstance(task, Task) else {}
     return Identity(
         config_hash=hash_value(settings),
-        input_hashes={**input_hashes, **stage.further_inputs(run_path)},
+        input_hashes={**input_hashes, **files, **stage.further_inputs(run_path)},
         code_hash=source_closure(run_path).hash(stage_module(stage.name)),
     )
 

@@ -1,4 +1,4 @@
-"""The task: wire, actions, images, limits and start of an episode, declared once and carried from stage to stage.
+"""The task: devices, actions, images, limits and start of an episode, declared once and carried from stage to stage.
 
 ``task`` and ``unseen_task`` in ``conf/config.yaml`` are the only declarations. Every stage takes one of them over as
 ``stage.task``, its jobs carry it, and what they leave (logs, policies) says which one it was. A stage that goes on from
@@ -10,6 +10,8 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import field
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pipeline.settings.checks import validated
@@ -17,6 +19,7 @@ from pipeline.settings.kinds import (
     Count,
     FolderName,
     ImageSize,
+    PathText,
     StartJitter,
     StartRotation,
     SuccessRadius,
@@ -24,14 +27,17 @@ from pipeline.settings.kinds import (
     one_of,
 )
 from pipeline.store.errors import ConfigurationError, StageError
+from pipeline.store.provenance import hash_file
 
 if TYPE_CHECKING:
-    from cathsim import Guidewire
+    from cathsim import Catheter, Guidewire
 
 FEEDER, TIP_MOTORS = "feeder", "tip_motors"
 TASK = "task"  # key in the metadata of policies
 LENGTH = "wire_length_mm"
 _MM = 1e3
+Torsion = Annotated[str, one_of("elastic", "rigid")]
+_JOINTS, _FEEDER_STATE = ("joints", "internal"), "feeder"  # observations
 _SAME = 1e-9  # relative: lengths come back from logs in metres
 
 
@@ -41,7 +47,9 @@ class Task:
 
     wire: FolderName = "default"  # preset of the guidewire; checked by `require_known_task`
     wire_length_mm: WireLength = 0.0  # to which it is scaled; 0: as long as the preset
-    # "feeder" (two: translation, rotation) or "tip_motors" (the thesis's twenty-one)
+    catheter: PathText | None = None  # preset of the catheter over the wire, or its YAML file; null: the wire alone
+    torsion: Torsion = "elastic"  # of wire and catheter, where there is one
+    # "feeder" (translation and rotation, of the wire, then of the catheter) or "tip_motors" (the thesis's twenty-one)
     actions: Annotated[str, one_of(FEEDER, TIP_MOTORS)] = FEEDER
     image_size_px: ImageSize = 80  # side of the images
     max_steps: Count = 300  # of 0.1 s, after which an episode is cut off
@@ -49,10 +57,23 @@ class Task:
     start_jitter_mm: StartJitter = 1.0  # the wire starts advanced by up to this much
     start_rotation_deg: StartRotation = 180.0  # ... and turned by up to this much either way
 
+    def __post_init__(self) -> None:
+        """Refuses a catheter that motors are to steer."""
+        if self.catheter is not None and self.actions != FEEDER:
+            raise ConfigurationError(
+                f"{TASK}.actions={self.actions} bends the tip of a wire alone, got {TASK}.catheter={self.catheter}: "
+                "leave one of them out"
+            )
+
     @property
     def success_radius(self) -> float:
         """In m."""
         return self.success_radius_mm / _MM
+
+    @property
+    def device_names(self) -> str:
+        """Wire and catheter in words."""
+        return self.wire if self.catheter is None else f"{self.wire} in {self.catheter}"
 
     def guidewire(self) -> Guidewire:
         """The wire."""
@@ -64,6 +85,17 @@ class Task:
 
         wire = load_guidewire(preset)
         return wire.scaled(self.wire_length_mm / _MM) if self.wire_length_mm else wire
+
+    def guiding_catheter(self) -> Catheter | None:
+        """The catheter; None: there is none."""
+        from cathsim import load_catheter
+
+        return None if self.catheter is None else load_catheter(self.catheter)
+
+    def devices(self) -> dict[str, Any]:
+        """Wire, and where there is one, catheter and torsion, as arguments of an environment."""
+        wire, catheter = self.guidewire(), self.guiding_catheter()
+        return {"wire": wire} if catheter is None else {"wire": wire, "catheter": catheter, "torsion": self.torsion}
 
     def rules(self) -> dict[str, Any]:
         """Images, limits and start as arguments of an environment, in m and rad."""
@@ -77,18 +109,36 @@ class Task:
 
     def arguments(self) -> dict[str, Any]:
         """All of it as arguments of `cathsim.NavigateEnv`."""
-        return {"wire": self.guidewire(), "actions": self.actions, **self.rules()}
+        return {**self.devices(), "actions": self.actions, **self.rules()}
 
 
 def number_of_actions(task: Task) -> int:
     """How many numbers an action has: as `cathsim.NavigateEnv` makes its space."""
+    if task.actions == FEEDER:
+        return 2 if task.catheter is None else 4
     wire = task.guidewire()
-    return 2 if task.actions == FEEDER else 2 * min(wire.motor_joints, wire.joints) + 1
+    return 2 * min(wire.motor_joints, wire.joints) + 1
+
+
+@validated()
+class DeviceSettings:
+    """The task of a stage that steers the feeder, and its catheter as settings of the stage itself."""
+
+    task: Task = field(default_factory=Task)
+    catheter: PathText | None = None  # stage.catheter=… is stage.task.catheter=…
+    torsion: Torsion | None = None  # stage.torsion=… is stage.task.torsion=…
+
+    def __post_init__(self) -> None:
+        """Takes the catheter over into the task."""
+        given = {name: value for name in ("catheter", "torsion") if (value := getattr(self, name)) is not None}
+        if given:
+            self.task = dataclasses.replace(self.task, **given)
+        self.catheter = self.torsion = None  # so that either way counts as the same settings
 
 
 PARTS = tuple(field.name for field in dataclasses.fields(Task))
-# What the actions of an episode have to do with: the same wire, moved the same way, to the same end.
-MOTION = ("wire", LENGTH, "actions", "success_radius_mm")
+# What the actions of an episode have to do with: the same devices, moved the same way, to the same end.
+MOTION = ("wire", LENGTH, "catheter", "torsion", "actions", "success_radius_mm")
 
 
 def task_in_random_arches() -> Task:
@@ -112,15 +162,62 @@ def task_from(values: Any) -> Task | None:
 
 
 def require_known_task(task: Task) -> None:
-    """Refuses a wire that there is not.
+    """Refuses a wire or catheter that there is not, and a catheter that the wire does not pass.
 
     Raises:
-        ConfigurationError: listing the wires.
+        ConfigurationError: listing what there is.
     """
     from cathsim import GUIDEWIRES
 
     if task.wire not in GUIDEWIRES:
         raise ConfigurationError(f"unknown wire {task.wire!r}: choose from {', '.join(GUIDEWIRES)}")
+    if task.catheter is not None:
+        from cathsim.devices.pair import DevicePair
+
+        try:
+            DevicePair(task.guidewire(), task.guiding_catheter())
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+
+
+def observed(task: Task, keys: Sequence[str]) -> tuple[str, ...]:
+    """What a policy sees of a task: with a catheter, joints come with the feeders' state.
+
+    Joints are those of the rod in which both devices lie: they do not tell how far either is in.
+
+    Args:
+        keys: observations that the policy sees with the wire alone.
+    """
+    inside = task.catheter is not None and any(key in _JOINTS for key in keys) and _FEEDER_STATE not in keys
+    return (*keys, _FEEDER_STATE) if inside else tuple(keys)
+
+
+def joint_observations(task: Task) -> int:
+    """How many numbers the observation `joints` has: positions and velocities of feeder and hinges."""
+    from cathsim.devices.pair import DevicePair
+
+    wire, catheter = task.guidewire(), task.guiding_catheter()
+    joints = wire.joints if catheter is None else len(DevicePair(wire, catheter).links()) - 1
+    return 4 * (joints + 1)
+
+
+def device_files(task: Task) -> dict[str, str]:
+    """Hash of the file of a catheter of one's own, which results depend on as on an earlier stage's."""
+    if task.catheter is None or not Path(task.catheter).is_file():
+        return {}
+    return {"catheter": hash_file(Path(task.catheter))}
+
+
+def require_no_catheter(task: Task, stage: str) -> None:
+    """Refuses a catheter where a wire alone is looked for.
+
+    Raises:
+        ConfigurationError: naming the stage.
+    """
+    if task.catheter is not None:
+        raise ConfigurationError(
+            f"stage {stage} steers a wire without a catheter, got {TASK}.catheter={task.catheter}: leave it out there"
+        )
 
 
 def require_feeder(task: Task, stage: str) -> None:
@@ -131,7 +228,7 @@ def require_feeder(task: Task, stage: str) -> None:
     """
     if task.actions != FEEDER:
         raise ConfigurationError(
-            f"stage {stage} steers the feeder's two actions, got {TASK}.actions={task.actions}: leave it at {FEEDER}"
+            f"stage {stage} steers the feeder, got {TASK}.actions={task.actions}: leave it at {FEEDER}"
         )
 
 
@@ -140,7 +237,19 @@ def differences(one: Task, other: Task, parts: Sequence[str] = PARTS) -> list[st
     found = [name for name in parts if not _same(getattr(one, name), getattr(other, name))]
     if LENGTH in found and one.wire == other.wire and one.guidewire() == other.guidewire():
         found.remove(LENGTH)  # wires are made of whole links: two lengths may be one wire
+    if "catheter" in found and _same_catheter(one, other):
+        found.remove("catheter")
+    if "torsion" in found and one.catheter is None and other.catheter is None:
+        found.remove("torsion")
     return found
+
+
+def _same_catheter(one: Task, other: Task) -> bool:
+    """Whether two names are those of one catheter."""
+    try:
+        return one.guiding_catheter() == other.guiding_catheter()
+    except ValueError:  # e.g. the file of one is no longer there
+        return False
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -6,7 +6,7 @@ from pipeline.episodes.encoding.scene import PhantomMesh
 from pipeline.episodes.encoding.schema import SCHEMA_VERSION
 from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
-from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
+from pipeline.episodes.records import DeviceRecord, EpisodeInfo, EpisodeOutcome, StepRecord
 from pipeline.episodes.recover import RecoveryReport, recover
 from pipeline.episodes.writer import EpisodeWriter
 
@@ -14,6 +14,7 @@ __all__ = [
     "SCHEMA_VERSION",
     "Camera",
     "CheckReport",
+    "DeviceRecord",
     "EpisodeInfo",
     "EpisodeOutcome",
     "EpisodeReadError",

@@ -35,6 +35,7 @@ def _show_info(path: Path) -> int:
         rows = [
             ("phantom", f"{info.phantom} ({info.phantom_hash})"),
             ("task", f"{info.entry} -> {info.target}, seed {info.seed}, steered by {info.operator}"),
+            *([("catheter", f"{info.catheter_name}, torsion {info.configuration.get('torsion')}")] * info.has_catheter),
             ("started", started),
             ("outcome", f"{outcome.status}, {success}, {outcome.steps} steps of {info.control_dt:g} s"),
             ("records", f"{len(log)}, {path.stat().st_size / max(len(log), 1):.0f} bytes each"),

@@ -11,8 +11,8 @@ from mcap.opcode import Opcode
 from mcap.records import DataEnd
 
 from pipeline.episodes.encoding.scan import check_magic, messages, open_chunk, parse_record, walk
-from pipeline.episodes.encoding.schema import STEP_FIELDS, STEP_TOPIC
-from pipeline.episodes.encoding.step_codec import decode_with_norm
+from pipeline.episodes.encoding.schema import DEVICE_FIELDS, DEVICES_TOPIC, STEP_FIELDS, STEP_TOPIC
+from pipeline.episodes.encoding.step_codec import decode_devices, decode_with_norm
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import mapped
@@ -41,6 +41,8 @@ def check(path: Path) -> CheckReport:
         _check_data_section(path)
         with EpisodeReader(path) as log:
             _check_steps(log, report)
+            if log.info.has_catheter:
+                _check_devices(log, report)
             _check_pictures(log, report)
             _check_statistics(log, report)
             if log.phantom_mesh() is None:
@@ -116,6 +118,27 @@ def _check_steps(log: EpisodeReader, report: CheckReport) -> None:
         expected += 1
     if expected - 1 != log.outcome.steps:
         _add(report, f"the outcome counts {log.outcome.steps} steps, the records {expected - 1}")
+
+
+def _check_devices(log: EpisodeReader, report: CheckReport) -> None:
+    """Verify that every record has both devices, at its time and with finite numbers."""
+    count = 0
+    for time_ns, payload in log.payloads(DEVICES_TOPIC):
+        count += 1
+        try:
+            step, devices = decode_devices(payload)
+        except ValueError as error:
+            _add(report, f"the devices of record {count - 1} cannot be decoded: {error}")
+            continue
+        if time_ns != log.info.time_ns(step):
+            _add(report, f"the devices of step {step} have log time {time_ns}, expected {log.info.time_ns(step)}")
+        there = np.array([len(devices.wire_points), len(devices.catheter_points)]) > 0
+        for name in DEVICE_FIELDS:
+            value = np.asarray(getattr(devices, name, step))
+            if not np.isfinite(value[there] if name == "tip_rotations" else value).all():
+                _add(report, f"step {step} has a non-finite number in {name} of its devices")
+    if count != report.records:
+        _add(report, f"there are devices of {count} steps for {report.records} records")
 
 
 def _check_pictures(log: EpisodeReader, report: CheckReport) -> None:

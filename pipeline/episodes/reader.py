@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -20,6 +21,8 @@ from pipeline.episodes.encoding.png import decode_image, decode_mask
 from pipeline.episodes.encoding.scan import MessageSpan, Summary, messages, read_chunk, read_metadata, read_summary
 from pipeline.episodes.encoding.scene import PhantomMesh, decode_phantom
 from pipeline.episodes.encoding.schema import (
+    DEVICE_FIELDS,
+    DEVICES_TOPIC,
     EPISODE_METADATA,
     OUTCOME_METADATA,
     PHANTOM_TOPIC,
@@ -34,7 +37,13 @@ from pipeline.episodes.records import MOST_STEPS, EpisodeOutcome, StepRecord
 
 _Decoded = TypeVar("_Decoded")
 _MOST_POINTS = 1 << 26  # of a ragged field stacked over an episode: 1.5 GB
-_RAGGED = {"wire_points": "wire", "contact_positions": "contact", "contact_forces": "contact"}
+_RAGGED = {
+    "wire_points": "wire_count",
+    "contact_positions": "contact_count",
+    "contact_forces": "contact_count",
+    "devices/wire_points": "devices/wire_count",
+    "devices/catheter_points": "devices/catheter_count",
+}
 
 
 class EpisodeReader:
@@ -169,12 +178,18 @@ class EpisodeReader:
 
     def __iter__(self) -> Iterator[StepRecord]:
         """Stream the records in order."""
-        for _, payload in self.payloads(STEP_TOPIC):
-            yield self._decode(decode_step, payload)
+        for time_ns, payload in self.payloads(STEP_TOPIC):
+            step = (time_ns - self.info.start_time_ns) // self.info.interval_ns
+            yield self._step(payload, step)
 
     def step(self, step: int) -> StepRecord:
         """Read one step at random."""
-        return self._decode(decode_step, self._payload(STEP_TOPIC, step))
+        return self._step(self._payload(STEP_TOPIC, step), step)
+
+    def _step(self, payload: bytes, step: int) -> StepRecord:
+        """Decode a step, in a log with a catheter together with both devices."""
+        devices = self._payload(DEVICES_TOPIC, step) if self.info.has_catheter else None
+        return self._decode(partial(decode_step, devices=devices), payload)
 
     # -- cameras and scene --------------------------------------------------------------------------------------------
 
@@ -237,8 +252,9 @@ class EpisodeReader:
         Returns:
             By field name, first axis = records: `step` and `time_s` (T,), `action` (T, a), ...; `wire_points`,
             `contact_positions` and `contact_forces` are padded with NaN to the largest count, the counts being
-            `wire_count` and `contact_count` (T,); extra scalars as `extra/<key>` (NaN where absent); pictures as
-            `image/<camera>` (T, H, W) uint8 and `mask/<camera>` (T, H, W) bool.
+            `wire_count` and `contact_count` (T,); with a catheter `devices/insertions` (T, 2), ... likewise, with
+            `devices/wire_count` and `devices/catheter_count`; extra scalars as `extra/<key>` (NaN where absent);
+            pictures as `image/<camera>` (T, H, W) uint8 and `mask/<camera>` (T, H, W) bool.
         """
         records = list(self)
         if not records:
@@ -246,10 +262,11 @@ class EpisodeReader:
         steps = np.array([record.step for record in records], dtype=np.int64)
         arrays: dict[str, NDArray[Any]] = {"step": steps}
         arrays["time_s"] = steps * self.info.interval_ns * 1e-9
-        for name in STEP_FIELDS:
-            if name == "step":
-                continue
-            values = [getattr(record, name) for record in records]
+        stacked = {name: [getattr(record, name) for record in records] for name in STEP_FIELDS if name != "step"}
+        if self.info.has_catheter:
+            of_devices = [name for name in DEVICE_FIELDS if name != "step"]
+            stacked |= {f"devices/{name}": [getattr(one.devices, name) for one in records] for name in of_devices}
+        for name, values in stacked.items():
             if name in _RAGGED:
                 counts = np.array([len(value) for value in values])
                 if counts.max() * len(values) > _MOST_POINTS:
@@ -257,7 +274,7 @@ class EpisodeReader:
                 padded = np.full((len(values), counts.max(), 3), np.nan)
                 for row, value in zip(padded, values, strict=True):
                     row[: len(value)] = value
-                arrays[name], arrays[f"{_RAGGED[name]}_count"] = padded, counts
+                arrays[name], arrays[_RAGGED[name]] = padded, counts
             else:
                 arrays[name] = self._stack(name, [np.asarray(value) for value in values])
         for key in dict.fromkeys(key for record in records for key in record.extra):

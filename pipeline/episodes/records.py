@@ -23,6 +23,7 @@ MOST_STEPS = 1_000_000
 
 # of a step: length, where it is known
 _VECTORS = {"action": None, "joint_positions": None, "joint_velocities": None, "tip": 3, "resultant_force": 3}
+_PAIRS = ("insertions", "hub_rotations", "tip_rotations", "feeder_forces", "hub_torques")
 _CHECKED = ConfigDict(allow_inf_nan=False, extra="forbid")
 _Step = Annotated[int, Ge(0), Le(MOST_STEPS)]
 _Truth = Annotated[bool, BeforeValidator(lambda value: bool(value) if isinstance(value, np.bool_) else value)]
@@ -41,6 +42,34 @@ def _points(name: str, value: Any) -> FloatArray:
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} must have shape (n, 3), got {np.shape(value)}; no points is np.zeros((0, 3))")
     return array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, slots=True)
+class DeviceRecord:
+    """Wire and catheter in a step; pairs are wire, then catheter. Arrays are copied."""
+
+    wire_points: FloatArray
+    """(n, 3), m, world, from the wire's tip; (0, 3) where there is none"""
+    catheter_points: FloatArray
+    """(m, 3), m, world, from the catheter's tip"""
+    insertions: FloatArray
+    """(2,), m"""
+    hub_rotations: FloatArray
+    """(2,), rad"""
+    tip_rotations: FloatArray
+    """(2,), rad; NaN of a wire that there is not"""
+    lead: float
+    """m, of the wire's tip before the catheter's; negative: drawn back into it"""
+    feeder_forces: FloatArray
+    """(2,), N, what the feeders push with"""
+    hub_torques: FloatArray
+    """(2,), N m, by which the hubs are held"""
+
+    def __post_init__(self) -> None:
+        for name in _PAIRS:
+            object.__setattr__(self, name, _vector(name, getattr(self, name), 2))
+        for name in ("wire_points", "catheter_points"):
+            object.__setattr__(self, name, _points(name, getattr(self, name)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, slots=True)
@@ -63,7 +92,7 @@ class StepRecord:
     joint_velocities: FloatArray
     """(v,), m/s or rad/s"""
     wire_points: FloatArray
-    """(n, 3), m, world, tip first"""
+    """(n, 3), m, world, tip first; with a catheter, of the rod that both devices are"""
     tip: FloatArray
     """(3,), m, world"""
     contact_positions: FloatArray
@@ -78,6 +107,8 @@ class StepRecord:
     """rad"""
     extra: Mapping[str, float] = field(default_factory=dict)
     """further scalars, unit in the name"""
+    devices: DeviceRecord | None = None
+    """both devices; None in a log of the wire without a catheter"""
 
     def __post_init__(self) -> None:
         if not 0 <= self.step <= MOST_STEPS:
@@ -152,6 +183,16 @@ class EpisodeInfo:
         # What is kept is what a reader will give back: plain JSON values.
         object.__setattr__(self, "configuration", json.loads(as_json(self.configuration)))
         object.__setattr__(self, "versions", {str(key): str(value) for key, value in self.versions.items()})
+
+    @property
+    def has_catheter(self) -> bool:
+        """Whether a catheter was there, so that every step has `devices`."""
+        return self.configuration.get("catheter") is not None
+
+    @property
+    def catheter_name(self) -> str:
+        """The catheter's preset, "own catheter" for one of a file, "" where there was none."""
+        return str(self.configuration.get("catheter_preset") or "own catheter") if self.has_catheter else ""
 
     @property
     def interval_ns(self) -> int:

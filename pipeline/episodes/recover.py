@@ -132,9 +132,9 @@ def _keep_metadata(findings: _Findings, record: Metadata) -> bool:
     return True
 
 
-def _declare(out: McapFile, findings: _Findings, cameras: dict[str, Camera]) -> dict[int, int]:
+def _declare(out: McapFile, findings: _Findings, info: EpisodeInfo, cameras: dict[str, Camera]) -> dict[int, int]:
     """Register the topics; return the new channel id of each old one."""
-    known = topic_messages(tuple(cameras))
+    known = topic_messages(tuple(cameras), devices=info.has_catheter)
     new_ids = {
         topic: out.register(topic, message.DESCRIPTOR.full_name, schema_data(message))
         for topic, message in known.items()
@@ -201,7 +201,7 @@ def recover(
 
 def _copy(data: Any, findings: _Findings, out: McapFile, info: EpisodeInfo, cameras: dict[str, Camera]) -> list[int]:
     """Copy the intact messages chunk by chunk; return the steps among them."""
-    renumbered = _declare(out, findings, cameras)
+    renumbered = _declare(out, findings, info, cameras)
     step_channel = renumbered[1] if not findings.channels else None
     for channel in findings.channels.values():
         if channel.topic == STEP_TOPIC:

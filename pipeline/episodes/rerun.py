@@ -22,6 +22,7 @@ from pipeline.episodes.encoding.png import decode_mask
 from pipeline.episodes.encoding.schema import camera_topic
 from pipeline.episodes.errors import ViewerError, damaged
 from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.records import DeviceRecord
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -34,12 +35,20 @@ CURVES = {
     "rotation_rad": "rotation, rad",
     "reward": "reward",
 }
+DEVICE_CURVES = {  # of a log with a catheter: a curve for the wire and one for the catheter
+    "device_insertions_m": ("insertions", "insertions of wire and catheter, m"),
+    "hub_rotations_rad": ("hub_rotations", "rotations of the hubs, rad"),
+    "tip_rotations_rad": ("tip_rotations", "rotations of the tips, rad"),
+    "feeder_forces_n": ("feeder_forces", "forces of the feeders, N"),
+    "hub_torques_nm": ("hub_torques", "torques at the hubs, N m"),
+}
 WIRE_RADIUS = 0.0008  # twice the wire's own, so that it is seen, m
+CATHETER_RADIUS = 0.0012
 ARROW_LENGTH = 0.05  # of a force of one newton, m
 DETECTOR_DISTANCE = 0.12  # from the world's origin to where a camera's picture hangs, m
 EYE_DISTANCE = 0.36  # of the first look at the scene, from the patient's front, m
 _WALL = (217, 115, 115, 90)
-_WIRE = (30, 30, 40)
+_WIRE, _CATHETER = (30, 30, 40), (64, 115, 217, 160)
 _TARGET, _ENTRY, _FORCE = (26, 179, 51), (51, 102, 230), (240, 140, 20)
 _MASK, _FRUSTUM = (230, 60, 40), (150, 150, 160)
 
@@ -67,8 +76,10 @@ def log_episode(log: EpisodeReader, recording: RecordingStream) -> None:
     |-----------------------------|-------------------------------------------------------------------------|
     | world/phantom, target, entry| the lumen's wall, the target and the entry; always there                |
     | world/wire, tip, contacts   | the wire as a line, its tip, the wall's forces as arrows; every step    |
+    | world/catheter              | the catheter as a line, where there is one; the tip is the foremost     |
     | world/camera/<name>         | the C-arm as a pinhole, and its picture with the wire's mask over it    |
     | curves/<name>               | force, insertion, rotation, reward and further scalars, unit in the name|
+    | curves/<name>/wire, catheter| with a catheter: insertions, rotations, feeders' forces, hubs' torques  |
     | episode                     | what the log says of itself                                             |
 
     Timelines are `step` and `time`, the seconds since the reset. Lengths are metres in the world frame of the log.
@@ -79,7 +90,12 @@ def log_episode(log: EpisodeReader, recording: RecordingStream) -> None:
     steps: list[int] = []
     for index, record in enumerate(log):
         _set_step(log, recording, record.step)
-        recording.log("world/wire", rr.LineStrips3D([record.wire_points], radii=WIRE_RADIUS, colors=_WIRE))
+        devices = record.devices
+        wire = record.wire_points if devices is None else devices.wire_points
+        recording.log("world/wire", rr.LineStrips3D([wire], radii=WIRE_RADIUS, colors=_WIRE))
+        if devices is not None:
+            line = rr.LineStrips3D([devices.catheter_points], radii=CATHETER_RADIUS, colors=_CATHETER)
+            recording.log("world/catheter", line)
         recording.log("world/tip", rr.Points3D([record.tip], radii=1.5 * WIRE_RADIUS, colors=_FORCE))
         arrows = ARROW_LENGTH * record.contact_forces
         recording.log("world/contacts", rr.Arrows3D(vectors=arrows, origins=record.contact_positions, colors=_FORCE))
@@ -90,6 +106,7 @@ def log_episode(log: EpisodeReader, recording: RecordingStream) -> None:
             "rotation_rad": record.rotation,
             "reward": record.reward,
             **record.extra,
+            **_device_curves(devices),
         }
         for name, value in values.items():
             curves.setdefault(name, [np.nan] * index).append(value)
@@ -103,6 +120,18 @@ def log_episode(log: EpisodeReader, recording: RecordingStream) -> None:
     for name, values_of_all in curves.items():
         if steps:
             recording.send_columns(f"curves/{name}", indexes=times, columns=rr.Scalars.columns(scalars=values_of_all))
+
+
+def _device_curves(devices: DeviceRecord | None) -> dict[str, float]:
+    """Entity below `curves` -> value of a step."""
+    if devices is None:
+        return {}
+    pairs = {
+        f"{curve}/{device}": float(value)
+        for curve, (field, _) in DEVICE_CURVES.items()
+        for device, value in zip(("wire", "catheter"), getattr(devices, field), strict=True)
+    }
+    return {**pairs, "lead_m": devices.lead}
 
 
 def _log_static(rr: ModuleType, log: EpisodeReader, recording: RecordingStream) -> None:
@@ -135,7 +164,7 @@ def _log_static(rr: ModuleType, log: EpisodeReader, recording: RecordingStream) 
     info, outcome = log.info, log.outcome
     success = {True: "reached", False: "not reached", None: "not known to be reached"}[outcome.success]
     rows = [
-        f"# {info.phantom}, {info.entry} to {info.target}",
+        f"# {info.phantom}, {info.entry} to {info.target}" + (f", {info.catheter_name}" if info.has_catheter else ""),
         f"{outcome.steps} steps of {info.control_dt:g} s, steered by {info.operator}, seed {info.seed}",
         f"target {success}, log {outcome.status}",
         *(
@@ -175,18 +204,25 @@ def _set_step(log: EpisodeReader, recording: RecordingStream, step: int) -> None
     recording.set_time(TIME_TIMELINE, duration=step * log.info.control_dt)
 
 
-def layout(cameras: tuple[str, ...]) -> Any:
-    """The arrangement of views: the scene, the cameras' pictures, and the curves."""
+def layout(cameras: tuple[str, ...], *, devices: bool = False) -> Any:
+    """The arrangement of views: the scene, the cameras' pictures, and the curves.
+
+    Args:
+        devices: of a log with a catheter, which has curves of its own.
+    """
     rerun_module()
     import rerun.blueprint as rrb
 
     pictures = [rrb.Spatial2DView(origin=f"world/camera/{name}", name=name) for name in cameras]
-    curves = [rrb.TimeSeriesView(origin=f"curves/{name}", name=label) for name, label in CURVES.items()]
+    labels = CURVES | ({name: label for name, (_, label) in DEVICE_CURVES.items()} if devices else {})
+    curves = [rrb.TimeSeriesView(origin=f"curves/{name}", name=label) for name, label in labels.items()]
     eye = rrb.EyeControls3D(position=(0.0, -EYE_DISTANCE, 0.05), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0))
-    scene = rrb.Spatial3DView(origin="world", name="aorta and wire", eye_controls=eye)
+    scene = rrb.Spatial3DView(
+        origin="world", name="aorta and devices" if devices else "aorta and wire", eye_controls=eye
+    )
     right = rrb.Vertical(*pictures, rrb.TextDocumentView(origin="episode", name="episode"))
     above = rrb.Horizontal(scene, right, column_shares=[2, 1])
-    views = rrb.Vertical(above, rrb.Grid(*curves, grid_columns=len(curves)), row_shares=[3, 1])
+    views = rrb.Vertical(above, rrb.Grid(*curves, grid_columns=min(len(curves), 5)), row_shares=[3, 1])
     return rrb.Blueprint(views, rrb.TimePanel(timeline=TIME_TIMELINE, state="collapsed"), collapse_panels=True)
 
 
@@ -213,7 +249,7 @@ def save_recording(path: Path, destination: Path) -> Path:
             recording = rr.RecordingStream(APPLICATION, recording_id=identity)
             recording.set_log_time_enabled(False)
             recording.set_log_tick_enabled(False)
-            recording.save(partial, default_blueprint=layout(log.cameras))
+            recording.save(partial, default_blueprint=layout(log.cameras, devices=log.info.has_catheter))
             recording.send_recording_name(path.stem)
             try:
                 log_episode(log, recording)

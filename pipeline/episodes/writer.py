@@ -24,6 +24,9 @@ from pipeline.episodes.encoding.png import encode_image, encode_mask
 from pipeline.episodes.encoding.protobuf_wire import delimited, timestamp
 from pipeline.episodes.encoding.scene import PhantomMesh, encode_wire_line, encode_wire_points
 from pipeline.episodes.encoding.schema import (
+    CATHETER_POINTS_TOPIC,
+    CATHETER_TOPIC,
+    DEVICES_TOPIC,
     EPISODE_METADATA,
     OUTCOME_METADATA,
     PHANTOM_TOPIC,
@@ -35,7 +38,7 @@ from pipeline.episodes.encoding.schema import (
     camera_topic,
     topic_messages,
 )
-from pipeline.episodes.encoding.step_codec import encode_step
+from pipeline.episodes.encoding.step_codec import encode_devices, encode_step
 from pipeline.episodes.errors import EpisodeWriteError, recover_command
 from pipeline.episodes.metadata import seal_episode, seal_outcome
 from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
@@ -136,7 +139,7 @@ class EpisodeWriter:
             ) from None
         except OSError as error:
             raise EpisodeWriteError(f"cannot write {self.partial}: {error.strerror}; choose another folder") from error
-        topics = topic_messages(tuple(self.cameras)).items()
+        topics = topic_messages(tuple(self.cameras), devices=info.has_catheter).items()
         self._channels = {
             topic: self._file.register(topic, message.DESCRIPTOR.full_name, schema_data(message))
             for topic, message in topics
@@ -235,11 +238,20 @@ class EpisodeWriter:
     def _encode(self, record: StepRecord, pictures: list[_Picture]) -> list[tuple[int, bytes]]:
         """Serialise a step as messages with their channels."""
         time_ns, channels = self.info.time_ns(record.step), self._channels
+        devices = record.devices
+        wire = record.wire_points if devices is None else devices.wire_points
         batch = [
             (channels[STEP_TOPIC], encode_step(record)),
-            (channels[WIRE_TOPIC], encode_wire_line(record.wire_points, time_ns)),
-            (channels[WIRE_POINTS_TOPIC], encode_wire_points(record.wire_points, time_ns)),
+            (channels[WIRE_TOPIC], encode_wire_line(wire, time_ns)),
+            (channels[WIRE_POINTS_TOPIC], encode_wire_points(wire, time_ns)),
         ]
+        if devices is not None:
+            catheter = devices.catheter_points
+            batch += [
+                (channels[DEVICES_TOPIC], encode_devices(record.step, devices)),
+                (channels[CATHETER_TOPIC], encode_wire_line(catheter, time_ns, "catheter")),
+                (channels[CATHETER_POINTS_TOPIC], encode_wire_points(catheter, time_ns)),
+            ]
         head = timestamp(_IMAGE_FIELDS["timestamp"].number, time_ns)
         for topic, camera, encode, picture in pictures:
             payload = head + delimited(_IMAGE_FIELDS["data"].number, encode(picture)) + self._image_tails[camera]
@@ -250,6 +262,11 @@ class EpisodeWriter:
         """Refuse a step that would make a log nobody can stack into arrays."""
         if record.step != self._recorded:
             raise ValueError(f"expected step {self._recorded}, got {record.step}: steps are consecutive, from 0")
+        if (record.devices is not None) != self.info.has_catheter:
+            raise ValueError(
+                "a step has devices just where the configuration of its log names a catheter: got "
+                f"{'none' if record.devices is None else 'devices'} in step {record.step}"
+            )
         for stream, arrays, types in (("image", images, _IMAGE_TYPES), ("mask", masks, _MASK_TYPES)):
             for name, array in arrays.items():
                 camera = self.cameras.get(name)

@@ -77,7 +77,7 @@ class McapRecorder:
         """Writes a step.
 
         Args:
-            action: shape (2,).
+            action: shape (2,), with a catheter (4,).
         """
         if self._begin is None:
             raise RuntimeError("no episode was started: call start() before step()")

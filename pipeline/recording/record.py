@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.episodes import Camera, EpisodeInfo, EpisodeOutcome, EpisodeWriter, PhantomMesh, StepRecord
+from pipeline.episodes import (
+    Camera,
+    DeviceRecord,
+    EpisodeInfo,
+    EpisodeOutcome,
+    EpisodeWriter,
+    PhantomMesh,
+    StepRecord,
+)
 from pipeline.store.provenance import software_versions
 
 if TYPE_CHECKING:
@@ -18,6 +26,7 @@ if TYPE_CHECKING:
     from cathsim.anatomy.point_target import Point
     from cathsim.fluoroscopy import Projector
     from cathsim.metrics import EpisodeMetrics
+    from cathsim.simulation import Simulation
     from cathsim.viewing.film import Film
 
 CAMERA = "frontal"
@@ -68,6 +77,25 @@ def step_record(
             "magnitude_sum_n": forces.magnitude_sum,
             "largest_contact_n": forces.largest_contact,
         },
+        devices=device_record(simulation),
+    )
+
+
+def device_record(simulation: Simulation) -> DeviceRecord | None:
+    """Both devices of the moment; None of a wire without a catheter."""
+    from cathsim.devices.simulation import DualSimulation
+
+    if not isinstance(simulation, DualSimulation) or simulation.pair.catheter is None:
+        return None
+    return DeviceRecord(
+        wire_points=simulation.device_points("wire"),
+        catheter_points=simulation.device_points("catheter"),
+        insertions=np.array(simulation.device_insertions()),
+        hub_rotations=np.array(simulation.device_rotations()),
+        tip_rotations=simulation.tip_rotations(),
+        lead=simulation.device_lead,
+        feeder_forces=simulation.feeder_forces(),
+        hub_torques=simulation.hub_torques(),
     )
 
 
@@ -125,13 +153,30 @@ def describe_episode(
         configuration={
             **asdict(environment.task),
             "image_size": environment.fluoroscope.shape[0],
-            "wire": asdict(environment.simulation.wire),
+            **_devices_of(environment.simulation),
             "numerics": asdict(environment.simulation.numerics),
             **({} if environment.biplane is None else {"cameras": environment.biplane.fluoroscope.to_json()}),
             **(configuration or {}),
         },
         versions=software_versions(),
     )
+
+
+def _devices_of(simulation: Simulation) -> dict[str, Any]:
+    """The devices as a log's configuration holds them: a preset's values may change, so they stand there themselves."""
+    from cathsim.devices.shelf import catheter_preset_of
+    from cathsim.devices.simulation import DualSimulation
+
+    if not isinstance(simulation, DualSimulation) or simulation.pair.catheter is None:
+        return {"wire": asdict(simulation.wire)}
+    pair = simulation.pair
+    assert pair.catheter is not None
+    return {
+        "wire": None if pair.wire is None else asdict(pair.wire),
+        "catheter": asdict(pair.catheter),
+        "catheter_preset": catheter_preset_of(pair.catheter),
+        "torsion": pair.torsion,
+    }
 
 
 def open_log(

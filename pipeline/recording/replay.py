@@ -21,6 +21,7 @@ from pipeline.store.errors import StageError
 
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
+    from cathsim.devices.catheter import Catheter
     from enn.trajectory import Trajectory
     from pipeline.episodes import EpisodeInfo
 
@@ -117,7 +118,6 @@ def _environment(
     with checked_values(info, "task"):
         recorded = {name: value for name, value in info.configuration.items() if name in fields}
         task = NavigationTask(**{**recorded, **{name: value for name, value in changed.items() if value is not None}})
-    wire = recorded_wire(info)
     numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
     with checked_values(info, "time stepping"):
         accuracy = Accuracy(**numerics) if numerics else "accurate"
@@ -126,9 +126,9 @@ def _environment(
             info.phantom,
             task=task,
             entry=info.entry,
-            wire=wire,
+            **recorded_devices(info),
             accuracy=accuracy,
-            actions="feeder" if actions == 2 else "tip_motors",
+            actions="feeder" if actions == 2 or info.has_catheter else "tip_motors",
             observation=tuple(observation) or ("tip",),
             image_size=image_size,
         )
@@ -153,16 +153,36 @@ def checked_values(info: EpisodeInfo, what: str) -> Iterator[None]:
         ) from error
 
 
-def recorded_wire(info: EpisodeInfo) -> Guidewire:
-    """The guidewire that an episode was recorded with."""
+def recorded_devices(info: EpisodeInfo) -> dict[str, Any]:
+    """Wire, and where there was one, catheter and torsion, as arguments of `NavigateEnv`."""
+    devices: dict[str, Any] = {"wire": recorded_wire(info)}
+    if info.has_catheter:
+        devices |= {"catheter": recorded_catheter(info), "torsion": info.configuration.get("torsion", "elastic")}
+    return devices
+
+
+def recorded_wire(info: EpisodeInfo) -> Guidewire | None:
+    """The guidewire that an episode was recorded with; None: with a catheter alone."""
     from cathsim import Guidewire
 
     with checked_values(info, "wire"):
         values = info.configuration["wire"]
+        if values is None and info.has_catheter:
+            return None
         fields: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
         return Guidewire(**fields)
+
+
+def recorded_catheter(info: EpisodeInfo) -> Catheter | None:
+    """The catheter that an episode was recorded with; None: there was none."""
+    from cathsim.devices.catheter import Catheter
+
+    if not info.has_catheter:
+        return None
+    with checked_values(info, "catheter"):
+        return Catheter(**info.configuration["catheter"])
 
 
 def _compare(log: Path | str, step: int, recorded: np.ndarray, now: np.ndarray) -> None:

@@ -63,7 +63,6 @@ def wall_forces(arrays: Mapping[str, NDArray[Any]], *, interval: float, seed: in
 
 def device_of(configuration: Mapping[str, Any]) -> str:
     """The catheter that a log names, or the wire alone."""
-    catheter = configuration.get("catheter")
-    if isinstance(catheter, Mapping):
-        return str(catheter.get("name", "catheter"))
-    return WIRE if not catheter else str(catheter)
+    if not configuration.get("catheter"):
+        return WIRE
+    return str(configuration.get("catheter_preset") or "own catheter")

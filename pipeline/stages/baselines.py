@@ -24,7 +24,7 @@ from pipeline.stages.learning.plan import (
 )
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.stages.learning.training import PolicyTrainingJob
-from pipeline.task import FEEDER
+from pipeline.task import FEEDER, observed
 
 if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
@@ -49,7 +49,7 @@ def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrain
             task_of(settings, phantom, target),
             f"{algorithm}_{observation}",
             seed,
-            (observation,),
+            observed(settings.task, (observation,)),
             training_settings(settings, algorithm, observation),
         )
         for seed in training_seeds(context.seed, settings.seeds, settings.seeds)
@@ -74,7 +74,7 @@ def training_settings(settings: BaselinesSettings, algorithm: str, observation: 
 
 
 def path_followers(settings: BaselinesSettings, context: StageContext) -> list[Job]:
-    """The jobs of the path follower, one a task and seed; it steers the feeder's two actions."""
+    """The jobs of the path follower, one a task and seed; it steers the feeders."""
     jobs = []
     for seed in training_seeds(context.seed, settings.seeds, settings.seeds):
         for phantom in settings.phantoms:

@@ -19,7 +19,7 @@ from pipeline.stages.learning.plan import (
 )
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.stages.learning.training import PolicyTrainingJob
-from pipeline.task import number_of_actions
+from pipeline.task import number_of_actions, observed
 
 if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
@@ -60,7 +60,7 @@ def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob
     trainings: list[PolicyTrainingJob] = []
 
     def add(phantoms: Sequence[str], row: str, modalities: str, count: int, *, weight: float = 0.0) -> None:
-        keys = modality_keys(modalities)
+        keys = observed(settings.task, modality_keys(modalities))
         trained = training_settings(settings, keys=keys if settings.variant == THESIS else ())
         for seed in training_seeds(context.seed, count, most):
             first = row == settings.expert and seed == context.seed * most

@@ -19,14 +19,14 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.store.atomic_files import atomic_path, write_json
-from pipeline.task import Task, number_of_actions, require_feeder, require_known_task
+from pipeline.task import DeviceSettings, joint_observations, number_of_actions, require_feeder, require_known_task
 
 OPERATOR, EVALUATION = "sampling_expert", "evaluation"
 
 
 @validated()
-class ExpertSettings:
-    """Settings of the sampling expert's episodes."""
+class ExpertSettings(DeviceSettings):
+    """Settings of the sampling expert's episodes; the task is that of the evaluation."""
 
     name: str = "expert"
     phantoms: SomeFolderNames = field(default_factory=list)
@@ -34,7 +34,6 @@ class ExpertSettings:
     episodes: Episodes = 1  # demonstrations a phantom and target, from starts that are not turned
     evaluation_episodes: Episodes = 1  # for the tables, from the starts and seeds of the policies compared with
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # of the search; 0: one a core
-    task: Task = field(default_factory=Task)  # of the evaluation
     film: bool = True
     film_episodes: CountOrNone = 1  # films a phantom and target
 
@@ -138,7 +137,7 @@ def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
         "start_jitter_mm": settings.task.start_jitter_mm,
         "success_radius_mm": settings.task.success_radius_mm,
         "image_size_px": settings.task.image_size_px,
-        "joint_observations": 4 * (settings.task.guidewire().joints + 1),
+        "joint_observations": joint_observations(settings.task),
         "actions": number_of_actions(settings.task),
     }
     return {name: {"value": value} for name, value in values.items()}

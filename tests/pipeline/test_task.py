@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 
+from cathsim import load_catheter
+from cathsim.devices.device_file import preset_path
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig, register_schemas, run_config
 from pipeline.recording.record import record_episode
 from pipeline.stages import available_stages, baselines, enn, force, imitation
@@ -20,7 +24,18 @@ from pipeline.stages.navigation import stage as navigation
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.stages.unseen.stage import check_unseen
 from pipeline.store.errors import ConfigurationError, StageError
-from pipeline.task import MOTION, Task, differences, require_same_task, task_from, task_in_random_arches
+from pipeline.task import (
+    MOTION,
+    Task,
+    device_files,
+    differences,
+    joint_observations,
+    number_of_actions,
+    observed,
+    require_same_task,
+    task_from,
+    task_in_random_arches,
+)
 from tests.pipeline.stages.small_expert import TASK, context, write_expert
 
 
@@ -93,7 +108,7 @@ def test_unknown_actions_and_wires_are_refused_by_name() -> None:
         with pytest.raises(ConfigurationError, match="unknown wire 'rope': choose from default"):
             check(replace(settings, task=Task(wire="rope")))
     settings = composed("stage=unseen", "stage.task.actions=tip_motors").stage
-    with pytest.raises(ConfigurationError, match="stage unseen steers the feeder's two actions"):
+    with pytest.raises(ConfigurationError, match="stage unseen steers the feeder, got"):
         check_unseen(settings)
 
 
@@ -217,3 +232,72 @@ def test_demonstrations_of_another_wire_are_refused(run: Path, monkeypatch: pyte
     trained = EnnSettings(phantoms=["type_1"], targets=["bca"], task=other.task)
     with pytest.raises(StageError, match=f"stage enn {sentence}"):
         enn.run_enn(trained, context(run, "enn_again", reads=("expert",)))
+
+
+@pytest.mark.parametrize("name", ["expert", "enn", "baselines", "imitation", "force"])
+def test_a_catheter_is_a_setting_of_the_stages_that_steer(name: str) -> None:
+    bare = composed(f"stage={name}").stage
+    assert (bare.task.catheter, bare.catheter) == (None, None)
+    short = composed(f"stage={name}", "stage.catheter=simmons2", "stage.torsion=rigid").stage
+    assert short == composed(f"stage={name}", "stage.task.catheter=simmons2", "stage.task.torsion=rigid").stage
+    assert short == composed(f"stage={name}", "task.catheter=simmons2", "task.torsion=rigid").stage
+    assert short.task == replace(bare.task, catheter="simmons2", torsion="rigid")
+    assert number_of_actions(short.task) == 4
+    arguments = short.task.arguments()
+    assert (arguments["catheter"], arguments["torsion"]) == (load_catheter("simmons2"), "rigid")
+    assert "catheter" not in bare.task.arguments()
+
+
+def test_catheters_that_cannot_be_are_refused_in_one_sentence(tmp_path: Path) -> None:
+    for name, check in (("expert", check_expert), ("enn", enn.check_enn), ("imitation", imitation.check_imitation)):
+        with pytest.raises(ConfigurationError, match="unknown catheter 'rope'; there are straight, vertebral"):
+            check(composed(f"stage={name}", "stage.catheter=rope").stage)
+    with pytest.raises(ConfigurationError, match=r"torsion has no 'soft': choose from elastic, rigid"):
+        composed("stage=enn", "stage.torsion=soft")
+    with pytest.raises(ConfigurationError, match=r"task\.actions=tip_motors bends the tip of a wire alone"):
+        composed("stage=baselines", "budget=thesis", "stage.catheter=simmons2")
+    with pytest.raises(ConfigurationError, match=r"unseen steers a wire without a catheter, got task\.catheter=jb2"):
+        check_unseen(composed("stage=unseen", "stage.task.catheter=jb2").stage)
+    with pytest.raises(ConfigurationError, match="stage navigation steers a wire without a catheter"):
+        navigation.check_navigation(composed("stage=navigation", "task.catheter=jb2").stage)
+    thick = tmp_path / "thick.yaml"
+    text = preset_path("catheter", "straight").read_text()
+    thick.write_text(re.sub(r"inner_diameter(\w*): [\d.e-]+", r"inner_diameter\1: 0.5", text))
+    with pytest.raises(ConfigurationError, match=r"does not pass a catheter with a lumen of 0\.50 mm"):
+        check_expert(composed("stage=expert", f"stage.catheter={thick}").stage)
+
+
+def test_a_log_says_which_catheter_its_task_had(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(re.sub(r"friction: \S+", "friction: 0.0731", preset_path("catheter", "straight").read_text()))
+    for index, task in enumerate((Task(catheter="simmons2", torsion="rigid"), Task(catheter=str(own)))):
+        log, learnt = tmp_path / f"{index}.mcap", LearningTask("type_1", "lcca", replace(task, max_steps=2))
+        environment = learnt.environment("tip")
+        record_episode(environment, lambda *_: np.zeros(4), log, seed=0, operator="test", pictures=False)
+        assert not differences(task_of_log(log, learnt.task).task, learnt.task)
+        assert differences(task_of_log(log, learnt.task).task, replace(learnt.task, catheter=None)) == ["catheter"]
+    with pytest.raises(StageError, match="a catheter that this version does not have"):
+        task_of_log(tmp_path / "1.mcap")
+    assert not differences(Task(catheter="simmons2"), Task(catheter="simmons2_5f"))
+    assert differences(Task(catheter="simmons2"), Task(catheter="simmons2", torsion="rigid")) == ["torsion"]
+    with pytest.raises(StageError, match=r"asked for catheter=None, but the episode .* with catheter=simmons2"):
+        require_demonstrations("enn", LearningTask("type_1", "lcca", Task(torsion="rigid")), [tmp_path / "0.mcap"])
+
+
+def test_a_catheters_file_is_part_of_the_results(tmp_path: Path) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(preset_path("catheter", "jb2").read_text())
+    before = device_files(Task(catheter=str(file)))
+    file.write_text(file.read_text() + "\n# another\n")
+    assert set(before) == {"catheter"}
+    assert device_files(Task(catheter=str(file))) != before
+    assert device_files(Task(catheter="jb2")) == device_files(Task()) == {}
+
+
+def test_who_sees_joints_of_two_devices_sees_their_feeders() -> None:
+    pair = Task(catheter="vertebral")
+    assert observed(pair, ("joints", "image")) == ("joints", "image", "feeder")
+    assert observed(pair, ("image", "mask")) == ("image", "mask")
+    assert observed(Task(), ("joints", "image")) == ("joints", "image")
+    environment = LearningTask("type_1", "bca", pair).environment(("joints", "feeder"))
+    assert environment.observation_space["joints"].shape == (joint_observations(pair),)

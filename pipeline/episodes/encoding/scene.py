@@ -1,4 +1,4 @@
-"""The 3-D scene of an episode for viewers: the phantom's wall with its target and entry, and the wire at every step."""
+"""The 3-D scene of an episode for viewers: the phantom's wall, target and entry, and the devices at every step."""
 
 from __future__ import annotations
 
@@ -23,11 +23,13 @@ from pipeline.episodes.encoding.schema import WORLD_FRAME
 FloatArray = NDArray[np.float64]
 
 _WALL_COLOUR = Color(r=0.85, g=0.45, b=0.45, a=0.35)
-_WIRE_COLOUR = Color(r=0.1, g=0.1, b=0.15, a=1.0)
+_LINES = {  # entity: colour, width in pixels
+    "wire": (Color(r=0.1, g=0.1, b=0.15, a=1.0), 3.0),
+    "catheter": (Color(r=0.25, g=0.45, b=0.85, a=0.8), 6.0),
+}
 _TARGET_COLOUR = Color(r=0.1, g=0.7, b=0.2, a=0.8)
 _ENTRY_COLOUR = Color(r=0.2, g=0.4, b=0.9, a=0.8)
 _SPHERE_DIAMETER = 0.004
-_LINE_PIXELS = 3.0
 
 _POINT_BYTES = 29
 """A Point3 within a repeated field numbered below 16: key, length 27, then three keyed doubles."""
@@ -152,12 +154,11 @@ def _entity_names(entity_id: str) -> bytes:
     )
 
 
-@lru_cache(maxsize=1)
-def _line_style() -> bytes:
+@lru_cache(maxsize=2)
+def _line_style(device: str) -> bytes:
     """All of a line but its points."""
-    line = LinePrimitive(
-        type=LinePrimitive.LINE_STRIP, thickness=_LINE_PIXELS, scale_invariant=True, color=_WIRE_COLOUR
-    )
+    colour, width = _LINES[device]
+    line = LinePrimitive(type=LinePrimitive.LINE_STRIP, thickness=width, scale_invariant=True, color=colour)
     line.pose.CopyFrom(_identity_pose())
     return bytes(line.SerializeToString())
 
@@ -169,17 +170,18 @@ _CLOUD_TIME = PointCloud.DESCRIPTOR.fields_by_name["timestamp"].number
 _CLOUD_DATA = PointCloud.DESCRIPTOR.fields_by_name["data"].number
 
 
-def encode_wire_line(points: FloatArray, time_ns: int) -> bytes:
-    """Serialise the wire as `foxglove.SceneUpdate` with one line strip.
+def encode_wire_line(points: FloatArray, time_ns: int, device: str = "wire") -> bytes:
+    """Serialise a device as `foxglove.SceneUpdate` with one line strip.
 
     Args:
         points: (n, 3), m, world, tip first.
+        device: "wire" or "catheter".
 
     Returns:
-        Protobuf bytes; the entity "wire" replaces that of the step before.
+        Protobuf bytes; the entity, which is named as the device, replaces that of the step before.
     """
-    line = delimited(_ENTITY_LINES, _points_field(_LINE_POINTS, points) + _line_style())
-    return delimited(_ENTITIES, _entity_head("wire", time_ns) + line)
+    line = delimited(_ENTITY_LINES, _points_field(_LINE_POINTS, points) + _line_style(device))
+    return delimited(_ENTITIES, _entity_head(device, time_ns) + line)
 
 
 @lru_cache(maxsize=1)
@@ -191,7 +193,7 @@ def _cloud_layout() -> bytes:
 
 
 def encode_wire_points(points: FloatArray, time_ns: int) -> bytes:
-    """Serialise the wire as `foxglove.PointCloud`.
+    """Serialise a device as `foxglove.PointCloud`.
 
     Args:
         points: (n, 3), m, world, tip first.

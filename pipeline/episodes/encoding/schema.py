@@ -1,4 +1,4 @@
-"""The schema of an episode log: its topics, its `endonav.Step` message, its units and its version.
+"""The schema of an episode log: its topics, its `endonav` messages, its units and its version.
 
 | topic                        | message                    | when       | frame and unit                              |
 |------------------------------|----------------------------|------------|---------------------------------------------|
@@ -10,6 +10,11 @@
 | `/wire`                      | foxglove.SceneUpdate       | every step | line strip, tip first; `world`, m           |
 | `/wire/points`               | foxglove.PointCloud        | every step | float32 x, y, z, tip first; `world`, m      |
 | `/phantom`                   | foxglove.SceneUpdate       | once       | wall, target, entry; `world`, m             |
+| `/devices`                   | endonav.Devices            | every step | see the second table                        |
+| `/catheter`                  | foxglove.SceneUpdate       | every step | as `/wire`                                  |
+| `/catheter/points`           | foxglove.PointCloud        | every step | as `/wire/points`                           |
+
+The last three are only in logs whose configuration names a `catheter`; `/wire` and `/wire/points` then show the wire.
 
 | field of endonav.Step | shape  | unit         | meaning                                                              |
 |-----------------------|--------|--------------|----------------------------------------------------------------------|
@@ -19,7 +24,7 @@
 | terminated, truncated | -      | -            | how Gymnasium says that an episode is over                           |
 | joint_positions       | (q,)   | m or rad     | generalised positions                                                |
 | joint_velocities      | (v,)   | m/s or rad/s | generalised velocities                                               |
-| wire_points           | (n, 3) | m, world     | points along the wire, tip first                                     |
+| wire_points           | (n, 3) | m, world     | points along the wire, or the rod of both devices, tip first         |
 | tip                   | (3,)   | m, world     | the tip                                                              |
 | contact_positions     | (k, 3) | m, world     | contacts of wire and wall                                            |
 | contact_forces        | (k, 3) | N, world     | their forces on the wire                                             |
@@ -32,6 +37,20 @@
 The recorder's further scalars, which logs of before they existed lack: distance_m to the target; load_x_n, load_y_n,
 load_z_n, the mean force on the vessel over the control step, and sheath_x_n, sheath_y_n, sheath_z_n, that on the sheath
 (N, world); magnitude_sum_n, the mean sum of the contacts' magnitudes; largest_contact_n, the largest single contact.
+
+| field of endonav.Devices | shape  | unit     | meaning; pairs are wire, catheter                                     |
+|--------------------------|--------|----------|-----------------------------------------------------------------------|
+| step                     | -      | -        | as above                                                              |
+| wire_points              | (n, 3) | m, world | points along the wire, its tip first; none where there is no wire     |
+| catheter_points          | (m, 3) | m, world | points along the catheter, its tip first                              |
+| insertions               | (2,)   | m        | how far the feeders have pushed them in                               |
+| hub_rotations            | (2,)   | rad      | how far their hubs were turned                                        |
+| tip_rotations            | (2,)   | rad      | how far their tips were; NaN of an absent device                      |
+| lead                     | -      | m        | how far the wire's tip is before the catheter's; negative: behind     |
+| feeder_forces            | (2,)   | N        | what the feeders push with                                            |
+| hub_torques              | (2,)   | N m      | by which the hubs are held                                            |
+
+The action of such a log has four numbers: translation and rotation of the wire, then those of the catheter.
 
 Record i has log_time = start_time_ns + i * control step, so that a step index is a time. Two metadata records hold the
 rest as JSON with its CRC-32: `endonav.episode` (written twice, so that one damaged byte cannot make a log anonymous)
@@ -61,13 +80,16 @@ WIRE_TOPIC = "/wire"
 WIRE_POINTS_TOPIC = "/wire/points"
 PHANTOM_TOPIC = "/phantom"
 TRANSFORM_TOPIC = "/tf"
+DEVICES_TOPIC = "/devices"
+CATHETER_TOPIC = "/catheter"
+CATHETER_POINTS_TOPIC = "/catheter/points"
 WORLD_FRAME = "world"
 
 _Proto = descriptor_pb2.FieldDescriptorProto
 
 
 class StepField(NamedTuple):
-    """A field of `endonav.Step`: its number, its protobuf type and, for arrays, its shape (-1 is free)."""
+    """A field of an `endonav` message: its number, its protobuf type and, for arrays, its shape (-1 is free)."""
 
     number: int
     type: int
@@ -93,32 +115,52 @@ STEP_FIELDS: dict[str, StepField] = {
 }
 EXTRA_FIELD_NUMBER = 16
 
+DEVICE_FIELDS: dict[str, StepField] = {
+    "step": StepField(1, _Proto.TYPE_UINT64),
+    "wire_points": StepField(2, _Proto.TYPE_DOUBLE, (-1, 3)),
+    "catheter_points": StepField(3, _Proto.TYPE_DOUBLE, (-1, 3)),
+    "insertions": StepField(4, _Proto.TYPE_DOUBLE, (2,)),
+    "hub_rotations": StepField(5, _Proto.TYPE_DOUBLE, (2,)),
+    "tip_rotations": StepField(6, _Proto.TYPE_DOUBLE, (2,)),
+    "lead": StepField(7, _Proto.TYPE_DOUBLE),
+    "feeder_forces": StepField(8, _Proto.TYPE_DOUBLE, (2,)),
+    "hub_torques": StepField(9, _Proto.TYPE_DOUBLE, (2,)),
+}
 
-def _build_step_message() -> Any:
-    """Build the class of `endonav.Step` from its field table, without protoc."""
-    file = descriptor_pb2.FileDescriptorProto(name="endonav/step.proto", package="endonav", syntax="proto3")
-    message = file.message_type.add(name="Step")
-    for name, field in STEP_FIELDS.items():
+
+def _build_message(name: str, fields: dict[str, StepField], *, extra: bool) -> Any:
+    """Build the class of a message from its field table, without protoc.
+
+    Args:
+        extra: with a map of further scalars.
+    """
+    file = descriptor_pb2.FileDescriptorProto(name=f"endonav/{name.lower()}.proto", package="endonav", syntax="proto3")
+    message = file.message_type.add(name=name)
+    for field_name, field in fields.items():
         label = _Proto.LABEL_REPEATED if field.shape else _Proto.LABEL_OPTIONAL
-        message.field.add(name=name, number=field.number, type=field.type, label=label)
-    entry = message.nested_type.add(name="ExtraEntry")
-    entry.field.add(name="key", number=1, type=_Proto.TYPE_STRING, label=_Proto.LABEL_OPTIONAL)
-    entry.field.add(name="value", number=2, type=_Proto.TYPE_DOUBLE, label=_Proto.LABEL_OPTIONAL)
-    entry.options.map_entry = True
-    message.field.add(
-        name="extra",
-        number=EXTRA_FIELD_NUMBER,
-        type=_Proto.TYPE_MESSAGE,
-        type_name=".endonav.Step.ExtraEntry",
-        label=_Proto.LABEL_REPEATED,
-    )
+        message.field.add(name=field_name, number=field.number, type=field.type, label=label)
+    if extra:
+        entry = message.nested_type.add(name="ExtraEntry")
+        entry.field.add(name="key", number=1, type=_Proto.TYPE_STRING, label=_Proto.LABEL_OPTIONAL)
+        entry.field.add(name="value", number=2, type=_Proto.TYPE_DOUBLE, label=_Proto.LABEL_OPTIONAL)
+        entry.options.map_entry = True
+        message.field.add(
+            name="extra",
+            number=EXTRA_FIELD_NUMBER,
+            type=_Proto.TYPE_MESSAGE,
+            type_name=f".endonav.{name}.ExtraEntry",
+            label=_Proto.LABEL_REPEATED,
+        )
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("endonav.Step"))
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"endonav.{name}"))
 
 
-Step: Any = _build_step_message()
+Step: Any = _build_message("Step", STEP_FIELDS, extra=True)
 """The protobuf class of the message on `/step`."""
+
+Devices: Any = _build_message("Devices", DEVICE_FIELDS, extra=False)
+"""The protobuf class of the message on `/devices`."""
 
 
 def camera_topic(name: str, stream: str) -> str:
@@ -133,8 +175,12 @@ def camera_topic(name: str, stream: str) -> str:
     return f"/camera/{name}/{stream}"
 
 
-def topic_messages(cameras: tuple[str, ...]) -> dict[str, Any]:
-    """List the topics of a log with their protobuf classes, in the order of their channel ids (1, 2, ...)."""
+def topic_messages(cameras: tuple[str, ...], *, devices: bool = False) -> dict[str, Any]:
+    """List the topics of a log with their protobuf classes, in the order of their channel ids (1, 2, ...).
+
+    Args:
+        devices: of a log with a catheter.
+    """
     topics: dict[str, Any] = {
         STEP_TOPIC: Step,
         WIRE_TOPIC: SceneUpdate,
@@ -146,4 +192,6 @@ def topic_messages(cameras: tuple[str, ...]) -> dict[str, Any]:
         topics[camera_topic(name, "calibration")] = CameraCalibration
         topics[camera_topic(name, "image")] = CompressedImage
         topics[camera_topic(name, "mask")] = CompressedImage
+    if devices:
+        topics |= {DEVICES_TOPIC: Devices, CATHETER_TOPIC: SceneUpdate, CATHETER_POINTS_TOPIC: PointCloud}
     return topics

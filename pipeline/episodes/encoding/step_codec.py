@@ -1,4 +1,7 @@
-"""The codec of `endonav.Step`: numpy arrays straight to protobuf bytes, and back by the protobuf library."""
+"""The codec of `endonav.Step` and `endonav.Devices`.
+
+Steps go from numpy arrays straight to protobuf bytes, and back by the protobuf library, which does both for devices.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,15 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 from numpy.typing import NDArray
 
 from pipeline.episodes.encoding.protobuf_wire import DELIMITED, FIXED64, VARINT, delimited, tag, varint
-from pipeline.episodes.encoding.schema import EXTRA_FIELD_NUMBER, STEP_FIELDS, Step
-from pipeline.episodes.records import StepRecord
+from pipeline.episodes.encoding.schema import (
+    DEVICE_FIELDS,
+    EXTRA_FIELD_NUMBER,
+    STEP_FIELDS,
+    Devices,
+    Step,
+    StepField,
+)
+from pipeline.episodes.records import DeviceRecord, StepRecord
 
 _DOUBLE = struct.Struct("<d")
 _LITTLE_ENDIAN = np.dtype("<f8")
@@ -82,14 +92,19 @@ def encode_step(record: StepRecord) -> bytes:
     return b"".join(parts)
 
 
-_NAMES = {field.number: name for name, field in STEP_FIELDS.items()}
+def encode_devices(step: int, record: DeviceRecord) -> bytes:
+    """Serialise both devices of a step as an `endonav.Devices` message."""
+    values = {name: getattr(record, name) for name in DEVICE_FIELDS if name != "step"}
+    arrays = {name: value.ravel() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+    return bytes(Devices(step=step, **arrays).SerializeToString())
 
 
-def decode_step(data: bytes) -> StepRecord:
+def decode_step(data: bytes, devices: bytes | None = None) -> StepRecord:
     """Read an `endonav.Step` message, whoever serialised it.
 
     Args:
         data: protobuf bytes; fields of later versions are skipped.
+        devices: the step's `endonav.Devices` message; None of a log without a catheter.
 
     Returns:
         The step; its arrays do not share memory with `data`.
@@ -97,22 +112,41 @@ def decode_step(data: bytes) -> StepRecord:
     Raises:
         ValueError: the bytes are no such message, or an array's length does not fit its shape.
     """
-    return decode_with_norm(data)[0]
+    return decode_with_norm(data, devices)[0]
 
 
-def decode_with_norm(data: bytes) -> tuple[StepRecord, float]:
+def decode_with_norm(data: bytes, devices: bytes | None = None) -> tuple[StepRecord, float]:
     """Read a message, and the force's norm in newtons as it stands there, to compare it with the vector."""
+    message, values = _decode(Step, STEP_FIELDS, data)
+    norm = values.pop("resultant_force_norm")
+    both = None if devices is None else decode_devices(devices)[1]
+    return StepRecord(**values, extra=dict(message.extra), devices=both), norm
+
+
+def decode_devices(data: bytes) -> tuple[int, DeviceRecord]:
+    """Read an `endonav.Devices` message.
+
+    Returns:
+        The step's index, and the devices; raises as `decode_step` does.
+    """
+    _, values = _decode(Devices, DEVICE_FIELDS, data)
+    return values.pop("step"), DeviceRecord(**values)
+
+
+def _decode(kind: Any, fields: dict[str, StepField], data: bytes) -> tuple[Any, dict[str, Any]]:
+    """Read a message and its fields, the arrays in their shapes."""
     try:
-        message = Step.FromString(data)
+        message = kind.FromString(data)
     except DecodeError as error:
         raise ValueError(f"the bytes are no message of a step: {error}") from error
+    names = {field.number: name for name, field in fields.items()}
     unknown_fields: Any = UnknownFieldSet(message)
     for unknown in unknown_fields:
-        if unknown.field_number in _NAMES:
-            name = _NAMES[unknown.field_number]
+        if unknown.field_number in names:
+            name = names[unknown.field_number]
             raise ValueError(f"{name} has wire type {unknown.wire_type}, which its type forbids")
     values: dict[str, Any] = {}
-    for name, field in STEP_FIELDS.items():
+    for name, field in fields.items():
         value = getattr(message, name)
         if field.shape:
             value = np.array(value, dtype=np.float64)
@@ -121,5 +155,4 @@ def decode_with_norm(data: bytes) -> tuple[StepRecord, float]:
                 raise ValueError(f"{name} must hold a multiple of {width} numbers, got {value.size}")
             value = value.reshape(field.shape) if len(field.shape) > 1 else value
         values[name] = value
-    norm = values.pop("resultant_force_norm")
-    return StepRecord(**values, extra=dict(message.extra)), norm
+    return message, values

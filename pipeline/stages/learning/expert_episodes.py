@@ -14,12 +14,13 @@ import numpy as np
 
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
-from pipeline.recording.replay import ReplayError, recorded_wire
+from pipeline.recording.replay import ReplayError, recorded_catheter, recorded_devices, recorded_wire
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import StageError
 from pipeline.task import FEEDER, MOTION, TASK, TIP_MOTORS, Task, require_same_task, task_from
 
 if TYPE_CHECKING:
+    from cathsim import Catheter
     from enn.policy import Policy
     from enn.trajectory import Trajectory
 
@@ -52,8 +53,11 @@ def read_episode(log: Path, *, pictures: bool = True) -> Trajectory:
         if pictures and (CAMERA not in reader.cameras or not reader.has(CAMERA, "image")):
             raise StageError(f"{log} was logged without images: nothing can be learnt to see from it")
         arrays = reader.load_arrays(pictures=pictures)
-        wire = recorded_wire(info)
+        devices = recorded_devices(info)
     feeder = np.column_stack((arrays["insertion"], np.cos(arrays["rotation"]), np.sin(arrays["rotation"])))
+    if info.has_catheter and devices["wire"] is not None:
+        inserted, turned = arrays["devices/insertions"][:, 1], arrays["devices/hub_rotations"][:, 1]
+        feeder = np.column_stack((feeder, inserted, np.cos(turned), np.sin(turned), arrays["devices/lead"]))
     joints = np.concatenate((arrays["joint_positions"], arrays["joint_velocities"]), axis=1)
     observations: dict[str, np.ndarray[Any, Any]] = {
         "joints": joints.astype(np.float32),
@@ -70,7 +74,13 @@ def read_episode(log: Path, *, pictures: bool = True) -> Trajectory:
         terminated=bool(outcome.success),
         forces=np.linalg.norm(arrays["resultant_force"][1:], axis=1),
         tips=arrays["tip"],
-        metadata={"file": str(log), "phantom": info.phantom, "target": info.target, "seed": info.seed, "wire": wire},
+        metadata={
+            "file": str(log),
+            "phantom": info.phantom,
+            "target": info.target,
+            "seed": info.seed,
+            "devices": devices,
+        },
     )
 
 
@@ -110,7 +120,7 @@ def _of(logs: Sequence[Path]) -> str:
 
 
 def require_alike(episodes: Sequence[Trajectory]) -> None:
-    """Refuses episodes of several wires or image sizes.
+    """Refuses episodes of several wires, catheters or image sizes.
 
     Raises:
         StageError: names the first that differs.
@@ -118,10 +128,10 @@ def require_alike(episodes: Sequence[Trajectory]) -> None:
     from enn.trajectory import require_same_shapes
 
     for episode in episodes:
-        if episode.metadata["wire"] != episodes[0].metadata["wire"]:
+        if episode.metadata["devices"] != episodes[0].metadata["devices"]:
             raise StageError(
-                f"{episode.label} was recorded with another wire than {episodes[0].label}: keep episodes of one kind "
-                "together"
+                f"{episode.label} was recorded with another wire or catheter than {episodes[0].label}: keep episodes "
+                "of one kind together"
             )
     try:
         require_same_shapes(episodes, ("image", "joints"))
@@ -183,7 +193,9 @@ def require_expert(stage: str, asked: LearningTask, folder: Path) -> None:
     if trained is not None:
         require_same_task(stage, asked.task, trained, f"the expert policy of {asked.name}", "enn")
     logs = expert_logs(folder) or sorted(folder.glob("evaluation/*/*.mcap"))
-    require_same_task(stage, asked.task, task_of_logs(logs).task, f"the expert's first episode of {asked.name}", "enn")
+    require_same_task(
+        stage, asked.task, task_of_logs(logs, asked.task).task, f"the expert's first episode of {asked.name}", "enn"
+    )
 
 
 def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]) -> None:
@@ -199,11 +211,11 @@ def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]
     """
     for log in logs:
         with contextlib.suppress(EpisodeReadError):
-            found = task_of_log(log).task
+            found = task_of_log(log, asked.task).task
             require_same_task(stage, asked.task, found, f"the episode {log}", "expert", MOTION)
 
 
-def task_of_logs(logs: Sequence[Path]) -> LearningTask:
+def task_of_logs(logs: Sequence[Path], like: Task | None = None) -> LearningTask:
     """The task that episodes were recorded in: that of the first one that can be read.
 
     Raises:
@@ -211,34 +223,40 @@ def task_of_logs(logs: Sequence[Path]) -> LearningTask:
     """
     for log in logs:
         with contextlib.suppress(EpisodeReadError):
-            return task_of_log(log)
+            return task_of_log(log, like)
     raise StageError(f"there is no episode that can be read{_of(logs)}: run stage=enn again")
 
 
-def task_of_log(log: Path) -> LearningTask:
+def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
     """The task that an episode was recorded in.
 
     Args:
         log: of an episode; one of an earlier version without images is taken to have had those of 80 px.
+        like: a task whose catheter may be one of a file, which the log knows by its values alone.
 
     Raises:
         EpisodeReadError: the log is damaged or unfinished.
-        StageError: its wire is none of this version's.
+        StageError: its wire or catheter is none of this version's.
     """
     from cathsim.guidewire import preset_of
 
     with EpisodeReader(log) as reader:
-        info, wire = reader.info, recorded_wire(reader.info)
+        info, wire, catheter = reader.info, recorded_wire(reader.info), recorded_catheter(reader.info)
         size = reader.camera(CAMERA).width if CAMERA in reader.cameras else 80
         actions = len(reader.step(0).action)
     recorded: dict[str, Any] = dict(info.configuration)
-    preset = preset_of(wire)
+    preset = None if wire is None else preset_of(wire)
     if preset is None:
         raise StageError(f"{log} was recorded with a wire that this version does not have: record it again")
+    name = None if catheter is None else _catheter_name(catheter, like)
+    if catheter is not None and name is None:
+        raise StageError(f"{log} was recorded with a catheter that this version does not have: record it again")
     task = Task(
         wire=preset[0],
         wire_length_mm=_MM * preset[1],
-        actions=FEEDER if actions == 2 else TIP_MOTORS,
+        catheter=name,
+        torsion=recorded.get("torsion", "elastic"),
+        actions=FEEDER if actions == 2 or catheter is not None else TIP_MOTORS,
         image_size_px=recorded.get("image_size", size),
         max_steps=recorded["max_steps"],
         success_radius_mm=_MM * recorded["success_radius"],
@@ -246,3 +264,12 @@ def task_of_log(log: Path) -> LearningTask:
         start_rotation_deg=math.degrees(recorded["start_rotation"]),
     )
     return LearningTask(info.phantom, info.target, task)
+
+
+def _catheter_name(catheter: Catheter, like: Task | None) -> str | None:
+    """The preset that a catheter is, or the file of a task that names the same one."""
+    from cathsim.devices.shelf import catheter_preset_of
+
+    if like is not None and like.guiding_catheter() == catheter:
+        return like.catheter
+    return catheter_preset_of(catheter)

@@ -28,7 +28,7 @@ from pipeline.settings.kinds import (
     one_of,
 )
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import Task
+from pipeline.task import DeviceSettings
 
 # What forces are predicted from: the image alone, the same without the loss on features, three images, and more.
 FORCE_INPUTS = ("V", "V_plain", "V3", "V+M", "I+V", "I+V_action", "I")
@@ -45,7 +45,7 @@ _SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], UNIQUE]
 
 
 @validated()
-class LearningSettings:
+class LearningSettings(DeviceSettings):
     """What the stages that train policies have in common: the task, the trainings' sizes, and how they are run."""
 
     name: str = ""  # of the stage
@@ -58,7 +58,6 @@ class LearningSettings:
     demonstrations: bool = True  # desk: states along the sampling expert's episodes are starts of training episodes
     encoder_samples: Count = 15_000  # desk: images that the encoder is fitted to
     encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
-    task: Task = field(default_factory=Task)
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
@@ -68,7 +67,8 @@ class LearningSettings:
     phantom: FolderName | None = None
 
     def __post_init__(self) -> None:
-        """Takes the sweep's keys over and checks that there is a task."""
+        """Takes catheter and the sweep's keys over and checks that there is a task."""
+        super().__post_init__()
         self.targets = [self.target] if self.target is not None else self.targets
         self.phantoms = [self.phantom] if self.phantom is not None else self.phantoms
         self.target = self.phantom = None  # so that a choice and the same list count as the same settings
@@ -112,14 +112,13 @@ class EnnSettings(LearningSettings):
 
 
 @validated()
-class ImitationSettings:
+class ImitationSettings(DeviceSettings):
     """Settings of imitation: the expert's episodes of the stage enn, learnt from with the image alone."""
 
     name: str = "imitation"
     phantoms: SomeFolderNames = field(default_factory=list)
     targets: SomeFolderNames = field(default_factory=list)
     expert: FolderName = "I+V+M"  # row of the stage enn whose episodes are learnt from
-    task: Task = field(default_factory=Task)  # that of the stage enn
     variant: _Variant = "desk"  # network and hyper-parameters: those that learn fast, or the thesis's
     observations: _StudentObservations = field(default_factory=lambda: ["image"])  # that the student sees
     episodes: RisingEpisodes = field(default_factory=list)  # expert's; the last is the table's
@@ -134,14 +133,13 @@ class ImitationSettings:
 
 
 @validated()
-class ForceSettings:
+class ForceSettings(DeviceSettings):
     """Settings of force prediction: disturbed episodes of the expert, and networks of several amounts of samples."""
 
     name: str = "force"
     phantom: FolderName = "type_1"
     targets: SomeFolderNames = field(default_factory=list)
     expert: FolderName = "I+V+M"  # row of the stage enn whose policy steers
-    task: Task = field(default_factory=Task)  # that of the stage enn
     variant: _Variant = "desk"
     samples: _Samples = field(default_factory=list)  # to learn from; inputs beside the image are tried with the last
     test_samples: Decisions = 4_000  # of episodes that are not learnt from

@@ -23,7 +23,7 @@ import numpy as np
 
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
-from pipeline.recording.replay import ReplayError, recorded_wire, replay
+from pipeline.recording.replay import ReplayError, recorded_devices, replay
 from pipeline.recording.trials import MODES, Origin, controllers, run_trials
 from pipeline.seeds import expert_seeds
 from pipeline.stages.learning.evaluation import evaluate
@@ -105,10 +105,11 @@ def fit_encoder_of(job: EncoderJob, report: Report) -> dict[str, Any]:
     task = replace(job.task, task=endless, accuracy=_ACCURACY_OF_SAMPLES)
     states = [found.simulation_states for found in repeat(job.demonstrations, job.task)]
     samples = scripted_samples(
-        task.factory((*job.keys, *TRUTH)),
+        task.factory(tuple(dict.fromkeys((*job.keys, *TRUTH)))),
         job.samples,
         job.settings.seed,
         starts=np.concatenate([one for one in states if one is not None]) if states else None,
+        seen=job.keys,
         progress=lambda done, count: report(_SAMPLES_SHARE * done / count, "samples"),
     )
     encoder, fitted = fit_encoder(
@@ -199,8 +200,8 @@ def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...
 
     def again(log: Path) -> Trajectory:
         with EpisodeReader(log) as reader:
-            if recorded_wire(reader.info) != task.task.guidewire():
-                raise ReplayError(f"it was recorded with another wire than {task.task.wire}")
+            if recorded_devices(reader.info) != task.task.devices():
+                raise ReplayError(f"it was recorded with another wire or catheter than {task.task.device_names}")
         return replay(
             log,
             observation,

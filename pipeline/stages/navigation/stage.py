@@ -36,7 +36,14 @@ from pipeline.stages.phantoms import require_known_phantoms, require_known_targe
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
 from pipeline.store.errors import StageError
 from pipeline.store.provenance import hash_file
-from pipeline.task import TASK, require_feeder, require_known_task, require_same_task, task_from
+from pipeline.task import (
+    TASK,
+    require_feeder,
+    require_known_task,
+    require_no_catheter,
+    require_same_task,
+    task_from,
+)
 
 UNSEEN = "unseen_arches"
 RIVAL_VARIANT = "desk"  # network of the rival that clones pixels, whatever the budget: the thesis prints none for it
@@ -54,6 +61,7 @@ def check_navigation(settings: NavigationSettings) -> None:
     for task in (settings.task, settings.arch_task):
         require_known_task(task)
         require_feeder(task, "navigation")
+        require_no_catheter(task, "navigation")
 
 
 def run_navigation(settings: NavigationSettings, context: StageContext) -> None:

@@ -31,7 +31,7 @@ from pipeline.stages.unseen.tables import curve, registration
 from pipeline.stages.unseen.task import IMAGE, ROADMAP, ROADMAP_KEYS, TEST_PHANTOM, XRAY, UnseenTask, training_arch
 from pipeline.stages.unseen.trials import HeldOutSet
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import require_feeder, require_known_task
+from pipeline.task import require_feeder, require_known_task, require_no_catheter
 
 if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
@@ -65,6 +65,7 @@ def check_unseen(settings: UnseenSettings) -> None:
         raise ConfigurationError(f"unknown wire {', '.join(map(repr, unknown))}: choose from {', '.join(wires)}")
     require_known_task(settings.task)
     require_feeder(settings.task, "unseen")
+    require_no_catheter(settings.task, "unseen")
 
 
 def run_unseen(settings: UnseenSettings, context: StageContext) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from pipeline.episodes import EpisodeReader, ViewerError
 from pipeline.episodes.__main__ import main
-from pipeline.episodes.encoding.schema import STEP_TOPIC, Step, topic_messages
+from pipeline.episodes.encoding.schema import DEVICES_TOPIC, STEP_TOPIC, Devices, Step, topic_messages
 
 LAYOUT = Path(__file__).resolve().parents[3] / "docs/foxglove/endonav_layout.json"
 NO_RERUN = "the extra rerun is not installed"
@@ -197,24 +197,27 @@ def test_layout_names_every_panel_once() -> None:
     assert sorted(panels) == sorted(layout["configById"])
     kinds = [panel.split("!")[0] for panel in panels]
     assert all(re.fullmatch(r"[A-Za-z0-9]+![a-z]+", panel) for panel in panels)
-    assert {kind: kinds.count(kind) for kind in set(kinds)} == {"3D": 1, "Image": 2, "Plot": 3, "RawMessages": 1}
+    assert {kind: kinds.count(kind) for kind in set(kinds)} == {"3D": 1, "Image": 2, "Plot": 4, "RawMessages": 1}
 
 
 def test_layout_asks_only_for_what_a_log_holds(log_path: Path) -> None:
     configurations = json.loads(LAYOUT.read_text())["configById"]
     with EpisodeReader(log_path) as log:
         assert log.cameras == ("frontal",)
-    known = topic_messages(("frontal",))
-    fields = {field.name: field for field in Step.DESCRIPTOR.fields}
+    known = topic_messages(("frontal",), devices=True)
+    fields = {
+        topic: {field.name: field for field in message.DESCRIPTOR.fields}
+        for topic, message in ((STEP_TOPIC, Step), (DEVICES_TOPIC, Devices))
+    }
     for panel, settings in configurations.items():
         for topic in settings.get("topics", {}):
             assert topic in known, (panel, topic)
         for path in settings.get("paths", []):
             topic, _, name = path["value"].partition(".")
-            assert topic == STEP_TOPIC
+            name, index = re.fullmatch(r"(\w+)(\[[01]\])?", name).groups()  # type: ignore[union-attr]
             assert path["enabled"] is True
-            assert name in fields, (panel, name)
-            assert not fields[name].is_repeated, "a curve is one number a step"
+            assert name in fields[topic], (panel, name)
+            assert fields[topic][name].is_repeated == (index is not None), "a curve is one number a step"
         if "imageMode" in settings:
             mode = settings["imageMode"]
             assert known[mode["imageTopic"]].DESCRIPTOR.full_name == "foxglove.CompressedImage"

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv
+from cathsim import NavigateEnv, load_catheter
 from pipeline.episodes import EpisodeReader
 from pipeline.recording.record import record_episode
-from pipeline.recording.replay import ReplayError, replay
+from pipeline.recording.replay import ReplayError, recorded_catheter, replay
 
 ACTIONS = np.random.default_rng(3).uniform(-0.2, 1.0, (40, 2)).astype(np.float32)
 
@@ -42,6 +44,7 @@ def test_replay_gives_back_the_episode_with_other_observations(log: Path) -> Non
     np.testing.assert_array_equal(trajectory.forces, arrays["resultant_force_norm"][1:])
     joints = np.concatenate((arrays["joint_positions"], arrays["joint_velocities"]), axis=1)
     np.testing.assert_array_equal(trajectory.observations["joints"], joints.astype(np.float32))
+    assert not any(name.startswith("devices/") for name in arrays)
     assert trajectory.metadata["target"] == "bca"
 
 
@@ -80,3 +83,39 @@ def test_what_does_not_repeat_is_refused(log: Path, tmp_path: Path) -> None:
         ReplayError, match=r"robot.mcap does not repeat: at step \d+ the tip is .* mm from where it was"
     ):
         replay(other)
+
+
+@pytest.mark.parametrize("devices", [{"catheter": "simmons2"}, {"catheter": "vertebral_6f", "torsion": "rigid"},
+                                     {"catheter": "vertebral", "wire": None}])  # fmt: skip
+def test_two_devices_are_replayed_as_they_were(tmp_path: Path, devices: dict[str, Any]) -> None:
+    steps = np.random.default_rng(4).uniform(-0.3, 1.0, (30, 2 if "wire" in devices else 4)).astype(np.float32)
+    environment = NavigateEnv("type_1", "bca", observation="feeder", max_steps=15, start_rotation=3.0, **devices)
+    seen, actions = [], iter(steps)
+    record_episode(
+        environment,
+        lambda observation, info: (seen.append(observation), next(actions))[1],
+        tmp_path / "0.mcap",
+        seed=5,
+        operator="test",
+        pictures=False,
+    )
+    trajectory = replay(tmp_path / "0.mcap", ("feeder", "devices"))
+    np.testing.assert_array_equal(trajectory.observations["feeder"][:-1], seen)
+    with EpisodeReader(tmp_path / "0.mcap") as log:
+        arrays, info = log.load_arrays(pictures=False), log.info
+    assert info.catheter_name == devices["catheter"]
+    assert info.configuration["torsion"] == devices.get("torsion", "elastic")
+    names = ("insertions", "hub_rotations", "tip_rotations", "feeder_forces", "hub_torques")
+    both = np.stack([arrays[f"devices/{name}"] for name in names], axis=2)
+    there = np.array([devices.get("wire", "default") is not None, True])
+    np.testing.assert_allclose(trajectory.observations["devices"][:, there], both[:, there], rtol=1e-6, atol=1e-9)
+    assert (arrays["devices/wire_count"] > 0).all() == there[0]
+
+
+def test_a_log_keeps_the_catheter_and_not_its_name_alone(tmp_path: Path) -> None:
+    own = dataclasses.replace(load_catheter("vertebral"), friction=0.11)
+    environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=3, catheter=own)
+    record_episode(environment, lambda *_: np.ones(4), tmp_path / "0.mcap", seed=1, operator="test", pictures=False)
+    with EpisodeReader(tmp_path / "0.mcap") as log:
+        assert (log.info.catheter_name, recorded_catheter(log.info)) == ("own catheter", own)
+    assert len(replay(tmp_path / "0.mcap")) == 3

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeWriter, StepRecord
+from pipeline.episodes import DeviceRecord, EpisodeInfo, EpisodeOutcome, EpisodeWriter, StepRecord
 
 RADIUS = 0.008  # m
 MAX_STEPS = 300
@@ -32,14 +32,23 @@ def write_evaluation(
     started_ns: int = 1_700_000_000_000_000_000,
     task: dict[str, Any] | None = None,
     loads: dict[str, float] | None = None,
+    catheter: str | None = None,
+    feeder_forces: tuple[float, float] = (0.0, 0.0),
     **metadata: Any,
 ) -> Path:
     """A log of a straight way of `way` metres in equal steps, each with the same resultant force.
 
     Distances to the target fall from 0.1 m by equal steps to `end_distance`: 4 mm on success, 30 mm otherwise. Every
     step has `contacts` contacts that share the force. The first record, the state after reset, has a force of 9 N,
-    which counts nowhere. `loads` are further scalars of every record. Returns the path.
+    which counts nowhere. `loads` are further scalars of every record. With a `catheter`, the feeders
+    push with `feeder_forces`. Returns the path.
     """
+    devices = None
+    if catheter is not None:
+        metadata |= {"catheter": {"length": 1.0}, "catheter_preset": catheter, "torsion": "elastic"}
+        pairs = dict.fromkeys(("insertions", "hub_rotations", "tip_rotations", "hub_torques"), np.zeros(2))
+        points = dict.fromkeys(("wire_points", "catheter_points"), np.zeros((2, 3)))
+        devices = DeviceRecord(**pairs, **points, lead=0.0, feeder_forces=np.array(feeder_forces))
     end = (0.004 if success else 0.03) if end_distance is None else end_distance
     distances = np.linspace(0.1, end, steps + 1)
     info = EpisodeInfo(
@@ -81,6 +90,7 @@ def write_evaluation(
                     insertion=0.0,
                     rotation=0.0,
                     extra={"distance_m": float(distances[step]), **(loads or {})},
+                    devices=devices,
                 )
             )
         said = success if outcome_success is None else outcome_success

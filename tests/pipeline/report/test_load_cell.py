@@ -47,8 +47,8 @@ def test_older_and_damaged_logs_have_none() -> None:
 
 def test_device_is_the_catheter_that_a_log_names() -> None:
     assert device_of({}) == device_of({"catheter": None}) == "wire"
-    assert device_of({"catheter": "simmons2"}) == device_of({"catheter": {"name": "simmons2"}}) == "simmons2"
-    assert device_of({"catheter": {"outer_diameter": 0.002}}) == "catheter"
+    assert device_of({"catheter": {"outer_diameter": 0.002}, "catheter_preset": "simmons2"}) == "simmons2"
+    assert device_of({"catheter": {"outer_diameter": 0.002}, "catheter_preset": None}) == "own catheter"
 
 
 def test_table_pools_the_steps_of_operators_and_leaves_out_older_logs(tmp_path: Path) -> None:

@@ -14,15 +14,15 @@ from torch import Tensor
 from torch.nn import functional
 
 from enn.devices import device_of
-from enn.exploration import Samples, scripted_samples
-from enn.networks.encoder_network import POINT_SCALE, TARGETS, Encoder, EncoderSettings
+from enn.exploration import FEEDER_SCALES, Samples, scripted_samples
+from enn.networks.encoder_network import POINT_SCALE, Encoder, EncoderSettings
 from enn.reinforcement.encoded import EncodedEnvs
 
 __all__ = ["EncodedEnvs", "Encoder", "EncoderSettings", "Samples", "encoder_report", "fit_encoder", "scripted_samples"]
 
 logger = logging.getLogger(__name__)
 
-INSERTION_SCALE = 30.0  # mm
+INSERTION_SCALE = 30.0  # mm, of insertions and lead
 FRONTAL = (0, 2)  # axes of the plane that the frontal image shows
 _AT_ONCE = 500  # samples that pass the network together where nothing is learnt
 PICTURE_EPOCHS, VECTOR_EPOCHS = 10, 30  # a vector costs less, so that it may be looked at more often
@@ -32,7 +32,7 @@ def _targets(samples: Samples) -> Tensor:
     columns = (
         samples.points_mm.reshape(len(samples), -1) / POINT_SCALE,
         samples.direction,
-        samples.feeder / (INSERTION_SCALE, 1.0, 1.0),
+        samples.feeder / np.where(np.array(FEEDER_SCALES[samples.feeder.shape[1]]) > 1, INSERTION_SCALE, 1.0),
         np.sign(samples.force) * np.sqrt(np.abs(samples.force)),
     )
     return torch.from_numpy(np.concatenate(columns, axis=1, dtype=np.float32))
@@ -62,7 +62,7 @@ def fit_encoder(
     single view, does not drown what can.
 
     Args:
-        settings: choices of network and training; keys, shapes and epochs of 0 are filled in.
+        settings: choices of network and training; keys, shapes, feeder and epochs of 0 are filled in.
         progress: called after every epoch with the share done and the errors of its batches (`loss`).
         device: where the encoder is trained and stays.
 
@@ -85,7 +85,7 @@ def fit_encoder(
     pictures = any(len(shape) == 3 for shape in shapes)
     settings = settings or EncoderSettings()
     epochs = settings.epochs or (PICTURE_EPOCHS if pictures else VECTOR_EPOCHS)
-    settings = replace(settings, keys=tuple(keys), shapes=shapes, epochs=epochs)
+    settings = replace(settings, keys=tuple(keys), shapes=shapes, feeder=samples.feeder.shape[1], epochs=epochs)
     train, held = _split(samples, settings.held_out, settings.seed)
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(settings.seed)
@@ -145,7 +145,7 @@ def _optimise(
     )
     generator = torch.Generator().manual_seed(settings.seed)
     device = device_of(encoder)
-    error = torch.ones(TARGETS, device=device)
+    error = torch.ones(targets.shape[1], device=device)
     encoder.train()
     for epoch in range(settings.epochs):
         order = rows[torch.randperm(len(rows), generator=generator)]

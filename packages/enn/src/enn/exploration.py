@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,8 @@ import numpy as np
 from enn.reinforcement.sampling import start_state_of
 
 TRUTH = ("shape", "feeder", "force")  # observations that the targets are read from
+# what `feeder` is multiplied by, for lengths in mm: one device, or two with the lead of the wire
+FEEDER_SCALES = {3: (1e3, 1.0, 1.0), 7: (1e3, 1.0, 1.0, 1e3, 1.0, 1.0, 1e3)}
 ARC_LENGTHS_MM = (0.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # of the wire points, behind the tip
 ROLL_OUT = (15, 60)  # steps, from and to
 BRANCH = 0.85  # share of roll-outs that go on from where an earlier one had come
@@ -27,7 +29,8 @@ class Samples:
     observations: dict[str, np.ndarray]  # by name. Shapes (n, ...), images uint8.
     points_mm: np.ndarray  # wire points at `ARC_LENGTHS_MM` behind the tip, world frame. Shape (n, points, 3).
     direction: np.ndarray  # unit vector along the tip. Shape (n, 3).
-    feeder: np.ndarray  # insertion in mm, cosine and sine of the rotation. Shape (n, 3).
+    # insertion in mm, cosine and sine of the rotation; of two devices each, and the lead in mm. Shape (n, 3) or (n, 7).
+    feeder: np.ndarray
     force: np.ndarray  # contact force, N, world frame. Shape (n, 3).
     episode: np.ndarray  # number of the roll-out that a sample is from. Shape (n,).
 
@@ -104,6 +107,41 @@ class Moves:
         return np.clip(parts, -1.0, 1.0).astype(np.float32)
 
 
+class PairMoves:
+    """Persistent random actions of a wire in a catheter: one of them moves, or both, each by its own or together."""
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        self.generator = generator
+        self._wire, self._catheter = Moves(2, generator), Moves(2, generator)
+        self._left, self._kind = 0, 0
+
+    def start(self) -> None:
+        """Begins a roll-out: the next action belongs to a new move."""
+        self._left = 0
+        self._wire.start()
+        self._catheter.start()
+
+    def action(self) -> np.ndarray:
+        """The next action: translation and rotation of the wire, then of the catheter. Shape (4,), float32."""
+        if self._left == 0:
+            self._kind = int(self.generator.choice(4, p=(0.3, 0.25, 0.15, 0.3)))
+            self._left = int(self.generator.integers(3, 22))
+        self._left -= 1
+        wire, catheter = self._wire.action(), self._catheter.action()
+        if self._kind == 0:
+            catheter[:] = 0.0
+        elif self._kind == 1:
+            wire[:] = 0.0
+        elif self._kind == 2:
+            catheter[0] = wire[0]  # both are fed together
+        return np.concatenate((wire, catheter))
+
+
+def moves_of(size: int, generator: np.random.Generator) -> Moves | PairMoves:
+    """Random actions of a size: four are those of two devices."""
+    return PairMoves(generator) if size == 4 else Moves(size, generator)
+
+
 class Frontier:
     """States that earlier roll-outs came to, by the cell of space their tip lay in; rarely visited cells come first.
 
@@ -165,6 +203,7 @@ def scripted_samples(
     seed: int,
     *,
     starts: np.ndarray | None = None,
+    seen: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Samples:
     """Rolls out random moves, from the sheath, from states that earlier ones reached, and from demonstrations.
@@ -173,6 +212,7 @@ def scripted_samples(
         make_env: makes the environment. Its observation is a Dict with `TRUTH` and the names to learn from; with a tiny
             success radius no roll-out ends at the target, so that one set serves every target of an anatomy.
         starts: states that `reset(options={"start": ...})` takes, such as those along demonstrations. Shape (k, size).
+        seen: those of `TRUTH` that are also learnt from.
         progress: called with the samples so far and `count`, about a hundred times.
 
     Raises:
@@ -184,7 +224,7 @@ def scripted_samples(
     boxes = _boxes(env)
     generator = np.random.default_rng(seed)
     size = int(np.prod(env.action_space.shape or (0,)))
-    moves, frontier = Moves(size, generator), Frontier(generator)
+    moves, frontier = moves_of(size, generator), Frontier(generator)
     state_of: Callable[[], np.ndarray] | None = None
     with contextlib.suppress(ValueError):  # without states, roll-outs begin where the environment begins
         state_of = start_state_of(env)
@@ -216,17 +256,18 @@ def scripted_samples(
             if state_of is not None and row % KEPT_EVERY == 0:
                 frontier.add(state_of(), observation["shape"][0])
     env.close()
-    return _with_targets(observations, episode)
+    return _with_targets(observations, episode, seen)
 
 
-def _with_targets(observations: dict[str, np.ndarray], episode: np.ndarray) -> Samples:
+def _with_targets(observations: dict[str, np.ndarray], episode: np.ndarray, seen: Sequence[str]) -> Samples:
     shapes = 1e3 * observations["shape"].astype(np.float64)
     at = np.asarray(ARC_LENGTHS_MM)
     points = np.stack([points_behind_tip(shape, at) for shape in shapes])
     ahead = shapes[:, 0] - shapes[:, 1]
     direction = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
-    feeder = observations["feeder"].astype(np.float64) * (1e3, 1.0, 1.0)
-    kept = {name: array for name, array in observations.items() if name not in TRUTH}
+    feeder = observations["feeder"].astype(np.float64)
+    feeder *= FEEDER_SCALES[feeder.shape[1]]
+    kept = {name: array for name, array in observations.items() if name not in TRUTH or name in seen}
     return Samples(
         kept,
         points.astype(np.float32),

@@ -35,7 +35,7 @@ def test_another_wire_and_damage_are_left_out_by_name(tmp_path: Path, caplog: py
     assert found.metadata["file"] == str(logs[0])
     assert found.simulation_states is not None
     wire, damage = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert wire == f"{logs[1]} is left out: it was recorded with another wire than default"
+    assert wire == f"{logs[1]} is left out: it was recorded with another wire or catheter than default"
     assert damage.startswith(f"{logs[2]} is left out: ")
 
 

@@ -23,6 +23,8 @@ from enn.imitation.cloned_policy import ClonedPolicy
 from enn.setting_kinds import Count, Share, settings
 from enn.trajectory import Trajectory
 
+TWO_DEVICES = 4  # actions of a wire in a catheter
+
 Act = Callable[[Mapping[str, NDArray[Any]], Mapping[str, Any]], NDArray[Any]]  # observation, info -> action
 
 
@@ -45,7 +47,8 @@ class DisturbanceSettings:
     noise: Annotated[float, Interval(ge=0, le=10)] = 0.3  # standard deviation added to each action
     spell_chance: Share = 0.05  # that a spell of a random action begins at a step
     spell_steps: Count = 8  # longest length of a spell
-    # mean of the first action in a spell; above zero, spells press the tip forwards, into whatever is there
+    # mean of the first action in a spell, and of the third of four; above zero, spells press the tip forwards, into
+    # whatever is there
     push: Annotated[float, Interval(ge=-10, le=10)] = 0.2
 
 
@@ -130,7 +133,8 @@ class Disturbed:
         if self._left == 0 and self.generator.random() < size.spell_chance:
             self._left = int(self.generator.integers(1, size.spell_steps + 1))
             self._spell = self.generator.uniform(-1.0, 1.0, wanted.shape).astype(np.float32)
-            self._spell[0] = np.clip(self._spell[0] + size.push, -1.0, 1.0)
+            pushed = slice(0, 3, 2) if wanted.size == TWO_DEVICES else slice(1)  # translations of wire and catheter
+            self._spell[pushed] = np.clip(self._spell[pushed] + size.push, -1.0, 1.0)
         if self._left > 0:
             self._left -= 1
             return self._spell

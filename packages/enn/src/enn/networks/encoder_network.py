@@ -18,7 +18,7 @@ from enn.setting_kinds import Count, CountOrNone, LearningRate, Pixels, Seed, Un
 
 FORMAT = "enn-encoder-1"
 POINTS = len(ARC_LENGTHS_MM)
-TARGETS = 3 * POINTS + 3 + 3 + 3  # points, direction, feeder, force
+TARGETS = 3 * POINTS + 3 + 3  # points, direction, force; and the numbers of the feeder
 POINT_SCALE = 10.0  # mm
 JOINT_LIKE = ("joints", "internal")  # their second number is the feeder's angle, which grows without end
 WIRE_DARKNESS = 40.0  # grey levels by which the wire darkens an image, about
@@ -29,8 +29,9 @@ CLIP = 5.0  # standard deviations beyond which an input or a feature is cut off
 class EncoderSettings:
     """Everything an encoder is built and trained from."""
 
-    keys: tuple[str, ...] = ()  # observations that it sees; `fit_encoder` fills in keys and shapes
+    keys: tuple[str, ...] = ()  # observations that it sees; `fit_encoder` fills in keys, shapes and feeder
     shapes: tuple[tuple[Units, ...], ...] = ()
+    feeder: Units = 3  # numbers of the observation `feeder`, which it learns to read; 7 with two devices
     pool: Pixels = 2  # side of the squares over which pictures are averaged first
     # of the convolutions of 4 px that then halve the picture; none: dense layers alone
     channels: tuple[Units, ...] = ()
@@ -142,10 +143,10 @@ class Encoder(nn.Module):
         self.trunk = nn.Sequential(
             nn.Linear(settings.hidden * len(parts), 128), nn.ReLU(), nn.Linear(128, settings.features)
         )
-        self.head = nn.Linear(settings.features, TARGETS)
+        self.head = nn.Linear(settings.features, TARGETS + settings.feeder)
         self.register_buffer("feature_mean", torch.zeros(settings.features))
         self.register_buffer("feature_scale", torch.ones(settings.features))
-        self.register_buffer("target_mean", torch.zeros(TARGETS))
+        self.register_buffer("target_mean", torch.zeros(TARGETS + settings.feeder))
 
     def _group(self, name: str, observations: Mapping[str, Tensor]) -> Tensor:
         members = self.groups[name]

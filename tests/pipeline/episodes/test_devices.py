@@ -1,0 +1,157 @@
+"""Logs of a wire in a catheter: both devices of every step, in the reader, the check, a recovery and the viewers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.episodes import DeviceRecord, EpisodeReader, EpisodeReadError, check, recover
+from pipeline.episodes.__main__ import main
+from pipeline.episodes.encoding.schema import CATHETER_TOPIC, DEVICE_FIELDS, DEVICES_TOPIC, WIRE_TOPIC, topic_messages
+from pipeline.episodes.encoding.step_codec import decode_devices, encode_devices
+
+ARRAYS = [name for name in DEVICE_FIELDS if name != "step"]
+
+
+def draw_devices(step: int, rng: np.random.Generator) -> DeviceRecord:
+    """Devices of a step whose every field is distinct."""
+    return DeviceRecord(
+        wire_points=rng.normal(size=(4 + step % 2, 3)),
+        catheter_points=rng.normal(size=(3, 3)),
+        insertions=rng.normal(size=2),
+        hub_rotations=rng.normal(size=2),
+        tip_rotations=rng.normal(size=2),
+        lead=float(rng.normal()),
+        feeder_forces=rng.normal(size=2),
+        hub_torques=rng.normal(size=2),
+    )
+
+
+@pytest.fixture
+def pair(episode: Any) -> Any:
+    """The episode with a catheter."""
+    rng = np.random.default_rng(7)
+    configuration = {**episode.info.configuration, "catheter": {"length": 1.0}, "catheter_preset": "simmons2"}
+    episode.info = replace(episode.info, configuration=configuration)
+    episode.records = [
+        replace(record, action=rng.normal(size=4), devices=draw_devices(record.step, rng)) for record in episode.records
+    ]
+    return episode
+
+
+def assert_same_devices(found: DeviceRecord | None, given: DeviceRecord) -> None:
+    assert found is not None
+    for name in ARRAYS:
+        one, other = np.asarray(getattr(found, name)), np.asarray(getattr(given, name))
+        assert one.shape == other.shape, name
+        assert one.tobytes() == other.tobytes(), name
+
+
+def test_both_devices_come_back(pair: Any, tmp_path: Path) -> None:
+    path = pair.write(tmp_path / "pair.mcap")
+    with EpisodeReader(path) as log:
+        assert log.info.catheter_name == "simmons2"
+        for found, given in zip(log, pair.records, strict=True):
+            assert_same_devices(found.devices, given.devices)
+        assert_same_devices(log.step(17).devices, pair.records[17].devices)
+        arrays = log.load_arrays(pictures=False)
+    assert arrays["action"].shape == (23, 4)
+    np.testing.assert_array_equal(arrays["devices/wire_count"], [4 + i % 2 for i in range(23)])
+    np.testing.assert_array_equal(arrays["devices/wire_points"][3, :5], pair.records[3].devices.wire_points)
+    assert np.isnan(arrays["devices/wire_points"][2, 4:]).all()
+    np.testing.assert_array_equal(arrays["devices/feeder_forces"][5], pair.records[5].devices.feeder_forces)
+    assert arrays["devices/lead"].shape == (23,)
+    assert not check(path).problems
+
+
+def test_the_scene_shows_each_device(pair: Any, tmp_path: Path) -> None:
+    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+    with EpisodeReader(pair.write(tmp_path / "pair.mcap")) as log:
+        lines = {
+            topic: [SceneUpdate.FromString(payload).entities[0] for _, payload in log.payloads(topic)]
+            for topic in (WIRE_TOPIC, CATHETER_TOPIC)
+        }
+    assert [entity.id for entity in lines[CATHETER_TOPIC]] == ["catheter"] * 23
+    for topic, name in ((WIRE_TOPIC, "wire_points"), (CATHETER_TOPIC, "catheter_points")):
+        shown = [[point.x, point.y, point.z] for point in lines[topic][9].lines[0].points]
+        np.testing.assert_array_equal(shown, getattr(pair.records[9].devices, name))
+
+
+def test_the_wire_alone_has_no_topic_of_devices(log_path: Path) -> None:
+    with EpisodeReader(log_path) as log:
+        topics = {channel.topic for channel in log.summary.channels.values()}
+        assert not log.info.has_catheter
+        assert all(record.devices is None for record in log)
+        assert not any(name.startswith("devices") for name in log.load_arrays(pictures=False))
+    assert topics == set(topic_messages(("frontal",)))
+    assert DEVICES_TOPIC not in topics
+
+
+def test_devices_and_configuration_must_agree(episode: Any, pair: Any, tmp_path: Path) -> None:
+    bare = [replace(record, devices=None) for record in pair.records]
+    pictures = {"images": {"frontal": episode.images[0]}, "masks": {"frontal": episode.masks[0]}}
+    with pair.writer(tmp_path / "a.mcap") as log, pytest.raises(ValueError, match="names a catheter: got none in step"):
+        log.step(bare[0], **pictures)
+    pair.info = replace(pair.info, configuration={})
+    with pair.writer(tmp_path / "b.mcap") as log, pytest.raises(ValueError, match="a catheter: got devices in step 0"):
+        log.step(pair.records[0], **pictures)
+
+
+def test_what_is_no_pair_is_refused() -> None:
+    devices = draw_devices(0, np.random.default_rng(0))
+    with pytest.raises(ValueError, match=r"feeder_forces must have shape \(2,\), got \(3,\)"):
+        replace(devices, feeder_forces=np.zeros(3))
+    message = encode_devices(4, devices)
+    step, found = decode_devices(message)
+    assert step == 4
+    assert_same_devices(found, devices)
+    with pytest.raises(ValueError, match="no message"):
+        decode_devices(message[:-3])
+
+
+def test_a_partial_log_is_recovered_with_its_devices(pair: Any, tmp_path: Path) -> None:
+    log = pair.writer(tmp_path / "pair.mcap")
+    pair.record_steps(log, 0, 20)
+    log.abandon()
+    report = recover(log.partial, tmp_path / "saved.mcap")
+    assert report.steps_kept == 20
+    with EpisodeReader(tmp_path / "saved.mcap") as saved:
+        for found, given in zip(saved, pair.records[:20], strict=True):
+            assert_same_devices(found.devices, given.devices)
+
+
+def test_the_check_finds_what_is_not_finite(pair: Any, tmp_path: Path) -> None:
+    devices = pair.records[2].devices
+    absent = {"wire_points": np.zeros((0, 3)), "tip_rotations": np.array([np.nan, 0.1])}
+    pair.records[1] = replace(pair.records[1], devices=replace(devices, **absent))  # a wire that there is not
+    pair.records[2] = replace(pair.records[2], devices=replace(devices, lead=np.inf))
+    assert check(pair.write(tmp_path / "pair.mcap")).problems == [
+        "step 2 has a non-finite number in lead of its devices"
+    ]
+
+
+def test_a_log_that_only_claims_a_catheter_is_refused(pair: Any, tmp_path: Path, monkeypatch: Any) -> None:
+    from pipeline.episodes import writer
+
+    monkeypatch.setattr(writer, "encode_devices", lambda step, devices: b"\x12\x05hello")
+    path = pair.write(tmp_path / "pair.mcap")
+    with EpisodeReader(path) as log, pytest.raises(EpisodeReadError, match=r"pair\.mcap is damaged"):
+        log.load_arrays(pictures=False)
+    assert check(path).problems
+
+
+def test_rerun_and_info_show_both(pair: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = pair.write(tmp_path / "pair.mcap")
+    assert main(["info", str(path)]) == 0
+    assert "simmons2" in capsys.readouterr().out
+    pytest.importorskip("rerun", reason="the extra rerun is not installed")
+    from rerun.chunk import RrdReader
+
+    assert main(["view", str(path), "--save", str(tmp_path / "pair.rrd")]) == 0
+    entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "pair.rrd").stream()}
+    assert {"/world/catheter", "/curves/feeder_forces_n/wire", "/curves/feeder_forces_n/catheter"} <= entities
