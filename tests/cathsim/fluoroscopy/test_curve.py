@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cathsim.fluoroscopy.curve import smooth_curve, stretch
+from cathsim.fluoroscopy.curve import smooth_curve, split
 
 
 @pytest.mark.parametrize("links", [[0.004] * 15, [0.004] * 6 + [0.016] * 3, [0.003, 0.012] * 5])
@@ -47,9 +47,11 @@ def test_bad_input_is_refused():
         smooth_curve(np.zeros((3, 3)), 0.0)
 
 
-def test_a_stretch_begins_and_ends_at_its_distances():
+def test_a_cut_has_the_node_at_its_distance_in_both_parts():
     nodes = np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0], [1, 2, 3]])
-    assert stretch(nodes, 0.5, 4.0) == pytest.approx(np.array([[0.5, 0, 0], [1, 0, 0], [1, 2, 0], [1, 2, 1]]))
-    assert stretch(nodes, 0.0) == pytest.approx(nodes)
-    assert stretch(nodes, 5.0, 9.0) == pytest.approx(np.array([[1, 2, 2], [1, 2, 3.0]]))
-    assert len(stretch(nodes, 6.0)) == len(stretch(nodes[:1], 0.0)) == 0
+    before, behind = split(nodes, 1.5)
+    assert before == pytest.approx(np.array([[0.0, 0, 0], [1, 0, 0], [1, 0.5, 0]]))
+    assert behind == pytest.approx(np.array([[1, 0.5, 0], [1, 2, 0], [1, 2, 3.0]]))
+    before, behind = split(nodes, 3.0)
+    assert (len(before), len(behind)) == (3, 2), "a cut at a node repeats none"
+    assert len(split(nodes, 7.0)[1]) == len(split(nodes[:1], 1.0)[1]) == 0

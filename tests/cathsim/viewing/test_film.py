@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from cathsim import NavigateEnv
-from cathsim.viewing.film import HEIGHT_PX, Film, write_gif
+from cathsim.viewing.film import HEIGHT_PX, Film, film_states, write_gif
 
 
 def test_a_film_has_every_second_step_and_the_last(tmp_path: Path) -> None:
@@ -35,3 +36,27 @@ def test_a_gif_keeps_the_colours_of_its_palette(tmp_path: Path) -> None:
         shown.seek(1)
         assert shown.convert("RGB").getpixel((0, 0)) == (255, 255, 255)
         assert shown.info["duration"] == 1500
+
+
+def test_states_of_two_devices_make_a_film(tmp_path: Path) -> None:
+    environment = NavigateEnv("type_1", "bca", observation="tip", catheter="simmons2")
+    environment.reset(seed=0)
+    states = [environment.simulation.state()]
+    for _ in range(9):
+        environment.step(np.array([1.0, 0.0, 0.8, 0.0]))
+        states.append(environment.simulation.state())
+    tip = environment.simulation.tip
+    film_states(tmp_path / "two.gif", environment.simulation, states)
+    assert np.allclose(environment.simulation.tip, tip)
+    with Image.open(tmp_path / "two.gif") as shown:
+        assert getattr(shown, "n_frames", 1) == 6
+        first = np.asarray(shown.convert("L"), float)[:, :HEIGHT_PX]
+        shown.seek(5)
+        last = np.asarray(shown.convert("L"), float)[:, :HEIGHT_PX]
+    assert (last < first - 40).sum() > 30, "the devices have moved"
+
+
+def test_a_film_of_nothing_is_refused(tmp_path: Path) -> None:
+    environment = NavigateEnv("type_1", "bca", observation="tip")
+    with pytest.raises(ValueError, match="at least one state"):
+        film_states(tmp_path / "none.gif", environment.simulation, [])

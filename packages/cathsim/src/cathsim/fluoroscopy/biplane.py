@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.fluoroscopy.attenuation import DistanceGrid
 from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera
-from cathsim.fluoroscopy.curve import ROUND_END, stretch
+from cathsim.fluoroscopy.curve import ROUND_END, split
 from cathsim.fluoroscopy.materials import WireMaterial, flat_marker, jacketed_wire
 from cathsim.fluoroscopy.radiograph import Radiograph, radiograph
 from cathsim.fluoroscopy.renderer import nodes_of
@@ -242,7 +242,7 @@ class BiplaneFluoroscope:
         """
         if self.catheter is None:
             raise ValueError("this fluoroscope was made without a catheter's material: make it by with_catheter().")
-        tube = stretch(nodes_of(catheter), ROUND_END * self.catheter.radius)
+        _, tube = split(nodes_of(catheter), ROUND_END * self.catheter.radius)
         frames = {}
         for name, own in self._seeds(seed, only).items():
             inner, outer = self._shadows[name].shadow(wire), self._tubes[name].shadow(tube)

@@ -1,6 +1,8 @@
-"""The smooth curve through a wire's nodes, sampled as finely as an image asks for, and stretches of a polyline."""
+"""The smooth curve through a wire's nodes, sampled as finely as an image asks for, and cuts of a polyline."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,16 +60,20 @@ def smooth_curve(nodes: ArrayLike, spacing: float) -> tuple[Array, Array]:
     return samples, np.concatenate(([0.0], np.cumsum(lengths)))
 
 
-def stretch(nodes: Array, start: float, end: float | None = None) -> Array:
-    """Part of a polyline (n, 3) m between two distances from its first node (m); None: to its end.
+def split(nodes: Array, distance: float) -> tuple[Array, Array]:
+    """A polyline (n, 3) m cut at a distance from its first node, m, greater than 0.
 
     Returns:
-        (k, 3) m; fewer than two nodes where the polyline ends before `start`.
+        The part before and the part behind, which is empty where the polyline ends before; both have the node at the
+        cut.
     """
-    arcs = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))))
-    if len(nodes) < 2 or start >= arcs[-1]:
-        return nodes[:0]
-    end = arcs[-1] if end is None else min(end, arcs[-1])
-    between = (arcs > start) & (arcs < end)
-    ends = np.stack([np.interp((start, end), arcs, nodes[:, axis]) for axis in range(3)], axis=1)
-    return np.concatenate((ends[:1], nodes[between], ends[1:]))
+    left = distance
+    for index in range(len(nodes) - 1):
+        step = math.dist(nodes[index], nodes[index + 1])
+        if step == left:
+            return nodes[: index + 2], nodes[index + 1 :]
+        if not step < left:  # also what is not finite, so that drawing refuses it
+            cut = nodes[index : index + 1] + left / step * (nodes[index + 1] - nodes[index])
+            return np.concatenate((nodes[: index + 1], cut)), np.concatenate((cut, nodes[index + 1 :]))
+        left -= step
+    return nodes, nodes[:0]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.fluoroscopy.attenuation import GAMMA
-from cathsim.fluoroscopy.curve import ROUND_END, stretch
+from cathsim.fluoroscopy.curve import ROUND_END, split
 from cathsim.fluoroscopy.materials import Section, WireMaterial, flat_marker, jacketed_wire
 from cathsim.fluoroscopy.projector import Projector
 from cathsim.fluoroscopy.renderer import (
@@ -68,7 +68,7 @@ class DeviceRenderer:
         self._tables = [_tube_transmission(radius, section, gamma * EMPHASIS) for section in catheter.sections]
         self._views = [view_struct(projector, self._grey, table, radius) for table in self._tables]
         self._round = ROUND_END * catheter.radius
-        self._bounds = (*flat_marker(catheter).starts, None)
+        self._marker_length = flat_marker(catheter).sections[0].length
         self._draw = native_draw()
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -102,11 +102,13 @@ class DeviceRenderer:
         """
         inner, outer = (nodes_of(points) for points in (wire, catheter))
         self._bare.render_into(np.empty((0, 3)), image_out, catheter_mask_out)
-        tube, nearest = stretch(outer, self._round), np.full(self.shape, np.inf, np.float32)
-        for view, start, end in zip(self._views, self._bounds[:-1], self._bounds[1:], strict=True):
-            own = ViewStruct.from_buffer_copy(view)
-            own.nearest = nearest.ctypes.data
-            self._draw_nodes(ctypes.addressof(own), stretch(tube, start, end), image_out, catheter_mask_out)
+        nearest = np.full(self.shape, np.inf, np.float32)
+        _, shaft = split(outer, self._round)
+        parts = [shaft] if len(self._views) == 1 else split(shaft, self._marker_length)
+        for pattern, part in zip(self._views, parts, strict=True):
+            view = ViewStruct.from_buffer_copy(pattern)
+            view.nearest = nearest.ctypes.data
+            self._draw_nodes(ctypes.addressof(view), part, image_out, catheter_mask_out)
         self._bare.render_over(image_out, inner, wire_mask_out)
 
     def _draw_nodes(

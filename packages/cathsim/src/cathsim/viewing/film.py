@@ -1,9 +1,9 @@
-"""A short film of an episode: fluoroscopy on the left, the wire in the vessel in 3-D on the right."""
+"""A short film of an episode: fluoroscopy on the left, the devices in the vessel in 3-D on the right."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from cathsim.environment import NavigateEnv
+    from cathsim.simulation import Simulation
 
 HEIGHT_PX = 400
 VIEW_WIDTH_PX = 300
@@ -35,25 +36,32 @@ class Film:
 
     def add(self, environment: NavigateEnv) -> None:
         """Looks at a step of the episode."""
-        if self._fluoroscope is None:
-            self._open(environment)
         ended = bool(environment.steps and environment.ended)
         if self._count % STRIDE == 0 or ended:
-            self._fluoroscope.update()
-            frame = np.repeat(self._fluoroscope.image()[:, :, None], 3, axis=2)
-            if self._view is not None:
-                goal = environment.task.goal(environment.phantom)
-                frame = np.concatenate((frame, self._view.render(environment.simulation, goal)), axis=1)
-            self._frames.append(frame)
+            self.look(environment.simulation, environment.task.goal(environment.phantom))
         self._count += 1
 
-    def _open(self, environment: NavigateEnv) -> None:
+    def look(self, simulation: Simulation, goal: np.ndarray | None = None) -> None:
+        """Adds a picture of a simulation, always of the same one.
+
+        Args:
+            goal: target to mark in the 3-D view, m. Shape (3,).
+        """
+        if self._fluoroscope is None:
+            self._open(simulation)
+        self._fluoroscope.update()
+        frame = np.repeat(self._fluoroscope.image()[:, :, None], 3, axis=2)
+        if self._view is not None:
+            frame = np.concatenate((frame, self._view.render(simulation, goal)), axis=1)
+        self._frames.append(frame)
+
+    def _open(self, simulation: Simulation) -> None:
         from cathsim.observations.fluoroscopes import Fluoroscope
         from cathsim.viewing.camera_view import RenderingUnavailableError, View
 
-        self._fluoroscope = Fluoroscope(environment.simulation, HEIGHT_PX)
+        self._fluoroscope = Fluoroscope(simulation, HEIGHT_PX)
         try:
-            self._view = View(environment.phantom, width=VIEW_WIDTH_PX, height=HEIGHT_PX)
+            self._view = View(simulation.phantom, width=VIEW_WIDTH_PX, height=HEIGHT_PX)
         except RenderingUnavailableError as error:
             _LOGGER.warning("the film shows fluoroscopy only: %s", error)
 
@@ -67,6 +75,34 @@ class Film:
         if self._view is not None:
             self._view.close()
             self._view = None
+
+
+def film_states(
+    path: Path, simulation: Simulation, states: Iterable[np.ndarray], goal: np.ndarray | None = None
+) -> None:
+    """Writes the film of a simulation's states, one a control step, as `Simulation.state` gave them.
+
+    Every second state and the last one are shown. The simulation is left in the last state.
+
+    Args:
+        simulation: of the same phantom, devices and numerics as the states.
+        goal: target to mark in the 3-D view, m. Shape (3,).
+
+    Raises:
+        ValueError: there is no state, or one is of another simulation.
+    """
+    sequence = list(states)
+    if not sequence:
+        raise ValueError("a film needs at least one state")
+    film = Film()
+    try:
+        for index, state in enumerate(sequence):
+            if index % STRIDE == 0 or index == len(sequence) - 1:
+                simulation.restore(state)
+                film.look(simulation, goal)
+        film.write(path)
+    finally:
+        film.close()
 
 
 def write_gif(path: Path, frames: Sequence[np.ndarray], colours: Sequence[int], frames_per_second: float) -> None:
