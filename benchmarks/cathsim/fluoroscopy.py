@@ -9,6 +9,10 @@ Across the truth, every 2 px, the centroid of the wire's absorbance is measured 
 Prints a table and, as its last line, one JSON object:
     pair_1024_ms, pair_512_ms, pair_128_ms
                             processor time for images and masks of both cameras with noise, one thread, median
+    devices_512_ms          the same for a wire in a catheter, 60 mm ahead of it
+    frontal_80_us, frontal_80_devices_us
+                            processor time for the simple frontal image and mask of an environment, 80 px, and for that
+                            of two devices with their masks, in microseconds, median
     setup_s                 processor time for what is computed once a phantom and geometry at 1,024 px
     registration_px         mean distance of the centroid from the true line, image without noise, worst camera
     registration_p95_px     95th percentile of the same
@@ -24,18 +28,20 @@ import json
 import os
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from scipy import ndimage
 
-from cathsim import load_phantom
+from cathsim import NavigateEnv, load_catheter, load_phantom
 from cathsim.fluoroscopy import BiplaneFluoroscope
+from cathsim.observations.fluoroscopes import material_of
 
 ACROSS = np.linspace(-8.0, 8.0, 161)  # px on both sides of the line
 PITCH_PX = 2.0
+AHEAD = 10  # nodes of the wire, 6 mm apart, that are ahead of the catheter
 AVERAGED = 10  # samples of the noisy image that are averaged, 20 px
 
 
@@ -118,15 +124,44 @@ def registration(fluoroscope: BiplaneFluoroscope, name: str, size: int) -> dict[
     }
 
 
-def pair_ms(fluoroscope: BiplaneFluoroscope, frames: int) -> float:
-    """Median processor time of a pair of images with masks, ms."""
-    nodes, spent = wire(0.006), []
-    fluoroscope.render(nodes, 0)
+def median_ms(draw: Callable[[int], object], frames: int) -> float:
+    """Median processor time of drawing one frame of a number, ms."""
+    draw(0)
+    spent = []
     for frame in range(frames):
         start = time.process_time()
-        fluoroscope.render(nodes, frame)
+        draw(frame)
         spent.append(1e3 * (time.process_time() - start))
     return statistics.median(spent)
+
+
+def pair_ms(fluoroscope: BiplaneFluoroscope, frames: int) -> float:
+    """Median processor time of a pair of images with masks, ms."""
+    nodes = wire(0.006)
+    return median_ms(lambda frame: fluoroscope.render(nodes, frame), frames)
+
+
+def devices_ms(fluoroscope: BiplaneFluoroscope, frames: int) -> float:
+    """The same of a wire in a catheter."""
+    nodes = wire(0.006)
+    both = fluoroscope.with_catheter(material_of(load_catheter("vertebral")))
+    return median_ms(lambda frame: both.render_devices(nodes, nodes[AHEAD:], frame), frames)
+
+
+def frontal_us(catheter: str | None, frames: int) -> float:
+    """Median processor time of an environment's simple frontal image and masks, microseconds."""
+    environment = NavigateEnv("type_1", "lcca", catheter=catheter, image_size=80, observation="tip")
+    environment.reset(seed=0)
+    for _ in range(60):
+        environment.step(np.array([1.0, 0.3, 0.5, 0.3] if catheter else [1.0, 0.3]))
+    fluoroscope = environment.fluoroscope
+
+    def draw(_: int) -> None:
+        fluoroscope.update()
+        fluoroscope.image()
+        fluoroscope.mask()
+
+    return 1e3 * median_ms(draw, 20 * frames)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -143,13 +178,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         result[f"pair_{size}_ms"] = pair_ms(
             fluoroscope if size == 1024 else BiplaneFluoroscope.of(phantom, size=size), frames
         )
+    result["devices_512_ms"] = devices_ms(BiplaneFluoroscope.of(phantom, size=512), frames)
+    result["frontal_80_us"] = frontal_us(None, frames)
+    result["frontal_80_devices_us"] = frontal_us("vertebral", frames)
     rows = {name: registration(fluoroscope, name, 1024) for name in fluoroscope.names}
     print(f"{'':24}" + "".join(f"{'camera ' + name:>12}" for name in rows))
     for key in next(iter(rows.values())):
         print(f"{key:24}" + "".join(f"{row[key]:12.3f}" for row in rows.values()))
         if key != "samples":
             result[key] = max(row[key] for row in rows.values())
-    for key in ("pair_1024_ms", "pair_512_ms", "pair_128_ms", "setup_s"):
+    timed = ("pair_1024_ms", "pair_512_ms", "pair_128_ms", "devices_512_ms", "frontal_80_us", "frontal_80_devices_us")
+    for key in (*timed, "setup_s"):
         print(f"{key:24}{result[key]:12.2f}")
     print(json.dumps({key: round(value, 4) for key, value in result.items()}))
 
