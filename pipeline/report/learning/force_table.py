@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.report.learning.device_table import without_device
 from pipeline.report.learning.logs import Evaluation
 from pipeline.report.load_cell import QUANTITIES
 from pipeline.report.results import SAMPLES, Table
@@ -30,5 +31,5 @@ def load_cell_table(rows: Mapping[tuple[str, str, str, str], Sequence[Evaluation
                 moments = np.array([(one.wall_forces or {})[quantity] for one in chosen])
                 mean, square = np.average(moments, axis=0, weights=weights)
                 cells[quantity] = [float(mean), float(np.sqrt(max(square - mean**2, 0.0)))]
-            table[f"{phantom}/{target}/{device}/{stage}/{name}"] = cells
+            table[f"{phantom}/{target}/{device}/{stage}/{without_device(name, device)}"] = cells
     return table

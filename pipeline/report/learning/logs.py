@@ -28,7 +28,8 @@ COUNTED = "counted.json"  # of the stage user_study: people's logs that count, r
 MODES = DETERMINISTIC, STOCHASTIC = "deterministic", "stochastic"
 DEMONSTRATION = "demonstration"  # mode of what belongs to no row
 # Overrides of a sweep that choose which cells a job fills, and change none of them.
-_CHOOSING = {"seed", "target", "modality", "stage.phantoms", "stage.targets", "stage.modalities", "stage.seeds"}
+_CHOOSING = {"seed", "target", "modality", "stage.phantoms", "stage.targets", "stage.modalities", "stage.seeds",
+             "stage.catheter"}  # fmt: skip
 
 Task = tuple[str, str, str, str, float, float, float]
 
@@ -53,6 +54,8 @@ class Evaluation:
         started_ns: since the epoch.
         contact_force: mean magnitude of a single contact's force, N; None without contacts in the log.
         device: "wire", or the catheter over it.
+        feeder_forces: magnitude of what each feeder pushes with, wire and catheter: means over the steps, then largest,
+            N; None of the wire alone.
         wall_forces: mean (N) and mean square (N^2) over the steps of the quantities of `pipeline.report.load_cell`;
             None where the log does not hold them.
         metrics: from the arrays, with the thesis's reward.
@@ -78,6 +81,7 @@ class Evaluation:
     started_ns: int
     contact_force: float | None
     device: str
+    feeder_forces: list[list[float]] | None
     wall_forces: dict[str, list[float]] | None
     metrics: EpisodeMetrics
 
@@ -88,7 +92,7 @@ class Evaluation:
 
     @property
     def task(self) -> Task:
-        """What episodes share that have one shortest path: phantom, target, wire, and how they start and end."""
+        """What episodes share that have one shortest path: phantom, target, devices, and how they start and end."""
         start = self.start_jitter, self.start_rotation
         return self.phantom, self.target, self.entry, self.wire, *start, self.success_radius
 
@@ -186,13 +190,29 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
         start_rotation=float(info.configuration.get("start_rotation", 0.0)),
         success_radius=radius,
         max_steps=int(info.configuration.get("max_steps", 0)),
-        wire=hash_value(info.configuration.get("wire"))[:12],
+        wire=hash_value(_devices(info))[:12],
         started_ns=info.start_time_ns,
         contact_force=float(contacts.mean()) if len(contacts) else None,
         device=device_of(info.configuration),
+        feeder_forces=_feeder_forces(arrays),
         wall_forces=forces.moments() if forces is not None else None,
         metrics=metrics,
     )
+
+
+def _devices(info: EpisodeInfo) -> Any:
+    """What tells one wire, catheter and torsion from others."""
+    wire = info.configuration.get("wire")
+    if not info.has_catheter:
+        return wire
+    return [wire, info.configuration["catheter"], info.configuration.get("torsion")]
+
+
+def _feeder_forces(arrays: dict[str, Any]) -> list[list[float]] | None:
+    if "devices/feeder_forces" not in arrays:
+        return None
+    pushed = np.abs(arrays["devices/feeder_forces"][1:])
+    return [pushed.mean(axis=0).tolist(), pushed.max(axis=0).tolist()]
 
 
 def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@
 | `behaviour_cloning` | `imitation`, every phantom                   | phantom/target/row                         |
 | `generalisation`    | `unseen`                                     | row/target/test set                        |
 | `expert`, `human`   | the sampling expert, people; every phantom   | phantom/target                             |
+| `devices`           | every stage above, where there are catheters | phantom/target/stage/row/device            |
 | `load_cell`         | every stage above whose logs hold the forces | phantom/target/device/stage/row            |
 
 In the thesis's tables, `expert` and `human`, pairs are mean and standard deviation over the deterministic episodes of
@@ -23,6 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.report.learning.device_table import device_table, with_device
 from pipeline.report.learning.force_table import load_cell_table
 from pipeline.report.learning.logs import (
     COMPARED,
@@ -114,13 +116,15 @@ def learning_tables(evaluations: Sequence[Evaluation], shortest: Shortest) -> di
         table -> row -> column -> cell.
     """
     rows = named_rows(evaluations)
+    deterministic = {key: of_mode(chosen, DETERMINISTIC) for key, chosen in rows.items()}
     tables = {
         "cathsim_results": _baselines(rows, shortest),
         "ablation": _thesis(rows, shortest, _in_ablation),
         "imitation": _thesis(rows, shortest, _in_imitation) if any(stage == "imitation" for stage, *_ in rows) else {},
         **{OWN_TABLES[stage]: _own(rows, stage, shortest) for stage in LEARNING_STAGES},
         **{OWN_TABLES[stage]: _of_operator(rows, stage, shortest) for stage in COMPARED},
-        "load_cell": load_cell_table({key: of_mode(chosen, DETERMINISTIC) for key, chosen in rows.items()}),
+        "devices": device_table(deterministic, shortest),
+        "load_cell": load_cell_table(deterministic),
     }
     return {name: table for name, table in tables.items() if table}
 
@@ -130,7 +134,7 @@ def named_rows(evaluations: Sequence[Evaluation]) -> Rows:
 
     A row trained in several variants gives several rows: the plain name goes to the thesis's variant, or where that has
     not run to desk's; others, and whatever else a sweep changed, carry their variant in brackets. One trained with
-    several weights of the force gives a row for each weight.
+    several weights of the force gives a row for each weight, and each catheter one of its own, in brackets, too.
 
     Args:
         evaluations: of any stages; demonstrations belong to no row.
@@ -152,6 +156,7 @@ def named_rows(evaluations: Sequence[Evaluation]) -> Rows:
             name += f" {one.force_weight:g}"
         if one.variant != plain[one.stage, one.row]:
             name += f" ({one.variant})".replace("/", "·")
+        name = with_device(name, one.device)
         place = one.test_set.replace("/", "·") if one.stage == "unseen" else one.phantom
         rows.setdefault((one.stage, place, one.target, name), []).append(one)
     return dict(sorted(rows.items(), key=lambda item: (*item[0][:3], row_place(item[0][3]), item[0][3])))
@@ -258,5 +263,6 @@ def _of_operator(rows: Rows, stage: str, shortest: Shortest) -> Table:
         if of_stage == stage:
             values = summary(evaluations, shortest)
             samples = values.pop("episodes")
-            table[f"{phantom}/{target}"] = {**values, SAMPLES: samples}
+            place = with_device(f"{phantom}/{target}", evaluations[0].device)
+            table[place] = {**values, SAMPLES: samples}
     return table

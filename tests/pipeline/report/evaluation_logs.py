@@ -45,7 +45,7 @@ def write_evaluation(
     """
     devices = None
     if catheter is not None:
-        metadata |= {"catheter": {"length": 1.0}, "catheter_preset": catheter, "torsion": "elastic"}
+        metadata |= {"catheter": {"length": float(len(catheter))}, "catheter_preset": catheter, "torsion": "elastic"}
         pairs = dict.fromkeys(("insertions", "hub_rotations", "tip_rotations", "hub_torques"), np.zeros(2))
         points = dict.fromkeys(("wire_points", "catheter_points"), np.zeros((2, 3)))
         devices = DeviceRecord(**pairs, **points, lead=0.0, feeder_forces=np.array(feeder_forces))
