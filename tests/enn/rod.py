@@ -78,6 +78,30 @@ class Rod(gymnasium.Env[ARRAYS, np.ndarray]):
         return self._observe(), 0.0, False, self.steps >= 30, {}
 
 
+class SleevedRod(Rod):
+    """The rod in a sleeve that is fed by two further actions: its feeder tells of both, and by how much it is ahead."""
+
+    action_space = gymnasium.spaces.Box(-1, 1, (4,), np.float32)
+
+    def __init__(self, names: tuple[str, ...] = ("image", "mask", "joints", *TRUTH)) -> None:
+        super().__init__(names)
+        self.observation_space["feeder"] = gymnasium.spaces.Box(-np.inf, np.inf, (7,), np.float32)
+
+    def _observe(self) -> ARRAYS:
+        seen = super()._observe()
+        more = self.sleeve, np.cos(self.sleeve_turns), np.sin(self.sleeve_turns), self.length - self.sleeve
+        return seen | {"feeder": np.array((*seen["feeder"], *more), np.float32)}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[ARRAYS, dict[str, Any]]:
+        self.sleeve = self.sleeve_turns = 0.0
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action: np.ndarray) -> tuple[ARRAYS, float, bool, bool, dict[str, Any]]:
+        self.sleeve = float(np.clip(self.sleeve + 0.002 * action[2], 0, 0.04))
+        self.sleeve_turns += 0.3 * float(action[3])
+        return super().step(action[:2])
+
+
 @functools.cache
 def drawn() -> Samples:
     return scripted_samples(Rod, 1000, seed=0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from enn.encoder import (
     fit_encoder,
     scripted_samples,
 )
-from tests.enn.rod import QUICK, Rod, fitted
+from enn.exploration import ARC_LENGTHS_MM
+from tests.enn.rod import QUICK, Rod, SleevedRod, fitted
 
 
 def tensors(samples: Samples, rows: int = 6) -> dict[str, torch.Tensor]:
@@ -118,3 +120,15 @@ def test_bad_samples_are_refused(samples: Samples) -> None:
         Encoder(EncoderSettings())
     with pytest.raises(ValueError, match="held_out must be less than 1, got 1"):
         EncoderSettings(held_out=1)
+
+
+def test_an_encoder_of_two_devices_reads_both_feeders(tmp_path: Path) -> None:
+    drawn = scripted_samples(SleevedRod, 400, seed=0, seen=("feeder",))
+    encoder, report = fit_encoder(drawn, ("joints", "feeder"), QUICK)
+    assert encoder.head.out_features == 3 * len(ARC_LENGTHS_MM) + 3 + 7 + 3
+    assert np.isfinite(report["tip_mm"])
+    encoder.save(tmp_path / "encoder.pt")
+    again = Encoder.load(tmp_path / "encoder.pt")
+    seen = {key: torch.from_numpy(drawn.observations[key][:6]) for key in again.keys}
+    assert torch.equal(again(seen), encoder(seen))
+    assert again.wire_points_mm(seen).shape == (6, len(ARC_LENGTHS_MM), 3)

@@ -11,8 +11,8 @@ from enn.encoder import (
     Samples,
     scripted_samples,
 )
-from enn.exploration import Frontier, Moves, points_behind_tip
-from tests.enn.rod import Rod
+from enn.exploration import Frontier, Moves, PairMoves, moves_of, points_behind_tip
+from tests.enn.rod import Rod, SleevedRod
 
 
 def test_samples_hold_observations_and_the_truth(samples: Samples) -> None:
@@ -76,3 +76,27 @@ def test_the_frontier_prefers_rare_places() -> None:
     frontier.add(np.ones(1), np.array((0.05, 0, 0)))
     assert len(frontier) == 2
     assert np.mean([frontier.draw()[0] for _ in range(200)]) > 0.9  # type: ignore[index]
+
+
+def test_two_devices_move_alone_apart_and_together() -> None:
+    moves = moves_of(4, np.random.default_rng(0))
+    assert isinstance(moves, PairMoves)
+    moves.start()
+    drawn = np.array([moves.action() for _ in range(2000)])
+    assert drawn.dtype == np.float32
+    assert np.abs(drawn).max() <= 1.0
+    wire, catheter = (np.abs(drawn[:, part]).sum(axis=1) > 0 for part in (slice(2), slice(2, 4)))
+    together = (drawn[:, 0] == drawn[:, 2]) & wire & catheter
+    for kind in (wire & ~catheter, catheter & ~wire, together, wire & catheter & ~together):
+        assert 0.05 < kind.mean() < 0.6
+    assert isinstance(moves_of(2, np.random.default_rng(0)), Moves)
+    assert isinstance(moves_of(21, np.random.default_rng(0)), Moves)
+
+
+def test_samples_of_two_devices_tell_of_both_feeders() -> None:
+    drawn = scripted_samples(SleevedRod, 300, seed=0, seen=("feeder",))
+    assert drawn.feeder.shape == (300, 7)
+    assert set(drawn.observations) == {"image", "mask", "joints", "feeder"}
+    np.testing.assert_allclose(drawn.feeder[:, 6], drawn.feeder[:, 0] - drawn.feeder[:, 3], atol=1e-3)  # mm
+    assert np.ptp(drawn.feeder[:, 3]) > 5
+    assert "feeder" not in scripted_samples(SleevedRod, 20, seed=0).observations

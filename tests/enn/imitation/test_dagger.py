@@ -52,6 +52,10 @@ def test_disturbance_is_seeded_and_spells_push() -> None:
     assert ways(1).shape != ways(2).shape or not np.array_equal(ways(1), ways(2))
     always = Disturbed(expert, np.random.default_rng(0), DisturbanceSettings(spell_chance=1.0, spell_steps=1, push=5.0))
     assert always({"place": np.array([9.0, 9.0])}, {})[0] == 1.0  # the expert would go the other way
+    pressed = DisturbanceSettings(spell_chance=1.0, spell_steps=1, push=5.0)
+    pair = Disturbed(lambda observation, info: np.zeros(4), np.random.default_rng(0), pressed)({}, {})
+    assert pair[[0, 2]].tolist() == [1.0, 1.0]  # wire and catheter; their rotations are drawn as before
+    assert (np.abs(pair[[1, 3]]) < 1.0).all()
 
 
 def test_refuses_nothing_to_start_from() -> None:
