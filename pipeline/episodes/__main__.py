@@ -1,4 +1,4 @@
-"""The command line of episode logs: `python -m pipeline.episodes info|check|recover|view FILE`.
+"""The command line of episode logs: `python -m pipeline.episodes info|check|recover|view|film FILE`.
 
 Exit codes: 0 all is well, 1 a log is damaged, 2 wrong usage, a file that is not there or cannot be written, no viewer.
 """
@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from pipeline.episodes.check import check
+from pipeline.episodes.encoding.schema import DEVICE_MASKS
 from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import recover
@@ -43,7 +44,7 @@ def _show_info(path: Path) -> int:
         ]
         for name in log.cameras:
             camera = log.camera(name)
-            streams = [stream for stream in ("image", "mask") if log.has(name, stream)]
+            streams = [stream for stream in ("image", "mask", *DEVICE_MASKS) if log.has(name, stream)]
             rows.append(
                 (f"camera {name}", f"{camera.width} x {camera.height} px, {' + '.join(streams) or 'no pictures'}")
             )
@@ -98,14 +99,25 @@ def _run_view(source: Path, destination: Path | None) -> int:
     return FINE
 
 
+def _run_film(source: Path, destination: Path | None) -> int:
+    from pipeline.recording.replay import ReplayError, film_of
+
+    try:
+        print(film_of(source, destination or source.with_suffix(".gif")))
+    except ReplayError as error:
+        _complain(error)
+        return DAMAGED
+    return FINE
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m pipeline.episodes",
-        description="Look at episode logs, check them, recover damaged ones and view them in Rerun.",
+        description="Look at episode logs, check them, recover damaged ones, view them in Rerun, and film them.",
         epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination, no "
         "viewer.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view|film")
     for name, text in (("info", "show what a log holds"), ("check", "verify every checksum, step and picture")):
         command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
         command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a log")
@@ -130,6 +142,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     command.add_argument("file", type=Path, metavar="FILE", help="a log")
     command.add_argument("--save", type=Path, metavar="OUT", help="write a .rrd file instead of opening a window")
+    command = commands.add_parser(
+        "film",
+        help="repeat the episode and film it",
+        description="Repeat a logged episode in the simulator and write fluoroscopy and 3-D view as a film.",
+    )
+    command.add_argument("file", type=Path, metavar="FILE", help="a log")
+    command.add_argument("out", nargs="?", type=Path, metavar="OUT", help="the GIF (default: FILE with that ending)")
     return parser
 
 
@@ -147,6 +166,8 @@ def _run(arguments: argparse.Namespace, path: Path) -> int:
             return _show_check(path)
         if arguments.command == "view":
             return _run_view(path, arguments.save)
+        if arguments.command == "film":
+            return _run_film(path, arguments.out)
         return _run_recover(path, arguments.out, arguments.overwrite)
     except EpisodeReadError as error:
         _complain(error)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -145,7 +148,10 @@ def _check_pictures(log: EpisodeReader, report: CheckReport) -> None:
     """Verify that every stream has one picture a record, of the camera's size."""
     for name in log.cameras:
         size = (log.camera(name).height, log.camera(name).width)
-        for stream, pictures in (("image", log.images), ("mask", log.masks)):
+        streams: dict[str, Callable[[str], Iterable[Any]]] = {"image": log.images, "mask": log.masks}
+        for device in ("wire", "catheter") if log.info.has_catheter else ():
+            streams[f"mask_{device}"] = partial(log.masks, device=device)
+        for stream, pictures in streams.items():
             if not log.has(name, stream):
                 report.notes.append(f"no {stream} of camera {name}")
                 continue

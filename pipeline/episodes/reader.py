@@ -209,17 +209,22 @@ class EpisodeReader:
         """Read one image at random, (H, W) uint8."""
         return self._decode(_image, self._payload(self._stream(camera, "image"), step))
 
-    def mask(self, camera: str, step: int) -> NDArray[np.bool_]:
-        """Read one mask at random, (H, W) bool."""
-        return self._decode(_mask, self._payload(self._stream(camera, "mask"), step))
+    def mask(self, camera: str, step: int, device: str | None = None) -> NDArray[np.bool_]:
+        """Read one mask at random, (H, W) bool.
+
+        Args:
+            device: "wire" or "catheter", in a log with a catheter; None: of all devices.
+        """
+        return self._decode(_mask, self._payload(self._stream(camera, _mask_stream(device)), step))
 
     def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
         """Stream the images of a camera, (H, W) uint8, one a step; raises as `image` does."""
         return (self._decode(_image, payload) for _, payload in self.payloads(self._stream(camera, "image")))
 
-    def masks(self, camera: str) -> Iterator[NDArray[np.bool_]]:
-        """Stream the masks of a camera, (H, W) bool, one a step; raises as `mask` does."""
-        return (self._decode(_mask, payload) for _, payload in self.payloads(self._stream(camera, "mask")))
+    def masks(self, camera: str, device: str | None = None) -> Iterator[NDArray[np.bool_]]:
+        """Stream the masks of a camera, (H, W) bool, one a step; arguments and errors are those of `mask`."""
+        stream = self._stream(camera, _mask_stream(device))
+        return (self._decode(_mask, payload) for _, payload in self.payloads(stream))
 
     def _stream(self, camera: str, stream: str) -> str:
         """Name the topic of a camera's stream; refuse a camera that there is not."""
@@ -230,7 +235,7 @@ class EpisodeReader:
         """Say whether a camera's stream holds pictures.
 
         Args:
-            stream: "image" or "mask".
+            stream: "image", "mask", "mask_wire" or "mask_catheter".
         """
         return bool(self._chunks.get(self._topics.get(camera_topic(camera, stream), 0)))
 
@@ -254,7 +259,8 @@ class EpisodeReader:
             `contact_positions` and `contact_forces` are padded with NaN to the largest count, the counts being
             `wire_count` and `contact_count` (T,); with a catheter `devices/insertions` (T, 2), ... likewise, with
             `devices/wire_count` and `devices/catheter_count`; extra scalars as `extra/<key>` (NaN where absent);
-            pictures as `image/<camera>` (T, H, W) uint8 and `mask/<camera>` (T, H, W) bool.
+            pictures as `image/<camera>` (T, H, W) uint8 and `mask/<camera>` (T, H, W) bool, with a catheter also
+            `mask_wire/<camera>` and `mask_catheter/<camera>`.
         """
         records = list(self)
         if not records:
@@ -280,7 +286,9 @@ class EpisodeReader:
         for key in dict.fromkeys(key for record in records for key in record.extra):
             arrays[f"extra/{key}"] = np.array([record.extra.get(key, np.nan) for record in records])
         for camera in self._cameras if pictures else ():
-            for stream, pictures_of in (("image", self.images), ("mask", self.masks)):
+            readers: dict[str, Callable[[str], Iterator[NDArray[Any]]]] = {"image": self.images, "mask": self.masks}
+            readers |= {_mask_stream(device): partial(self.masks, device=device) for device in ("wire", "catheter")}
+            for stream, pictures_of in readers.items():
                 if self.has(camera, stream):
                     arrays[f"{stream}/{camera}"] = self._stack(f"{stream} of camera {camera}", [*pictures_of(camera)])
         return arrays
@@ -311,6 +319,10 @@ class EpisodeReader:
 
 def _image(message: bytes) -> NDArray[np.uint8]:
     return decode_image(CompressedImage.FromString(message).data)
+
+
+def _mask_stream(device: str | None) -> str:
+    return "mask" if device is None else f"mask_{device}"
 
 
 def _mask(message: bytes) -> NDArray[np.bool_]:

@@ -26,6 +26,7 @@ from pipeline.episodes.encoding.scene import PhantomMesh, encode_wire_line, enco
 from pipeline.episodes.encoding.schema import (
     CATHETER_POINTS_TOPIC,
     CATHETER_TOPIC,
+    DEVICE_MASKS,
     DEVICES_TOPIC,
     EPISODE_METADATA,
     OUTCOME_METADATA,
@@ -51,6 +52,7 @@ MAX_FLUSH_EVERY = 10
 _DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _IMAGE_TYPES = (np.dtype(np.uint8),)
 _MASK_TYPES = (np.dtype(np.bool_), np.dtype(np.uint8))
+_STREAMS = ("image", "mask")
 _Picture = tuple[str, str, Callable[[Any], bytes], NDArray[Any]]  # topic, camera, encoder, pixels
 _IMAGE_FIELDS = CompressedImage.DESCRIPTOR.fields_by_name
 
@@ -118,7 +120,7 @@ class EpisodeWriter:
         self._state: Literal["open", "finished", "abandoned"] = "open"
         self._outcome_written = False
         self._pending: deque[tuple[StepRecord, list[_Picture]]] = deque()
-        self._streams: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+        self._streams: tuple[tuple[str, ...], ...] = ()
         self._shapes: tuple[tuple[int, ...], ...] = ()
         if self.path.exists() and not overwrite:
             raise EpisodeWriteError(f"{self.path} exists already: choose another name, or pass overwrite=True")
@@ -189,6 +191,7 @@ class EpisodeWriter:
         *,
         images: Mapping[str, NDArray[np.uint8]] | None = None,
         masks: Mapping[str, NDArray[np.bool_] | NDArray[np.uint8]] | None = None,
+        device_masks: Mapping[str, Mapping[str, NDArray[np.bool_] | NDArray[np.uint8]]] | None = None,
     ) -> None:
         """Record a step.
 
@@ -196,6 +199,7 @@ class EpisodeWriter:
             record: the step; steps are consecutive, and record 0 is the state after reset.
             images: (H, W) uint8 by camera; the same cameras at every step.
             masks: (H, W) bool, or uint8 with wire = not 0, by camera; the same cameras at every step.
+            device_masks: "wire" or "catheter" to such masks, in a log with a catheter; the same at every step.
 
         Raises:
             ValueError: the step does not continue the episode; nothing of it is recorded.
@@ -204,10 +208,15 @@ class EpisodeWriter:
         if self._state != "open":
             raise EpisodeWriteError(f"{self.path} is {self._state}: start a new writer for a new episode")
         images, masks = images or {}, masks or {}
-        self._check(record, images, masks)
+        beside = {f"mask_{device}": dict(one) for device, one in (device_masks or {}).items()}
+        self._check(record, {"image": images, "mask": masks, **beside})
         pictures: list[_Picture] = []
         pictures += [(f"/camera/{name}/image", name, encode_image, image.copy()) for name, image in images.items()]
-        pictures += [(f"/camera/{name}/mask", name, encode_mask, mask.copy()) for name, mask in masks.items()]
+        pictures += [
+            (camera_topic(name, stream), name, encode_mask, mask.copy())
+            for stream, one in (("mask", masks), *beside.items())
+            for name, mask in one.items()
+        ]
         self._pending.append((record, pictures))
         self._recorded += 1
         if self._recorded - self._safe >= self._flush_every:
@@ -258,7 +267,7 @@ class EpisodeWriter:
             batch.append((channels[topic], payload))
         return batch
 
-    def _check(self, record: StepRecord, images: Mapping[str, Any], masks: Mapping[str, Any]) -> None:
+    def _check(self, record: StepRecord, pictures: Mapping[str, Mapping[str, Any]]) -> None:
         """Refuse a step that would make a log nobody can stack into arrays."""
         if record.step != self._recorded:
             raise ValueError(f"expected step {self._recorded}, got {record.step}: steps are consecutive, from 0")
@@ -267,7 +276,10 @@ class EpisodeWriter:
                 "a step has devices just where the configuration of its log names a catheter: got "
                 f"{'none' if record.devices is None else 'devices'} in step {record.step}"
             )
-        for stream, arrays, types in (("image", images, _IMAGE_TYPES), ("mask", masks, _MASK_TYPES)):
+        for stream, arrays in pictures.items():
+            if stream not in (*_STREAMS, *(DEVICE_MASKS if self.info.has_catheter else ())):
+                raise ValueError(f"a log without a catheter has no {stream}: give its mask alone")
+            types = _IMAGE_TYPES if stream == "image" else _MASK_TYPES
             for name, array in arrays.items():
                 camera = self.cameras.get(name)
                 if camera is None:
@@ -278,7 +290,7 @@ class EpisodeWriter:
                         f"the {stream} of camera {name!r} must be {types[0]} of shape "
                         f"({camera.height}, {camera.width}), got {array.dtype} of shape {array.shape}"
                     )
-        streams = (tuple(images), tuple(masks))
+        streams = tuple(tuple(arrays) for arrays in pictures.values())
         shapes = (record.action.shape, record.joint_positions.shape, record.joint_velocities.shape)
         if self._recorded == 0:
             self._streams, self._shapes = streams, shapes

@@ -12,7 +12,14 @@ import numpy as np
 from cathsim.console.recorder import OPERATOR, episode_path, write_answers
 from pipeline.episodes import EpisodeOutcome, EpisodeWriter
 from pipeline.episodes.annotate import annotate
-from pipeline.recording.record import CAMERA, describe_episode, log_step, open_log, phantom_mesh, step_record
+from pipeline.recording.record import (
+    describe_episode,
+    log_step,
+    logged_pictures,
+    open_log,
+    phantom_mesh,
+    step_record,
+)
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
@@ -51,7 +58,7 @@ class McapRecorder:
         """
         still = np.zeros(environment.action_space.shape or (), np.float32)
         record = step_record(environment, 0, still, 0.0, info)
-        image, mask = environment.fluoroscope.image(), environment.fluoroscope.mask()
+        pictures = logged_pictures(environment)
         task, entry = environment.task, environment.simulation.entry
         phantom_mesh(environment.phantom, task.target, entry)  # made now, so that the first touch does not wait
 
@@ -59,7 +66,7 @@ class McapRecorder:
             path = episode_path(self.folder, environment.phantom.name, task.target_name, SUFFIX)
             description = describe_episode(environment, seed=seed, operator=OPERATOR)
             log = open_log(environment, path, description, overwrite=False)
-            log.step(record, images={CAMERA: image}, masks={CAMERA: mask})
+            log.step(record, **pictures)
             return log
 
         self._begin, self._log, self._steps = begin, None, 0

@@ -24,6 +24,7 @@ from pipeline.store.provenance import software_versions
 if TYPE_CHECKING:
     from cathsim import NavigateEnv, Phantom
     from cathsim.anatomy.point_target import Point
+    from cathsim.devices.simulation import DualSimulation
     from cathsim.fluoroscopy import Projector
     from cathsim.metrics import EpisodeMetrics
     from cathsim.simulation import Simulation
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 CAMERA = "frontal"
 _MESH_STRIDE = 3  # grid nodes a node of the logged mesh: a viewer needs no finer wall
+
+DEVICES = ("wire", "catheter")  # with masks of their own
 
 Policy = Callable[[Any, Mapping[str, Any]], np.ndarray]  # observation, info -> action
 
@@ -83,20 +86,26 @@ def step_record(
 
 def device_record(simulation: Simulation) -> DeviceRecord | None:
     """Both devices of the moment; None of a wire without a catheter."""
-    from cathsim.devices.simulation import DualSimulation
-
-    if not isinstance(simulation, DualSimulation) or simulation.pair.catheter is None:
+    devices = with_catheter(simulation)
+    if devices is None:
         return None
     return DeviceRecord(
-        wire_points=simulation.device_points("wire"),
-        catheter_points=simulation.device_points("catheter"),
-        insertions=np.array(simulation.device_insertions()),
-        hub_rotations=np.array(simulation.device_rotations()),
-        tip_rotations=simulation.tip_rotations(),
-        lead=simulation.device_lead,
-        feeder_forces=simulation.feeder_forces(),
-        hub_torques=simulation.hub_torques(),
+        wire_points=devices.device_points("wire"),
+        catheter_points=devices.device_points("catheter"),
+        insertions=np.array(devices.device_insertions()),
+        hub_rotations=np.array(devices.device_rotations()),
+        tip_rotations=devices.tip_rotations(),
+        lead=devices.device_lead,
+        feeder_forces=devices.feeder_forces(),
+        hub_torques=devices.hub_torques(),
     )
+
+
+def with_catheter(simulation: Simulation) -> DualSimulation | None:
+    """The simulation where a catheter is one of its devices; None of a wire alone."""
+    from cathsim.devices.simulation import DualSimulation
+
+    return simulation if isinstance(simulation, DualSimulation) and simulation.pair.catheter is not None else None
 
 
 def cameras_of(environment: NavigateEnv) -> dict[str, Camera]:
@@ -165,11 +174,11 @@ def describe_episode(
 def _devices_of(simulation: Simulation) -> dict[str, Any]:
     """The devices as a log's configuration holds them: a preset's values may change, so they stand there themselves."""
     from cathsim.devices.shelf import catheter_preset_of
-    from cathsim.devices.simulation import DualSimulation
 
-    if not isinstance(simulation, DualSimulation) or simulation.pair.catheter is None:
+    devices = with_catheter(simulation)
+    if devices is None:
         return {"wire": asdict(simulation.wire)}
-    pair = simulation.pair
+    pair = devices.pair
     assert pair.catheter is not None
     return {
         "wire": None if pair.wire is None else asdict(pair.wire),
@@ -199,14 +208,28 @@ def open_log(
 
 
 def log_step(log: EpisodeWriter, record: StepRecord, environment: NavigateEnv) -> None:
-    """Gives a step with the fluoroscope's image and mask to a log."""
+    """Gives a step with the pictures of every camera to a log."""
+    log.step(record, **logged_pictures(environment))
+
+
+def logged_pictures(environment: NavigateEnv) -> dict[str, Any]:
+    """Images and masks of the moment, with a catheter also the mask of each device: arguments of a writer's `step`."""
     fluoroscope, biplane = environment.fluoroscope, environment.biplane
-    images, masks = {CAMERA: fluoroscope.image()}, {CAMERA: fluoroscope.mask()}
+    views = () if biplane is None else biplane.fluoroscope.names
+
+    def masks(device: str | None) -> dict[str, np.ndarray]:
+        seen = {CAMERA: fluoroscope.mask(device)}
+        return seen if biplane is None else seen | {name: biplane.mask(name, device) for name in views}
+
+    images = {CAMERA: fluoroscope.image()}
     if biplane is not None:
-        frames = {name: biplane.frame(name) for name in biplane.fluoroscope.names}
-        images |= {name: frame.image for name, frame in frames.items()}
-        masks |= {name: frame.mask for name, frame in frames.items()}
-    log.step(record, images=images, masks=masks)
+        images |= {name: biplane.frame(name).image for name in views}
+    both = with_catheter(environment.simulation) is not None
+    return {
+        "images": images,
+        "masks": masks(None),
+        "device_masks": {device: masks(device) for device in DEVICES} if both else {},
+    }
 
 
 def record_episode(

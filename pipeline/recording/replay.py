@@ -17,11 +17,13 @@ from pydantic import ValidationError
 
 from pipeline.episodes import EpisodeReader, EpisodeReadError
 from pipeline.settings.checks import sentence, shown
+from pipeline.store.atomic_files import atomic_path
 from pipeline.store.errors import StageError
 
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
     from cathsim.devices.catheter import Catheter
+    from cathsim.viewing.film import Film
     from enn.trajectory import Trajectory
     from pipeline.episodes import EpisodeInfo
 
@@ -40,6 +42,7 @@ def replay(
     reward: str | None = None,
     force_penalty: float | None = None,
     path_penalty: float | None = None,
+    film: Film | None = None,
 ) -> Trajectory:
     """Repeats a logged episode.
 
@@ -48,6 +51,7 @@ def replay(
         image_size: of images among them, px; None: as the log's camera has it, or 80.
         reward: of the steps, "distance" or "geodesic"; None: as it was recorded.
         force_penalty: of the reward; None: as it was recorded.
+        film: gets every moment.
 
     Returns:
         The episode, with a state at every moment that an episode can start from.
@@ -81,12 +85,16 @@ def replay(
     _compare(log, 0, tips[0], moment["tip"])
     observations, states, rewards = [seen], [env.start_state()], []
     terminated = False
+    if film is not None:
+        film.add(env)
     for step, action in enumerate(actions):
         seen, earned, terminated, _, moment = env.step(action)
         _compare(log, step + 1, tips[step + 1], moment["tip"])
         observations.append(seen)
         states.append(env.start_state())
         rewards.append(earned)
+        if film is not None:
+            film.add(env)
     return Trajectory(
         observations={
             name: np.stack([one[name] for one in observations]) for name in observations[0] if name in observation
@@ -105,6 +113,27 @@ def replay(
             "operator": info.operator,
         },
     )
+
+
+def film_of(log: Path, destination: Path) -> Path:
+    """Makes the film of a logged episode, which is repeated for it; it appears under its name only when it is whole.
+
+    Args:
+        destination: of the GIF; one that is there is replaced.
+
+    Raises:
+        ReplayError, EpisodeReadError: the episode cannot be repeated.
+    """
+    from cathsim.viewing.film import Film
+
+    film = Film()
+    try:
+        replay(log, film=film)
+        with atomic_path(destination) as temporary:
+            film.write(temporary)
+    finally:
+        film.close()
+    return destination
 
 
 def _environment(

@@ -13,8 +13,10 @@
 | `/devices`                   | endonav.Devices            | every step | see the second table                        |
 | `/catheter`                  | foxglove.SceneUpdate       | every step | as `/wire`                                  |
 | `/catheter/points`           | foxglove.PointCloud        | every step | as `/wire/points`                           |
+| `/camera/<name>/mask_wire`   | foxglove.CompressedImage   | every step | as the mask, which is that of both devices  |
+| `/camera/<name>/mask_catheter` | foxglove.CompressedImage | every step | likewise                                    |
 
-The last three are only in logs whose configuration names a `catheter`; `/wire` and `/wire/points` then show the wire.
+The last five are only in logs whose configuration names a `catheter`; `/wire` and `/wire/points` then show the wire.
 
 | field of endonav.Step | shape  | unit         | meaning                                                              |
 |-----------------------|--------|--------------|----------------------------------------------------------------------|
@@ -84,6 +86,7 @@ DEVICES_TOPIC = "/devices"
 CATHETER_TOPIC = "/catheter"
 CATHETER_POINTS_TOPIC = "/catheter/points"
 WORLD_FRAME = "world"
+DEVICE_MASKS = ("mask_wire", "mask_catheter")  # streams of a camera, in a log with a catheter
 
 _Proto = descriptor_pb2.FieldDescriptorProto
 
@@ -167,7 +170,7 @@ def camera_topic(name: str, stream: str) -> str:
     """Name the topic of a camera's stream.
 
     Args:
-        stream: "image", "mask" or "calibration".
+        stream: "image", "mask", "mask_wire", "mask_catheter" or "calibration".
 
     Returns:
         The topic, e.g. `/camera/frontal/image`.
@@ -194,4 +197,5 @@ def topic_messages(cameras: tuple[str, ...], *, devices: bool = False) -> dict[s
         topics[camera_topic(name, "mask")] = CompressedImage
     if devices:
         topics |= {DEVICES_TOPIC: Devices, CATHETER_TOPIC: SceneUpdate, CATHETER_POINTS_TOPIC: PointCloud}
+        topics |= {camera_topic(name, stream): CompressedImage for name in cameras for stream in DEVICE_MASKS}
     return topics

@@ -68,6 +68,33 @@ def test_both_devices_come_back(pair: Any, tmp_path: Path) -> None:
     assert not check(path).problems
 
 
+def test_each_device_has_masks_of_its_own(pair: Any, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    wires, catheters = (rng.random((23, *pair.masks[0].shape)) < 0.3 for _ in range(2))
+    with pair.writer(tmp_path / "pair.mcap") as log:
+        for record, image, wire, catheter in zip(pair.records, pair.images, wires, catheters, strict=True):
+            masks = {"wire": {"frontal": wire}, "catheter": {"frontal": catheter}}
+            log.step(record, images={"frontal": image}, masks={"frontal": wire | catheter}, device_masks=masks)
+        log.finish(pair.outcome)
+    with EpisodeReader(tmp_path / "pair.mcap") as log:
+        np.testing.assert_array_equal(log.mask("frontal", 8, "catheter"), catheters[8])
+        np.testing.assert_array_equal(np.stack(list(log.masks("frontal", "wire"))), wires)
+        arrays = log.load_arrays()
+    np.testing.assert_array_equal(arrays["mask_catheter/frontal"], catheters)
+    np.testing.assert_array_equal(arrays["mask/frontal"], wires | catheters)
+    report = check(tmp_path / "pair.mcap")
+    assert (report.problems, report.notes, report.pictures) == ([], [], 4 * 23)
+
+
+def test_the_wire_alone_has_one_mask(episode: Any, tmp_path: Path) -> None:
+    mask = {"frontal": episode.masks[0]}
+    with (
+        episode.writer(tmp_path / "a.mcap") as log,
+        pytest.raises(ValueError, match="a log without a catheter has no mask_wire"),
+    ):
+        log.step(episode.records[0], images={"frontal": episode.images[0]}, masks=mask, device_masks={"wire": mask})
+
+
 def test_the_scene_shows_each_device(pair: Any, tmp_path: Path) -> None:
     from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 

@@ -167,3 +167,23 @@ def test_rows_are_those_of_the_thesis() -> None:
     thesis = yaml.safe_load((PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml").read_text())["tables"]
     assert list(thesis["user_study"]["rows"]) == [criterion.key for criterion in CRITERIA]
     assert {"bca/H", "lcca/H"} <= set(thesis["ablation"]["rows"])
+
+
+def test_a_human_steers_two_devices(own_cache: None, tmp_path: Path) -> None:
+    environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=4, catheter="vertebral", image_size=40)
+    recorder = McapRecorder(tmp_path)
+    _, info = environment.reset(seed=3)
+    recorder.start(environment, info, seed=3)
+    action = np.array([1.0, 0.2, 0.5, -0.5])
+    for step in range(4):
+        _, reward, terminated, truncated, info = environment.step(action)
+        recorder.step(environment, action, reward, info, terminated=terminated, truncated=truncated)
+        assert truncated == (step == 3)
+    path = recorder.finish(None)
+    assert path is not None
+    assert check(path).problems == []
+    with EpisodeReader(path) as log:
+        arrays = log.load_arrays()
+    np.testing.assert_array_equal(arrays["action"], [[0] * 4, *[action] * 4])
+    assert arrays["mask_catheter/frontal"].shape == (5, 40, 40)
+    assert np.diff(arrays["devices/lead"]).min() > 0

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from cathsim import NavigateEnv, load_catheter
 from pipeline.episodes import EpisodeReader
+from pipeline.episodes.__main__ import main
 from pipeline.recording.record import record_episode
 from pipeline.recording.replay import ReplayError, recorded_catheter, replay
 
@@ -119,3 +121,16 @@ def test_a_log_keeps_the_catheter_and_not_its_name_alone(tmp_path: Path) -> None
     with EpisodeReader(tmp_path / "0.mcap") as log:
         assert (log.info.catheter_name, recorded_catheter(log.info)) == ("own catheter", own)
     assert len(replay(tmp_path / "0.mcap")) == 3
+
+
+def test_a_log_is_filmed(tmp_path: Path) -> None:
+    environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=6, catheter="vertebral", image_size=40)
+    record_episode(environment, lambda *_: np.ones(4), tmp_path / "0.mcap", seed=1, operator="test")
+    with EpisodeReader(tmp_path / "0.mcap") as log:
+        masks = [log.mask("frontal", 6, device) for device in ("wire", "catheter")]
+        np.testing.assert_array_equal(log.mask("frontal", 6), masks[0] | masks[1])
+        assert all(mask.any() for mask in masks)
+    assert main(["film", str(tmp_path / "0.mcap")]) == 0
+    with Image.open(tmp_path / "0.gif") as film:
+        assert film.n_frames == 4
+        assert film.size[1] == 400
