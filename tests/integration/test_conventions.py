@@ -66,7 +66,7 @@ def test_readme_of_the_simulator_runs() -> None:
     run(README)
 
 
-@pytest.mark.parametrize("name", ["environment", "many_anatomies", "blood"])
+@pytest.mark.parametrize("name", ["environment", "many_anatomies", "blood", "two_devices"])
 def test_page_of_the_simulator_runs(name: str) -> None:
     run(SIMULATOR.with_name(f"{name}.md"))
 
