@@ -86,13 +86,13 @@ def test_history_measures_the_way_left_on_the_displaced_roadmap(type_1) -> None:
     env = NavigateEnv(type_1, "bca", observation=("roadmap", "history"), registration_noise=4e-3)
     for seed in range(5):
         env.reset(seed=seed)
-        left = env._way_left()
+        left = env.sensors.way_left()
         tip = env.simulation.tip
         assert left == env.task.remaining(env.phantom, tip + env.roadmap.offset) != env.task.remaining(type_1, tip)
         assert 0 < left < 0.5
     env = NavigateEnv(type_1, "bca", observation="history")
     env.reset(seed=0)
-    assert env._way_left() == env.task.remaining(type_1, env.simulation.tip)
+    assert env.sensors.way_left() == env.task.remaining(type_1, env.simulation.tip)
 
 
 def test_state_keeps_the_registration(type_1) -> None:

@@ -20,10 +20,8 @@ from cathsim.devices.simulation import DualSimulation
 from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire
 from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
-from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope, wire_radius_of
-from cathsim.observations.observables import make_observable
-from cathsim.observations.progress_history import History
-from cathsim.observations.roadmap import Roadmap
+from cathsim.observations.fluoroscopes import wire_radius_of
+from cathsim.observations.sensors import Sensors
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
 from cathsim.registration.description import Specified, chosen, described
@@ -195,31 +193,28 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         )
         self.render_mode, self._contact_info = render_mode, contact_info
         self.feeders = Feeders(self.simulation, drive)
-        self.fluoroscope = Fluoroscope(self.simulation, image_size)
-        self._display = Display(render_mode, self.fluoroscope, self.robot)
-        self.biplane = None
+        biplane = None
         if cameras is not None:
             material = wire_material(wire if isinstance(wire, str) else "default", wire_radius_of(self.simulation))
             pair = partial(BiplaneFluoroscope.of, self.phantom, size=image_size, material=material)
-            self.biplane = BiplaneView(self.simulation, chosen("cameras", cameras, BiplaneFluoroscope, pair))
-        self.roadmap = Roadmap(self.simulation, asked.target, registration_noise)
-        names = [observation] if isinstance(observation, str) else list(observation)
-        self._reads_way = "history" in names
+            biplane = chosen("cameras", cameras, BiplaneFluoroscope, pair)
+        self._task = asked
+        self.sensors = Sensors(
+            self.simulation,
+            observation,
+            asked.target,
+            self._remaining_from,
+            image_size=image_size,
+            registration_noise=registration_noise,
+            biplane=biplane,
+        )
+        self.fluoroscope, self.biplane = self.sensors.fluoroscope, self.sensors.biplane
+        self.roadmap, self.history = self.sensors.roadmap, self.sensors.history
+        self._display = Display(render_mode, self.fluoroscope, self.robot)
         self.task = asked
-        # its way through the geodesic field costs something: only where it is wanted
-        self.history = History(self.simulation, self._way_left) if self._reads_way else None
         self.steps, self.ended = 0, True
-
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self.feeders.shape, np.float32)
-        if not names:
-            raise ValueError("observation must name at least one observable")
-        self._observables = {
-            name: make_observable(name, self.simulation, self.fluoroscope, self.biplane, self.roadmap, self.history)
-            for name in names
-        }
-        self._single = names[0] if isinstance(observation, str) else None
-        spaces: dict[str, gymnasium.Space[Any]] = {name: entry_.space for name, entry_ in self._observables.items()}
-        self.observation_space = spaces[self._single] if self._single else gymnasium.spaces.Dict(spaces)
+        self.observation_space = self.sensors.space
 
     @property
     def task(self) -> NavigationTask:
@@ -250,7 +245,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     def _hold_field(self) -> None:
         # so that a point's field stays with the phantom while this environment reads it
-        read = self._task.reads_progress or self._reads_way
+        read = self._task.reads_progress or self.sensors.reads_way
         self._field = self.phantom.geodesic_field(self._task.target) if read else None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -278,12 +273,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         else:
             self.task.start(self.simulation, self.np_random)
         self.feeders.reset()
-        self.fluoroscope.update(restart=True)
-        if self.biplane is not None:
-            self.biplane.update(seed=int(self.np_random.integers(2**32)))
-        self.roadmap.reset(self.np_random)
-        if self.history is not None:
-            self.history.begin()
+        self.sensors.begin(self.np_random)
         self.steps, self.ended = 0, False
         tip = self.simulation.tip
         if self.task.reads_progress:
@@ -304,16 +294,12 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         simulation, task = self.simulation, self.task
         before = simulation.tip
         moves = self.feeders.advance(action)
-        self.fluoroscope.update()
-        if self.biplane is not None:
-            self.biplane.update()
         self.steps += 1
 
         invalid = not simulation.valid
         if invalid:
             simulation.reset()  # so that the last observation is at least finite
-        if self.history is not None:
-            self.history.advance(*moves)
+        self.sensors.advance(moves)
         tip = simulation.tip
         distance = straight_distance(tip, self._goal)
         success = distance <= task.success_radius and not invalid
@@ -337,10 +323,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             "ended": self.ended,
             "target": self.task.target,
             "remaining": self._remaining,
-            "fluoroscope": self.fluoroscope.state(),
-            "registration": self.roadmap.offset.copy(),
-            "history": None if self.history is None else self.history.state(),
-            "biplane": None if self.biplane is None else self.biplane.state(),
+            "sensors": self.sensors.state(),
             "robots": self.feeders.state(),
         }
 
@@ -352,12 +335,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.simulation.restore_forces(state["forces"])
         self.np_random.bit_generator.state = state["generator"]
         self.steps, self.ended, self._remaining = state["steps"], state["ended"], state["remaining"]
-        self.fluoroscope.restore(state["fluoroscope"])
-        self.roadmap.offset = state["registration"].copy()
-        if self.history is not None:
-            self.history.restore(state["history"])
-        if self.biplane is not None:
-            self.biplane.restore(state["biplane"])
+        self.sensors.restore(state["sensors"])
         self.feeders.restore(state["robots"])
         return self.observe()
 
@@ -369,15 +347,12 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         moved = straight_distance(tip, before_step)
         return task.step_reward(distance, before - self._remaining, force, moved, success=success)
 
-    def _way_left(self) -> float:
-        # it is read from the scan, so the registration counts here, too
-        return self.task.remaining(self.phantom, self.simulation.tip + self.roadmap.offset)
+    def _remaining_from(self, place: np.ndarray) -> float:
+        return self.task.remaining(self.phantom, place)
 
     def observe(self) -> Any:
         """The observation of the moment."""
-        if self._single:
-            return self._observables[self._single].read()
-        return {name: observable.read() for name, observable in self._observables.items()}
+        return self.sensors.observe()
 
     def _info(self, tip: np.ndarray, distance: float, *, success: bool, invalid: bool) -> dict[str, Any]:
         simulation = self.simulation

@@ -1,0 +1,112 @@
+"""What an environment observes: its views, roadmap and history, and the observables that read them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from cathsim.anatomy.point_target import TargetLike
+from cathsim.fluoroscopy import BiplaneFluoroscope
+from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope
+from cathsim.observations.observables import make_observable
+from cathsim.observations.progress_history import History
+from cathsim.observations.roadmap import Roadmap
+from cathsim.simulation import Simulation
+
+
+class Sensors:
+    """Reads a simulation under the names of an environment's observation.
+
+    Attributes:
+        space: of the observation, a `Box` where one name is given alone, else a `Dict`.
+        reads_way: whether the way left to the target is read.
+
+    Args:
+        observation: one name, or several.
+        remaining: gives the way from a place (3,) m to the target of the moment, m.
+        biplane: the C-arms that see the simulation, or None.
+
+    Raises:
+        ValueError: no name, an unknown one, or an image size or noise out of range.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        observation: str | Sequence[str],
+        target: TargetLike,
+        remaining: Callable[[np.ndarray], float],
+        *,
+        image_size: int,
+        registration_noise: float,
+        biplane: BiplaneFluoroscope | None,
+    ) -> None:
+        self._simulation, self._remaining = simulation, remaining
+        names = [observation] if isinstance(observation, str) else list(observation)
+        if not names:
+            raise ValueError("observation must name at least one observable")
+        self.reads_way = "history" in names
+        self.fluoroscope = Fluoroscope(simulation, image_size)
+        self.biplane = None if biplane is None else BiplaneView(simulation, biplane)
+        self.roadmap = Roadmap(simulation, target, registration_noise)
+        # its way through the geodesic field costs something: only where it is wanted
+        self.history = History(simulation, self.way_left) if self.reads_way else None
+        self._observables = {
+            name: make_observable(name, simulation, self.fluoroscope, self.biplane, self.roadmap, self.history)
+            for name in names
+        }
+        self._single = names[0] if isinstance(observation, str) else None
+        spaces: dict[str, gymnasium.Space[Any]] = {name: one.space for name, one in self._observables.items()}
+        self.space = spaces[self._single] if self._single else gymnasium.spaces.Dict(spaces)
+
+    def way_left(self) -> float:
+        """The way from the tip to the target as the displaced scan shows it, m."""
+        return self._remaining(self._simulation.tip + self.roadmap.offset)
+
+    def begin(self, generator: np.random.Generator) -> None:
+        """Starts an episode at the moment; draws the noise of images and registration."""
+        self.fluoroscope.update(restart=True)
+        if self.biplane is not None:
+            self.biplane.update(seed=int(generator.integers(2**32)))
+        self.roadmap.reset(generator)
+        if self.history is not None:
+            self.history.begin()
+
+    def advance(self, moves: Sequence[float]) -> None:
+        """Says that a control step has passed.
+
+        Args:
+            moves: translation and rotation of each feeder, as shares of those at full action.
+        """
+        self.fluoroscope.update()
+        if self.biplane is not None:
+            self.biplane.update()
+        if self.history is not None:
+            self.history.advance(*moves)
+
+    def observe(self) -> Any:
+        """The observation of the moment."""
+        if self._single:
+            return self._observables[self._single].read()
+        return {name: observable.read() for name, observable in self._observables.items()}
+
+    def state(self) -> dict[str, Any]:
+        """All that later observations depend on, to be pickled; for `restore`."""
+        return {
+            "fluoroscope": self.fluoroscope.state(),
+            "registration": self.roadmap.offset.copy(),
+            "history": None if self.history is None else self.history.state(),
+            "biplane": None if self.biplane is None else self.biplane.state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Returns to a saved moment; the simulation has been restored before."""
+        self.fluoroscope.restore(state["fluoroscope"])
+        self.roadmap.offset = state["registration"].copy()
+        if self.history is not None:
+            self.history.restore(state["history"])
+        if self.biplane is not None:
+            self.biplane.restore(state["biplane"])
