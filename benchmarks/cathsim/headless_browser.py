@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-KEYS = {"ArrowUp": 38, "ArrowDown": 40, "ArrowLeft": 37, "ArrowRight": 39, "p": 80, "r": 82}
+KEYS = {"ArrowUp": 38, "ArrowDown": 40, "ArrowLeft": 37, "ArrowRight": 39, "Shift": 16,
+        "a": 65, "d": 68, "p": 80, "r": 82, "s": 83, "w": 87}  # fmt: skip
 _PAUSE = 0.03  # s between two looks
-_SHOWN = "window.consoleStatistics?.frame && {...consoleStatistics.frame, wire: 0, picture: 0}"
+_SHOWN = "window.consoleStatistics?.frame && {...consoleStatistics.frame, wire: 0, catheter: 0, picture: 0}"
 
 
 class BrowserError(RuntimeError):
@@ -188,9 +189,34 @@ class Tab:
             name: one of `KEYS`.
             down: pressed.
         """
-        code = f"Key{name.upper()}" if len(name) == 1 else name
+        code = f"Key{name.upper()}" if len(name) == 1 else "ShiftLeft" if name == "Shift" else name
         kind = "rawKeyDown" if down else "keyUp"
         self.call("Input.dispatchKeyEvent", type=kind, key=name, code=code, windowsVirtualKeyCode=KEYS[name])
+
+    def phone(self, width: int, height: int) -> None:
+        """Makes the page that of a phone with a touch screen.
+
+        Args:
+            width, height: of the screen, px.
+        """
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=2, mobile=True)
+        self.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=5)
+
+    def touch(self, *selectors: str) -> None:
+        """Puts a finger on each of some elements, and lifts all others.
+
+        Args:
+            selectors: of the elements; none lifts every finger.
+        """
+        places = [
+            self.value(
+                f"(() => {{ const box = document.querySelector({json.dumps(one)}).getBoundingClientRect();"
+                " return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+            )
+            for one in selectors
+        ]
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        self.call("Input.dispatchTouchEvent", type="touchStart" if points else "touchEnd", touchPoints=points)
 
     def frame(self) -> dict[str, Any]:
         """The numbers of the picture on the screen."""

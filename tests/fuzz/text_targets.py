@@ -27,7 +27,7 @@ from pipeline.store.errors import PipelineError
 from tests.fuzz.mutations import NASTY
 from tests.fuzz.target import Target, WrongError, refused
 
-_FIELDS = ("advance", "rotate", "sequence", "phantom", "target", "answers", "more")
+_FIELDS = ("advance", "rotate", "sequence", "catheter", "phantom", "target", "answers", "more")
 EXAMPLES = 25  # of a seed
 SETTINGS = {name: load_stage(name).settings for name in available_stages()}
 _PLAIN = st.recursive(
@@ -133,8 +133,9 @@ class ConsoleTarget(Target):
         try:
             request = read_request(text)
             if request["type"] == "controls":
-                controls = Controls(request["advance"], request["rotate"], request["sequence"])
-                if not (-1 <= controls.advance <= 1 and -1 <= controls.rotate <= 1):
+                catheter = request.get("catheter", (0.0, 0.0))
+                controls = Controls(request["advance"], request["rotate"], request["sequence"], *catheter)
+                if not all(-1 <= axis <= 1 for axis in (*controls.wire, *controls.catheter)):
                     raise WrongError(f"controls beyond full speed: {controls}")
             if request["type"] == "answers":
                 check_answers(request["answers"])

@@ -58,7 +58,9 @@ class Collector:
     def show(self, frame: bytes) -> None:
         length = struct.unpack_from("<I", frame, 4)[0]
         header = json.loads(frame[8 : 8 + length])
-        assert frame[8 + length + 12 * header["points"] :][:2] == b"\xff\xd8", "a JPEG follows the points"
+        assert frame[8 + length + 12 * (header["points"] + header.get("catheter_points", 0)) :][:2] == b"\xff\xd8", (
+            "a JPEG follows the points"
+        )
         with self._lock:
             self.headers.append(header)
             self.times.append(time.monotonic())

@@ -48,6 +48,21 @@ def test_a_tap_between_two_steps_counts_once(panel: ControlPanel) -> None:
     assert panel.take() == Controls(sequence=2)
 
 
+def test_a_tap_of_one_device_counts_while_the_other_is_steered(panel: ControlPanel) -> None:
+    panel.set(Controls(1.0, 0.0, 1, -0.5, 0.0))
+    panel.set(Controls(1.0, 0.0, 2))
+    assert panel.take() == Controls(1.0, 0.0, 2, -0.5, 0.0)
+    assert panel.take() == Controls(1.0, 0.0, 2)
+    panel.set(Controls(0.0, 0.0, 3, 0.0, 1.0))
+    panel.take()
+    panel.set(Controls(0.0, 0.25, 4, 0.0, 1.0))
+    panel.set(Controls(0.0, 0.0, 5, 0.0, 1.0))
+    assert panel.take() == Controls(0.0, 0.25, 5, 0.0, 1.0)
+    panel.set(Controls(sequence=6, catheter_rotate=1.0))
+    panel.release()
+    assert panel.take() == Controls(sequence=6)
+
+
 def test_letting_go_forgets_taps_too(panel: ControlPanel) -> None:
     panel.set(Controls(1.0, 0.0, 1))
     panel.release()
@@ -69,5 +84,8 @@ def test_axes_are_clipped_and_must_be_numbers() -> None:
     for wrong in (float("nan"), float("inf"), "1", None, True):
         with pytest.raises(ValueError, match="advance must be a number from -1 to 1"):
             Controls(wrong)  # type: ignore[arg-type]
+    assert Controls(catheter_advance=-2.0).catheter == (-1.0, 0.0)
+    with pytest.raises(ValueError, match="catheter_rotate must be a number from -1 to 1, got nan"):
+        Controls(catheter_rotate=float("nan"))
     with pytest.raises(ValueError, match="sequence must be a whole number"):
         Controls(1.0, 0.0, 1.5)  # type: ignore[arg-type]

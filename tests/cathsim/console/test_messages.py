@@ -12,6 +12,7 @@ from cathsim.console import CRITERIA, check_answers
 from cathsim.console.messages import frame_message, surface_message
 from cathsim.console.requests import LONGEST_REQUEST, read_request
 
+CONTROLS = '{"type": "controls", "advance": 1, "rotate": 0, "sequence": 1'
 GOOD = {criterion.key: 3 for criterion in CRITERIA}
 
 
@@ -29,6 +30,17 @@ def test_a_picture_is_read_back_as_the_page_reads_it(state: str) -> None:
     assert message[8 + length + 12 * 29 :] == b"\xff\xd8jpeg"
 
 
+def test_the_catheters_points_follow_the_wires() -> None:
+    rng = np.random.default_rng(2)
+    wire, catheter = rng.normal(size=(7, 3)), rng.normal(size=(4, 3))
+    message = frame_message({"state": "ready"}, wire, b"\xff\xd8jpeg", catheter)
+    length = struct.unpack_from("<I", message, 4)[0]
+    assert json.loads(message[8 : 8 + length]) == {"state": "ready", "points": 7, "catheter_points": 4}
+    read = np.frombuffer(message, "<f4", 3 * 11, 8 + length).reshape(-1, 3)
+    np.testing.assert_array_equal(read, np.concatenate((wire, catheter)).astype(np.float32))
+    assert message[8 + length + 12 * 11 :] == b"\xff\xd8jpeg"
+
+
 def test_a_surface_is_read_back() -> None:
     rng = np.random.default_rng(1)
     vertices, normals, faces = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), rng.integers(0, 5, (4, 3))
@@ -43,6 +55,11 @@ def test_a_surface_is_read_back() -> None:
 def test_a_request_has_its_fields() -> None:
     request = {"type": "controls", "advance": 1, "rotate": 0, "sequence": 4}
     assert read_request(json.dumps(request)) == request
+    both = {**request, "catheter": [-1, 0.5]}
+    assert read_request(json.dumps(both)) == both
+    for catheter in ("vertebral_5f", None):
+        choice = {"type": "choose", "phantom": "type_1", "target": "bca", "catheter": catheter}
+        assert read_request(json.dumps(choice)) == choice
     assert read_request('{"type": "restart"}') == {"type": "restart"}
 
 
@@ -61,6 +78,17 @@ def test_a_request_has_its_fields() -> None:
         ('{"type": "controls", "advance": NaN, "rotate": 0, "sequence": 1}', "advance should be a finite number"),
         ('{"type": "controls", "advance": true, "rotate": 0, "sequence": 1}', "advance should be a valid number"),
         ('{"type": "controls", "advance": 1, "rotate": 0, "sequence": 1e30}', "sequence should be"),
+        (f'{CONTROLS}, "catheter": [1]}}', "catheter should have 2 numbers, got 1"),
+        (f'{CONTROLS}, "catheter": [1, 0, 0, 1]}}', "catheter should have 2 numbers, got 4"),
+        (f'{CONTROLS}, "catheter": [NaN, 0]}}', "catheter.0 should be a finite number, got nan"),
+        (f'{CONTROLS}, "catheter": [0, true]}}', "catheter.1 should be a valid number"),
+        (f'{CONTROLS}, "catheter": 1}}', "catheter should be a valid array, got 1"),
+        (f'{CONTROLS}, "catheter": null}}', "catheter should be a valid array, got None"),
+        (
+            '{"type": "choose", "phantom": "a", "target": "b", "catheter": 5}',
+            "catheter should be a valid string, got 5",
+        ),
+        ('{"type": "choose", "phantom": "a", "target": "b", "catheter": ""}', "catheter should have"),
         ('{"type": "answers", "answers": [1]}', "answers should be"),
         ('{"type": "answers", "answers": {"a": {"b": 1}}}', "answers"),
         ('{"type": "choose", "phantom": "\\ud800", "target": "bca"}', "must be JSON"),

@@ -12,8 +12,9 @@ import pytest
 
 from cathsim import NavigateEnv
 from cathsim.console import CRITERIA, NpzRecorder
-from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, between
+from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, between, devices_between
 from cathsim.console.recorder import episode_path
+from cathsim.devices.device_points import wire_and_catheter
 
 MakeEnv = Callable[..., NavigateEnv]
 ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P7"}
@@ -98,11 +99,50 @@ def test_npz_episode_is_read_back(make_env: MakeEnv, tmp_path: Path) -> None:
         np.testing.assert_array_equal(file["wire_points"][-1], procedure.samples[-1].points)
         assert [file[name].shape[0] for name in ("reward", "tip", "force", "insertion", "rotation")] == [6, 7, 7, 7, 7]
     assert description["operator"] == "human"
+    assert (description["devices"]["wire"], description["devices"]["catheter"]) == ("default", None)
     assert (description["phantom"], description["seed"], description["metrics"]["steps"]) == ("type_1", 3, 6)
     beside = procedure.answer(ANSWERS)
     assert beside == path.with_name("000.questionnaire.json")
     content = json.loads(beside.read_text())
     assert content == {"episode": "000.npz", "operator": "human", "answers": ANSWERS}
+
+
+def test_two_devices_are_steered_shown_and_kept(make_env: MakeEnv, tmp_path: Path) -> None:
+    env = make_env(max_steps=5, catheter="simmons2")
+    procedure = Procedure(env, NpzRecorder(tmp_path), seed=3)
+    actions = np.array([[1, 0, 0.5, 0], [1, 1, 1, 0], [1, 0, -0.5, 1], [0.5, 0, 0, -1], [1, 0, 0, 0]], np.float32)
+    for advance, rotate, *catheter in actions.tolist():
+        procedure.step(advance, rotate, (catheter[0], catheter[1]))
+    again = make_env(max_steps=5, catheter="simmons2")
+    again.reset(seed=3)
+    tips = [again.step(action)[-1]["tip"] for action in actions]
+    np.testing.assert_array_equal([sample.points[0] for sample in procedure.samples[1:]], tips)
+
+    earlier, later = procedure.samples[-2:]
+    links = env.simulation.wire.links
+    wire, catheter = devices_between(earlier, later, 1.0, links)
+    np.testing.assert_array_equal(wire, env.simulation.device_points("wire"))
+    np.testing.assert_array_equal(catheter, env.simulation.device_points("catheter"))
+    assert later.devices is not None
+    assert later.devices.lead == pytest.approx(later.insertion - later.devices.catheter_insertion)
+    assert later.devices.feeder_forces == tuple(env.simulation.feeder_forces())
+    before, _ = devices_between(earlier, later, 0.0, links)
+    half, _ = devices_between(earlier, later, 0.5, links)
+    assert before[0, 2] < half[0, 2] < wire[0, 2], "the wire goes on between two steps"
+
+    assert procedure.path is not None
+    with np.load(procedure.path) as file:
+        description = json.loads(str(file["description"]))
+        np.testing.assert_array_equal(file["action"], actions)
+        kept = wire_and_catheter(file["wire_points"][-1], description["devices"]["links"], float(file["lead"][-1]))
+        assert file["feeder_forces"].shape == (6, 2)
+        np.testing.assert_allclose(file["insertion"] - file["catheter_insertion"], file["lead"], atol=1e-9)
+        assert file["catheter_rotation"][-1] == pytest.approx(later.devices.catheter_rotation)
+    np.testing.assert_array_equal(kept[0], wire)
+    np.testing.assert_array_equal(kept[1], catheter)
+    devices = description["devices"]
+    assert (devices["wire"], devices["catheter"]) == ("default", "simmons2")
+    assert devices["catheter_settings"]["outer_diameter"] == env.simulation.pair.catheter.outer_diameter
 
 
 def test_numbers_go_on_after_the_highest_also_of_unfinished_files(tmp_path: Path) -> None:

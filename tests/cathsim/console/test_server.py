@@ -27,10 +27,10 @@ from cathsim.console.server import FLOODED, MOST_A_SECOND, MOST_AT_ONCE, Desk, P
 Console = tuple[subprocess.Popen[str], str]
 MEGABYTES = 60
 KINDS = ("controls", "release", "choose", "restart", "replay", "answers", "shutdown", "", None, 5, ["x"])
-FIELDS = ["advance", "rotate", "sequence", "phantom", "target", "answers", "more"]
+FIELDS = ["advance", "rotate", "sequence", "catheter", "phantom", "target", "answers", "more"]
 VALUES: list[Any] = [
     None, True, 0, -1, 2**70, 0.5, 1e308, float("nan"), float("inf"), "", "bca", "type_1", "x" * 5000, "\0", "../..",
-    [], [[[]]], {}, {"a": {"b": {"c": []}}}, [0] * 1000,
+    [], [[[]]], [0, float("nan")], [1, -1], [1, 2, 3], "simmons2_5f", {}, {"a": {"b": {"c": []}}}, [0] * 1000,
 ]  # fmt: skip
 
 
@@ -88,9 +88,7 @@ def malformed(rng: random.Random) -> str | bytes:
     if choice == 3:
         return '{"type": "controls", "advance": ' + "9" * rng.randrange(1, 15_000) + "}"
     message = {"type": rng.choice(KINDS)}
-    for field in rng.sample(
-        ["advance", "rotate", "sequence", "phantom", "target", "answers", "more"], rng.randrange(5)
-    ):
+    for field in rng.sample(FIELDS, rng.randrange(5)):
         message[field] = rng.choice(VALUES)
     return json.dumps(message)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,72 @@ def test_phantom_and_target_are_chosen(loop: RealTimeLoop, page: Any, wait_until
         loop.request({"type": "answers", "answers": [1, 2]})
 
 
+def test_a_catheter_is_chosen_steered_and_left_out(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
+) -> None:
+    task = wait_until(lambda: page.messages_of("task"))[0]
+    assert (task["catheter"], task["devices"]) == (None, 1)
+    assert {"name": "simmons2_6f", "shape": "simmons2", "french": 6} in task["catheters"]
+    steer = {"type": "controls", "advance": 1.0, "rotate": 0.0, "sequence": 1, "catheter": [1.0, 0.5]}
+    choice = {"type": "choose", "phantom": "type_1", "target": "bca"}
+    with pytest.raises(ValueError, match="there is no catheter to steer: choose one"):
+        loop.request(steer)
+    with pytest.raises(ValueError, match="unknown catheter 'moon'; there are straight_4f"):
+        loop.request({**choice, "catheter": "moon"})
+    with pytest.raises(ValueError, match=r"unknown catheter '/etc/moon\.yaml'"):
+        loop.request({**choice, "catheter": "/etc/moon.yaml"})
+    loop.request({**choice, "catheter": "vertebral"})
+    task = wait_until(lambda: page.messages_of("task")[1:])[0]
+    assert (task["catheter"], task["devices"], page.surfaces) == ("vertebral_5f", 2, 1)
+
+    def ended() -> Any:
+        loop.request(steer)
+        return page.messages_of("ended")
+
+    wait_until(ended)
+    last = wait_until(lambda: page.last["state"] == "ended" and page.last)
+    np.testing.assert_array_equal(memory.episodes[-1]["actions"], [[1.0, 0.0, 1.0, 0.5]] * 6)
+    assert last["catheter_insertion_mm"] > 10
+    assert last["lead_mm"] == pytest.approx(last["insertion_mm"] - last["catheter_insertion_mm"])
+    assert last["catheter_rotation_rad"] == pytest.approx(6 * 0.5 * np.radians(15))
+    assert len(last["feeder_forces_n"]) == 2
+    assert last["catheter_points"] > 10
+    loop.request({**choice, "target": "lcca"})
+    task = wait_until(lambda: page.messages_of("task")[2:])[0]
+    assert (task["target"], task["catheter"]) == ("lcca", "vertebral_5f"), "what is not chosen stays"
+    loop.request({**choice, "catheter": None})
+    assert wait_until(lambda: page.messages_of("task")[3:])[0]["devices"] == 1
+    wait_until(lambda: "lead_mm" not in page.last)
+
+
+def test_a_choice_that_cannot_be_is_told_and_changes_nothing(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finish(loop, page, wait_until)
+    refuse = "a wire of 1.20 mm does not pass a catheter with a lumen of 1.03 mm"
+
+    def refused(*arguments: Any) -> None:
+        raise ValueError(refuse)
+
+    monkeypatch.setattr(Setup, "environment", refused)
+    loop.request({"type": "choose", "phantom": "type_1", "target": "bca", "catheter": "straight_4f"})
+    wait_until(lambda: [notice for notice in page.messages_of("notice") if notice["text"] == refuse])
+    task = page.messages_of("task")[-1]
+    assert (task["catheter"], task["replayable"]) == (None, True)
+    assert len(memory.episodes) == 1
+
+
+def test_a_catheter_of_a_file_is_offered_without_its_path(page: Any, tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("kind: catheter\nbased_on: vertebral\n")
+    loop = RealTimeLoop(Setup(accuracy="fast", catheter=str(file)), page)
+    loop._send_task()
+    task = page.messages_of("task")[0]
+    assert (task["catheter"], task["devices"]) == ("own catheter", 2)
+    assert task["catheters"][0] == {"name": "own catheter", "shape": "mine", "french": None}
+    assert str(tmp_path) not in str(task)
+
+
 def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,6 +239,8 @@ def test_unknown_names_are_refused_before_anything_starts(page: Any) -> None:
         RealTimeLoop(Setup(target="moon"), page)
     with pytest.raises(ValueError, match="moon"):
         RealTimeLoop(Setup(phantom="moon"), page)
+    with pytest.raises(ValueError, match="unknown catheter 'moon'"):
+        RealTimeLoop(Setup(catheter="moon"), page)
     for wrong in ({"seed": -1}, {"seed": 2**70}, {"max_steps": 0}, {"max_steps": 10**9}):
         with pytest.raises(ValueError, match=f"{next(iter(wrong))} must lie in"):
             Setup(**wrong)  # type: ignore[arg-type]

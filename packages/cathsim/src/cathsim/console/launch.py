@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cathsim.console.access import Access, is_loopback
+from cathsim.console.catheters import NO_CATHETER
 from cathsim.console.recorder import Recorder, find_recorder
 
 EXIT_FAILED = 1
@@ -28,12 +29,17 @@ class LaunchError(Exception):
 def parser(prog: str, *, folder: Path | None) -> argparse.ArgumentParser:
     """The command line; `folder` is where episodes go by default, None where the program chooses it by other means."""
     arguments = argparse.ArgumentParser(
-        prog=prog, description="Steer the guidewire in the browser: keyboard, gamepad or touch."
+        prog=prog, description="Steer a guidewire, or a wire in a catheter, in the browser: keyboard, gamepad or touch."
     )
     add = arguments.add_argument
     add("--phantom", default="type_1", help="phantom to begin with (default %(default)s)")
     add("--target", default="bca", help="target to begin with (default %(default)s)")
     add("--wire", default="default", help="guidewire (default %(default)s)")
+    add(
+        "--catheter",
+        default=NO_CATHETER,
+        help="catheter to begin with: of the shelf (vertebral, simmons2_6f) or a YAML file (default %(default)s)",
+    )
     add("--max-steps", type=int, default=300, help="control steps of 0.1 s in a procedure (default %(default)s)")
     add("--seed", type=int, default=0, help="of the first procedure's start; each further one has the next")
     add("--host", default="127.0.0.1", help="address to listen on; other than this machine's own needs a token")
@@ -131,7 +137,14 @@ def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder
     token = options.token or (secrets.token_urlsafe(16) if open_to_others else None)
     desk = Desk()
     try:
-        setup = Setup(options.phantom, options.target, options.wire, max_steps=options.max_steps, seed=options.seed)
+        setup = Setup(
+            options.phantom,
+            options.target,
+            options.wire,
+            None if options.catheter == NO_CATHETER else options.catheter,
+            max_steps=options.max_steps,
+            seed=options.seed,
+        )
         loop = RealTimeLoop(setup, desk, recorder, note=str(folder))
     except ValueError as error:
         raise LaunchError(str(error)) from error

@@ -1,8 +1,9 @@
 """Binary messages to the page over the websocket: pictures and surfaces.
 
 A picture is `FRME`, the length of a JSON header (uint32), the header padded with spaces to a multiple of 4, the wire's
-points (float32, n x 3, m) and a JPEG. A surface is `MESH`, the numbers of vertices and faces (uint32), vertices and
-normals (float32, m), faces (uint32). Numbers are little-endian.
+points (float32, n x 3, m), those of the catheter where there is one, and a JPEG; the header counts the points. A
+surface is `MESH`, the numbers of vertices and faces (uint32), vertices and normals (float32, m), faces (uint32).
+Numbers are little-endian.
 """
 
 from __future__ import annotations
@@ -17,11 +18,21 @@ import numpy as np
 FRAME_MAGIC, SURFACE_MAGIC = b"FRME", b"MESH"
 
 
-def frame_message(header: Mapping[str, Any], points: np.ndarray, jpeg: bytes) -> bytes:
-    """Packs a picture: header, the wire's points (n, 3) m in the world frame, and the fluoroscopic image."""
-    text = json.dumps({**header, "points": len(points)}).encode()
+def frame_message(
+    header: Mapping[str, Any], points: np.ndarray, jpeg: bytes, catheter: np.ndarray | None = None
+) -> bytes:
+    """Packs a picture.
+
+    Args:
+        points: of the wire, from its tip on, m, world frame. Shape (n, 3).
+        jpeg: the fluoroscopic image.
+        catheter: points of the catheter, as the wire's. Shape (k, 3); None: there is none.
+    """
+    counts = {"points": len(points)} | ({} if catheter is None else {"catheter_points": len(catheter)})
+    text = json.dumps({**header, **counts}).encode()
     text += b" " * (-len(text) % 4)
-    return b"".join((FRAME_MAGIC, struct.pack("<I", len(text)), text, points.astype("<f4").tobytes(), jpeg))
+    devices = [points.astype("<f4").tobytes(), b"" if catheter is None else catheter.astype("<f4").tobytes()]
+    return b"".join((FRAME_MAGIC, struct.pack("<I", len(text)), text, *devices, jpeg))
 
 
 def surface_message(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> bytes:

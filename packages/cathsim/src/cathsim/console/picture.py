@@ -11,8 +11,15 @@ from PIL import Image
 from cathsim.anatomy import Phantom, SignedDistanceGrid
 from cathsim.anatomy.surface import lumen_surface
 from cathsim.console.messages import surface_message
+from cathsim.fluoroscopy import DeviceRenderer, FluoroscopyRenderer
 from cathsim.navigation import NavigationTask
-from cathsim.observations.fluoroscopes import camera, outside_sheath
+from cathsim.observations.fluoroscopes import (
+    camera,
+    camera_of_devices,
+    catheter_in,
+    outside_sheath,
+    wire_radius_of,
+)
 from cathsim.simulation import Simulation
 
 IMAGE_SIZE = 480  # px
@@ -21,21 +28,37 @@ _STRIDE = 2  # grid nodes a node of the 3-D view's surface
 
 
 class FluoroscopyMonitor:
-    """Draws the wire in the frontal fluoroscopic image.
+    """Draws the wire, or the wire in the catheter, in the frontal fluoroscopic image.
 
     Args:
-        simulation: whose phantom, sheath and wire are shown.
+        simulation: whose phantom, sheath and devices are shown.
         size: side of the image, px.
     """
 
     def __init__(self, simulation: Simulation, *, size: int = IMAGE_SIZE) -> None:
         self.size, self._vessel, self._phantom = size, simulation.vessel, simulation.phantom
-        self._renderer = camera(simulation.phantom, size, simulation.wire.radius)
+        catheter, radius = catheter_in(simulation), wire_radius_of(simulation)
+        self._renderer: FluoroscopyRenderer | DeviceRenderer = (
+            camera(simulation.phantom, size, radius)
+            if catheter is None
+            else camera_of_devices(simulation.phantom, size, radius, catheter)
+        )
         self._image = np.empty((size, size), np.uint8)
+        self._masks = np.empty((2, size, size), np.uint8)
 
-    def jpeg(self, points: np.ndarray) -> bytes:
-        """The image of a wire as a grey JPEG, from the ends of its links (n, 3) m, from the tip on, world frame."""
-        self._renderer.render_into(outside_sheath(points, self._vessel), self._image, None)
+    def jpeg(self, wire: np.ndarray, catheter: np.ndarray | None = None) -> bytes:
+        """The image as a grey JPEG.
+
+        Args:
+            wire: points of the wire from its tip on, m, world frame. Shape (n, 3).
+            catheter: those of the catheter, (k, 3); needed where the simulation has one, and only there.
+        """
+        shown = outside_sheath(wire, self._vessel)
+        if isinstance(self._renderer, FluoroscopyRenderer):
+            self._renderer.render_into(shown, self._image, None)
+        else:
+            assert catheter is not None
+            self._renderer.render_into(shown, outside_sheath(catheter, self._vessel), self._image, *self._masks)
         stream = io.BytesIO()
         Image.fromarray(self._image).save(stream, "JPEG", quality=QUALITY)
         return stream.getvalue()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cathsim.console.controls import Move
 from cathsim.console.recorder import Recorder
+from cathsim.devices.device_points import wire_and_catheter
 from cathsim.environment import NavigateEnv
 from cathsim.metrics import EpisodeMetrics
 from cathsim.simulation import CONTROL_STEP
@@ -21,15 +23,28 @@ _LOGGER = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
+class TwoDevices:
+    """What is shown of a wire in a catheter besides the rod that both are."""
+
+    catheter_insertion: float  # m
+    catheter_rotation: float  # of its hub, rad
+    lead: float  # how far the wire's tip is ahead of the catheter's, m; negative: drawn back into it
+    feeder_forces: tuple[float, float]  # of the wire's feeder and of the catheter's, N; positive inserts
+
+
+@dataclass(frozen=True)
 class Sample:
     """The state after a control step, as it is shown."""
 
-    points: np.ndarray  # ends of the links from the tip to the proximal end, m, world frame. Shape (links + 1, 3).
+    # ends of the links from the tip to the proximal end, m, world frame: of the wire, or of the rod that wire and
+    # catheter are. Shape (links + 1, 3).
+    points: np.ndarray
     force: float  # largest resultant contact force of the step, N
     force_max: float  # largest so far, N
     insertion: float  # m
     rotation: float  # rad
     distance: float  # from the tip to the target, m
+    devices: TwoDevices | None = None  # None: a bare wire
 
 
 class Procedure:
@@ -68,8 +83,14 @@ class Procedure:
                 insertion=info["insertion"],
                 rotation=info["rotation"],
                 distance=info["distance"],
+                devices=_two_devices(info) if self.devices == 2 else None,
             )
         )
+
+    @property
+    def devices(self) -> int:
+        """How many devices are steered: 1, the wire; or 2, the wire and the catheter."""
+        return self.environment.feeders.devices
 
     def _record(self, act: Any) -> Any:
         """Lets the recorder act; one that fails is given up, and the procedure goes on without it."""
@@ -93,8 +114,13 @@ class Procedure:
         """Simulated time since the start, s."""
         return self.steps * CONTROL_STEP
 
-    def step(self, advance: float, rotate: float) -> None:
+    def step(self, advance: float, rotate: float, catheter: Move = (0.0, 0.0)) -> None:
         """One control step of 0.1 s, by shares (-1 to 1) of the full speeds; the first one starts the procedure.
+
+        Args:
+            advance: translation of the wire.
+            rotate: its rotation.
+            catheter: translation and rotation of the catheter, where there is one.
 
         Raises:
             RuntimeError: the procedure has ended.
@@ -102,7 +128,7 @@ class Procedure:
         if self.state == ENDED:
             raise RuntimeError("the procedure has ended: start another one")
         self.state = RUNNING
-        action = np.array([advance, rotate], np.float32)
+        action = np.array([advance, rotate, *(catheter if self.devices == 2 else ())], np.float32)
         _, reward, terminated, truncated, info = self.environment.step(action)
         self._tips.append(info["tip"])
         self._forces.append(info["force"])
@@ -149,8 +175,28 @@ class Procedure:
         return kept
 
 
+def _two_devices(info: Mapping[str, Any]) -> TwoDevices:
+    wire, catheter = info["feeder_forces"].tolist()
+    return TwoDevices(info["catheter_insertion"], info["catheter_rotation"], info["lead"], (wire, catheter))
+
+
 def between(earlier: Sample, later: Sample, share: float) -> np.ndarray:
     """The wire (links + 1, 3) m between two samples (share 0 to 1): a control step is shown in several pictures."""
     if share >= 1.0:
         return later.points
     return earlier.points + share * (later.points - earlier.points)
+
+
+def devices_between(
+    earlier: Sample, later: Sample, share: float, links: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Wire (n, 3) and catheter (k, 3) m between two samples, each from its tip on; None: there is no catheter.
+
+    Args:
+        links: of the rod that both are, from the proximal end, m.
+    """
+    points = between(earlier, later, share)
+    if earlier.devices is None or later.devices is None:
+        return points, None
+    lead = earlier.devices.lead + share * (later.devices.lead - earlier.devices.lead)
+    return wire_and_catheter(points, links, lead)

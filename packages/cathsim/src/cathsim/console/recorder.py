@@ -14,11 +14,18 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from cathsim.devices.shelf import catheter_preset_of
+from cathsim.devices.simulation import DualSimulation
+from cathsim.guidewire import preset_of
+
 if TYPE_CHECKING:
     from cathsim.environment import NavigateEnv
+    from cathsim.guidewire import Guidewire
     from cathsim.metrics import EpisodeMetrics
+    from cathsim.simulation import Simulation
 
 OPERATOR = "human"
+_OF_BOTH = ("catheter_insertion", "catheter_rotation", "lead", "feeder_forces")  # of the info with a catheter
 ENTRY_POINTS = "cathsim.recorders"  # group under which other distributions offer recorders
 QUESTIONNAIRE_SUFFIX = ".questionnaire.json"
 
@@ -79,7 +86,11 @@ class NpzRecorder:
     """Keeps each episode as a compressed NumPy archive, written when it ends.
 
     Arrays: action (T, 2), reward (T,), tip (T + 1, 3) m, wire_points (T + 1, n, 3) m, force (T + 1, 3) N, insertion
-    (T + 1,) m, rotation (T + 1,) rad; `description` is JSON: operator, phantom and its hash, task, seed, metrics.
+    (T + 1,) m, rotation (T + 1,) rad; `description` is JSON: operator, phantom and its hash, task, seed, devices,
+    metrics. With a catheter, action is (T, 4): translation and rotation of the wire, then of the catheter; wire_points
+    are of the rod that both are, and there are also catheter_insertion, catheter_rotation and lead (T + 1,), and
+    feeder_forces (T + 1, 2) N. `cathsim.devices.device_points.wire_and_catheter` gives each device's points of the rod,
+    its links (m, in the description's devices) and the lead.
     """
 
     default_folder = Path("console_episodes")
@@ -98,17 +109,20 @@ class NpzRecorder:
             "entry": environment.simulation.entry,
             "task": asdict(environment.task),
             "seed": seed,
+            "devices": _devices_of(environment.simulation),
         }
         self._rows = [self._state(environment, info)]
 
     @staticmethod
     def _state(environment: NavigateEnv, info: Mapping[str, Any]) -> dict[str, Any]:
+        both = {name: info[name] for name in _OF_BOTH if name in info}
         return {
             "tip": info["tip"],
             "wire_points": environment.simulation.wire_points(),
             "force": info["force_vector"],
             "insertion": info["insertion"],
             "rotation": info["rotation"],
+            **both,
         }
 
     def step(
@@ -143,6 +157,25 @@ class NpzRecorder:
     def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
         """Keeps a questionnaire in a JSON file beside the episode."""
         return write_answers(episode, answers)
+
+
+def _devices_of(simulation: Simulation) -> dict[str, Any]:
+    """Presets and settings of the devices; a device of one's own has no preset."""
+    if not isinstance(simulation, DualSimulation) or simulation.pair.catheter is None:
+        return {"wire": _preset(simulation.wire), "wire_settings": asdict(simulation.wire), "catheter": None}
+    wire, catheter = simulation.pair.wire, simulation.pair.catheter
+    return {
+        "wire": _preset(wire) if wire else None,
+        "wire_settings": asdict(wire) if wire else None,
+        "catheter": catheter_preset_of(catheter),
+        "catheter_settings": asdict(catheter),
+        "links": simulation.wire.links,
+    }
+
+
+def _preset(wire: Guidewire) -> str | None:
+    found = preset_of(wire)
+    return found[0] if found else None
 
 
 def find_recorder() -> Any:

@@ -13,6 +13,7 @@ _LARGEST_SEQUENCE = 2**53  # the whole numbers that JavaScript counts exactly
 
 _Name = Annotated[str, Field(min_length=1, max_length=100)]
 _Axis = Annotated[float, Field(ge=-1e6, le=1e6)]  # beyond -1 to 1 it counts as full speed
+_Move = Annotated[list[_Axis], Field(min_length=2, max_length=2)]  # translation and rotation
 
 
 class _Request(BaseModel):
@@ -24,12 +25,14 @@ class _Controls(_Request):
     advance: _Axis
     rotate: _Axis
     sequence: Annotated[int, Field(ge=0, le=_LARGEST_SEQUENCE)]
+    catheter: _Move = [0.0, 0.0]  # left out: the catheter stands still
 
 
 class _Choose(_Request):
     type: Literal["choose"]
     phantom: _Name
     target: _Name
+    catheter: _Name | None = None  # a catheter of the shelf; None: no catheter; left out: that of before
 
 
 class _Answers(_Request):
@@ -48,7 +51,9 @@ _REQUESTS: TypeAdapter[Any] = TypeAdapter(
 
 
 def read_request(text: str) -> dict[str, Any]:
-    """Reads what the page asks for, in JSON; the request has exactly the fields that its type has, each of its kind.
+    """Reads what the page asks for, in JSON; the request has fields that its type has, each of its kind, and no other.
+
+    `catheter`, the one field that may be left out, is then not in the result.
 
     Raises:
         ValueError: it is no request; one sentence says why.
@@ -56,7 +61,7 @@ def read_request(text: str) -> dict[str, Any]:
     if len(text) > LONGEST_REQUEST:
         raise ValueError(f"a request may have {LONGEST_REQUEST} characters, got {len(text)}")
     try:
-        request: dict[str, Any] = _REQUESTS.validate_json(text).model_dump()
+        request: dict[str, Any] = _REQUESTS.validate_json(text).model_dump(exclude_unset=True)
     except ValidationError as error:
         raise ValueError(_sentence(error)) from error
     return request
@@ -69,7 +74,7 @@ def check_request(request: Mapping[str, Any]) -> dict[str, Any]:
         ValueError: it is no request; one sentence says why.
     """
     try:
-        checked: dict[str, Any] = _REQUESTS.validate_python(dict(request)).model_dump()
+        checked: dict[str, Any] = _REQUESTS.validate_python(dict(request)).model_dump(exclude_unset=True)
     except ValidationError as error:
         raise ValueError(_sentence(error)) from error
     return checked
@@ -88,7 +93,10 @@ def _sentence(error: ValidationError) -> str:
         return f"request '{kind}' needs the field {field}"
     if first["type"] == "extra_forbidden":
         return f"request '{kind}' has no field {field}"
-    must = first["msg"].removeprefix("Input should ")
+    if first["type"] in ("too_short", "too_long") and isinstance(first["input"], list):
+        count = first["ctx"].get("min_length", first["ctx"].get("max_length"))
+        return f"request '{kind}' is refused: {field} should have {count} numbers, got {len(first['input'])}"
+    must = first["msg"].split(" should ", 1)[-1]
     return f"request '{kind}' is refused: {field} should {must}, got {_shown(first['input'])}"
 
 

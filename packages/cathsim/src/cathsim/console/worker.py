@@ -14,11 +14,12 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
+from cathsim.console.catheters import Offer, find_offer, offered
 from cathsim.console.controls import ControlPanel, Controls
 from cathsim.console.inbox import Inbox
 from cathsim.console.messages import frame_message
 from cathsim.console.picture import FluoroscopyMonitor, surface_of
-from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, between
+from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, devices_between
 from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
 from cathsim.console.requests import check_request
@@ -55,14 +56,25 @@ class Setup:
     phantom: str = "type_1"  # name of the phantom
     target: str = "bca"  # name of the target
     wire: str = "default"  # preset of the guidewire
+    catheter: str | None = None  # a preset, or the path of a YAML file; None: the bare wire
     accuracy: str = "accurate"  # preset of the time stepping
     max_steps: Count = 300  # a procedure ends after so many control steps
     seed: Seed = 0  # of the first procedure; each further one has the next
 
-    def environment(self, phantom: Phantom, target: str) -> NavigateEnv:
-        """The environment of a procedure; its image is that of other recorded episodes."""
+    def environment(self, phantom: Phantom, target: str, catheter: str | None) -> NavigateEnv:
+        """The environment of a procedure; its image is that of other recorded episodes.
+
+        Raises:
+            ValueError: an unknown device, devices that do not fit, or a target out of their reach.
+        """
         return NavigateEnv(
-            phantom, target, wire=self.wire, accuracy=self.accuracy, observation="tip", max_steps=self.max_steps
+            phantom,
+            target,
+            wire=self.wire,
+            catheter=catheter,
+            accuracy=self.accuracy,
+            observation="tip",
+            max_steps=self.max_steps,
         )
 
 
@@ -74,7 +86,7 @@ class RealTimeLoop(threading.Thread):
         note: what the page says about recording.
 
     Raises:
-        ValueError: the phantom, target, wire or accuracy is unknown.
+        ValueError: the phantom, target, wire, catheter or accuracy is unknown.
     """
 
     def __init__(
@@ -98,7 +110,12 @@ class RealTimeLoop(threading.Thread):
         self._shown: tuple[Procedure, float] | None = None  # the replayed one and its time, s
         self._finished: Procedure | None = None
         self._sequence = 0
-        self._open(load_phantom(setup.phantom), setup.target)
+        self._offers = offered(setup.catheter)
+        phantom = load_phantom(setup.phantom)
+        environment = setup.environment(phantom, setup.target, setup.catheter)
+        self._catheter = find_offer(self._offers, setup.catheter) if setup.catheter else None
+        self._surface = surface_of(phantom)
+        self._open(environment)
 
     # -- requests, from other threads ---------------------------------------------------------------------------------
 
@@ -111,14 +128,19 @@ class RealTimeLoop(threading.Thread):
         request = check_request(request)
         kind = request["type"]
         if kind == "controls":
-            self.panel.set(Controls(request["advance"], request["rotate"], request["sequence"]))
+            catheter = request.get("catheter", (0.0, 0.0))
+            if any(catheter) and self._catheter is None:
+                raise ValueError("there is no catheter to steer: choose one first")
+            self.panel.set(Controls(request["advance"], request["rotate"], request["sequence"], *catheter))
             self._inbox.put("touch")  # the first one starts the clock at once
         elif kind == "release":
             self.panel.release()
         elif kind == "choose":
             if request["phantom"] not in self._phantoms:
                 raise ValueError(f"unknown phantom {request['phantom']!r}; there are {', '.join(self._phantoms)}")
-            self._inbox.put(kind, lambda: self._choose(request["phantom"], request["target"]))
+            name = request.get("catheter", self._catheter.name if self._catheter else None)
+            catheter = None if name is None else find_offer(self._offers, name)
+            self._inbox.put(kind, lambda: self._choose(request["phantom"], request["target"], catheter))
         elif kind == "answers":
             answers = check_answers(request["answers"])
             self._inbox.put(kind, lambda: self._answer(answers))
@@ -189,10 +211,8 @@ class RealTimeLoop(threading.Thread):
                 self._say(type="notice", kind="error", text=f"'{kind}' failed ({type(error).__name__}: {error})")
         return False
 
-    def _open(self, phantom: Phantom, target: str) -> None:
-        environment = self._setup.environment(phantom, target)
+    def _open(self, environment: NavigateEnv) -> None:
         self._environment, self._monitor = environment, FluoroscopyMonitor(environment.simulation)
-        self._surface = surface_of(phantom)
         self._begin()
 
     def _begin(self) -> None:
@@ -216,6 +236,10 @@ class RealTimeLoop(threading.Thread):
             target=task.target_name,
             phantoms=self._phantoms,
             targets=list(environment.phantom.targets),
+            catheter=self._catheter.name if self._catheter else None,
+            catheters=[offer.to_page() for offer in self._offers],
+            devices=environment.feeders.devices,
+            replayable=self._finished is not None,
             goal=task.goal(environment.phantom).tolist(),
             success_radius=task.success_radius,
             max_steps=task.max_steps,
@@ -227,19 +251,23 @@ class RealTimeLoop(threading.Thread):
             criteria=[asdict(criterion) for criterion in CRITERIA],
         )
 
-    def _choose(self, phantom: str, target: str) -> None:
+    def _choose(self, phantom: str, target: str, catheter: Offer | None) -> None:
         self._say(type="loading", phantom=phantom)
-        loaded = load_phantom(phantom)
-        if target not in loaded.targets:
-            target = next(iter(loaded.targets))
+        try:
+            loaded = load_phantom(phantom)
+            if target not in loaded.targets:
+                target = next(iter(loaded.targets))
+            environment = self._setup.environment(loaded, target, catheter.source if catheter else None)
+        except ValueError:
+            self._send_task()  # the page shows again what there is
+            raise
+        another = loaded is not self._environment.phantom
+        self._catheter, self._finished = catheter, None
         self.panel.release()
         self._procedure.break_off()
-        self._finished = None
-        if loaded is self._environment.phantom:
-            self._environment = self._setup.environment(loaded, target)
-            self._begin()
-        else:
-            self._open(loaded, target)
+        self._open(environment)
+        if another:
+            self._surface = surface_of(loaded)
             self._page.say(self._surface)
         self._send_task()
 
@@ -278,7 +306,7 @@ class RealTimeLoop(threading.Thread):
         if starts and procedure.state != ENDED and (procedure.state == RUNNING or self.panel.touched):
             controls = self.panel.take()
             self._sequence = controls.sequence
-            procedure.step(controls.advance, controls.rotate)
+            procedure.step(*controls.wire, controls.catheter)
         samples = procedure.samples
         if procedure.state == READY:
             self._show(READY, samples[0], samples[0], 1.0, 0)
@@ -301,11 +329,11 @@ class RealTimeLoop(threading.Thread):
             self._say(type="replayed")
 
     def _show(self, state: str, earlier: Sample, later: Sample, share: float, step: int) -> None:
-        points = between(earlier, later, share)
+        wire, catheter = devices_between(earlier, later, share, self._environment.simulation.wire.links)
         drawn = self._drawn
         if drawn is None or drawn[0] is not earlier or drawn[1] is not later or drawn[2] != share:
-            drawn = self._drawn = (earlier, later, share, self._monitor.jpeg(points))
-        header = {
+            drawn = self._drawn = (earlier, later, share, self._monitor.jpeg(wire, catheter))
+        header: dict[str, Any] = {
             "state": state,
             "step": step,
             "time_s": max(step - 1 + share, 0.0) * CONTROL_STEP,
@@ -316,7 +344,14 @@ class RealTimeLoop(threading.Thread):
             "distance_mm": later.distance * _MM,
             "sequence": self._sequence,
         }
-        self._page.show(frame_message(header, points, drawn[3]))
+        if later.devices is not None:
+            header |= {
+                "catheter_insertion_mm": later.devices.catheter_insertion * _MM,
+                "catheter_rotation_rad": later.devices.catheter_rotation,
+                "lead_mm": later.devices.lead * _MM,
+                "feeder_forces_n": later.devices.feeder_forces,
+            }
+        self._page.show(frame_message(header, wire, drawn[3], catheter))
 
     def _send_end(self) -> None:
         procedure = self._finished = self._procedure

@@ -14,6 +14,7 @@ from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, max_insertio
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
+from cathsim.devices.device_points import points_behind
 from cathsim.devices.hubs import DEVICE_NAMES, Hubs
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.rod import CATHETER, DEVICES, WIRE, Rod, device_tables, twin
@@ -267,13 +268,8 @@ class DualSimulation(Simulation):
         index = DEVICE_NAMES.index(device)
         if self.tables[index] is None:
             return np.empty((0, 3))
-        points = self.wire_points()
         behind = max(-self.device_lead, 0.0) if index == WIRE else max(self.device_lead, 0.0)
-        arcs = np.concatenate(([0.0], np.cumsum(self.wire.links[::-1])))
-        first = int(np.searchsorted(arcs, behind, side="right"))
-        share = (behind - arcs[first - 1]) / (arcs[first] - arcs[first - 1]) if first < len(arcs) else 0.0
-        start = points[first - 1] + share * (points[min(first, len(points) - 1)] - points[first - 1])
-        return np.concatenate((start[None], points[first:]))
+        return points_behind(self.wire_points(), self.wire.links, behind)
 
     def state(self) -> Array:
         """As of `Simulation`, followed by lead, both hubs' angles and both devices' twist at each joint."""

@@ -26,11 +26,12 @@ function send(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
-function sendControls(advance, rotate) {
-  const changed = advance !== statistics.controls[0] || rotate !== statistics.controls[1];
-  if (changed) sentAt.set(++sequence, performance.now());
-  statistics.controls = [advance, rotate];
-  send({ type: "controls", advance, rotate, sequence });
+function sendControls(axes) {
+  const [advance, rotate, ...catheter] = axes, both = task?.devices === 2;
+  const steered = both ? axes : [advance, rotate];
+  if (steered.some((x, k) => x !== statistics.controls[k])) sentAt.set(++sequence, performance.now());
+  statistics.controls = steered;
+  send({ type: "controls", advance, rotate, sequence, ...(both ? { catheter } : {}) });
 }
 
 // -- the connection ---------------------------------------------------------------------------------------------------
@@ -70,9 +71,12 @@ function look(data) {
   }
   const length = bytes.getUint32(4, true);
   const frame = JSON.parse(decoder.decode(new Uint8Array(data, 8, length)));
-  const flat = new Float32Array(data, 8 + length, 3 * frame.points);
-  frame.wire = Array.from({ length: frame.points }, (_, k) => [flat[3 * k], flat[3 * k + 1], flat[3 * k + 2]]);
-  frame.picture = new Blob([new Uint8Array(data, 8 + length + 12 * frame.points)], { type: "image/jpeg" });
+  const inner = frame.points, outer = frame.catheter_points ?? 0;
+  const flat = new Float32Array(data, 8 + length, 3 * (inner + outer));
+  const points = Array.from({ length: inner + outer }, (_, k) => [flat[3 * k], flat[3 * k + 1], flat[3 * k + 2]]);
+  frame.wire = points.slice(0, inner);
+  frame.catheter = points.slice(inner);
+  frame.picture = new Blob([new Uint8Array(data, 8 + length + 12 * (inner + outer))], { type: "image/jpeg" });
   statistics.received++;
   newest = frame;
   if (!drawing) draw();
@@ -113,7 +117,7 @@ function drawSpace(frame) {
   const now = performance.now(), key = `${frame.state} ${frame.time_s}`;
   if (!space || (key === spaceShown && !space.changed)) return;
   if (now - spaceAt < (statistics.fps < 25 ? 95 : space.slow ? 60 : 0)) return;
-  space.draw(frame.wire);
+  space.draw(frame.wire, frame.catheter);
   spaceShown = key;
   spaceAt = now;
 }
@@ -132,9 +136,29 @@ function gauges(frame) {
   put("time", frame.time_s.toFixed(1));
   put("distance", frame.distance_mm.toFixed(0));
   put("insertion", frame.insertion_mm.toFixed(0));
-  put("rotation", (Math.round((frame.rotation_rad * 180) / Math.PI) + 0).toFixed(0));
+  put("rotation", degrees(frame.rotation_rad));
+  if (frame.lead_mm !== undefined) deviceGauge(frame);
   put("label-prompt", PROMPTS[frame.state] ?? "");
   $("recording").hidden = !(task?.recording && frame.state === "running");
+}
+
+const degrees = (angle) => (Math.round((angle * 180) / Math.PI) + 0).toFixed(0);
+const signed = (x) => x.toFixed(2).replace(/^-(0\.00)$/, "$1").replace("-", "−");
+
+function deviceGauge(frame) {
+  const [wire, catheter] = frame.feeder_forces_n;
+  put("lead", frame.lead_mm.toFixed(0).replace(/^-0$/, "0").replace("-", "−"));
+  put("wire-insertion", `${frame.insertion_mm.toFixed(0)} mm`);
+  put("wire-rotation", `${degrees(frame.rotation_rad)}°`);
+  put("wire-push", `${signed(wire)} N`);
+  put("catheter-insertion", `${frame.catheter_insertion_mm.toFixed(0)} mm`);
+  put("catheter-rotation", `${degrees(frame.catheter_rotation_rad)}°`);
+  put("catheter-push", `${signed(catheter)} N`);
+  // where the gauges are below the edge of a small screen, the monitor says the same
+  const rows = ["catheter", "wire"].map((name) =>
+    `${name} ${["insertion", "rotation", "push"].map((what) => $(`${name}-${what}`).textContent).join(", ")}`);
+  const shown = frame.state === "running" || frame.state === "replay";
+  put("label-devices", shown ? `${rows.join("\n")}\nwire ahead by ${$("lead").textContent} mm · wall ${frame.force_n.toFixed(2)} N` : "");
 }
 
 function setState(state, label) {
@@ -147,11 +171,17 @@ function setTask(message) {
   task = statistics.task = message;
   choices($("phantom"), message.phantoms, message.phantom);
   choices($("target"), message.targets, message.target);
-  put("label-task", `${message.phantom.replaceAll("_", " ").toUpperCase()} → ${message.target.toUpperCase()}`);
+  const catheters = message.catheters.map(({ name, shape, french }) => new Option(french ? `${shape} ${french}F` : shape, name));
+  $("catheter").replaceChildren(new Option("none", ""), ...catheters);
+  $("catheter").value = message.catheter ?? "";
+  const device = message.catheter ? ` · ${$("catheter").selectedOptions[0].text.toUpperCase()}` : "";
+  put("label-task", `${message.phantom.replaceAll("_", " ").toUpperCase()} → ${message.target.toUpperCase()}${device}`);
+  document.body.dataset.devices = message.devices;
+  controls.steer(message.devices);
   put("limit", (message.max_steps * message.control_step).toFixed(0));
   fluoroscopy.canvas.width = fluoroscopy.canvas.height = message.size;
   space?.setTask(message);
-  $("replay").disabled = true;
+  $("replay").disabled = !message.replayable;
   fillQuestions(message.criteria);
   closeEnd();
   markTarget();
@@ -212,10 +242,11 @@ setInterval(() => {
 
 // -- choices, restart, replay -----------------------------------------------------------------------------------------
 
-for (const id of ["phantom", "target"]) {
+for (const id of ["phantom", "target", "catheter"]) {
   $(id).addEventListener("change", () => {
-    send({ type: "choose", phantom: $("phantom").value, target: $("target").value });
-    $(id).blur(); // the arrow keys steer the wire again
+    controls.release();
+    send({ type: "choose", phantom: $("phantom").value, target: $("target").value, catheter: $("catheter").value || null });
+    $(id).blur(); // the keys steer the devices again
   });
 }
 $("restart").addEventListener("click", restart);

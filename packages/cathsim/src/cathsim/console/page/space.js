@@ -1,4 +1,4 @@
-// The vessel and the wire in 3-D with WebGL: a glowing translucent lumen, an opaque wire, the target; drag turns it.
+// The vessel and the devices in 3-D with WebGL: a glowing translucent lumen, opaque devices, the target; drag turns it.
 
 const VESSEL = `
 attribute vec3 position, normal; uniform mat4 view, projection; varying vec3 n, p;
@@ -14,10 +14,11 @@ const SOLID_INK = `
 precision mediump float; varying vec3 n; uniform vec3 colour;
 void main() { gl_FragColor = vec4(colour * (0.45 + 0.55 * max(0.0, normalize(n).z)), 1.0); }`;
 
-const SIDES = 8; // of the wire's tube
+const SIDES = 8; // of a device's tube
 const SMOOTH = 3; // rings a link
-const RADIUS = 0.0009; // m; the wire is drawn twice as thick as it is
-const SHOWN_SHEATH = 0.03; // m of the wire outside the phantom's bounds that are drawn
+const WIRE = { radius: 0.0009, colour: [0.93, 0.97, 1.0] }; // m; devices are drawn twice as thick as they are
+const CATHETER = { radius: 0.0016, colour: [0.36, 0.62, 1.0] };
+const SHOWN_SHEATH = 0.03; // m of a device outside the phantom's bounds that are drawn
 
 export class Space {
   constructor(canvas) {
@@ -30,7 +31,7 @@ export class Space {
     this.vessel = this.#program(VESSEL, VESSEL_INK);
     this.solid = this.#program(SOLID, SOLID_INK);
     this.surface = null;
-    this.wire = this.#mesh();
+    this.device = this.#mesh();
     this.ball = this.#mesh();
     new ResizeObserver(() => { this.changed = true; }).observe(canvas);
     this.turn = [0, 0]; // azimuth, elevation, rad; 0 is the front
@@ -53,7 +54,8 @@ export class Space {
     this.changed = true;
   }
 
-  draw(points) {
+  // Points of wire and catheter, each from its tip on; an absent device has none.
+  draw(wire, catheter = []) {
     const { gl, canvas } = this;
     if (!this.centre || gl.isContextLost()) return;
     this.changed = false;
@@ -69,10 +71,11 @@ export class Space {
     gl.enable(gl.DEPTH_TEST);
     gl.disable(gl.BLEND);
     const low = this.bounds[0][2] - SHOWN_SHEATH, high = this.bounds[1][2] + SHOWN_SHEATH;
-    const shown = points.filter((p) => p[2] > low && p[2] < high);
-    if (shown.length > 1) {
-      this.#fill(this.wire, ...tube(smooth(shown)), gl.DYNAMIC_DRAW);
-      this.#paint(this.solid, this.wire, view, projection, [0.93, 0.97, 1.0]);
+    for (const [points, { radius, colour }] of [[wire, WIRE], [catheter, CATHETER]]) {
+      const shown = points.filter((p) => p[2] > low && p[2] < high);
+      if (shown.length < 2) continue;
+      this.#fill(this.device, ...tube(smooth(shown), radius), gl.DYNAMIC_DRAW);
+      this.#paint(this.solid, this.device, view, projection, colour);
     }
     this.#paint(this.solid, this.ball, view, projection, [0.25, 0.9, 0.5]);
     if (this.surface) {
@@ -198,7 +201,7 @@ function smooth(points) {
   return result;
 }
 
-function tube(points) {
+function tube(points, radius) {
   const rings = points.length;
   const vertices = new Float32Array(rings * SIDES * 3), normals = new Float32Array(rings * SIDES * 3);
   const faces = new Uint32Array((rings - 1) * SIDES * 6);
@@ -213,7 +216,7 @@ function tube(points) {
       for (let k = 0; k < 3; k++) {
         const n = Math.cos(angle) * side[k] + Math.sin(angle) * other[k];
         normals[3 * (i * SIDES + j) + k] = n;
-        vertices[3 * (i * SIDES + j) + k] = points[i][k] + RADIUS * n;
+        vertices[3 * (i * SIDES + j) + k] = points[i][k] + radius * n;
       }
       if (i + 1 < rings) {
         const a = i * SIDES + j, b = i * SIDES + ((j + 1) % SIDES);
