@@ -102,6 +102,7 @@ def _episode_forces(
     episode: Trajectory, phantom: Phantom, generator: np.random.Generator | None
 ) -> tuple[NDArray[np.float64], int]:
     """Estimated forces (T,) N of an episode's steps, and how many curves were refused."""
+    from cathsim.devices.pair import DevicePair
     from cathsim.statics import (
         ContactForceEstimator,
         DrawnErrors,
@@ -111,21 +112,24 @@ def _episode_forces(
         noisy_curve,
     )
 
-    wire, sizes = episode.metadata["wire"], Uncertainty()
-    known = DrawnErrors(phantom, wire, 0.0, 0.0)
+    devices = episode.metadata["devices"]
+    outer = devices.get("catheter") or devices["wire"]
+    device, sizes = devices["wire"] if outer is devices["wire"] else DevicePair(**devices), Uncertainty()
+    known = DrawnErrors(phantom, device, 0.0, 0.0)
     if generator is not None:
-        known = drawn_errors(phantom, wire, sizes, generator)
-    estimator = ContactForceEstimator(known.phantom, known.device, friction=wire.friction)
-    feeder, shapes = episode.observations["feeder"].astype(float), episode.observations["shape"].astype(float)
-    rotations = np.unwrap(np.arctan2(feeder[:, 2], feeder[:, 1]))
+        known = drawn_errors(phantom, device, sizes, generator)
+    estimator = ContactForceEstimator(known.phantom, known.device, friction=outer.friction)
+    shapes, feeders = episode.observations["shape"].astype(float), _feeders(episode)
     forces, refused = np.zeros(len(episode)), 0
     for moment, points in enumerate(shapes):
-        curve = inserted_part(points, float(feeder[moment, 0]))
+        curve = inserted_part(points, float(feeders[moment, :, 0].max()))
         if generator is not None:
             curve = noisy_curve(curve, sizes.curve, generator)
-        insertion = min(max(float(feeder[moment, 0]) + known.insertion, 0.0), estimator.max_insertion)
+        wrong = feeders[moment] + (known.insertion, known.rotation)
+        wrong[:, 0] = np.clip(wrong[:, 0], 0.0, estimator.max_insertion)
+        (insertion, rotation), *others = wrong.tolist()
         try:
-            found = estimator.update(curve, insertion, float(rotations[moment]) + known.rotation)
+            found = estimator.update(curve, insertion, rotation, catheter=tuple(others[0]) if others else None)
         except ValueError as error:
             _LOGGER.debug("%s, moment %d: %s", episode.label, moment, error)
             refused += moment > 0
@@ -133,3 +137,12 @@ def _episode_forces(
         if moment > 0:  # the first is the state after the reset, in which no step has ended
             forces[moment - 1] = found.resultant.value
     return forces, refused
+
+
+def _feeders(episode: Trajectory) -> NDArray[np.float64]:
+    """Insertion (m) and rotation (rad, without jumps) of each feeder in every moment. Shape (T + 1, feeders, 2)."""
+    observed = episode.observations["feeder"].astype(float)
+    columns = [observed[:, start : start + 3] for start in range(0, observed.shape[1] - 2, 3)]
+    return np.stack(
+        [np.column_stack((one[:, 0], np.unwrap(np.arctan2(one[:, 2], one[:, 1])))) for one in columns], axis=1
+    )

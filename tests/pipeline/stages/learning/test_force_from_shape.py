@@ -43,6 +43,21 @@ def test_forces_of_the_held_out_episode_are_estimated(job: ShapeForceJob) -> Non
     assert np.corrcoef(estimated, true)[0, 1] > 0.9
 
 
+def test_forces_of_a_wire_in_a_catheter_are_estimated(tmp_path: Path) -> None:
+    task = LearningTask("type_1", "bca", Task(max_steps=STEPS, image_size_px=36, catheter="vertebral_5f"))
+    environment = task.environment(("feeder", "tip", "image"))
+    forward = np.array([1.0, 0.1, 1.0, 0.1], np.float32)
+    for number in range(2):
+        path = tmp_path / "episodes" / f"{number:03d}.mcap"
+        record_episode(environment, lambda *_: forward, path, seed=number, operator="script")
+    job = ShapeForceJob(tmp_path / "shape", "type_1", (tmp_path / "episodes",), 1000, 0, disturbed=False)
+    estimated, true, refused = test_frames(job, Report())
+    assert refused == 0
+    assert true.max() > 0.01
+    assert np.corrcoef(estimated, true)[0, 1] > 0.7
+    assert np.isfinite(test_frames(dataclasses.replace(job, disturbed=True), Report())[0]).all()
+
+
 def test_an_outcome_is_kept_and_errors_make_it_worse(job: ShapeForceJob, monkeypatch: pytest.MonkeyPatch) -> None:
     exact = forces_from_shape(job, Report())
     disturbed = forces_from_shape(

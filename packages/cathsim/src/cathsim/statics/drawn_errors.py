@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +9,10 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.centreline import resampled
+from cathsim.devices.pair import DevicePair
 from cathsim.guidewire import Guidewire
 from cathsim.statics.observed_curve import STEP
-from cathsim.statics.simulated_device import with_lumen
+from cathsim.statics.simulated_device import changed_device, with_lumen
 from cathsim.statics.uncertainty import Uncertainty, smooth_noise
 
 
@@ -21,23 +21,19 @@ class DrawnErrors:
     """What is told of a case."""
 
     phantom: Phantom  # its lumen shifted and widened
-    device: Guidewire  # of another stiffness
+    device: Guidewire | DevicePair  # of another stiffness
     insertion: float  # error of the feeder's position, m
     rotation: float  # error of the feeder's angle, rad
 
 
 def drawn_errors(
-    phantom: Phantom, device: Guidewire, uncertainty: Uncertainty, generator: np.random.Generator
+    phantom: Phantom, device: Guidewire | DevicePair, uncertainty: Uncertainty, generator: np.random.Generator
 ) -> DrawnErrors:
     """Draws the errors of a case, normal and independent, with the deviations of an `Uncertainty`."""
     x, y, z = (float(value) for value in uncertainty.registration * generator.standard_normal(3))
     lumen = uncertainty.lumen * float(generator.standard_normal())
     stiffness = float(np.exp(uncertainty.stiffness * generator.standard_normal()))
-    wrong = dataclasses.replace(
-        device,
-        shaft_stiffness_nmm2=device.shaft_stiffness_nmm2 * stiffness,
-        tip_stiffness_nmm2=device.tip_stiffness_nmm2 * stiffness,
-    )
+    wrong = changed_device(device, stiffness)
     insertion = uncertainty.insertion * float(generator.standard_normal())
     rotation = uncertainty.rotation * float(generator.standard_normal())
     moved = with_lumen(phantom, phantom.grid.values + np.float32(lumen), (x, y, z))

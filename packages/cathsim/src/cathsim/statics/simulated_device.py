@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -42,26 +43,37 @@ def simulated_device(
         ValueError: something else than a guidewire or a pair, or no such entry.
     """
     vessel = deviating_phantom(phantom, deviation)
-    if isinstance(device, DevicePair):
-        pair = dataclasses.replace(
-            device,
-            wire=None if device.wire is None else _deviating_device(device.wire, friction, deviation),
-            catheter=None if device.catheter is None else _deviating_device(device.catheter, friction, deviation),
-        )
-        return DualSimulation(vessel, pair, numerics, entry=entry)
-    if not isinstance(device, Guidewire):
+    if not isinstance(device, Guidewire | DevicePair):
         raise ValueError(f"device must be a Guidewire or a DevicePair, got {type(device).__name__}")
-    return Simulation(vessel, _deviating_device(device, friction, deviation), numerics, entry=entry)
+    case = changed_device(
+        device,
+        deviation.stiffness,
+        lambda own: (max(own, LEAST_FRICTION) if friction is None else friction) * deviation.friction,
+    )
+    if isinstance(case, DevicePair):
+        return DualSimulation(vessel, case, numerics, entry=entry)
+    return Simulation(vessel, case, numerics, entry=entry)
 
 
-def _deviating_device(device: Device, friction: float | None, deviation: Deviation) -> Device:
-    """A device of another stiffness and friction."""
-    nominal = max(device.friction, LEAST_FRICTION) if friction is None else friction
+def changed_device(
+    device: Guidewire | DevicePair, stiffness: float, friction: Callable[[float], float] = float
+) -> Guidewire | DevicePair:
+    """A wire, or both devices of a pair, with the bending stiffness multiplied and the friction coefficient mapped."""
+    if isinstance(device, Guidewire):
+        return _changed(device, stiffness, friction)
     return dataclasses.replace(
         device,
-        shaft_stiffness_nmm2=device.shaft_stiffness_nmm2 * deviation.stiffness,
-        tip_stiffness_nmm2=device.tip_stiffness_nmm2 * deviation.stiffness,
-        friction=nominal * deviation.friction,
+        wire=None if device.wire is None else _changed(device.wire, stiffness, friction),
+        catheter=None if device.catheter is None else _changed(device.catheter, stiffness, friction),
+    )
+
+
+def _changed(device: Device, stiffness: float, friction: Callable[[float], float]) -> Device:
+    return dataclasses.replace(
+        device,
+        shaft_stiffness_nmm2=device.shaft_stiffness_nmm2 * stiffness,
+        tip_stiffness_nmm2=device.tip_stiffness_nmm2 * stiffness,
+        friction=friction(device.friction),
     )
 
 
