@@ -59,6 +59,7 @@ def measure(tab: Tab, seconds: float, taps: int) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="less than 50 s")
+    parser.add_argument("--catheter", default="none", help="that the wire lies in (default %(default)s)")
     parser.add_argument("--picture", type=Path, help="PNG of the console, an episode going on")
     options = parser.parse_args()
     if find_browser() is None:
@@ -67,19 +68,26 @@ def main() -> None:
         return
     with (
         tempfile.TemporaryDirectory() as folder,
-        running_console("--record", f"{folder}/episodes", "--max-steps", "1000") as address,
+        running_console(
+            "--record", f"{folder}/episodes", "--max-steps", "1000", "--catheter", options.catheter
+        ) as address,
         Tab(Path(folder) / "profile") as tab,
     ):
         tab.open(address)
         figures = measure(tab, seconds=6.0 if options.quick else 20.0, taps=25 if options.quick else 100)
         if options.picture:
+            if options.catheter != "none":
+                tab.key("w", down=True)
+                wait_until(lambda: tab.frame()["catheter_insertion_mm"] > 110, 40)
+                tab.key("w", down=False)
             tab.key("ArrowUp", down=True)
             wait_until(lambda: tab.frame()["insertion_mm"] > 150, 40)
             tab.screenshot(options.picture)
             tab.key("ArrowUp", down=False)
     for name, value in figures.items():
         print(f"{name:20} {value:8.1f}")
-    print(json.dumps({"benchmark": "console", **{name: round(value, 2) for name, value in figures.items()}}))
+    rounded = {name: round(value, 2) for name, value in figures.items()}
+    print(json.dumps({"benchmark": "console", "catheter": options.catheter, **rounded}))
 
 
 if __name__ == "__main__":

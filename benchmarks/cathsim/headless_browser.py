@@ -202,6 +202,11 @@ class Tab:
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=2, mobile=True)
         self.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=5)
 
+    def desktop(self) -> None:
+        """Makes the page that of a desktop again."""
+        self.call("Emulation.clearDeviceMetricsOverride")
+        self.call("Emulation.setTouchEmulationEnabled", enabled=False)
+
     def touch(self, *selectors: str) -> None:
         """Puts a finger on each of some elements, and lifts all others.
 

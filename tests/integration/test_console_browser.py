@@ -104,26 +104,104 @@ def test_a_finished_procedure_is_replayed(tab: Tab) -> None:
     wait_until(lambda: tab.frame()["state"] == "replay" and tab.frame()["step"] > 3, 5)
 
 
-def test_a_gamepad_steers_and_lets_go_when_it_is_pulled_out(tab: Tab) -> None:
-    restart(tab)
-    tab.value("""(() => {
-      const pad = { index: 0, id: "Test pad", connected: true, axes: [0, -1, 0, 0], buttons: [] };
+def plug_gamepad(tab: Tab, axes: list[float], mapping: str = "") -> None:
+    tab.value(f"""(() => {{
+      const pad = {{ index: 0, id: "Test pad", connected: true, mapping: "{mapping}", axes: {axes}, buttons: [] }};
       window.testPads = [pad];
       navigator.getGamepads = () => window.testPads;
       const event = new Event("gamepadconnected");
       event.gamepad = pad;
       dispatchEvent(event);
-    })()""")
-    wait_until(lambda: tab.frame()["insertion_mm"] > 8, 10)
+    }})()""")
+
+
+def pull_gamepad(tab: Tab) -> None:
     tab.value("""(() => {
       const event = new Event("gamepaddisconnected");
       event.gamepad = window.testPads[0];
       window.testPads = [null];
       dispatchEvent(event);
     })()""")
+
+
+def test_a_gamepad_steers_and_lets_go_when_it_is_pulled_out(tab: Tab) -> None:
+    restart(tab)
+    plug_gamepad(tab, [0, -1, 0, 0])
+    wait_until(lambda: tab.frame()["insertion_mm"] > 8, 10)
+    pull_gamepad(tab)
     assert tab.value("consoleStatistics.controls") == [0, 0]
     assert "gamepad was pulled out" in tab.value("document.getElementById('notice').textContent")
     stands_still(tab)
+
+
+def choose_catheter(tab: Tab, name: str) -> None:
+    tab.value(f"""(() => {{
+      const select = document.getElementById("catheter");
+      select.value = "{name}";
+      select.dispatchEvent(new Event("change"));
+    }})()""")
+    wait_until(lambda: tab.value("consoleStatistics.task.catheter ?? ''") == name, 20)
+    wait_until(lambda: tab.frame()["state"] == "ready", 10)
+
+
+def steered(tab: Tab) -> list[float]:
+    return list(tab.value("consoleStatistics.controls"))
+
+
+def test_two_devices_are_steered_by_keys(tab: Tab) -> None:
+    restart(tab)
+    choose_catheter(tab, "vertebral_6f")
+    assert "VERTEBRAL 6F" in tab.value("document.getElementById('label-task').textContent")
+    for name in ("w", "ArrowUp"):
+        tab.key(name, down=True)
+    wait_until(lambda: steered(tab) == [1, 0, 1, 0], 3)
+    wait_until(lambda: tab.frame()["catheter_insertion_mm"] > 15, 10)
+    tab.key("w", down=False)
+    tab.key("d", down=True)
+    tab.key("Shift", down=True)
+    wait_until(lambda: steered(tab) == [0.25, 0, 0, 0.25], 3)
+    tab.key("Shift", down=False)
+    wait_until(lambda: tab.frame()["lead_mm"] > 8 and tab.frame()["catheter_rotation_rad"] > 0.3, 10)
+    for name in ("d", "ArrowUp"):
+        tab.key(name, down=False)
+    wait_until(lambda: steered(tab) == [0, 0, 0, 0], 3)
+    frame = tab.frame()
+    assert frame["rotation_rad"] == 0, "the catheter's keys do not turn the wire"
+    assert len(frame["feeder_forces_n"]) == 2
+    assert tab.value("document.getElementById('wire-insertion').textContent").endswith(" mm")
+
+
+def test_a_gamepad_steers_the_wire_with_its_right_and_the_catheter_with_its_left_stick(tab: Tab) -> None:
+    restart(tab)
+    plug_gamepad(tab, [0, -1, 0.5, 0], "standard")
+    wait_until(lambda: steered(tab) == [0, 0.41, 1, 0], 3)
+    pull_gamepad(tab)
+    assert steered(tab) == [0, 0, 0, 0]
+    plug_gamepad(tab, [0, -1, 0.5, 0])
+    wait_until(lambda: steered(tab) == [1, 0, 0, 0], 3)
+    pull_gamepad(tab)
+
+
+def test_two_fingers_steer_two_devices_on_a_phone(tab: Tab) -> None:
+    restart(tab)
+    tab.phone(390, 844)
+    catheter, wire = ".pad:nth-of-type(1) [data-key=KeyW]", ".pad:nth-of-type(2) [data-key=ArrowUp]"
+    tab.touch(catheter, wire)
+    wait_until(lambda: steered(tab) == [1, 0, 1, 0], 3)
+    wait_until(lambda: tab.frame()["catheter_insertion_mm"] > 5, 10)
+    tab.touch()
+    wait_until(lambda: steered(tab) == [0, 0, 0, 0], 3)
+    assert tab.value("document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out to the side"
+    shown = tab.value("""(() => {
+      const pads = document.getElementById("pads").getBoundingClientRect();
+      const picture = document.getElementById("fluoroscopy").getBoundingClientRect();
+      return [pads.bottom <= innerHeight + 1, picture.bottom < pads.top];
+    })()""")
+    assert shown == [True, True], "pads and fluoroscopy are on the screen together"
+    tab.desktop()
+    choose_catheter(tab, "")
+    assert steered(tab) == [0, 0] or steered(tab) == [0, 0, 0, 0]
+    assert "lead_mm" not in tab.frame()
 
 
 def test_a_second_window_is_told_that_the_controls_are_taken(tab: Tab, address: str) -> None:

@@ -107,6 +107,40 @@ def test_a_hundred_malformed_messages_leave_the_console_working(console: Console
     assert_works(address)
 
 
+def test_what_cannot_be_asked_of_two_devices_is_answered_with_one_sentence(console: Console) -> None:
+    _, address = console
+    controls: dict[str, Any] = {"type": "controls", "advance": 1, "rotate": 0, "sequence": 1}
+    choice = {"type": "choose", "phantom": "type_1", "target": "bca"}
+    with connect(address, max_size=None) as page:
+        next_message(page, "task")
+        for message, answer in (
+            ({**controls, "catheter": [1, 0]}, "there is no catheter to steer: choose one first"),
+            ({**choice, "catheter": "moon"}, "unknown catheter 'moon'; there are straight_4f, "),
+            ({**choice, "catheter": "../../mine.yaml"}, "unknown catheter '../../mine.yaml'; "),
+            ({**choice, "catheter": ["vertebral"]}, "catheter should be a valid string, got ['vertebral']"),
+        ):
+            page.send(json.dumps(message))
+            assert answer in next_message(page, "notice")["text"]
+        page.send(json.dumps({**choice, "catheter": "vertebral_4f"}))
+        assert next_message(page, "task")["devices"] == 2
+        for catheter, answer in (
+            ([1], "catheter should have 2 numbers, got 1"),
+            ([1, 0, 1, 0], "catheter should have 2 numbers, got 4"),
+            ([float("nan"), 0], "catheter.0 should be a finite number, got nan"),
+            ([0, float("inf")], "catheter.1 should be a finite number, got inf"),
+            (["1", 0], "catheter.0 should be a valid number, got '1'"),
+        ):
+            page.send(json.dumps({**controls, "catheter": catheter}))
+            assert answer in next_message(page, "notice")["text"]
+        page.send(json.dumps({**controls, "catheter": [1, 0]}))
+        while True:
+            frame = page.recv(timeout=20)
+            if isinstance(frame, bytes) and b'"state": "running"' in frame and b'"lead_mm"' in frame:
+                break
+        page.send(json.dumps({**choice, "catheter": None}))
+        assert next_message(page, "task")["devices"] == 1
+
+
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 def test_a_flood_is_refused_with_a_sentence_and_memory_stays(console: Console) -> None:
     process, address = console

@@ -69,6 +69,29 @@ def test_log_is_sound_and_says_that_a_human_steered(procedure: Procedure, tmp_pa
     assert arrays["mask/frontal"][-1].sum() > arrays["mask/frontal"][0].sum()
 
 
+def test_a_log_of_two_devices_has_both_and_the_catheters_name(own_cache: None, tmp_path: Path) -> None:
+    environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=4, catheter="simmons2_6f")
+    procedure = Procedure(environment, McapRecorder(tmp_path), seed=1)
+    for _ in range(4):
+        procedure.step(1.0, 0.0, (0.5, -1.0))
+    assert not procedure.trouble
+    assert procedure.path is not None
+    assert check(procedure.path).problems == []
+    with EpisodeReader(procedure.path) as log:
+        assert (log.info.operator, log.info.catheter_name) == ("human", "simmons2_6f")
+        records = list(log)
+    np.testing.assert_array_equal([record.action for record in records], [[0] * 4, *[[1, 0, 0.5, -1]] * 4])
+    for record, sample in zip(records, procedure.samples, strict=True):
+        assert record.devices is not None
+        assert sample.devices is not None
+        assert record.devices.lead == sample.devices.lead
+        assert tuple(record.devices.feeder_forces) == sample.devices.feeder_forces
+    last = records[-1].devices
+    assert last is not None
+    np.testing.assert_array_equal(last.catheter_points, environment.simulation.device_points("catheter"))
+    environment.close()
+
+
 def test_a_broken_off_episode_is_kept_as_such_and_an_untouched_one_is_not(
     environment: NavigateEnv, tmp_path: Path
 ) -> None:
