@@ -11,19 +11,20 @@ import mujoco
 import numpy as np
 
 from cathsim.anatomy import Phantom
-from cathsim.arena import FEEDER, max_insertion
+from cathsim.arena import max_insertion
 from cathsim.blood.drag import Drag
 from cathsim.blood.field import blood_field
 from cathsim.blood.flow import BloodFlow
-from cathsim.contact.compliance import N_PER_MM, checked_wall_stiffness, stiffest_wall
+from cathsim.contact.compliance import checked_wall_stiffness, stiffest_wall
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, decomposition
-from cathsim.contact.native import SimulationStruct, StepSummary, address, engine, library
-from cathsim.contact.sdf import GEOM_NAME, SHEATH_RADIUS, Vessel
-from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
+from cathsim.contact.native import StepSummary, address, engine, library
+from cathsim.contact.sdf import SHEATH_RADIUS, Vessel
+from cathsim.guidewire import TIP_SITE, Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.link_ladder import Ladder, pass_on, rung_models
 from cathsim.presets import Accuracy
+from cathsim.rung import Rung
 
 CONTROL_STEP = 0.1  # s
 MAX_CONTACTS = 512
@@ -51,46 +52,6 @@ def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS
         raise ValueError(f"phantom {phantom.name} has no entry '{entry}'; there are {', '.join(phantom.entries)}")
     gate, grid = phantom.entries[entry], phantom.grid
     return Vessel(grid.values, grid.origin, grid.spacing, gate.position, gate.direction, sheath_radius)
-
-
-class Rung:
-    """One model of the ladder with its data, and the native struct of both.
-
-    Args:
-        models: the model, and the addresses of its twins with shorter timesteps; they live as long as the rung.
-    """
-
-    def __init__(self, simulation: Simulation, wire: Guidewire, models: tuple[mujoco.MjModel, int, int]) -> None:
-        vessel, numerics, drag = simulation.vessel, simulation.numerics, simulation.drag
-        self.model, fine, finest = models
-        self.data = mujoco.MjData(self.model)
-        self.kept: tuple[Any, ...] = ()  # what the native struct points to
-        self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
-        first = self.model.geom(LINK_NAME.format(0)).id
-        self.loads = np.zeros((len(wire.links) if drag else 0, 6))
-        self.struct = SimulationStruct(
-            model=self.model._address,
-            fine=fine,
-            finest=finest,
-            data=self.data._address,
-            saved=self._saved.ctypes.data,
-            vessel_geom=self.model.geom(GEOM_NAME).id,
-            hulls=vessel.wall_parts(self.model),
-            first_geom=first,
-            last_geom=first + len(wire.links) - 1,
-            refinement=numerics.refinement,
-            tolerance=numerics.tolerance,
-            rise=numerics.rise,
-            depth_samples=simulation.depth_samples,
-            drag=drag.address if drag else None,
-            loads=self.loads.ctypes.data,
-            wall_stiffness=N_PER_MM * (simulation.wall_stiffness or 0.0),
-        )
-        self.reference = ctypes.byref(self.struct)
-        self.tip = self.data.site_xpos[self.model.site(TIP_SITE).id]
-        # links 1, 2, … follow the feeder's body in the order of the chain
-        feeder = self.model.body(FEEDER).id
-        self.nodes = self.data.xpos[feeder : feeder + len(wire.links)]
 
 
 class Simulation:
@@ -218,9 +179,16 @@ class Simulation:
     def _make_rung(self, wire: Guidewire) -> Rung:
         compliant = self.wall_stiffness is not None
         model, fine, finest = rung_models(self.vessel, wire, self.numerics, self.tip_motors, compliant=compliant)
-        rung = Rung(self, wire, (model, fine._address, finest._address))
-        rung.kept = fine, finest
-        return rung
+        return Rung((model, fine._address, finest._address), (fine, finest), len(wire.links), **self._rung_settings())
+
+    def _rung_settings(self) -> dict[str, Any]:
+        return {
+            "vessel": self.vessel,
+            "numerics": self.numerics,
+            "depth_samples": self.depth_samples,
+            "drag": self.drag,
+            "wall_stiffness": self.wall_stiffness,
+        }
 
     @property
     def model(self) -> mujoco.MjModel:

@@ -21,7 +21,8 @@ from cathsim.devices.rod import CATHETER, DEVICES, WIRE, Rod, device_tables, twi
 from cathsim.guidewire import Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy
-from cathsim.simulation import Rung, Simulation, vessel_of
+from cathsim.rung import Rung
+from cathsim.simulation import Simulation, vessel_of
 
 _UNTWIST = 200  # iterations of the twist at a new start, at most
 
@@ -47,26 +48,14 @@ def covered_model(
 class _PairRung(Rung):
     """A rung whose model belongs to one simulation, with the rod that rewrites it."""
 
-    def __init__(self, simulation: DualSimulation, chain: Guidewire) -> None:
-        numerics = simulation.numerics
-        pattern, weights = covered_model(simulation.vessel, simulation.pair, chain, numerics)
-        model = pattern.__copy__()
-        if simulation.wall_stiffness is not None:
-            soften_contacts(model, len(chain.links))
+    def __init__(self, rod: Rod, model: mujoco.MjModel, links: int, **settings: Any) -> None:
+        numerics: Accuracy = settings["numerics"]
         step = numerics.timestep / numerics.refinement
         twins = twin(model, step), twin(model, step / numerics.refinement)
-        super().__init__(simulation, chain, (model, *(ctypes.addressof(one) for one in twins)))
-        joints = len(chain.links) - 1
-        self.rod = Rod(
-            model,
-            simulation.tables,
-            chain.links,
-            weights,
-            simulation.twist[:, simulation.twist.shape[1] - joints :],
-            rigid=simulation.pair.torsion == "rigid",
-        )
-        self.kept = (*twins, self.rod)
-        self.struct.rod = self.rod.address
+        fine, finest = (ctypes.addressof(one) for one in twins)
+        super().__init__((model, fine, finest), twins, links, **settings)
+        self.rod = rod
+        self.struct.rod = rod.address
 
 
 class DualSimulation(Simulation):
@@ -127,7 +116,13 @@ class DualSimulation(Simulation):
         return vessel_of(self.phantom, self.entry, self.pair.sheath_radius)
 
     def _make_rung(self, wire: Guidewire) -> Rung:
-        return _PairRung(self, wire)
+        pattern, weights = covered_model(self.vessel, self.pair, wire, self.numerics)
+        model = pattern.__copy__()
+        if self.wall_stiffness is not None:
+            soften_contacts(model, len(wire.links))
+        twist = self.twist[:, self.twist.shape[1] - len(wire.links) + 1 :]
+        rod = Rod(model, self.tables, wire.links, weights, twist, rigid=self.pair.torsion == "rigid")
+        return _PairRung(rod, model, len(wire.links), **self._rung_settings())
 
     @property
     def _rod(self) -> Rod:
