@@ -257,7 +257,7 @@ class EpisodeReader:
         Returns:
             By field name, first axis = records: `step` and `time_s` (T,), `action` (T, a), ...; `wire_points`,
             `contact_positions` and `contact_forces` are padded with NaN to the largest count, the counts being
-            `wire_count` and `contact_count` (T,); with a catheter `devices/insertions` (T, 2), ... likewise, with
+            `wire_count` and `contact_count` (T,); with a catheter `devices/insertions` (T, 2) and so on, with
             `devices/wire_count` and `devices/catheter_count`; extra scalars as `extra/<key>` (NaN where absent);
             pictures as `image/<camera>` (T, H, W) uint8 and `mask/<camera>` (T, H, W) bool, with a catheter also
             `mask_wire/<camera>` and `mask_catheter/<camera>`.

@@ -13,8 +13,8 @@
 | `/devices`                   | endonav.Devices            | every step | see the second table                        |
 | `/catheter`                  | foxglove.SceneUpdate       | every step | as `/wire`                                  |
 | `/catheter/points`           | foxglove.PointCloud        | every step | as `/wire/points`                           |
-| `/camera/<name>/mask_wire`   | foxglove.CompressedImage   | every step | as the mask, which is that of both devices  |
-| `/camera/<name>/mask_catheter` | foxglove.CompressedImage | every step | likewise                                    |
+| `/camera/<name>/mask_wire`   | foxglove.CompressedImage   | every step | as the mask (of both devices), of the wire  |
+| `/camera/<name>/mask_catheter` | foxglove.CompressedImage | every step | as the mask, of the catheter                |
 
 The last five are only in logs whose configuration names a `catheter`; `/wire` and `/wire/points` then show the wire.
 

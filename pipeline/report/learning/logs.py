@@ -29,7 +29,7 @@ MODES = DETERMINISTIC, STOCHASTIC = "deterministic", "stochastic"
 DEMONSTRATION = "demonstration"  # mode of what belongs to no row
 # Overrides of a sweep that choose which cells a job fills, and change none of them.
 _CHOOSING = {"seed", "target", "modality", "stage.phantoms", "stage.targets", "stage.modalities", "stage.seeds",
-             "stage.catheter"}  # fmt: skip
+             "task.catheter", "stage.catheter"}  # fmt: skip
 
 Task = tuple[str, str, str, str, float, float, float]
 

@@ -79,7 +79,6 @@ def read_episode(log: Path, *, pictures: bool = True) -> Trajectory:
             "phantom": info.phantom,
             "target": info.target,
             "seed": info.seed,
-            "wire": devices["wire"],
             "devices": devices,
         },
     )
