@@ -79,7 +79,7 @@ def read_episode(log: Path, *, pictures: bool = True) -> Trajectory:
             "phantom": info.phantom,
             "target": info.target,
             "seed": info.seed,
-            "devices": devices,
+            "devices": devices,  # as arguments of an environment
         },
     )
 
