@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,16 +21,15 @@ from tests.pipeline.stages.small_expert import context
 TASK = LearningTask("type_1", "bca", Task(max_steps=3))
 
 
-def record(path: Path, wire: str = "default") -> Path:
-    environment = LearningTask("type_1", "bca", Task(wire=wire, max_steps=3)).environment("tip")
-    record_episode(
-        environment, lambda observation, info: np.array([1.0, 0.0]), path, seed=0, operator="test", pictures=False
-    )
+def record(path: Path, **task: str) -> Path:
+    environment = LearningTask("type_1", "bca", Task(max_steps=3, **task)).environment("tip")
+    action = np.tile([1.0, 0.0], environment.action_space.shape[0] // 2)
+    record_episode(environment, lambda *_: action, path, seed=0, operator="test", pictures=False)
     return path
 
 
 def test_another_wire_and_damage_are_left_out_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    logs = [record(tmp_path / "000.mcap"), record(tmp_path / "001.mcap", "thesis"), tmp_path / "002.mcap"]
+    logs = [record(tmp_path / "000.mcap"), record(tmp_path / "001.mcap", wire="thesis"), tmp_path / "002.mcap"]
     logs[2].write_bytes(logs[0].read_bytes()[:3000])
     (found,) = repeat(logs, TASK)
     assert found.metadata["file"] == str(logs[0])
@@ -56,3 +56,29 @@ def test_an_empty_folder_of_the_expert_is_told(
     assert "type_1/bca/I+V+M/seed0" in ran
     (warning,) = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert warning.startswith("there are no expert episodes of type_1/bca, so it is learnt without demonstrations")
+
+
+def test_demonstrations_with_a_catheter_are_for_that_catheter(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    logs = [record(tmp_path / "000.mcap", catheter="vertebral"), record(tmp_path / "001.mcap")]
+    pair = replace(TASK, task=replace(TASK.task, catheter="vertebral"))
+    (found,) = repeat(logs, pair, ("joints", "feeder"))
+    assert found.actions.shape == (3, 4)
+    assert found.observations["feeder"].shape == (4, 7)
+    assert found.simulation_states is not None
+    environment = pair.environment("tip")
+    environment.reset(seed=0, options={"start": found.simulation_states[2]})
+    np.testing.assert_array_equal(environment.simulation.tip, found.tips[2])
+    (bare,) = repeat(logs, TASK)
+    assert bare.metadata["file"] == str(logs[1])
+    assert not repeat(logs, replace(TASK, task=replace(pair.task, torsion="rigid")))
+    told = [record.getMessage() for record in caplog.records]
+    assert told[0] == f"{logs[1]} is left out: it was recorded with another wire or catheter than default in vertebral"
+
+
+def test_a_policy_of_two_devices_sees_the_feeders(tmp_path: Path) -> None:
+    settings = EnnSettings(phantoms=["type_1"], targets=["bca"], catheter="vertebral")
+    (job,) = plan(settings, context(tmp_path, "enn", ("expert",)))
+    assert job.keys == ("joints", "image", "mask", "feeder")
+    assert job.encoder is not None
+    assert job.encoder.name == "joints+image+mask+feeder.pt"
+    assert job.task.task.catheter == "vertebral"
