@@ -147,7 +147,8 @@ const signed = (x) => x.toFixed(2).replace(/^-(0\.00)$/, "$1").replace("-", "−
 
 function deviceGauge(frame) {
   const [wire, catheter] = frame.feeder_forces_n;
-  put("lead", frame.lead_mm.toFixed(0).replace(/^-0$/, "0").replace("-", "−"));
+  const lead = Math.round(frame.lead_mm);
+  put("lead", lead < 0 ? `wire drawn back by ${-lead} mm` : `wire ahead by ${lead} mm`);
   put("wire-insertion", `${frame.insertion_mm.toFixed(0)} mm`);
   put("wire-rotation", `${degrees(frame.rotation_rad)}°`);
   put("wire-push", `${signed(wire)} N`);
@@ -158,7 +159,7 @@ function deviceGauge(frame) {
   const rows = ["catheter", "wire"].map((name) =>
     `${name} ${["insertion", "rotation", "push"].map((what) => $(`${name}-${what}`).textContent).join(", ")}`);
   const shown = frame.state === "running" || frame.state === "replay";
-  put("label-devices", shown ? `${rows.join("\n")}\nwire ahead by ${$("lead").textContent} mm · wall ${frame.force_n.toFixed(2)} N` : "");
+  put("label-devices", shown ? `${rows.join("\n")}\n${$("lead").textContent} · wall ${frame.force_n.toFixed(2)} N` : "");
 }
 
 function setState(state, label) {
