@@ -141,7 +141,8 @@ def choose_catheter(tab: Tab, name: str) -> None:
       select.dispatchEvent(new Event("change"));
     }})()""")
     wait_until(lambda: tab.value("consoleStatistics.task.catheter ?? ''") == name, 20)
-    wait_until(lambda: tab.frame()["state"] == "ready", 10)
+    # the task comes before the first picture of it
+    wait_until(lambda: tab.frame()["state"] == "ready" and ("lead_mm" in tab.frame()) == bool(name), 10)
 
 
 def steered(tab: Tab) -> list[float]:
