@@ -16,6 +16,8 @@ from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.guidewire import LINK_NAME, TIP_SITE
 from cathsim.presets import Accuracy
 
+DEEP = 3.0  # a repetition that ends so many tolerances deep in the wall is itself repeated
+
 
 class Rung:
     """One model of the ladder with its data, and the native struct of both.
@@ -59,6 +61,7 @@ class Rung:
             refinement=numerics.refinement,
             tolerance=numerics.tolerance,
             rise=numerics.rise,
+            deep=DEEP,
             depth_samples=depth_samples,
             drag=drag.address if drag else None,
             loads=self.loads.ctypes.data,

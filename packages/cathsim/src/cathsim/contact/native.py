@@ -36,7 +36,7 @@ class SimulationStruct(ctypes.Structure):
     _fields_ = (
         *_fields(ctypes.c_void_p, "model", "fine", "finest", "data", "saved"),
         *_fields(ctypes.c_int, "vessel_geom", "hulls", "first_geom", "last_geom", "refinement"),
-        *_fields(ctypes.c_double, "tolerance", "rise"),
+        *_fields(ctypes.c_double, "tolerance", "rise", "deep"),
         *_fields(ctypes.c_int, "depth_samples"),
         *_fields(ctypes.c_double, "depth"),
         *_fields(ctypes.c_void_p, "drag", "loads"),

@@ -25,6 +25,7 @@ from cathsim.rung import Rung
 from cathsim.simulation import Simulation, vessel_of
 
 _UNTWIST = 200  # iterations of the twist at a new start, at most
+_DEEP = 2.0  # as `rung.DEEP`: a reverse curve that snaps comes faster than a wire
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,7 @@ class _PairRung(Rung):
         super().__init__((model, fine, finest), twins, links, **settings)
         self.rod = rod
         self.struct.rod = rod.address
+        self.struct.deep = _DEEP
 
 
 class DualSimulation(Simulation):

@@ -105,9 +105,6 @@ static void apply_drag(Simulation* s, const Engine* engine, int first) {
   blood_drag(s->drag, s->model, s->data, s->first_geom, s->last_geom, v, s->loads);
 }
 
-/* A substep's repetition that ends so many tolerances deep is itself repeated. */
-#define DEEP 3
-
 /* State and account of before a substep. */
 typedef struct {
   double time;
@@ -213,7 +210,7 @@ static int substep(Simulation* s, const Engine* engine, const Account* account, 
     keep_account(account, &before);
     take_back_state(s, &before);
     depth = step_finely(s, engine, account, s->fine, s->refinement, share);
-    if (depth > DEEP * s->tolerance && depth > s->depth + s->rise) {
+    if (depth > s->deep * s->tolerance && depth > s->depth + s->rise) {
       take_back_account(account, &before);
       take_back_state(s, &before);
       depth = step_finely(s, engine, account, s->finest, s->refinement * s->refinement, share);

@@ -30,6 +30,7 @@ typedef struct {
   int refinement;         /* 1: never refine */
   double tolerance;       /* a substep that ends deeper than this in the wall is repeated with `fine`, m */
   double rise;            /* ... if it also went in by more than this, m */
+  double deep;            /* a repetition that ends so many tolerances deep is itself repeated with `finest` */
   int depth_samples;      /* points a capsule of the reported penetration; 0: not reported */
   double depth;           /* penetration at the end of the last substep, m */
   const Drag* drag;       /* of the blood on the wire; NULL: there is none */
