@@ -1,10 +1,11 @@
 """Success of the sampling expert on Type I and II, BCA and LCCA.
 
-    python benchmarks/cathsim/expert.py [--quick] [--seeds N]
+    python benchmarks/cathsim/expert.py [--quick] [--seeds N] [--catheter NAME] [--phantoms type_1,type_2]
 
-Twenty seeds a task, 8 mm, at most 300 steps. Prints a table and, as its last line, one JSON object with a key a task,
-"type_1/bca": {success_pct, steps_mean, force_max_n, seconds, seeds}: steps of the successful episodes, largest contact
-force of all, processor seconds an episode. --quick takes as many seeds as fit into about half a minute.
+Twenty seeds a task, 8 mm, at most 300 steps; with --catheter a wire in a catheter. Prints a table and, as its last
+line, one JSON object with a key a task, "type_1/bca": {success_pct, steps_mean, force_mean_n, force_max_n, seconds,
+seeds}: steps of the successful episodes, mean over the steps and largest of the resultant contact force, processor
+seconds an episode. --quick takes as many seeds as fit into about half a minute.
 """
 
 from __future__ import annotations
@@ -23,27 +24,34 @@ import numpy as np
 from cathsim import Guidewire, NavigateEnv, Phantom
 from cathsim.planning.sampling import SamplingExpert
 
-TASKS = tuple(itertools.product(("type_1", "type_2"), ("bca", "lcca")))
+TARGETS = ("bca", "lcca")
 QUICK_SECONDS = 30.0
 
 
-def episode(phantom: str | Phantom, target: str, seed: int, wire: str | Guidewire = "default") -> dict[str, float]:
-    """Runs one episode; steps, success, largest force and processor seconds."""
-    environment = NavigateEnv(phantom, target, wire=wire, observation="tip")
+def episode(
+    phantom: str | Phantom,
+    target: str,
+    seed: int,
+    wire: str | Guidewire = "default",
+    catheter: str | None = None,
+) -> dict[str, float]:
+    """Runs one episode; steps, success, mean and largest force, and processor seconds."""
+    environment = NavigateEnv(phantom, target, wire=wire, catheter=catheter, observation="tip")
     expert = SamplingExpert(environment, seed=seed)
     start = time.process_time()
     environment.reset(seed=seed)
-    force, done = 0.0, False
+    forces, done = [], False
     info: dict[str, Any] = {}
     while not done:
         _, _, terminated, truncated, info = environment.step(expert.action())
-        force = max(force, info["force"])
+        forces.append(info["force"])
         done = terminated or truncated
     expert.close()
     return {
         "steps": environment.steps,
         "success": float(info["success"]),
-        "force": force,
+        "force": max(forces),
+        "force_mean": float(np.mean(forces)),
         "seconds": time.process_time() - start,
     }
 
@@ -52,21 +60,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="as many seeds as fit into half a minute")
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--catheter", help="over the wire: a name of the shelf, or a YAML file")
+    parser.add_argument("--phantoms", default="type_1,type_2", help="names, by commas")
     arguments = parser.parse_args()
+    tasks = tuple(itertools.product(arguments.phantoms.split(","), TARGETS))
     began = time.perf_counter()
-    runs: dict[str, list[dict[str, float]]] = {f"{phantom}/{target}": [] for phantom, target in TASKS}
+    runs: dict[str, list[dict[str, float]]] = {f"{phantom}/{target}": [] for phantom, target in tasks}
     for seed in range(arguments.seeds):
-        for phantom, target in TASKS:
-            runs[f"{phantom}/{target}"].append(episode(phantom, target, seed))
+        for phantom, target in tasks:
+            runs[f"{phantom}/{target}"].append(episode(phantom, target, seed, catheter=arguments.catheter))
         if arguments.quick and time.perf_counter() - began > QUICK_SECONDS / 2:
             break
-    print(f"{'task':14s}{'seeds':>7s}{'success %':>11s}{'steps':>8s}{'force max, N':>14s}{'CPU s':>8s}")
+    forces = f"{'force mean, N':>15s}{'force max, N':>14s}"
+    print(f"{'task':14s}{'seeds':>7s}{'success %':>11s}{'steps':>8s}{forces}{'CPU s':>8s}")
     result = {}
     for task, episodes in runs.items():
         successful = [e["steps"] for e in episodes if e["success"]]
         row = {
             "success_pct": 100 * float(np.mean([e["success"] for e in episodes])),
             "steps_mean": float(np.mean(successful)) if successful else None,
+            "force_mean_n": float(np.mean([e["force_mean"] for e in episodes])),
             "force_max_n": max(e["force"] for e in episodes),
             "seconds": float(np.mean([e["seconds"] for e in episodes])),
             "seeds": len(episodes),
@@ -75,7 +88,7 @@ def main() -> None:
         steps = f"{row['steps_mean']:.0f}" if successful else "-"
         print(
             f"{task:14s}{row['seeds']:7d}{row['success_pct']:11.0f}{steps:>8s}"
-            f"{row['force_max_n']:14.3f}{row['seconds']:8.1f}"
+            f"{row['force_mean_n']:15.3f}{row['force_max_n']:14.3f}{row['seconds']:8.1f}"
         )
     print(json.dumps(result))
 

@@ -103,7 +103,11 @@ def main() -> None:
     arguments = parser.parse_args()
     devices, record = arguments.devices.split(","), Record(arguments.output)
     failing = (phantom for phantom in common_trunks() if not record.episode(phantom, WIRE, 0)["success"])
-    arches = list(itertools.islice(failing, arguments.arches))
+    arches = []
+    for phantom in itertools.islice(failing, arguments.arches):
+        arches.append(phantom)
+        for device in devices:
+            record.episode(phantom, device, 0)
     result = {}
     for device in devices:
         rows = [record.episode(phantom, device, seed) for seed in range(arguments.searches) for phantom in arches]
