@@ -94,7 +94,7 @@ ZERO = {
     "DetectorDistortion": {"pincushion", "barrel", "twist", "tilt", "centre"},
     "DevicePair": {"most_ahead", "most_behind", "reach"},
     "Ellipsoid": {"centre", "attenuation"},
-    "ExpertSettings": {"rounds", "force_cost", "free_force"},
+    "ExpertSettings": {"rounds", "force_cost", "free_force", "most_lead"},
     "Guidewire": {"taper", "tip_angle", "tip_length", "relaxation", "friction", "motor_joints", "motor_angle"},
     "Leader": {"position"},
     "LoadCell": {"resolution", "cutoff"},

@@ -34,6 +34,8 @@ class ExpertSettings:
     # cost of a newton of contact force above `free_force`, in metres of distance to the target
     force_cost: Annotated[float, Interval(ge=0, le=1000), Unit("m/N")] = 0.004
     free_force: Annotated[float, Interval(ge=0, le=1000), Unit("N")] = 0.15  # N
+    # lead of the wire before the catheter beyond which a plan costs a metre a metre: a wire far ahead strays
+    most_lead: Annotated[float, Interval(ge=0, le=10), Unit("m")] = 0.08
     primitives: bool = False  # tries the motions of an operator first, and samples around the best of them
 
     def __post_init__(self) -> None:
@@ -181,7 +183,8 @@ class SamplingExpert:
             force += max(copy.summary.force_max - settings.free_force, 0.0) / len(plan)
             if np.linalg.norm(copy.tip - self._goal) < 0.9 * radius:
                 return -1.0 + 0.01 * step + settings.force_cost * force
-        return self.task.remaining(self.environment.phantom, copy.tip) + settings.force_cost * force
+        strayed = max(copy.device_lead - settings.most_lead, 0.0) if isinstance(copy, DualSimulation) else 0.0
+        return self.task.remaining(self.environment.phantom, copy.tip) + settings.force_cost * force + strayed
 
     def close(self) -> None:
         """Ends the threads."""
