@@ -183,7 +183,7 @@ def _mapping(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST + 1)
-        content = yaml.load(text, _loader(path)) if len(text) <= LARGEST else None
+        content = _parsed(text, path) if len(text) <= LARGEST else None
     except FileNotFoundError:
         raise ValueError(f"there is no device's file {path}") from None
     except OSError as error:
@@ -203,10 +203,14 @@ def _mapping(path: Path) -> dict[str, Any]:
     return content
 
 
-def _loader(path: Path) -> type[yaml.SafeLoader] | type[yaml.CSafeLoader]:
-    """What reads a file: for the presets libyaml, which is fast but crashes on lists that are nested deeply."""
+def _parsed(text: bytes, path: Path) -> Any:
+    """What a file says, read by a safe loader: for the presets libyaml's, fast but crashing on deeply nested lists."""
     fast = getattr(yaml, "CSafeLoader", None)  # not in every build of PyYAML
-    return fast if fast is not None and path.parent.parent == PRESETS else yaml.SafeLoader
+    loader = (fast if fast is not None and path.parent.parent == PRESETS else yaml.SafeLoader)(text)
+    try:
+        return loader.get_single_data()
+    finally:
+        loader.dispose()
 
 
 def _base(path: Path, kind: str, name: Any) -> DeviceFile:
