@@ -1,4 +1,4 @@
-"""Runs `benchmarks/cathsim/catheter.py`: two devices against theory, their stability, speed and forces."""
+"""Runs `benchmarks/devices/catheter.py`: two devices against theory, their stability, speed and forces."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ import runpy
 from pathlib import Path
 
 if __name__ == "__main__":
-    runpy.run_path(str(Path(__file__).parent / "cathsim" / "catheter.py"), run_name="__main__")
+    runpy.run_path(str(Path(__file__).parent / "devices" / "catheter.py"), run_name="__main__")

@@ -18,6 +18,7 @@ from cathsim.fluoroscopy import BiplaneFluoroscope
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.observables import OBSERVABLES
 from cathsim.vector import ThreadedVectorEnv
+from tests.cathsim.equal_observations import same
 
 MakeEnv = Callable[..., NavigateEnv]
 
@@ -50,14 +51,6 @@ def actions(env: gymnasium.Env[Any, Any], count: int, seed: int = 0) -> np.ndarr
     index = -1 if env.action_space.shape[0] > 2 else 0
     drawn[:, index] = 0.4 + 0.6 * np.abs(drawn[:, index])
     return drawn.astype(np.float32)
-
-
-def same(one: Any, other: Any) -> bool:
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(same(a, b) for a, b in zip(one, other, strict=True))
-    return np.asarray(one).dtype == np.asarray(other).dtype and np.array_equal(one, other)
 
 
 def go_on_alike(original: Any, twin: Any, steps: int = 12) -> None:

@@ -19,6 +19,7 @@ from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.observations.observables import DEVICES, OBSERVABLES
 from cathsim.registration import DUAL
+from tests.cathsim.equal_observations import same
 
 MakeEnv = Callable[..., NavigateEnv]
 
@@ -31,14 +32,6 @@ def drawn(count: int, seed: int = 0) -> np.ndarray:
     actions = np.random.default_rng(seed).uniform(-1, 1, (count, 4))
     actions[:, (0, 2)] = 0.3 + 0.7 * actions[:, (0, 2)]
     return actions.astype(np.float32)
-
-
-def same(one: Any, other: Any) -> bool:
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(same(a, b) for a, b in zip(one, other, strict=True))
-    return np.asarray(one).dtype == np.asarray(other).dtype and np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("catheter", ["vertebral", "simmons2_6f", "pigtail"])

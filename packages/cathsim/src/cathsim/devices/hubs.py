@@ -49,14 +49,7 @@ class Hubs:
     def place(self, insertion: float, rotation: float, catheter: Move | None = None) -> float:
         """Puts the hubs at a start; returns the chain's insertion, m.
 
-        Args:
-            insertion: of the wire, m; of the catheter where there is no wire.
-            rotation: of its hub, rad.
-            catheter: the catheter's insertion (m) and rotation of its hub (rad); None: as far back as it may be, and
-                not turned.
-
-        Raises:
-            ValueError: an insertion out of range, or a lead beyond the pair's limits.
+        Arguments and refusals are those of `DualSimulation.reset`.
         """
         low, high = self.lead_limits()
         if catheter is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Annotated, Literal
 
@@ -17,7 +16,6 @@ SHEATH_GAP = 0.27e-3  # between the outer device and the sheath's bore, m
 _FINE, _MEDIUM, _COARSE = 0.004, 0.012, 0.016  # links, m
 _FINE_LENGTH, _MEDIUM_LENGTH = 0.024, 0.084  # of the chain's end where links are fine, and then medium, m
 _SHAPE_MARGIN = 0.040  # links are medium this far beyond a catheter's shape, so that the wire can be ahead, m
-
 
 Torsion = Literal["elastic", "rigid"]
 
@@ -100,7 +98,3 @@ class DevicePair:
         """The chain as a wire of a mass a metre (kg) and a radius (m), from which models are made."""
         density = linear_density / (math.pi * radius**2)
         return Guidewire(links=self.links(), diameter=2 * radius, density=density, motor_joints=0)
-
-    def without_catheter(self) -> DevicePair:
-        """The same pair with the wire alone."""
-        return dataclasses.replace(self, catheter=None)

@@ -196,8 +196,7 @@ static double torsion_before(const Rod* rod, int device, int joint) {
 }
 
 /* How far the frames on both sides of a stretch are turned against each other by the hinges, rad. */
-static double frame_turn(const Rod* rod, const double* turns, int joint) {
-  (void)rod;
+static double frame_turn(const double* turns, int joint) {
   return joint > 0 ? 0.5 * (turns[joint - 1] + turns[joint]) : 0.5 * turns[0];
 }
 
@@ -212,9 +211,9 @@ static double relax_twist(Rod* rod, const mjData* data, int device) {
   for (int j = 0; j < n; j++) {
     double curvature;
     const double slope = turning(rod, bend_of(rod, data, j), j, device, &curvature);
-    const double at_before = before[j] * (twist[j] - (j > 0 ? twist[j - 1] : hub) + frame_turn(rod, turns, j));
+    const double at_before = before[j] * (twist[j] - (j > 0 ? twist[j - 1] : hub) + frame_turn(turns, j));
     const double after = j + 1 < n ? before[j + 1] : 0;
-    const double at_after = j + 1 < n ? after * (twist[j + 1] - twist[j] + frame_turn(rod, turns, j + 1)) : 0;
+    const double at_after = j + 1 < n ? after * (twist[j + 1] - twist[j] + frame_turn(turns, j + 1)) : 0;
     diagonal[j] = curvature + before[j] + after;
     right[j] = -(slope + at_before - at_after);
   }
@@ -239,7 +238,7 @@ static double relax_twists(Rod* rod, const mjData* data) {
     if (!rod->device[d]) continue;
     if (rod->rigid) {
       double angle = hub_angle(rod, data, d);
-      for (int j = 0; j < rod->joints; j++) rod->twist[d][j] = angle -= frame_turn(rod, rod->room, j);
+      for (int j = 0; j < rod->joints; j++) rod->twist[d][j] = angle -= frame_turn(rod->room, j);
     } else {
       const double change = relax_twist(rod, data, d);
       if (change > largest) largest = change;

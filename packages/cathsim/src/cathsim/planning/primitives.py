@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 EMERGED, BEYOND = 0.010, 0.035  # m of wire in front of the catheter
-_FIRST = 10  # steps in which the catheter is moved
+_FIRST = 10  # steps in which the catheter is moved first, by these translations and rotations
+_CATHETER_FIRST = ((0.0, 0.0), (0.0, 0.5), (0.0, -0.5), (0.0, 1.0), (-1.0, 0.0), (-1.0, 0.5), (-1.0, -0.5))
 # Translation and rotation of the wire, or of wire and catheter, of the most in a step: first half, then second half.
 _WIRE = (
     ((0, 1), (1, 0)),
@@ -53,20 +54,20 @@ def motion_primitives(actions: int, horizon: int) -> NDArray[np.float64]:
     return np.repeat(halves, [horizon - horizon // 2, horizon // 2], axis=1)
 
 
-def wire_advances(lead: float, step: float) -> list[NDArray[np.float64]]:
+def wire_advances(lead: float, step: float) -> NDArray[np.float64]:
     """Plans that bring the wire out of the catheter and on, which no plan of a few steps would see the end of.
 
     Args:
-        lead: how far the wire is ahead of the catheter, m; below `EMERGED`, or there are none.
+        lead: how far the wire is ahead of the catheter, m; from `EMERGED` on there are no plans.
         step: largest translation in a step, m.
 
     Returns:
-        Plans of shape (steps, 4): the catheter is turned, or drawn back, or left; then the wire goes `BEYOND` its tip.
+        Shape (k, steps, 4): the catheter is turned, or drawn back, or left; then the wire goes `BEYOND` its tip.
     """
-    if lead >= EMERGED:
-        return []
-    push = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.ceil((BEYOND - lead) / step)), 1))
-    return [
-        np.concatenate((np.tile([0.0, 0.0, pull, turn], (_FIRST, 1)), push))
-        for pull, turn in ((0.0, 0.0), (0.0, 0.5), (0.0, -0.5), (0.0, 1.0), (-1.0, 0.0), (-1.0, 0.5), (-1.0, -0.5))
-    ]
+    firsts = _CATHETER_FIRST if lead < EMERGED else ()
+    pushes = int(np.ceil((BEYOND - lead) / step)) if firsts else 0
+    plans = np.zeros((len(firsts), _FIRST + pushes, 4))
+    plans[:, _FIRST:, 0] = 1.0
+    for plan, motion in zip(plans, firsts, strict=True):
+        plan[:_FIRST, 2:] = motion
+    return plans

@@ -76,7 +76,7 @@ class SamplingExpert:
             raise ValueError(
                 "the sampling expert steers the actions of the feeders: make the environment with actions='feeder'"
             )
-        both = isinstance(real, DualSimulation) and real.pair.catheter is not None and real.pair.wire is not None
+        both = isinstance(real, DualSimulation) and real.pair.both
         self.settings = settings or (TWO_DEVICES if both else ExpertSettings())
         self.environment = environment
         self._actions = 4 if both else 2
@@ -145,10 +145,11 @@ class SamplingExpert:
 
     def _advance_wire(self, simulation: DualSimulation, state: np.ndarray, cost: float) -> None:
         """Takes a plan that brings the wire out of the catheter, where one ends nearer to the target."""
-        for plan in wire_advances(simulation.device_lead, TRANSLATION_STEP):
-            other = float(self._costs(state, plan[None])[0])
-            if other < cost:
-                self._plan, cost, self._left = plan, other, len(plan)
+        plans = wire_advances(simulation.device_lead, TRANSLATION_STEP)
+        costs = self._costs(state, plans)
+        if len(plans) and costs.min() < cost:
+            self._plan = plans[int(np.argmin(costs))]
+            self._left = len(self._plan)
 
     def _costs(self, state: np.ndarray, plans: np.ndarray) -> np.ndarray:
         """Costs of plans (n, horizon, actions) from a state, in metres. Shape (n,)."""

@@ -1,6 +1,6 @@
 """What a load cell under the phantom reads, by device, friction, operator and target, beside a measured distribution.
 
-    python benchmarks/cathsim/forces.py [--quick] [--seeds N] [--devices A,B] [--policy FILE] [--json FILE] [--png FILE]
+    python benchmarks/devices/forces.py [--quick] [--seeds N] [--devices A,B] [--policy FILE] [--json FILE] [--png FILE]
 
 Episodes in Type I to within 8 mm of the target, at most 300 steps; nothing is fitted. Of every control step: the
 reading of the load cell (ATI Mini40, SI-20-1, low-pass of 2 Hz), the mean sum of the contacts' magnitudes, and the

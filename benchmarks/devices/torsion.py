@@ -1,6 +1,6 @@
 """Twist of a bent catheter that is turned in a bent sheath: angle of the tip against that of the hub, beside theory.
 
-    python benchmarks/cathsim/torsion.py [--output FILE.png]
+    python benchmarks/devices/torsion.py [--output FILE.png]
 
 The catheter has one bend over its last 60 mm, which lie in a sheath of 25 mm radius of curvature; the rest is straight.
 Theory is the pendulum's equation (`cathsim.physics_checks.two_devices.theoretical_hub_angle`): where it gives several

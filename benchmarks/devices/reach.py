@@ -1,6 +1,6 @@
 """Which arches with a common trunk a wire alone, and a wire with a catheter, can be steered in, by one search budget.
 
-    python benchmarks/cathsim/reach.py [--arches N] [--devices wire,simmons2] [--searches N] [--output FILE.jsonl]
+    python benchmarks/devices/reach.py [--arches N] [--devices wire,simmons2] [--searches N] [--output FILE.jsonl]
 
 Random arches with a common origin of BCA and LCCA, from seed 33000 on, target LCCA. An arch counts when the wire alone
 fails by the first search; then every device is steered there with each search seed. The sampling expert has the same

@@ -1,6 +1,6 @@
 """A wire in a catheter: statics against theory, stability under random motions, speed, forces of the expert.
 
-    python benchmarks/cathsim/catheter.py [--quick] [--seeds N] [--steps N]
+    python benchmarks/devices/catheter.py [--quick] [--seeds N] [--steps N]
 
 Prints tables and, as its last line, one JSON object: cantilever_pct, the largest error of ten coverages; two_rods_deg,
 the largest angle between the ends of the composite rod and of two rods on one centreline; penetration_p99_mm, the
