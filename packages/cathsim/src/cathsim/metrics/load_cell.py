@@ -73,8 +73,8 @@ class LoadCell:
 
 
 # Calibrations of the ATI Mini40 by the manufacturer's names; which one was under the real phantom is not published.
-# Source: ATI Industrial Automation, F/T Transducer, Installation and Operation Manual (9620-05-Transducer Section),
-# Mini40: force ranges of 20, 40 and 80 N across and 60, 120 and 240 N along the cell's axis.
+# Figures as the manufacturer (ATI Industrial Automation, manual 9620-05) is understood to give them: neither the manual
+# nor a certificate was at hand to check them. Ranges: 20, 40 and 80 N across, 60, 120 and 240 N along the axis.
 MINI40: dict[str, LoadCell] = {
     "SI-20-1": LoadCell(resolution=(1 / 200, 1 / 100, 1 / 200)),
     "SI-40-2": LoadCell(resolution=(1 / 100, 1 / 50, 1 / 100)),
