@@ -100,6 +100,7 @@ ZERO = {
     "LoadCell": {"resolution", "cutoff"},
     "NavigationTask": {"target", "start_jitter", "start_rotation", "force_penalty", "path_penalty"},
     "Uncertainty": {"stiffness", "insertion", "rotation", "registration", "lumen", "friction", "curve"},
+    "VarietyArch": {"seed"},
     "XRayScene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},
     "Section": {"layers"},
 }

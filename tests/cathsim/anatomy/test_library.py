@@ -1,6 +1,7 @@
 """Named and random phantoms: targets, entries, messages, cache."""
 
 import copy
+import json
 import logging
 import multiprocessing
 import pickle
@@ -45,7 +46,9 @@ def test_entries_lie_inside_the_ends_and_point_in(phantom):
 
 
 def test_wrong_names_list_the_valid_ones(phantom, cache):
-    with pytest.raises(ValueError, match=r"unknown phantom 'type_9'; choose from type_1, .*bovine or random"):
+    with pytest.raises(
+        ValueError, match=r"unknown phantom 'type_9'; choose from type_1, .*bovine, random or arch_variety"
+    ):
         load_phantom("type_9", cache_dir=cache)
     with pytest.raises(ValueError, match="unknown target 'brain' in phantom 'type_1'; choose from bca, lcca, lsa"):
         phantom.geodesic_distance(np.zeros(3), "brain")
@@ -201,3 +204,17 @@ def test_wide_random_phantoms_have_rare_shapes_as_often() -> None:
     assert (drawn[True] > 0.8).sum() > (drawn[False] > 0.8).sum()
     with pytest.raises(ValueError, match="'random_wide' needs a seed"):
         load_phantom("random_wide")
+
+
+def test_arches_of_the_variety_are_cached_and_described_like_random_ones(cache):
+    phantom = load_phantom("arch_variety_V", seed=2, resolution=COARSE, cache_dir=cache)
+    assert phantom.name == "arch_variety_V_2"
+    assert {"rsa_end", "rcca_end", "lcca_end", "lsa_end"} <= set(phantom.targets)
+    described = json.loads(json.dumps(library.phantom_description(phantom)))
+    _forget()
+    again = load_phantom("arch_variety_V", seed=2, resolution=COARSE, cache_dir=cache)
+    assert again is not phantom
+    assert np.array_equal(again.grid.values, phantom.grid.values)
+    assert library.phantom_described(described).hash == phantom.hash
+    with pytest.raises(ValueError, match="'arch_variety' needs a seed"):
+        load_phantom("arch_variety", cache_dir=cache)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import math
@@ -14,14 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
+from cathsim.anatomy.generator.recipe import (
+    RANDOM,
+    Recipe,
+    build_tree,
+    draw_recipe,
+    fillet_radius,
+    recipe_content,
+    recipe_of,
+)
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.mesh.reading import is_mesh_path
 from cathsim.anatomy.phantom import Phantom, locate_entries, locate_targets
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
-
-GENERATOR_VERSION = 6  # raise it whenever the same parameters give another geometry
 
 NAMED: dict[str, ArchParameters] = {
     "type_1": ArchParameters(),
@@ -64,7 +69,6 @@ NAMED: dict[str, ArchParameters] = {
     "bovine": ArchParameters(apex_ratio=0.6, bovine=True, bca_diameter=0.0165, lcca_diameter=0.0088, winding_seed=6),
 }
 PHANTOMS: tuple[str, ...] = tuple(NAMED)
-RANDOM = ("random", "random_wide")
 
 _loading = threading.Lock()
 
@@ -75,17 +79,18 @@ def load_phantom(
     seed: int | None = None,
     resolution: float = 1e-3,
     cache_dir: Path | None = None,
-    parameters: ArchParameters | None = None,
+    parameters: Recipe | None = None,
 ) -> Phantom:
     """Loads a phantom, from the process, from the disk cache, or by building it.
 
     Args:
-        name: one of PHANTOMS; "random" or "random_wide" (rare shapes as often as common ones), which need a seed; the
-            path of a mesh (STL, OBJ, PLY); or with `parameters` any name of your own.
+        name: one of PHANTOMS; one of RANDOM, which need a seed: "random", "random_wide" (rare shapes as often as common
+            ones), "arch_variety" (six branching types) or "arch_variety_IV" (one of them); the path of a mesh (STL,
+            OBJ, PLY); or with `parameters` any name of your own.
         seed: of the random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
-        parameters: measures of an arch of your own.
+        parameters: measures of an arch of your own, or a `VarietyArch`.
 
     Returns:
         The phantom; calls with the same arguments share one object.
@@ -106,7 +111,7 @@ def load_phantom(
     return _load_arch(name, parameters, resolution, cache_dir)
 
 
-def _load_arch(name: str, parameters: ArchParameters, resolution: float, cache_dir: Path | None = None) -> Phantom:
+def _load_arch(name: str, parameters: Recipe, resolution: float, cache_dir: Path | None = None) -> Phantom:
     if not (isinstance(resolution, int | float) and math.isfinite(resolution)):
         raise ValueError(f"resolution must be a finite length in m, got {resolution!r}.")
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
@@ -132,11 +137,7 @@ def phantom_description(phantom: Phantom) -> dict[str, Any]:
             f"phantom {phantom.name!r} was put together by hand and cannot be written as JSON: load it by its name, "
             "with ArchParameters of your own, or from a mesh's file."
         )
-    return (
-        description
-        if NAMED.get(phantom.name) == parameters
-        else {**description, "parameters": dataclasses.asdict(parameters)}
-    )
+    return description if NAMED.get(phantom.name) == parameters else {**description, **recipe_content(parameters)}
 
 
 def phantom_described(description: Mapping[str, Any]) -> Phantom:
@@ -148,11 +149,8 @@ def phantom_described(description: Mapping[str, Any]) -> Phantom:
     name, resolution = description["name"], description["resolution"]
     if "mesh" in description:
         return _described_mesh(description)
-    if "parameters" in description:
-        measures = dict(description["parameters"])
-        if measures.get("aneurysm") is not None:
-            measures["aneurysm"] = Aneurysm(**measures["aneurysm"])
-        phantom = _load_arch(name, ArchParameters(**measures), resolution)
+    if "parameters" in description or "variety" in description:
+        phantom = _load_arch(name, recipe_of(description), resolution)
     else:
         phantom = _load_arch(name, _parameters_of(name, None), resolution)
     _require_same(description, phantom.hash)
@@ -178,20 +176,16 @@ def _require_same(description: Mapping[str, Any], digest: str) -> None:
         )
 
 
-def phantom_hash(parameters: ArchParameters, resolution: float) -> str:
+def phantom_hash(parameters: Recipe, resolution: float) -> str:
     """Digest of everything that determines a phantom's geometry, 32 hexadecimal digits; the resolution is in m."""
-    content = {
-        "generator": GENERATOR_VERSION,
-        "parameters": dataclasses.asdict(parameters),
-        "resolution": float(resolution),
-    }
+    content = {**recipe_content(parameters), "resolution": float(resolution)}
     return hashlib.blake2b(json.dumps(content, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
-def build_phantom(name: str, parameters: ArchParameters, *, resolution: float = 1e-3) -> Phantom:
+def build_phantom(name: str, parameters: Recipe, *, resolution: float = 1e-3) -> Phantom:
     """Builds a phantom without any cache, at a resolution in m; its geodesic fields are computed at first use."""
-    tree = build_arch(parameters)
-    grid = build_lumen(tree, resolution=resolution, fillet_radius=parameters.fillet_radius)
+    tree = build_tree(parameters)
+    grid = build_lumen(tree, resolution=resolution, fillet_radius=fillet_radius(parameters))
     return Phantom(
         name=name,
         hash=phantom_hash(parameters, resolution),
@@ -211,15 +205,13 @@ def _import(path: str, seed: int | None, resolution: float, cache_dir: Path | No
     return import_mesh(path, resolution=resolution, cache_dir=cache_dir)
 
 
-def _parameters_of(name: str, seed: int | None) -> ArchParameters:
+def _parameters_of(name: str, seed: int | None) -> Recipe:
     if name in RANDOM:
         if seed is None or isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
             raise ValueError(f"phantom '{name}' needs a seed, a whole number from 0 on; got {seed!r}.")
-        from cathsim.anatomy.generator.random_arch import sample_parameters
-
-        return sample_parameters(np.random.default_rng(int(seed)), wide=name == RANDOM[1])
+        return draw_recipe(name, int(seed))
     if name not in NAMED:
-        known = f"{', '.join(PHANTOMS)} or random (with a seed)"
+        known = f"{', '.join(PHANTOMS)}, random or arch_variety (with a seed)"
         raise ValueError(f"unknown phantom {name!r}; choose from {known}, or give the path of a mesh.")
     if seed is not None:
         raise ValueError(f"phantom {name!r} takes no seed, got {seed!r}; only 'random' does.")
@@ -227,7 +219,7 @@ def _parameters_of(name: str, seed: int | None) -> ArchParameters:
 
 
 @lru_cache(maxsize=32)
-def _load(name: str, parameters: ArchParameters, resolution: float, directory: Path) -> Phantom:
+def _load(name: str, parameters: Recipe, resolution: float, directory: Path) -> Phantom:
     cache = PhantomCache(directory)
     digest = phantom_hash(parameters, resolution)
     phantom = cache.read(name, digest, parameters)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid, bounding_box, sample_trilinear
-from cathsim.anatomy.generator.arch_parameters import ArchParameters
+from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import geodesic_field, graph_distance
 from cathsim.anatomy.point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
 from cathsim.anatomy.vessel_tree import VesselTree
@@ -70,7 +70,7 @@ class Phantom:
 
     name: str  # its name in the library
     hash: str  # hexadecimal digest of everything that determines its geometry
-    parameters: ArchParameters | None  # the arch's measures, None for a mesh's
+    parameters: Recipe | None  # what the arch was generated from, None for a mesh's
     tree: VesselTree  # branches with centreline and radius
     grid: SignedDistanceGrid  # signed distance to the wall, positive inside
     # places to reach, by name; those at the open ends of branches are added where they are missing

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.generator.arch_parameters import ArchParameters
+from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import MARGIN
 from cathsim.anatomy.mesh.report import ImportReport
 from cathsim.anatomy.phantom import Entry, Phantom, Target
@@ -74,7 +74,7 @@ class PhantomCache:
         """File of a phantom of a hash, whether it exists or not."""
         return self.directory / "phantoms" / f"{digest}.npz"
 
-    def read(self, name: str, digest: str, parameters: ArchParameters | None) -> Phantom | None:
+    def read(self, name: str, digest: str, parameters: Recipe | None) -> Phantom | None:
         """Reads a phantom and names it; its geodesic fields are read at first use.
 
         Returns:

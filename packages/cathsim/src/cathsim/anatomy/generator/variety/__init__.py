@@ -1,0 +1,1 @@
+"""Aortic arches of six branching types, from published waypoints of their vessels."""
