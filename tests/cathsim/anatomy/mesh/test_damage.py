@@ -9,11 +9,11 @@ import pytest
 import trimesh
 
 from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
-from cathsim.anatomy.mesh import importer
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.reading import Size, Triangles, detect_unit
 from cathsim.anatomy.mesh.samples import sample_surface
+from cathsim.anatomy.mesh.surface_import import SurfaceFacts, SurfaceImport
 from tests.cathsim.anatomy.generator.drawn_arch import arch_mesh
 
 COARSE = 2e-3
@@ -133,12 +133,10 @@ def test_an_unsure_unit_is_noted():
     assert "mm would fit" in Size(28.0, 220.0).hint("cm")
 
 
-def test_an_import_that_takes_too_long_is_refused(surface: Surface, tmp_path: Path):
-    path = tmp_path / "slow.ply"
-    trimesh.Trimesh(*surface, process=False).export(path)
-    build = importer._Import(path, "mm", None, COARSE, Budget(seconds=0.0))
-    with pytest.raises(MeshRefusedError, match="has taken the 0 s of processor time it may take, before meas"):
-        build.phantom("slow")
+def test_an_import_that_takes_too_long_is_refused(surface: Surface):
+    build = SurfaceImport(SurfaceFacts("slow.ply"), "slow", "slow", COARSE, budget=Budget(seconds=0.0))
+    with pytest.raises(MeshRefusedError, match="has taken the 0 s of processor time it may take, before finding"):
+        build.phantom(Triangles(np.asarray(surface[0]) / 1000, np.asarray(surface[1])))
 
 
 def test_too_many_points_are_refused_before_they_are_made():

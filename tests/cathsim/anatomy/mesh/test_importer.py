@@ -166,7 +166,7 @@ def test_it_is_cached_with_its_report(plain: tuple[Path, Phantom], cache: Path, 
     assert import_mesh(path, resolution=COARSE, cache_dir=cache) is found
     assert load_phantom(str(path), resolution=COARSE, cache_dir=cache) is found
     importer._load.cache_clear()
-    monkeypatch.setattr(importer, "_Import", None)  # building again would fail
+    monkeypatch.setattr(importer, "_build", None)  # building again would fail
     again = import_mesh(path, resolution=COARSE, cache_dir=cache)
     assert again is not found
     assert again.imported == found.imported
@@ -182,7 +182,7 @@ def test_the_same_file_gives_the_same_phantom(plain: tuple[Path, Phantom]):
     report = found.imported
     assert report is not None
     assert ImportReport.from_json(json.loads(json.dumps(report.to_json()))) == report
-    again = importer._Import(path, None, None, COARSE).phantom(found.hash)
+    again = importer._build(path, found.hash, None, None, COARSE, path)
     assert np.array_equal(again.grid.values, found.grid.values)
     assert all(np.array_equal(a.points, b.points) for a, b in zip(again.tree, found.tree, strict=True))
 

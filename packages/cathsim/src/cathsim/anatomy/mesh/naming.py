@@ -7,7 +7,8 @@ trunk forks into by which of them runs up.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,6 +132,32 @@ def _name_trunk(trunk: RoughVessel, names: dict[int, str]) -> None:
 def _rise(vessel: RoughVessel) -> float:
     """How steeply a vessel runs up from its start to its end."""
     return float(_unit(vessel.points[-1] - vessel.points[0])[2])
+
+
+def labelled_names(
+    aorta: RoughVessel, label_of: Callable[[Array], Sequence[str]]
+) -> tuple[dict[int, str], tuple[str, ...]]:
+    """Names vessels, by their `id()`, by the labels at their places, and notes what labels do not say.
+
+    Args:
+        label_of: names ("" where there is none) at points (n, 3) m of the aorta's frame.
+    """
+    names = {id(aorta): "aorta"}
+    notes = []
+    number = 1
+    queue = [aorta]
+    while queue:
+        vessel = queue.pop(0)
+        for child in vessel.children:
+            there = Counter(label for label in label_of(child.points[child.outside :]) if label not in ("", "aorta"))
+            name = next((label for label, _ in there.most_common() if label not in names.values()), "")
+            if not name:
+                name = f"branch_{number}"
+                number += 1
+                notes.append(f"the labels do not name one vessel, called {name}")
+            names[id(child)] = name
+            queue.append(child)
+    return names, tuple(notes)
 
 
 def renamed(names: dict[int, str], own: Mapping[str, str] | None) -> dict[int, str]:
