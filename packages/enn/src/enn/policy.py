@@ -34,6 +34,7 @@ class Policy:
         passthrough: observations that go to the network beside the encoder's features.
         action_repeat: environment steps that each action is meant for.
         metadata: whatever else is worth keeping: seed, decisions, phantom, target.
+        critics: whether the network's critics are trained too, so that a training can go on from them.
 
     Raises:
         ValueError: an action repeat below 1, or a name in `passthrough` that is no observation.
@@ -50,6 +51,7 @@ class Policy:
         passthrough: tuple[str, ...] = (),
         action_repeat: int = 1,
         metadata: dict[str, Any] | None = None,
+        critics: bool = True,
     ) -> None:
         if not isinstance(action_repeat, int) or action_repeat < 1:
             raise ValueError(f"action_repeat must be a whole number of at least 1, got {action_repeat!r}")
@@ -59,7 +61,7 @@ class Policy:
         self.network, self.module, self.encoder, self.passthrough = network, module, encoder, passthrough
         self.observation_space, self.action_space = observation_space, action_space
         self.action_repeat = action_repeat
-        self.metadata = dict(metadata or {})
+        self.metadata, self.critics = dict(metadata or {}), critics
         self.module.set_training_mode(False)
         if encoder is not None:
             encoder.eval().to(module.device)
@@ -150,14 +152,23 @@ class Policy:
             raise ValueError(f"{name} is not finite: look at what makes the observations")
         return torch.as_tensor(values).to(self.module.device)
 
-    def save(self, path: Path | str) -> None:
-        """Writes settings, spaces and weights into one file, atomically."""
+    def save(self, path: Path | str, *, critics: bool = False) -> None:
+        """Writes settings, spaces and weights into one file, atomically.
+
+        Args:
+            critics: with SAC's critics and their targets, which a training needs to start from the file
+                (`enn.reinforcement.training.Training(initial=…)`); acting does not need them.
+
+        Raises:
+            ValueError: critics are asked for and this policy has none.
+        """
+        if critics and not self.critics:
+            raise ValueError("this policy has no critics: it was read from a file without them")
+        weights = self.module.state_dict().items()
         content = {
             "format": FORMAT,
             "network": asdict(self.network),
-            "weights": {
-                key: value.cpu() for key, value in self.module.state_dict().items() if _acts(self.network, key)
-            },
+            "weights": {key: value.cpu() for key, value in weights if critics or _acts(self.network, key)},
             "observation_space": _describe(self.observation_space),
             "network_space": _describe(self.module.observation_space),
             "action_space": _describe(self.action_space),
@@ -191,7 +202,9 @@ class Policy:
                 encoder.load_state_dict(content["encoder"]["weights"])
                 encoder.to(device)
             module = build_network(network, _space(content["network_space"]), action_space).to(device)
-            wanted = {key for key in module.state_dict() if _acts(network, key)}
+            known = module.state_dict().keys()
+            critics = content["weights"].keys() == known
+            wanted = known if critics else {key for key in known if _acts(network, key)}
             if wanted != content["weights"].keys():
                 odd = sorted(wanted ^ content["weights"].keys())
                 raise RuntimeError(f"weights {', '.join(odd[:3])} are missing or unexpected")
@@ -205,6 +218,7 @@ class Policy:
                 passthrough=tuple(content["passthrough"]),
                 action_repeat=content["action_repeat"],
                 metadata=dict(content["metadata"]),
+                critics=critics,
             )
         except UNFIT as error:
             raise another_architecture(path, error, verb="train") from error
@@ -233,7 +247,6 @@ class PolicyController:
 
 
 def _acts(network: NetworkSettings, key: str) -> bool:
-    # SAC's critics are of no use without their optimisers and targets
     return network.algorithm != "sac" or key.startswith("actor.")
 
 

@@ -127,6 +127,14 @@ class PpoLearner:
         self.policy.set_training_mode(False)
         self.updates += self.settings.epochs * -(-self.rollout.buffer_size * self.n_envs // self.model.batch_size)
 
+    def start_from(self, weights: dict[str, torch.Tensor], further: dict[str, Any]) -> None:
+        """Takes over the whole network with its normalisation."""
+        self.policy.load_state_dict(weights)
+
+    def further_state(self) -> dict[str, Any]:
+        """Nothing beside the weights."""
+        return {}
+
     def scalars(self) -> dict[str, float]:
         """Losses of the last update."""
         return dict(self._values)

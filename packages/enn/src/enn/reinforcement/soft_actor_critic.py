@@ -23,6 +23,7 @@ HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 LOG_2 = math.log(2.0)
 FITS = 4  # of the normalisation: when learning starts, then whenever there is twice as much to fit to
 FIT_SAMPLES = 5000
+ENTROPY_WEIGHT = "entropy_weight"  # in the metadata of a policy that keeps its critics
 
 
 class FastSAC(SAC):
@@ -209,6 +210,24 @@ class SacLearner:
         every = max(len(rows) // FIT_SAMPLES, 1)
         fit_normalisation(self.policy, self.replay.gather(rows[::every], envs[::every]).observations)
         self._fits, self._next_fit = self._fits + 1, 2 * self.replay.added
+
+    def start_from(self, weights: dict[str, Tensor], further: dict[str, Any]) -> None:
+        """Takes over actor, critics, their targets and the normalisation; the entropy's weight where it is learnt.
+
+        Args:
+            further: metadata of the policy, with what `further_state` gave.
+        """
+        self.policy.load_state_dict(weights)
+        self._fits = FITS
+        weight = further.get(ENTROPY_WEIGHT)
+        if self.model.log_ent_coef is not None and self.model.ent_coef_optimizer is not None and weight:
+            with torch.no_grad():
+                self.model.log_ent_coef.fill_(math.log(weight))
+
+    def further_state(self) -> dict[str, Any]:
+        """What a training that starts from this policy needs beside its weights."""
+        weight = self.model._entropy_weight
+        return {} if weight is None else {ENTROPY_WEIGHT: float(weight)}
 
     def scalars(self) -> dict[str, float]:
         """Losses of the last update."""

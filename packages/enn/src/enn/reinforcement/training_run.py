@@ -27,6 +27,7 @@ from enn.reinforcement.replay import demonstration_replay
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
 from enn.reinforcement.sampling import SampledEnvs, without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
+from enn.reinforcement.starting_policy import start_from
 from enn.reinforcement.training_result import COLUMNS, Progress, TrainingResult, replace_text, write_curve
 from enn.reinforcement.training_settings import TrainingSettings
 from enn.trajectory import Trajectory
@@ -46,6 +47,7 @@ CHANGEABLE = {
     "checkpoint_seconds",
     "tensorboard",
     "device",
+    "keep_critics",
 }
 
 
@@ -61,6 +63,8 @@ class TrainingInputs:
         metadata: kept in the policy's file, with the seed.
         starts: further states of the reset bank, an array for each case or way. Shapes (k, n).
         make_validation_env: makes the environments of the evaluations that choose the best policy; None: `make_env`.
+        initial: a policy with critics to start from instead of fresh weights: it acts from the first decision on, is
+            evaluated before the first update, and its normalisation stays. Learning begins after `learning_starts`.
     """
 
     settings: TrainingSettings
@@ -72,6 +76,7 @@ class TrainingInputs:
     metadata: dict[str, Any] | None = None
     starts: Sequence[NDArray[Any]] = ()
     make_validation_env: Callable[[], gymnasium.Env[Any, Any]] | None = None
+    initial: Policy | None = None
 
 
 class TrainingRun:
@@ -124,6 +129,8 @@ class TrainingRun:
             self.learner = SacLearner(settings, self.envs, inputs.seed, demonstrations)
         else:
             self.learner = PpoLearner(settings, self.envs, inputs.seed)
+        if inputs.initial is not None:
+            start_from(self.learner, inputs.initial, settings, self.sampled)
         self.policy = Policy(
             settings.network,
             self.learner.policy,
@@ -186,7 +193,9 @@ class TrainingRun:
     def _decide(self) -> None:
         """One decision of every environment, and the updates that it pays for."""
         self.consistent = False
-        explore = self.decisions < self.settings.learning_starts
+        explore = waiting = self.decisions < self.settings.learning_starts
+        if self.inputs.initial is not None:  # it acts itself, and SAC waits until its replay buffer holds something
+            explore, waiting = False, waiting and self.settings.algorithm == "sac"
         actions = self.learner.act(self.observations, explore=explore)
         clock = time.perf_counter()
         after, rewards, dones, infos = self.envs.step(actions)
@@ -203,7 +212,7 @@ class TrainingRun:
                 self.episodes.append((episode["l"], episode["success"]))
         clock = time.perf_counter()
         self.learner.set_learning_rate(self._learning_rate())
-        self.learner.update(explore=explore)
+        self.learner.update(explore=waiting)
         self.spent["update_s"] += time.perf_counter() - clock
         self.consistent = True
 
@@ -216,7 +225,8 @@ class TrainingRun:
         """What is due between decisions; whether the training is over."""
         over = self.decisions >= self.settings.decisions
         final_evaluation = over and self.settings.evaluate_every > 0 and self.best_policy.evaluated_at < self.decisions
-        if self.decisions >= self.next_evaluation or final_evaluation:
+        first = self.inputs.initial is not None and self.settings.evaluate_every > 0 > self.best_policy.evaluated_at
+        if self.decisions >= self.next_evaluation or final_evaluation or first:
             self._evaluate()
             while self.next_evaluation <= self.decisions:
                 self.next_evaluation += self.settings.evaluate_every
@@ -289,13 +299,14 @@ class TrainingRun:
     def _architecture(self) -> dict[str, Any]:
         settings = {name: value for name, value in asdict(self.settings).items() if name not in CHANGEABLE}
         encoder = self.inputs.encoder
-        weights = b"" if encoder is None else b"".join(v.cpu().numpy().tobytes() for v in encoder.state_dict().values())
+        initial = None if self.inputs.initial is None else self.inputs.initial.module
         return {
             **settings,
             "observations": str(self.envs.observation_space),
             "actions": str(self.envs.action_space),
             "seed": self.inputs.seed,
-            "encoder": zlib.adler32(weights),
+            "encoder": _digest(encoder),
+            **({} if initial is None else {"initial": _digest(initial)}),
         }
 
     def _save(self) -> None:
@@ -344,8 +355,10 @@ class TrainingRun:
         }
         evaluation = self.best_policy.load_best_into(self.policy.module)
         self.policy.metadata |= {"decisions": self.decisions}
+        if self.settings.keep_critics:
+            self.policy.metadata |= self.learner.further_state()
         if self.folder is not None:
-            self.policy.save(self.folder / "policy.pt")
+            self.policy.save(self.folder / "policy.pt", critics=self.settings.keep_critics)
             write_curve(self.folder / "training.csv", self.curve)
             record = {
                 "settings": asdict(self.settings),
@@ -365,3 +378,9 @@ class TrainingRun:
         self.sampled.close()
         for env in self._evaluation_envs:
             env.close()
+
+
+def _digest(network: torch.nn.Module | None) -> int:
+    """A number that changes with the weights; of no network, that of no bytes."""
+    weights = {} if network is None else network.state_dict()
+    return zlib.adler32(b"".join(value.cpu().numpy().tobytes() for value in weights.values()))

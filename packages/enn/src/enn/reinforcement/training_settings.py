@@ -75,6 +75,7 @@ class TrainingSettings(NetworkSettings):
     curve_every: Count = 200  # decisions between rows of the curve
     checkpoint_seconds: Seconds = 60.0  # between checkpoints; 0: after every decision
     tensorboard: bool = False  # writes event files into the folder
+    keep_critics: bool = False  # in the policy's file, so that a training can start from it (SAC; PPO keeps all)
     device: str = "cpu"  # of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one
 
     def __post_init__(self) -> None:
@@ -128,6 +129,10 @@ class TrainingSettings(NetworkSettings):
             curve_every=min(self.curve_every, decisions),
             **changed,
         )
+
+    def with_network(self, network: NetworkSettings) -> TrainingSettings:
+        """The same run of another network, such as that of a policy to start from."""
+        return replace(self, **{field.name: getattr(network, field.name) for field in fields(NetworkSettings)})
 
     @property
     def network(self) -> NetworkSettings:
