@@ -126,12 +126,9 @@ def _camera(projector: Projector) -> Camera:
 @functools.lru_cache(maxsize=32)
 def phantom_mesh(phantom: Phantom, target: str | Point, entry: str) -> PhantomMesh:
     """A coarse surface of a phantom's lumen for viewers, with target and entry."""
-    from cathsim.anatomy import SignedDistanceGrid
     from cathsim.anatomy.surface import lumen_surface
 
-    grid, stride = phantom.grid, _MESH_STRIDE
-    coarse = SignedDistanceGrid(grid.values[::stride, ::stride, ::stride], grid.origin, grid.spacing * stride)
-    mesh = lumen_surface(coarse)
+    mesh = lumen_surface(phantom.grid.coarser(_MESH_STRIDE))
     return PhantomMesh(
         vertices=np.asarray(mesh.vertices),
         faces=np.asarray(mesh.faces),

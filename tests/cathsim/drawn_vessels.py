@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cathsim.anatomy import SignedDistanceGrid
 from cathsim.contact.sdf import Vessel
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -20,9 +21,8 @@ def sampled(
     axis = np.arange(low, high + spacing / 2, spacing)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     values = distance(points.reshape(-1, 3)).reshape(points.shape[:3])
-    return Vessel(
-        values, np.full(3, axis[0]), spacing, **{"entry": np.zeros(3), "direction": UP, "sheath_radius": 0.0, **sheath}
-    )
+    grid = SignedDistanceGrid(values, np.full(3, axis[0]), spacing)
+    return Vessel(grid, **{"entry": np.zeros(3), "direction": UP, "sheath_radius": 0.0, **sheath})
 
 
 def sphere(radius: float, spacing: float = 0.001) -> Vessel:

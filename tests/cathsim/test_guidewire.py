@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from cathsim.anatomy import SignedDistanceGrid
 from cathsim.arena import PROTRUSION, max_insertion, model_spec
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import GUIDEWIRES, LINK_NAME, TIP_SITE, Guidewire, load_guidewire, preset_of
@@ -50,7 +51,7 @@ def tip_at_rest(model: mujoco.MjModel, load: float, seconds: float) -> np.ndarra
 @pytest.fixture(scope="module")
 def space() -> Vessel:
     """Free space: a wall a metre away."""
-    return Vessel(np.ones((3, 3, 3), np.float32), np.zeros(3), 1.0, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    return Vessel(SignedDistanceGrid(np.ones((3, 3, 3)), np.zeros(3), 1.0), np.zeros(3), np.array([0.0, 0.0, 1.0]))
 
 
 @pytest.mark.parametrize("name", GUIDEWIRES)

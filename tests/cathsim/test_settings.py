@@ -29,7 +29,12 @@ EXTRAS = {"cathsim.composer", "cathsim.console", "cathsim._native"}
 # Dataclasses that hold results or are put together by the code itself, whose numbers no user chooses.
 RECORDS = {
     *("anatomy.generator.aorta:Aorta", "anatomy.centreline:LumenPaths"),
-    *("anatomy.distance_grid:SignedDistanceGrid", "anatomy.lumen_report:LumenReport"),
+    *(
+        "anatomy.distance_grid:LatticeField",
+        "anatomy.distance_grid:SignedDistanceGrid",
+        "anatomy.lumen_report:LumenReport",
+    ),
+    *("lattice.node_blocks:NodeBlocks", "lattice.node_set:NodeSet"),
     *("anatomy.phantom:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
     "devices.device_file:DeviceFile",

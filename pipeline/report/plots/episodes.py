@@ -49,7 +49,7 @@ def draw_vessel(axes: Axes, phantom: Phantom, target: str, *, radius_mm: float =
 
     grid = phantom.grid
     x, z = (grid.origin[axis] + grid.spacing * np.arange(grid.shape[axis]) for axis in (0, 2))
-    silhouette = grid.values.max(axis=1).T
+    silhouette = grid.silhouette(1).T
     axes.contourf(x * MM, z * MM, silhouette, levels=[0.0, 1.0], colors=["#f3d9d6"])
     axes.contour(x * MM, z * MM, silhouette, levels=[0.0], colors="0.45", linewidths=0.8)
     goal = phantom.target(target).position * MM

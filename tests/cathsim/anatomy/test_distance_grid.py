@@ -45,3 +45,29 @@ def test_bad_input_is_refused(linear):
         SignedDistanceGrid(np.zeros((4, 4, 4), np.float32), np.zeros(3), 0.0)
     with pytest.raises(ValueError, match="read-only"):
         linear.values[0, 0, 0] = 1.0
+
+
+def test_a_grid_of_the_nodes_near_a_lumen_is_that_of_the_dense_array():
+    axes = np.meshgrid(*[np.arange(-20, 21) * 1e-3] * 3, indexing="ij")
+    values = np.maximum(6e-3 - np.sqrt(sum(x**2 for x in axes)), -0.01).astype(np.float32)
+    dense = SignedDistanceGrid(values, [-0.02] * 3, 1e-3)
+    near = np.argwhere(values > -0.01)
+    sparse = SignedDistanceGrid.from_nodes(near, values[tuple(near.T)], values.shape, [-0.02] * 3, 1e-3)
+    points = np.random.default_rng(1).uniform(-0.022, 0.022, (2000, 3))
+    assert np.array_equal(sparse.sample(points), dense.sample(points))
+    assert np.array_equal(sparse.values, values)
+    assert np.array_equal(sparse.inside_box(), [[15] * 3, [25] * 3])
+    assert np.array_equal(sparse.silhouette(1), values.max(axis=1))
+    assert sparse.thickness(2)[20, 20] == pytest.approx(0.012, abs=1e-5)
+    assert np.array_equal(sparse.offset(1e-3).moved([0, 0, 0.01]).values, values + np.float32(1e-3))
+    assert sparse.moved([0, 0, 0.01]).sample([0, 0, 0.01]) == pytest.approx(6e-3)
+    assert np.array_equal(sparse.coarser(3).values, values[::3, ::3, ::3])
+    assert np.array_equal(sparse.coarser(3).coordinates([1, 2, 3]), sparse.coordinates([3, 6, 9]))
+
+
+def test_nodes_below_the_clamp_are_refused():
+    nodes = {"shape": (4, 4, 4), "origin": np.zeros(3), "spacing": 1e-3}
+    with pytest.raises(ValueError, match=r"below that outside, -0\.01 m; the least is -0\.02 m"):
+        SignedDistanceGrid.from_nodes([[1, 1, 1]], [-0.02], **nodes)
+    with pytest.raises(ValueError, match="must be negative"):
+        SignedDistanceGrid.from_nodes([[1, 1, 1]], [0.02], **nodes, outside=0.0)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy.centreline import arc_length
-from cathsim.anatomy.distance_grid import sample_trilinear
 from cathsim.anatomy.geodesic import MARGIN, centreline_path, geodesic_field, graph_distance
 from cathsim.anatomy.lumen import build_lumen
 
@@ -15,14 +14,14 @@ def test_in_a_straight_tube_it_is_the_straight_distance(tube):
     field = geodesic_field(grid, target)
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.003, -0.003, -0.027], [0.003, 0.003, 0.027], (400, 3))
-    found = sample_trilinear(field, grid.origin, grid.spacing, points)
+    found = field.sample(points)
     assert found == pytest.approx(np.linalg.norm(points - target, axis=1), abs=6e-4)
 
 
 def test_around_a_corner_it_is_the_way_through_the_lumen(tee):
     grid = build_lumen(tee, resolution=1e-3, fillet_radius=1e-4)
     field = geodesic_field(grid, [0.035, 0, 0])
-    found = sample_trilinear(field, grid.origin, grid.spacing, [0.0, 0.0, 0.035])
+    found = field.sample([0.0, 0.0, 0.035])
     corner = np.array([0.008, 0, 0.004])  # the taut string bends at the ostium's edge
     expected = np.linalg.norm(corner - [0.035, 0, 0]) + np.linalg.norm(corner - [0, 0, 0.035])
     assert found == pytest.approx(expected, rel=0.02)
@@ -73,7 +72,7 @@ def test_outside_the_wall_the_nearest_inside_value_counts(phantom):
     for depth in (3e-4, 1e-3, 2.5e-3):
         outside = phantom.geodesic_distance(wall + depth * normal, "bca")
         assert np.percentile(np.abs(outside - inside), 95) < 2.5e-3
-    field = phantom.geodesic_field("bca")
+    field = phantom.geodesic_field("bca").values
     assert np.isfinite(field).all()
     assert field[phantom.grid.values > -MARGIN].min() >= 0
     assert not field.flags.writeable

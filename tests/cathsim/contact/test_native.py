@@ -47,10 +47,9 @@ def tube_phantom() -> Phantom:
     """A straight tube with an entry at its lower end; the simulation needs no more of a phantom than that."""
     vessel = tube()
     entry = Entry("descending", np.zeros(3), UP)
-    grid = SignedDistanceGrid(vessel.values, vessel.origin, vessel.spacing)
     axis = np.outer(np.linspace(0.0, 0.1, 11), UP)
     tree = VesselTree((Branch("aorta", axis, np.full(11, 0.005)),))
-    return Phantom("tube", "0" * 16, ArchParameters(), tree, grid, {}, {"descending": entry})
+    return Phantom("tube", "0" * 16, ArchParameters(), tree, vessel.grid, {}, {"descending": entry})
 
 
 @pytest.mark.parametrize("push", [0.02, 0.1, 0.5])
@@ -152,7 +151,9 @@ def test_released_numbers_are_used_again() -> None:
     """There can be 4096 vessels at once, and any number one after the other."""
     numbers = set()
     for i in range(5000):
-        vessel = Vessel(np.full((3, 3, 3), i, np.float32), np.zeros(3), 0.001, np.zeros(3), UP, sheath_radius=0.0)
+        vessel = Vessel(
+            SignedDistanceGrid(np.full((3, 3, 3), i), np.zeros(3), 0.001), np.zeros(3), UP, sheath_radius=0.0
+        )
         assert vessel.distance(np.zeros((1, 3)))[0] == i
         numbers.add(vessel.number)
         del vessel
@@ -213,9 +214,11 @@ def test_another_version_of_mujoco_is_detected(monkeypatch: pytest.MonkeyPatch) 
 NAN_STATE = """
 import mujoco, numpy as np
 from cathsim import ACCURACY, load_guidewire
+from cathsim.anatomy import SignedDistanceGrid
 from cathsim.arena import model_spec
 from cathsim.contact.sdf import Vessel
-vessel = Vessel(np.ones((9, 9, 9)), np.zeros(3), 1e-3, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+grid = SignedDistanceGrid(np.ones((9, 9, 9)), np.zeros(3), 1e-3)
+vessel = Vessel(grid, np.zeros(3), np.array([0.0, 0.0, 1.0]))
 vessel.distance(np.full((1, 3), np.nan))
 model = model_spec(vessel, load_guidewire("default"), ACCURACY["accurate"]).compile()
 data = mujoco.MjData(model)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cathsim.anatomy import SignedDistanceGrid
 from cathsim.contact.sdf import Vessel
 from tests.cathsim.drawn_vessels import TUBE_RADIUS, UP, sampled, sphere, tube
 
@@ -23,7 +24,7 @@ def test_distance_at_nodes_is_the_grids_up_to_its_curvature() -> None:
     """At a node the quadratic spline averages 6/8 of it with 1/8 of its neighbours, along each axis."""
     rng = np.random.default_rng(1)
     values = rng.normal(0, 1e-3, (7, 8, 9)).astype(np.float32)
-    vessel = Vessel(values, np.array([0.01, 0.02, 0.03]), 0.002, np.zeros(3), UP, sheath_radius=0.0)
+    vessel = Vessel(SignedDistanceGrid(values, [0.01, 0.02, 0.03], 0.002), np.zeros(3), UP, sheath_radius=0.0)
     weights = np.array([0.125, 0.75, 0.125])
     for i, j, k in rng.integers(1, 6, (50, 3)):
         block = values[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2].astype(float)
@@ -79,15 +80,15 @@ def test_sheath_is_a_straight_bore_behind_the_entry() -> None:
 @pytest.mark.parametrize(
     ("values", "direction", "message"),
     [
-        (np.ones((2, 5, 5)), UP, "at least 3 each, got \\(2, 5, 5\\)"),
-        (np.ones((5, 5)), UP, "shape \\(nx, ny, nz\\)"),
+        (np.ones((2, 5, 5)), UP, "at least 3 x 3 x 3 nodes, got shape \\(2, 5, 5\\)"),
+        (np.ones((5, 5)), UP, "got shape \\(5, 5\\)"),
         (np.ones((5, 5, 5)), 2 * UP, "direction must be a unit vector"),
         (np.ones((5, 5, 5)), np.array([0.0, 1.0]), "direction must be a unit vector"),
     ],
 )
 def test_impossible_vessel_is_refused(values: np.ndarray, direction: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Vessel(values, np.zeros(3), 0.001, np.zeros(3), direction)
+        Vessel(SignedDistanceGrid(values, np.zeros(3), 0.001), np.zeros(3), direction)
 
 
 def test_points_of_a_wrong_shape_are_refused() -> None:

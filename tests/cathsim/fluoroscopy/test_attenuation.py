@@ -7,6 +7,7 @@ import pytest
 
 from cathsim.fluoroscopy import Ellipsoid, Projector, background_image, expose, lumen_path_length
 from cathsim.fluoroscopy.body import body_depth
+from cathsim.lattice.node_blocks import NodeBlocks
 
 RADIUS = 0.012
 CENTRE = np.array([0.004, -0.003, 0.002])
@@ -19,7 +20,7 @@ def ball(spacing=1e-3, clamp=-0.01):
     x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
     distance = RADIUS - np.sqrt((x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2 + (z - CENTRE[2]) ** 2)
     values = np.maximum(distance, clamp).astype(np.float32)
-    return SimpleNamespace(values=values, origin=np.full(3, -half), spacing=spacing)
+    return SimpleNamespace(blocks=NodeBlocks.from_dense(values), origin=np.full(3, -half), spacing=spacing)
 
 
 def camera(size=64, **angles):
@@ -68,7 +69,9 @@ def test_rays_that_miss_the_grid_meet_nothing():
 
 def test_grid_with_nan_is_refused():
     grid = ball()
-    grid.values[3, 3, 3] = np.nan
+    values = grid.blocks.dense()
+    values[3, 3, 3] = np.nan
+    grid.blocks = NodeBlocks.from_dense(values, -0.01)
     with pytest.raises(ValueError, match="finite"):
         lumen_path_length(grid, camera())
 

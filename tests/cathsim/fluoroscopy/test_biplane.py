@@ -17,6 +17,7 @@ from cathsim.fluoroscopy import (
     radiograph,
     scene,
 )
+from cathsim.lattice.node_blocks import NodeBlocks
 
 RADIUS, BALL = 0.012, np.array([0.004, -0.003, 0.002])
 
@@ -26,7 +27,7 @@ def ball_grid():
     axis = np.arange(-0.03, 0.0305, 1e-3)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     values = np.maximum(RADIUS - np.linalg.norm(points - BALL, axis=-1), -0.01).astype(np.float32)
-    return SimpleNamespace(values=values, origin=np.full(3, -0.03), spacing=1e-3)
+    return SimpleNamespace(blocks=NodeBlocks.from_dense(values), origin=np.full(3, -0.03), spacing=1e-3)
 
 
 PHANTOM = SimpleNamespace(grid=ball_grid(), bounds=np.array([[-0.03] * 3, [0.03] * 3]), hash="a ball for the tests")

@@ -50,8 +50,8 @@ def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS
     """
     if entry not in phantom.entries:
         raise ValueError(f"phantom {phantom.name} has no entry '{entry}'; there are {', '.join(phantom.entries)}")
-    gate, grid = phantom.entries[entry], phantom.grid
-    return Vessel(grid.values, grid.origin, grid.spacing, gate.position, gate.direction, sheath_radius)
+    gate = phantom.entries[entry]
+    return Vessel(phantom.grid, gate.position, gate.direction, sheath_radius)
 
 
 class Simulation:

@@ -1,4 +1,4 @@
-"""Signed distance to a vessel's wall on a regular grid, positive inside the lumen."""
+"""Signed distance to a vessel's wall on a regular lattice, positive inside the lumen, stored near the vessel only."""
 
 from __future__ import annotations
 
@@ -7,33 +7,47 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cathsim.lattice.node_blocks import Box, NodeBlocks, Shape
+
+OUTSIDE = -0.010  # m: signed distance far outside a lumen
+
 
 @dataclass(frozen=True, eq=False)
-class SignedDistanceGrid:
-    """Distance to the wall, sampled at the corners of a regular lattice."""
+class LatticeField:
+    """Values at the nodes of a regular lattice in space, such as distances to a target."""
 
-    values: NDArray[np.float32]  # (nx, ny, nz) float32 m, C order; positive inside the lumen, clamped far outside
-    origin: NDArray[np.float64]  # (3,) m, world position of values[0, 0, 0]
+    blocks: NodeBlocks  # the values, float32
+    origin: NDArray[np.float64]  # (3,) m, world position of node (0, 0, 0)
     spacing: float  # m between neighbours, the same along x, y and z
 
     def __post_init__(self) -> None:
-        values = np.ascontiguousarray(self.values, dtype=np.float32)
-        origin = np.asarray(self.origin, dtype=np.float64)
-        object.__setattr__(self, "values", values)
+        origin = np.array(self.origin, dtype=np.float64)
+        if origin.shape != (3,) or not np.isfinite(origin).all():
+            raise ValueError(f"a grid's origin must be finite and of shape (3,), got {origin.tolist()}.")
+        if not 0 < self.spacing < np.inf:
+            raise ValueError(f"a grid's spacing must be positive, got {self.spacing!r} m.")
         object.__setattr__(self, "origin", origin)
-        if values.ndim != 3 or min(values.shape) < 2:
-            raise ValueError(f"a distance grid needs at least 2 x 2 x 2 values, got shape {values.shape}.")
-        if origin.shape != (3,):
-            raise ValueError(f"a distance grid's origin must have shape (3,), got {origin.shape}.")
-        if not self.spacing > 0:
-            raise ValueError(f"a distance grid's spacing must be positive, got {self.spacing!r} m.")
-        values.flags.writeable = False
 
     @property
-    def shape(self) -> tuple[int, int, int]:
+    def values(self) -> NDArray[np.float32]:
+        """All values (nx, ny, nz) as a dense copy, read-only: of a large lattice that is much memory."""
+        values = self.blocks.dense()
+        values.flags.writeable = False
+        return values
+
+    def dense(self, box: Box | None = None) -> NDArray[np.float32]:
+        """The values in a box of the lattice, three slices, as a dense copy; by default all."""
+        return self.blocks.dense(box)
+
+    @property
+    def shape(self) -> Shape:
         """Number of lattice points along x, y and z."""
-        nx, ny, nz = self.values.shape
-        return nx, ny, nz
+        return self.blocks.shape
+
+    @property
+    def nbytes(self) -> int:
+        """Memory, bytes."""
+        return self.blocks.nbytes
 
     @property
     def bounds(self) -> NDArray[np.float64]:
@@ -45,55 +59,102 @@ class SignedDistanceGrid:
         return self.origin + np.asarray(indices, dtype=np.float64) * self.spacing
 
     def sample(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Signed distance (...,) m at points (..., 3) m, trilinear, positive inside; clamped to the grid's border."""
-        return sample_trilinear(self.values, self.origin, self.spacing, points)
+        """The value (...,) at points (..., 3) m, trilinear; clamped to the lattice's border.
+
+        Raises:
+            ValueError: points do not end in three coordinates.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        if points.shape[-1:] != (3,):
+            raise ValueError(f"points must have shape (..., 3), got {points.shape}.")
+        return self.blocks.interpolated((points - self.origin) / self.spacing)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Gradient (..., 3) of the signed distance at points (..., 3) m; at the wall about a unit vector inwards."""
+        """Gradient (..., 3) at points (..., 3) m; of a signed distance, at the wall, about a unit vector inwards."""
         points = np.asarray(points, dtype=np.float64)
         half = 0.5 * self.spacing
         offsets = np.eye(3) * half
         return np.stack([(self.sample(points + o) - self.sample(points - o)) / (2 * half) for o in offsets], axis=-1)
 
 
-def sample_trilinear(
-    values: NDArray[np.float32], origin: NDArray[np.float64], spacing: float, points: ArrayLike
-) -> NDArray[np.float64]:
-    """Trilinear interpolation on a lattice; points outside take the border's value.
+class SignedDistanceGrid(LatticeField):
+    """Distance to the wall, m, positive inside the lumen, clamped far outside.
 
     Args:
-        values: (nx, ny, nz), in any unit.
-        origin: (3,) m, position of values[0, 0, 0].
-        spacing: m.
-        points: (..., 3) m.
+        values: (nx, ny, nz) float32 m, dense or in blocks. Blocks that hold the least value everywhere, the clamp, are
+            not stored.
+        origin: (3,) m, world position of node (0, 0, 0).
+        spacing: m between neighbours, the same along x, y and z.
 
     Raises:
-        ValueError: points do not end in three coordinates.
+        ValueError: fewer than 2 x 2 x 2 nodes, or an impossible origin or spacing.
     """
-    points = np.asarray(points, dtype=np.float64)
-    if points.shape[-1:] != (3,):
-        raise ValueError(f"points must have shape (..., 3), got {points.shape}.")
-    limit = np.array(values.shape) - 1
-    index = np.clip((points - origin) / spacing, 0.0, limit)
-    base = np.minimum(index.astype(np.intp), limit - 1)
-    fx, fy, fz = np.moveaxis(index - base, -1, 0)
-    stride_x, stride_y = values.shape[1] * values.shape[2], values.shape[2]
-    flat = values.reshape(-1)
-    corner = base[..., 0] * stride_x + base[..., 1] * stride_y + base[..., 2]
-    result = np.zeros(points.shape[:-1])
-    for step_x, weight_x in ((0, 1 - fx), (stride_x, fx)):
-        for step_y, weight_y in ((0, 1 - fy), (stride_y, fy)):
-            weight = weight_x * weight_y
-            lower = flat[corner + (step_x + step_y)]
-            upper = flat[corner + (step_x + step_y + 1)]
-            result += weight * (lower * (1 - fz) + upper * fz)
-    return result
 
+    def __init__(self, values: NDArray | NodeBlocks, origin: ArrayLike, spacing: float) -> None:
+        shape = np.shape(values) if not isinstance(values, NodeBlocks) else values.shape
+        if len(shape) != 3 or min(shape) < 2:
+            raise ValueError(f"a distance grid needs at least 2 x 2 x 2 values, got shape {shape}.")
+        if not isinstance(values, NodeBlocks):
+            values = NodeBlocks.from_dense(np.asarray(values, dtype=np.float32))
+        super().__init__(values, np.asarray(origin), spacing)
 
-def bounding_box(mask: NDArray[np.bool_]) -> tuple[slice, slice, slice]:
-    """The part of a lattice (nx, ny, nz) that holds all true nodes."""
-    spans = []
-    for axis in range(3):
-        taken = np.flatnonzero(mask.any(axis=tuple(k for k in range(3) if k != axis)))
-        spans.append(slice(int(taken[0]), int(taken[-1]) + 1))
-    return spans[0], spans[1], spans[2]
+    @classmethod
+    def from_nodes(
+        cls,
+        indices: ArrayLike,
+        values: ArrayLike,
+        shape: Shape,
+        origin: ArrayLike,
+        spacing: float,
+        *,
+        outside: float = OUTSIDE,
+    ) -> SignedDistanceGrid:
+        """A grid of which only the nodes near the lumen are given: no array of the whole box is made.
+
+        Args:
+            indices: (n, 3) whole numbers, within `shape`: all nodes of the lumen and those around it, as far as the
+                distance to the wall is not the clamp.
+            values: (n,) m, positive inside the lumen, none below `outside`.
+            shape: number of nodes along x, y and z.
+            outside: m, negative: the value of all other nodes, the clamp.
+
+        Raises:
+            ValueError: other shapes, an index outside the lattice, or a value below the clamp.
+        """
+        values = np.asarray(values, dtype=np.float32)
+        if not outside < 0:
+            raise ValueError(f"the distance outside must be negative, got {outside!r} m.")
+        if values.size and not values.min() >= np.float32(outside):
+            raise ValueError(f"no distance may be below that outside, {outside:g} m; the least is {values.min():g} m.")
+        return cls(NodeBlocks.from_nodes(indices, values, shape, outside), origin, spacing)
+
+    def coarser(self, stride: int) -> SignedDistanceGrid:
+        """The grid of every `stride`-th node along each axis."""
+        return SignedDistanceGrid(self.blocks.coarser(stride), self.origin, self.spacing * stride)
+
+    def offset(self, distance: float) -> SignedDistanceGrid:
+        """The grid of a lumen whose wall everywhere lies further out by a distance, m."""
+        change = np.float32(distance)
+        return SignedDistanceGrid(self.blocks.mapped(lambda values: values + change), self.origin, self.spacing)
+
+    def moved(self, shift: ArrayLike) -> SignedDistanceGrid:
+        """The same grid moved by (3,) m."""
+        return SignedDistanceGrid(self.blocks, self.origin + np.asarray(shift), self.spacing)
+
+    def inside(self) -> NDArray[np.int32]:
+        """Indices (n, 3) of the lumen's nodes, in C order."""
+        return self.blocks.where(lambda values: values > 0)[0]
+
+    def inside_box(self) -> NDArray[np.int32]:
+        """Lowest and highest index (2, 3) of the lumen's nodes."""
+        inside = self.inside()
+        return np.stack([inside.min(axis=0), inside.max(axis=0)])
+
+    def silhouette(self, axis: int) -> NDArray[np.float32]:
+        """The largest distance along an axis, (two others) m: positive where a line of sight meets the lumen."""
+        return self.blocks.maximum_along(axis)
+
+    def thickness(self, axis: int) -> NDArray[np.float64]:
+        """Length (two others) m of every line of sight along an axis inside the lumen."""
+        spacing = self.spacing
+        return spacing * self.blocks.sum_along(axis, lambda values: np.clip(values / spacing + 0.5, 0.0, 1.0))

@@ -7,19 +7,21 @@ import ctypes
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cathsim.anatomy.distance_grid import SignedDistanceGrid, bounding_box
+from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import VesselTree
+from cathsim.lattice.node_blocks import AROUND
+from cathsim.lattice.node_set import FACES, NodeSet
 
 MARGIN = 4e-3  # m outside the lumen up to which the field continues its nearest inside value
 _SEED_RADIUS = 2e-3  # m: within this ball about the target the distance is the straight one
 
 
-def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> NDArray[np.float32]:
+def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> LatticeField:
     """Shortest distance to a target (3,) m inside the lumen, by fast marching.
 
     Returns:
-        (nx, ny, nz) float32 m, finite everywhere. Up to MARGIN outside the wall it continues the nearest inside values;
-        further out, and where the target cannot be reached, it holds its largest value.
+        On the grid's lattice, m, finite everywhere. Up to MARGIN outside the wall it continues the nearest inside
+        values; further out, and where the target cannot be reached, it holds its largest value.
 
     Raises:
         ValueError: the target lies outside the lumen.
@@ -29,53 +31,55 @@ def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> NDArray[np.fl
     if depth <= 0:
         raise ValueError(f"a geodesic target must lie inside the lumen, got {target.tolist()} m, {-depth:g} m outside.")
     seed = max(min(_SEED_RADIUS, 0.8 * depth), 1.01 * grid.spacing)
-    inside = grid.values > 0
-    box = bounding_box(inside)
-    inside = inside[box]
-    axes = [grid.origin[k] + np.arange(grid.shape[k])[box[k]] * grid.spacing - target[k] for k in range(3)]
-    straight = np.sqrt(axes[0][:, None, None] ** 2 + axes[1][None, :, None] ** 2 + axes[2][None, None, :] ** 2)
-    distance = _march(np.where(straight < seed, straight, np.inf), inside, grid.spacing)
-    reached = inside & np.isfinite(distance)
-    field = np.full(grid.shape, np.inf, dtype=np.float32)
-    field[box][reached] = distance[reached]
-    return _continue_outwards(field, float(distance[reached].max()), grid)
+    band = NodeSet.where(grid.blocks, lambda values: -values < MARGIN + grid.spacing)
+    inside = np.flatnonzero(band.values > 0)
+    axes = [grid.origin[k] + np.arange(grid.shape[k]) * grid.spacing - target[k] for k in range(3)]
+    x, y, z = (axis[band.indices[inside, k]] for k, axis in enumerate(axes))
+    straight = np.sqrt(x**2 + y**2 + z**2)
+    distance = _march(np.where(straight < seed, straight, np.inf), band, inside, grid.spacing)
+    reached = np.isfinite(distance)
+    field = np.full(len(band), np.inf, dtype=np.float32)
+    field[inside[reached]] = distance[reached]
+    _continue_outwards(field, band, grid.spacing)
+    farthest = float(distance[reached].max())
+    field[~np.isfinite(field)] = farthest
+    return LatticeField(band.spread(field, farthest), grid.origin, grid.spacing)
 
 
-def _march(seeded: NDArray[np.float64], inside: NDArray[np.bool_], spacing: float) -> NDArray[np.float64]:
-    """Distances inside the lumen, m, from those that are finite already; infinite where there is no way."""
+def _march(
+    seeded: NDArray[np.float64], band: NodeSet, inside: NDArray[np.int64], spacing: float
+) -> NDArray[np.float64]:
+    """Distances at the lumen's nodes, m, from those that are finite already; infinite where there is no way."""
     from cathsim.contact.native import address, library
 
-    distance = np.ascontiguousarray(seeded, dtype=np.float64)
-    free, accepted = np.ascontiguousarray(inside, dtype=np.uint8), np.zeros(inside.shape, dtype=np.uint8)
-    size = np.array(inside.shape, dtype=np.int32)
+    renumbered = np.full(len(band) + 1, -1, dtype=np.int32)  # the last one is that of no node
+    renumbered[inside] = np.arange(len(inside))
+    neighbours = np.stack([renumbered[band.neighbours(inside, step)] for step in FACES], axis=1)
+    accepted = np.zeros(len(inside), dtype=np.uint8)
     march = library().cathsim_march
-    if march(address(size), ctypes.c_double(spacing), address(free), address(accepted), address(distance)):
+    if march(len(inside), address(neighbours), ctypes.c_double(spacing), address(accepted), address(seeded)):
         raise MemoryError(f"no memory left for the distances of {inside.size} grid nodes: use a coarser resolution")
-    return distance
+    return seeded
 
 
-def _continue_outwards(field: NDArray[np.float32], farthest: float, grid: SignedDistanceGrid) -> NDArray[np.float32]:
-    """Fills the lattice outside the lumen, layer by layer outwards, with the mean of known neighbours."""
-    strides = np.array([grid.shape[1] * grid.shape[2], grid.shape[2], 1])
-    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3) @ strides
-    around = around[around != 0]
-    flat, depth = field.reshape(-1), -grid.values.reshape(-1)
-    open_ = np.flatnonzero((depth < MARGIN + grid.spacing) & ~np.isfinite(flat))
-    layers = int(np.ceil(MARGIN / grid.spacing)) + 1
+def _continue_outwards(field: NDArray[np.float32], band: NodeSet, spacing: float) -> None:
+    """Fills a field (n,) on a band of nodes outside the lumen, layer by layer, with the mean of known neighbours."""
+    depth, open_ = -band.values, np.flatnonzero(~np.isfinite(field))
+    known = np.append(field, np.float32(np.inf))  # the last one is that of no node
+    layers = int(np.ceil(MARGIN / spacing)) + 1
     for layer in range(1, layers + 1):
-        chosen = open_[depth[open_] < layer * grid.spacing]
+        chosen = open_[depth[open_] < layer * spacing]
         total = np.zeros(len(chosen), dtype=np.float32)
         count = np.zeros(len(chosen), dtype=np.float32)
-        for offset in around:
-            neighbour = flat[chosen + offset]  # the grid's padding keeps every neighbour on the lattice
+        for step in AROUND:
+            neighbour = known[band.neighbours(chosen, step)]
             finite = np.isfinite(neighbour)
             count += finite
             total += np.where(finite, neighbour, 0)
         reached = count > 0
-        flat[chosen[reached]] = total[reached] / count[reached]
-        open_ = open_[~np.isfinite(flat[open_])]
-    flat[~np.isfinite(flat)] = farthest
-    return field
+        known[chosen[reached]] = total[reached] / count[reached]
+        open_ = open_[~np.isfinite(known[open_])]
+    field[:] = known[:-1]
 
 
 def graph_distance(tree: VesselTree, start: str, start_arc: ArrayLike, branch: str, arc: float) -> NDArray[np.float64]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
-OUTSIDE = -0.010  # m: value far outside the lumen
 PADDING = 7  # lattice points around the lumen
 _CELL = 3  # lattice points along the edge of a block that shares one nearest-centreline query
 _BATCH = 200  # blocks worked on at once, so that they stay in the processor's cache

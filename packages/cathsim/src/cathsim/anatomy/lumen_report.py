@@ -11,6 +11,7 @@ from cathsim.anatomy.cross_section import wall_distances
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.geodesic import centreline_path
 from cathsim.anatomy.phantom import ENTRY_DEPTH, Phantom
+from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
 
 _SPECK = 8  # lattice points: what is smaller is rounding at an edge, not a chamber
@@ -56,15 +57,12 @@ def check_lumen(phantom: Phantom, *, required_radius: float = 2e-3, wire_radius:
         required_radius: m, the least distance from centreline to wall on the way to any target.
         wire_radius: m, clearance at which the lumen must be connected.
     """
-    from scipy.ndimage import label
-
     grid = phantom.grid
-    free = grid.values > wire_radius
-    labels, _ = label(free)
-    sizes = np.bincount(labels.reshape(-1))[1:]
-    chambers = np.flatnonzero(sizes >= _SPECK) + 1
+    free = NodeSet.where(grid.blocks, lambda values: values > wire_radius)
+    parts = free.parts()
+    chambers = np.count_nonzero(np.bincount(parts) >= _SPECK)
     entry = phantom.entry()
-    home = _chamber(labels, grid, entry.position)
+    home = _chamber(free, parts, grid, entry.position)
 
     aorta = phantom.tree.root
     ends = {"descending": 3 * ENTRY_DEPTH, "ascending": aorta.length - 3 * ENTRY_DEPTH}
@@ -75,18 +73,19 @@ def check_lumen(phantom: Phantom, *, required_radius: float = 2e-3, wire_radius:
         open_ends[name] = inside and float(across.min()) >= required_radius
     reachable, least = {}, {}
     for name, target in phantom.targets.items():
-        reachable[name] = home > 0 and _chamber(labels, grid, target.position) == home
+        reachable[name] = home >= 0 and _chamber(free, parts, grid, target.position) == home
         path = centreline_path(phantom.tree, (aorta.name, ENTRY_DEPTH), (target.branch, target.arc))
         tangents = np.gradient(path, axis=0)
         tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
         least[name] = float(_radius_around(grid, path, tangents).min())
-    return LumenReport(open_ends, len(chambers), reachable, least, required_radius)
+    return LumenReport(open_ends, int(chambers), reachable, least, required_radius)
 
 
-def _chamber(labels: NDArray[np.int32], grid: SignedDistanceGrid, point: NDArray[np.float64]) -> int:
-    """Label of the chamber that a point lies in, 0 for none."""
+def _chamber(free: NodeSet, parts: NDArray[np.int32], grid: SignedDistanceGrid, point: NDArray[np.float64]) -> int:
+    """Number of the chamber that a point lies in, -1 for none."""
     index = np.rint((point - grid.origin) / grid.spacing).astype(int)
-    return int(labels[tuple(np.clip(index, 0, np.array(grid.shape) - 1))])
+    node = free.number_at(np.clip(index, 0, np.array(grid.shape) - 1))
+    return int(parts[node]) if node >= 0 else -1
 
 
 def _radius_around(

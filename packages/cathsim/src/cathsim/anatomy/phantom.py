@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cathsim.anatomy.distance_grid import SignedDistanceGrid, bounding_box, sample_trilinear
+from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
 from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import geodesic_field, graph_distance
 from cathsim.anatomy.point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
@@ -79,8 +79,8 @@ class Phantom:
     imported: ImportReport | None = None  # the account of the import, for a phantom from a mesh
     # what it was imported with, for a phantom from a mesh: path, unit, names
     source: Mapping[str, Any] | None = field(default=None, repr=False)
-    _load_field: Callable[[str], NDArray[np.float32] | None] | None = field(default=None, repr=False)
-    _fields: dict[str, NDArray[np.float32]] = field(default_factory=dict, repr=False)
+    _load_field: Callable[[str], LatticeField | None] | None = field(default=None, repr=False)
+    _fields: dict[str, LatticeField] = field(default_factory=dict, repr=False)
     _points: PointFields = field(default_factory=PointFields, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -111,9 +111,7 @@ class Phantom:
 
     @cached_property
     def _bounds(self) -> NDArray[np.float64]:
-        box = bounding_box(self.grid.values > 0)
-        corners = np.array([[span.start for span in box], [span.stop - 1 for span in box]])
-        return self.grid.origin + corners * self.grid.spacing
+        return self.grid.coordinates(self.grid.inside_box())
 
     def target(self, wanted: TargetLike) -> Target:
         """The target of a name, or of a point (3,) m in the lumen, world frame.
@@ -142,7 +140,7 @@ class Phantom:
             raise ValueError(f"unknown entry {name!r} in phantom {self.name!r}; choose from {known}.")
         return self.entries[name]
 
-    def geodesic_field(self, target: TargetLike) -> NDArray[np.float32]:
+    def geodesic_field(self, target: TargetLike) -> LatticeField:
         """In-lumen distance to a target on the grid's lattice; read from the cache or computed at first use.
 
         Args:
@@ -150,7 +148,7 @@ class Phantom:
                 is used, and then only with the last few points.
 
         Returns:
-            (nx, ny, nz) float32 m, finite everywhere, read-only.
+            Distances in m, finite everywhere.
         """
         name = as_target(target)
         with self._lock:
@@ -158,11 +156,8 @@ class Phantom:
                 return self._points.take(name, lambda: geodesic_field(self.grid, self.target(name).position))
             if name not in self._fields:
                 place = self.target(name)
-                values = self._load_field(name) if self._load_field is not None else None
-                if values is None:
-                    values = geodesic_field(self.grid, place.position)
-                values.flags.writeable = False
-                self._fields[name] = values
+                loaded = self._load_field(name) if self._load_field is not None else None
+                self._fields[name] = geodesic_field(self.grid, place.position) if loaded is None else loaded
             return self._fields[name]
 
     def geodesic_distance(self, points: ArrayLike, target: TargetLike) -> NDArray[np.float64]:
@@ -170,7 +165,7 @@ class Phantom:
 
         A little outside the lumen the nearest inside value counts.
         """
-        return sample_trilinear(self.geodesic_field(target), self.grid.origin, self.grid.spacing, points)
+        return self.geodesic_field(target).sample(points)
 
     def way_length(self, target: TargetLike, entry: str = "descending") -> float:
         """Arc length (m) from an entry to a target along the centrelines, and from there to the target itself."""

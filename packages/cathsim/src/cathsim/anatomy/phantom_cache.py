@@ -1,7 +1,7 @@
 """Built phantoms on disk: one file each, named by content, written atomically, rebuilt when damaged.
 
 Only lattice points near the lumen are stored; all others hold one constant (the distance grid's clamp, a geodesic
-field's largest value), which makes a file about six times smaller than its grids.
+field's largest value).
 """
 
 from __future__ import annotations
@@ -12,22 +12,25 @@ import logging
 import os
 import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
 from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import MARGIN
 from cathsim.anatomy.mesh.report import ImportReport
 from cathsim.anatomy.phantom import Entry, Phantom, Target
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
+from cathsim.lattice.node_blocks import EDGE, NodeBlocks
 
 logger = logging.getLogger(__name__)
+LAYOUT = 2  # of the files; raise it whenever they are written in another way
 DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexError, NotImplementedError, zlib.error)
 
 
@@ -72,7 +75,7 @@ class PhantomCache:
 
     def path(self, digest: str) -> Path:
         """File of a phantom of a hash, whether it exists or not."""
-        return self.directory / "phantoms" / f"{digest}.npz"
+        return self.directory / "phantoms" / f"{digest}-{LAYOUT}.npz"
 
     def read(self, name: str, digest: str, parameters: Recipe | None) -> Phantom | None:
         """Reads a phantom and names it; its geodesic fields are read at first use.
@@ -88,10 +91,7 @@ class PhantomCache:
                 meta = json.loads(str(file["meta"]))
                 if meta["hash"] != digest:
                     raise ValueError("it holds another phantom")
-                near = _unpack(file["near"], meta["shape"])
-                values = np.full(meta["shape"], meta["outside"], dtype=np.float32)
-                values[near] = file["distance"]
-                grid = SignedDistanceGrid(values, np.array(meta["origin"]), meta["spacing"])
+                grid = SignedDistanceGrid(_unpack(file, meta), np.array(meta["origin"]), meta["spacing"])
                 points, radius = file["points"], file["radius"]
         except DAMAGE as error:
             logger.warning("cached phantom %s is damaged (%s) and is built again.", path, error)
@@ -122,14 +122,15 @@ class PhantomCache:
     def write(self, phantom: Phantom) -> None:
         """Writes a phantom with its geodesic fields, except those of targets at open ends (computed at first use)."""
         grid = phantom.grid
-        outside = float(grid.values.min())
-        near = grid.values > outside
+        blocks = grid.blocks
+        near = blocks.own != blocks.constant
+        kept = near.any(axis=(1, 2, 3))
         meta = {
             "hash": phantom.hash,
             "shape": list(grid.shape),
             "origin": grid.origin.tolist(),
             "spacing": grid.spacing,
-            "outside": outside,
+            "outside": blocks.constant,
             "branches": [
                 {
                     "name": b.name,
@@ -153,18 +154,19 @@ class PhantomCache:
             meta["imported"] = phantom.imported.to_json()
         arrays: dict[str, NDArray] = {
             "meta": np.array(json.dumps(meta)),
-            "near": np.packbits(near),
-            "distance": grid.values[near],
+            "blocks": np.flatnonzero(blocks.stored)[kept].astype(np.int32),
+            "near": np.packbits(near[kept]),
+            "distance": blocks.own[near],
             "points": np.concatenate([b.points for b in phantom.tree]),
             "radius": np.concatenate([b.radius for b in phantom.tree]),
         }
-        marched = _marched(grid)
+        marched = blocks.own_indices(_marched(grid))
         for target, place in phantom.targets.items():
             if place.at_end:
                 continue
-            values = phantom.geodesic_field(target)
-            arrays[f"geodesic_{target}"] = values[marched]
-            arrays[f"farthest_{target}"] = values.max()
+            field = phantom.geodesic_field(target).blocks
+            arrays[f"geodesic_{target}"] = field.at(marched)
+            arrays[f"farthest_{target}"] = np.array(field.constant, dtype=np.float32)
         write_archive(self.path(phantom.hash), arrays, f"phantom {phantom.name} is")
 
 
@@ -175,24 +177,36 @@ class _FieldReader:
     path: Path
     grid: SignedDistanceGrid
 
-    def __call__(self, target: str) -> NDArray[np.float32] | None:
+    def __call__(self, target: str) -> LatticeField | None:
+        grid = self.grid
         try:
             with np.load(self.path, allow_pickle=False) as file:
                 if f"geodesic_{target}" not in file:
                     return None
-                values = np.full(self.grid.shape, file[f"farthest_{target}"], dtype=np.float32)
-                values[_marched(self.grid)] = file[f"geodesic_{target}"]
+                marched = _marched(grid)
+                kept = marched.any(axis=(1, 2, 3))
+                farthest = float(file[f"farthest_{target}"])
+                cores = np.full((int(kept.sum()), *marched.shape[1:]), farthest, dtype=np.float32)
+                cores[marched[kept]] = file[f"geodesic_{target}"]
         except DAMAGE as error:
             logger.warning("geodesic field %s in %s is damaged (%s) and is computed again.", target, self.path, error)
             return None
-        return values
+        occupied = np.array(grid.blocks.stored)
+        occupied[occupied] = kept
+        return LatticeField(NodeBlocks.from_cores(occupied, cores, grid.shape, farthest), grid.origin, grid.spacing)
 
 
 def _marched(grid: SignedDistanceGrid) -> NDArray[np.bool_]:
-    """Lattice points at which geodesic fields are more than a constant."""
-    return grid.values > -MARGIN - grid.spacing
+    """Lattice points at which geodesic fields are more than a constant, among the stored blocks' own nodes."""
+    return grid.blocks.own > -MARGIN - grid.spacing
 
 
-def _unpack(bits: NDArray[np.uint8], shape: list[int]) -> NDArray[np.bool_]:
-    count = int(np.prod(shape))
-    return np.unpackbits(bits, count=count).view(np.bool_).reshape(shape)
+def _unpack(file: Mapping[str, NDArray], meta: dict[str, Any]) -> NodeBlocks:
+    """The stored blocks of a distance grid."""
+    nx, ny, nz = (int(n) for n in meta["shape"])
+    occupied = np.zeros([-(-n // EDGE) for n in (nx, ny, nz)], dtype=bool)
+    occupied.reshape(-1)[file["blocks"]] = True
+    cores = np.full((int(occupied.sum()), EDGE, EDGE, EDGE), meta["outside"], dtype=np.float32)
+    near = np.unpackbits(file["near"], count=cores.size).view(np.bool_).reshape(cores.shape)
+    cores[near] = file["distance"]
+    return NodeBlocks.from_cores(occupied, cores, (nx, ny, nz), meta["outside"])

@@ -9,14 +9,14 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
 
 Point = tuple[float, float, float]  # m, world frame
 TargetLike = str | Sequence[float] | NDArray[np.floating]
 
 _FARTHEST = 10.0  # m: a coordinate beyond was meant in another unit
-_KEPT = 4  # geodesic fields of points that are kept while nobody uses them, 10 to 40 MB each
+_KEPT = 4  # geodesic fields of points that are kept while nobody uses them, 3 to 50 MB each
 
 
 def as_target(target: object) -> str | Point:
@@ -49,7 +49,7 @@ def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str) -> None
     """Raises ValueError for a point outside the lumen, with the nearest place inside it."""
     if (grid.bounds[0] <= point).all() and (point <= grid.bounds[1]).all() and grid.sample(point) > 0:
         return
-    inside = grid.coordinates(np.argwhere(grid.values > 0))
+    inside = grid.coordinates(grid.inside())
     away = np.linalg.norm(inside - point, axis=1)
     nearest = inside[np.argmin(away)]
     raise ValueError(
@@ -75,18 +75,17 @@ class PointFields:
     """Geodesic fields of points: kept as long as somebody uses them, the last few for longer; not safe by itself."""
 
     def __init__(self) -> None:
-        self._in_use: WeakValueDictionary[Point, NDArray[np.float32]] = WeakValueDictionary()
-        self._latest: OrderedDict[Point, NDArray[np.float32]] = OrderedDict()
+        self._in_use: WeakValueDictionary[Point, LatticeField] = WeakValueDictionary()
+        self._latest: OrderedDict[Point, LatticeField] = OrderedDict()
 
-    def take(self, point: Point, make: Callable[[], NDArray[np.float32]]) -> NDArray[np.float32]:
-        """The field of a point, made where it is not kept; read-only."""
-        values = self._in_use.get(point)
-        if values is None:
-            values = make()
-            values.flags.writeable = False
-            self._in_use[point] = values
-        self._latest[point] = values
+    def take(self, point: Point, make: Callable[[], LatticeField]) -> LatticeField:
+        """The field of a point, made where it is not kept."""
+        field = self._in_use.get(point)
+        if field is None:
+            field = make()
+            self._in_use[point] = field
+        self._latest[point] = field
         self._latest.move_to_end(point)
         while len(self._latest) > _KEPT:
             self._latest.popitem(last=False)
-        return values
+        return field

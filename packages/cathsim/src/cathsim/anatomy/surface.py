@@ -28,9 +28,8 @@ def lumen_surface(grid: SignedDistanceGrid, *, level: float = 0.0) -> trimesh.Tr
     import trimesh
     from skimage.measure import marching_cubes
 
-    # A copy, because marching_cubes refuses read-only arrays.
     vertices, faces, _, _ = marching_cubes(
-        grid.values.copy(), level=level, spacing=(grid.spacing,) * 3, allow_degenerate=False
+        grid.dense(), level=level, spacing=(grid.spacing,) * 3, allow_degenerate=False
     )
     mesh = trimesh.Trimesh(vertices + grid.origin, faces, process=False)
     if mesh.volume < 0:

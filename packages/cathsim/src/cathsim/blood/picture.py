@@ -65,7 +65,7 @@ def _draw_field(figure: Figure, axes: Axes, field: BloodField, time: float) -> N
     across, up = np.meshgrid(x * _MM, z * _MM)
     grid = field.phantom.grid
     lattice = [(grid.origin[k] + grid.spacing * np.arange(grid.shape[k])) * _MM for k in (0, 2)]
-    silhouette = grid.values.max(axis=1).T
+    silhouette = grid.silhouette(1).T
     axes.contourf(*lattice, silhouette, levels=[0.0, 1.0], colors=["#ece7f2"])
     axes.contour(*lattice, silhouette, levels=[0.0], colors="0.45", linewidths=0.8)
     u, w = (np.nan_to_num(velocity[..., k]) for k in (0, 2))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from cathsim.anatomy import Phantom, SignedDistanceGrid
+from cathsim.anatomy import Phantom
 from cathsim.anatomy.surface import lumen_surface
 from cathsim.console.messages import surface_message
 from cathsim.fluoroscopy import DeviceRenderer, FluoroscopyRenderer
@@ -73,7 +73,5 @@ class FluoroscopyMonitor:
 
 def surface_of(phantom: Phantom) -> bytes:
     """The lumen's surface for the 3-D view, as a message."""
-    grid = phantom.grid
-    coarse = SignedDistanceGrid(grid.values[::_STRIDE, ::_STRIDE, ::_STRIDE], grid.origin, grid.spacing * _STRIDE)
-    mesh = lumen_surface(coarse)
+    mesh = lumen_surface(phantom.grid.coarser(_STRIDE))
     return surface_message(np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), np.asarray(mesh.faces))

@@ -114,6 +114,4 @@ def hull_vessel(phantom: Phantom, entry: str, settings: Decomposition) -> HullVe
         (centre - inset * normal, normal, radius + settings.thickness)
         for centre, normal, radius in open_ends(phantom.tree)
     )
-    return HullVessel(
-        grid.values, grid.origin, grid.spacing, gate.position, gate.direction, hulls=tuple(hulls), openings=openings
-    )
+    return HullVessel(grid, gate.position, gate.direction, hulls=tuple(hulls), openings=openings)

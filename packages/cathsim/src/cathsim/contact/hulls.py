@@ -20,7 +20,6 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.phantom_cache import DAMAGE, default_cache_directory, write_archive
 from cathsim.anatomy.surface import MAXIMUM_WALL, wall_surface
 from cathsim.validation import Count, Unit, settings
@@ -140,10 +139,7 @@ def decompose(phantom: Phantom, settings: Decomposition) -> list[Hull]:
 def wall_solid(phantom: Phantom, settings: Decomposition) -> trimesh.Trimesh:
     """The wall as a closed solid on the settings' lattice, m, world frame."""
     stride = max(1, round(settings.lattice / phantom.grid.spacing))
-    grid = phantom.grid
-    if stride > 1:
-        grid = SignedDistanceGrid(grid.values[::stride, ::stride, ::stride], grid.origin, grid.spacing * stride)
-    return wall_surface(grid, phantom.tree, settings.thickness)
+    return wall_surface(phantom.grid.coarser(stride), phantom.tree, settings.thickness)
 
 
 def _convex(points: NDArray[np.float64]) -> Hull:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import weakref
 from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.contact.native import address, library
+from cathsim.lattice.native_lattice import LatticeStruct
 
 MAGIC = 1129469011.0
 GEOM_NAME, SHEATH_NAME = "vessel", "sheath"
@@ -23,9 +26,7 @@ class Vessel:
     In a MuJoCo model it is a dummy box geom for each (`add_to`); contacts come from the grid.
     """
 
-    values: np.ndarray  # signed distance to the wall, m, positive inside. Shape (nx, ny, nz), float32, C order.
-    origin: np.ndarray  # world position of node (0, 0, 0), m. Shape (3,).
-    spacing: float  # distance between nodes, m
+    grid: SignedDistanceGrid  # signed distance to the wall, at least 3 x 3 x 3 nodes
     entry: np.ndarray  # where the sheath opens into the vessel, m. Shape (3,).
     direction: np.ndarray  # unit vector into the vessel. Shape (3,).
     sheath_radius: float = SHEATH_RADIUS  # inner radius of the sheath, m; 0 for no sheath
@@ -33,19 +34,16 @@ class Vessel:
     number: int = field(init=False)
 
     def __post_init__(self) -> None:
-        values = np.ascontiguousarray(self.values, np.float32)
-        if values.ndim != 3 or min(values.shape) < 3:
-            raise ValueError(f"a signed-distance grid needs shape (nx, ny, nz) of at least 3 each, got {values.shape}")
+        if min(self.grid.shape) < 3:
+            raise ValueError(f"a vessel's grid needs at least 3 x 3 x 3 nodes, got shape {self.grid.shape}")
         direction = np.array(self.direction, float)
         if direction.shape != (3,) or abs(np.linalg.norm(direction) - 1) > 1e-6:
             raise ValueError(f"direction must be a unit vector of shape (3,), got {direction}")
-        origin, entry = np.array(self.origin, float), np.array(self.entry, float)
-        size = np.array(values.shape, np.int32)
+        entry = np.array(self.entry, float)
         number = library().cathsim_vessel_register(
-            address(size),
-            address(origin),
-            float(self.spacing),
-            address(values),
+            ctypes.byref(LatticeStruct.of(self.grid.blocks)),
+            address(self.grid.origin),
+            float(self.grid.spacing),
             address(entry),
             address(direction),
             float(self.sheath_radius),
@@ -53,7 +51,7 @@ class Vessel:
         )
         if number < 0:
             raise RuntimeError("4096 vessels are in use at once, the most there can be: release environments first")
-        for name, value in (("values", values), ("origin", origin), ("entry", entry), ("direction", direction)):
+        for name, value in (("entry", entry), ("direction", direction)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "number", number)
         weakref.finalize(self, library().cathsim_vessel_release, number)

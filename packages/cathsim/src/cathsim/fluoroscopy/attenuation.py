@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from cathsim.fluoroscopy.body import THORAX, Solid, body_depth
 from cathsim.fluoroscopy.projector import Projector
+from cathsim.lattice.native_lattice import LatticeStruct
+from cathsim.lattice.node_blocks import NodeBlocks
 
 CONTRAST = 28.0  # 1/m, diluted iodine over blood
 GAMMA = 0.5  # of the display: wide enough a range for lungs, spine and wire in one image
@@ -23,12 +25,12 @@ class DistanceGrid(Protocol):
     """Signed distance to the vessel's wall on a lattice, positive inside."""
 
     @property
-    def values(self) -> NDArray[np.float32]:
-        """(nx, ny, nz) m."""
+    def blocks(self) -> NodeBlocks:
+        """Distances, m."""
 
     @property
     def origin(self) -> NDArray[np.float64]:
-        """(3,) m, world position of values[0, 0, 0]."""
+        """(3,) m, world position of node (0, 0, 0)."""
 
     @property
     def spacing(self) -> float:
@@ -39,10 +41,9 @@ class _GridStruct(ctypes.Structure):
     """struct DistanceGrid of fluoroscopy.c."""
 
     _fields_ = (
-        ("size", ctypes.c_int * 3),
         ("origin", ctypes.c_double * 3),
         ("spacing", ctypes.c_double),
-        ("values", ctypes.c_void_p),
+        ("distance", LatticeStruct),
     )
 
 
@@ -56,20 +57,18 @@ def lumen_path_length(
         samples: rays along each side of a pixel, averaged; by default enough for smooth edges.
 
     Raises:
-        ValueError: the grid is no lattice of finite values.
+        ValueError: a distance is not finite.
     """
     from cathsim.contact.native import library
 
-    values = np.ascontiguousarray(grid.values, dtype=np.float32)
-    if values.ndim != 3 or min(values.shape) < 2 or not np.isfinite(values).all():
-        raise ValueError(f"a distance grid must be a finite (nx, ny, nz) array, got shape {values.shape}.")
+    if not np.isfinite(grid.blocks.nodes).all():
+        raise ValueError("a distance grid must be finite: it holds NaN or infinite distances.")
     if samples is None:
         samples = max(1, -(-_RAYS // min(projector.width, projector.height)))
     struct = _GridStruct(
-        (ctypes.c_int * 3)(*values.shape),
         (ctypes.c_double * 3)(*np.asarray(grid.origin, dtype=np.float64)),
         float(grid.spacing),
-        values.ctypes.data,
+        LatticeStruct.of(grid.blocks),
     )
     lengths = np.empty((projector.height, projector.width), dtype=np.float32)
     source, rays = np.ascontiguousarray(projector.source), np.ascontiguousarray(projector.rays)
@@ -146,7 +145,7 @@ def _cached_background(wanted: Keyed) -> NDArray[np.float32]:
 def _background(
     grid: DistanceGrid, projector: Projector, contrast: float, body: tuple[Solid, ...]
 ) -> NDArray[np.float32]:
-    centre = np.asarray(grid.origin) + (np.array(grid.values.shape) - 1) * grid.spacing / 2
+    centre = np.asarray(grid.origin) + (np.array(grid.blocks.shape) - 1) * grid.spacing / 2
     depth = contrast * lumen_path_length(grid, projector) + body_depth(projector, body, centre)
     image = expose(depth)
     image.flags.writeable = False

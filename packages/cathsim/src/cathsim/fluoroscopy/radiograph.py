@@ -43,7 +43,7 @@ def optical_depth(grid: DistanceGrid, projector: Projector, scene: XRayScene) ->
 
     depth = np.zeros((projector.height, projector.width), np.float32)
     if scene.body:
-        centre = np.asarray(grid.origin) + (np.array(grid.values.shape) - 1) * grid.spacing / 2
+        centre = np.asarray(grid.origin) + (np.array(grid.blocks.shape) - 1) * grid.spacing / 2
         coarse = _every(projector, _BODY_STRIDE)
         sampled = body_depth(coarse, scene.body, centre)
         rows, columns = (np.arange(n, dtype=np.float32) / _BODY_STRIDE for n in depth.shape)

@@ -2,6 +2,8 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "lattice.h"
+
 #define MAX_PIECES 512 /* of one link; a link near the source could otherwise be cut without end */
 
 typedef struct {
@@ -137,26 +139,20 @@ int cathsim_fluoroscopy_draw(const FluoroscopyView* view, int n, const double* n
 }
 
 typedef struct {
-  int size[3];         /* lattice points along x, y, z; z runs fastest */
-  double origin[3];    /* m, world */
-  double spacing;      /* m */
-  const float* values; /* signed distance to the wall, m, positive inside */
+  double origin[3]; /* m, world */
+  double spacing;   /* m */
+  Lattice distance; /* signed distance to the wall, m, positive inside */
 } DistanceGrid;
 
 static double distance_at(const DistanceGrid* g, const double index[3]) {
   int base[3];
   double t[3];
   for (int k = 0; k < 3; k++) {
-    const double limit = g->size[k] - 1.000001, u = index[k] < 0 ? 0 : index[k] > limit ? limit : index[k];
+    const double limit = g->distance.size[k] - 1.000001, u = index[k] < 0 ? 0 : index[k] > limit ? limit : index[k];
     base[k] = (int)u;
     t[k] = u - base[k];
   }
-  const size_t sy = g->size[2], sx = (size_t)g->size[1] * g->size[2];
-  const float* c = g->values + base[0] * sx + base[1] * sy + base[2];
-  const double c00 = c[0] + t[2] * (c[1] - c[0]), c01 = c[sy] + t[2] * (c[sy + 1] - c[sy]);
-  const double c10 = c[sx] + t[2] * (c[sx + 1] - c[sx]), c11 = c[sx + sy] + t[2] * (c[sx + sy + 1] - c[sx + sy]);
-  const double c0 = c00 + t[1] * (c01 - c00), c1 = c10 + t[1] * (c11 - c10);
-  return c0 + t[0] * (c1 - c0);
+  return lattice_interpolate(&g->distance, base, t);
 }
 
 /* Length (m) of the ray from `start` along the unit `direction` where the distance exceeds `level`. */
@@ -165,7 +161,7 @@ static double ray_length(const DistanceGrid* g, const double start[3], const dou
   for (int k = 0; k < 3; k++) {
     at[k] = (start[k] - g->origin[k]) / g->spacing;
     step[k] = direction[k] / g->spacing;
-    const double last = g->size[k] - 1;
+    const double last = g->distance.size[k] - 1;
     if (fabs(step[k]) < 1e-12) {
       if (at[k] < 0 || at[k] > last) return 0;
       continue;

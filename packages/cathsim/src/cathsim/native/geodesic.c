@@ -1,13 +1,14 @@
 /* Fast marching: distance inside a lumen from seeds, second order in the spacing where two known nodes line up.
  *
- * Solves |grad T| = 1 with upwind differences, accepting nodes in the order of their distance (Sethian 1996). */
+ * Solves |grad T| = 1 with upwind differences, accepting nodes in the order of their distance (Sethian 1996). The
+ * lumen's nodes are numbered; each knows its neighbours' numbers. */
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
 
 typedef struct {
   double value;
-  int64_t node;
+  int32_t node;
 } Entry;
 
 typedef struct {
@@ -15,7 +16,7 @@ typedef struct {
   int64_t count, capacity;
 } Heap;
 
-static int push(Heap* h, double value, int64_t node) {
+static int push(Heap* h, double value, int32_t node) {
   if (h->count == h->capacity) {
     int64_t capacity = h->capacity ? 2 * h->capacity : 4096;
     Entry* grown = realloc(h->entries, capacity * sizeof(Entry));
@@ -47,23 +48,26 @@ static Entry pop(Heap* h) {
   return top;
 }
 
+enum { NEIGHBOURS = 6 }; /* of a node: before and after along x, then y, then z; -1 where the lumen ends */
+
 /* The distance at a node from its accepted neighbours. Along each axis the upwind difference is a T - b, with a in
  * 1/spacing; the squares add up to 1. */
-static double solve(const int size[3], const int64_t stride[3], double inverse, const uint8_t* accepted,
-                    const double* distance, int64_t node, const int at[3]) {
+static double solve(const int32_t* neighbours, double inverse, const uint8_t* accepted, const double* distance,
+                    int32_t node) {
   double a[3], b[3];
   int used = 0;
   for (int axis = 0; axis < 3; axis++) {
     double best = HUGE_VAL, second = HUGE_VAL;
-    for (int side = -1; side <= 1; side += 2) {
-      const int i = at[axis] + side;
-      if (i < 0 || i >= size[axis] || !accepted[node + side * stride[axis]]) continue;
-      const double near = distance[node + side * stride[axis]];
+    for (int side = 0; side < 2; side++) {
+      const int32_t next = neighbours[(size_t)NEIGHBOURS * node + 2 * axis + side];
+      if (next < 0 || !accepted[next]) continue;
+      const double near = distance[next];
       if (near >= best) continue;
       best = near;
       second = HUGE_VAL;
-      if (i + side >= 0 && i + side < size[axis] && accepted[node + 2 * side * stride[axis]]) {
-        const double far = distance[node + 2 * side * stride[axis]];
+      const int32_t after = neighbours[(size_t)NEIGHBOURS * next + 2 * axis + side];
+      if (after >= 0 && accepted[after]) {
+        const double far = distance[after];
         if (far <= near) second = far;
       }
     }
@@ -93,33 +97,24 @@ static double solve(const int size[3], const int64_t stride[3], double inverse, 
   return HUGE_VAL;
 }
 
-/* Marches from the nodes whose `distance` (m) is finite over those that are `inside`; both have size[0] x size[1] x
- * size[2] nodes, the last index contiguous. `accepted` is scratch of that size, zeroed. Returns 0, or 1 when memory is
- * short. */
-int cathsim_march(const int size[3], double spacing, const uint8_t* inside, uint8_t* accepted, double* distance) {
-  const int64_t stride[3] = {(int64_t)size[1] * size[2], size[2], 1};
-  const int64_t total = size[0] * stride[0];
+/* Marches over `count` nodes from those whose `distance` (m) is finite. `neighbours` is count x 6, `accepted` scratch
+ * of that size, zeroed. Returns 0, or 1 when memory is short. */
+int cathsim_march(int32_t count, const int32_t* neighbours, double spacing, uint8_t* accepted, double* distance) {
   Heap heap = {0};
   int failed = 0;
-  for (int64_t node = 0; node < total && !failed; node++)
-    if (inside[node] && isfinite(distance[node])) failed = !push(&heap, distance[node], node);
+  for (int32_t node = 0; node < count && !failed; node++)
+    if (isfinite(distance[node])) failed = !push(&heap, distance[node], node);
   while (heap.count > 0 && !failed) {
     const Entry top = pop(&heap);
     if (accepted[top.node] || top.value > distance[top.node]) continue;
     accepted[top.node] = 1;
-    const int at[3] = {(int)(top.node / stride[0]), (int)(top.node / stride[1] % size[1]), (int)(top.node % size[2])};
-    for (int axis = 0; axis < 3 && !failed; axis++) {
-      for (int side = -1; side <= 1; side += 2) {
-        const int i = at[axis] + side;
-        const int64_t node = top.node + side * stride[axis];
-        if (i < 0 || i >= size[axis] || !inside[node] || accepted[node]) continue;
-        int place[3] = {at[0], at[1], at[2]};
-        place[axis] = i;
-        const double value = solve(size, stride, 1.0 / spacing, accepted, distance, node, place);
-        if (value < distance[node]) {
-          distance[node] = value;
-          if (!push(&heap, value, node)) failed = 1;
-        }
+    for (int k = 0; k < NEIGHBOURS && !failed; k++) {
+      const int32_t node = neighbours[(size_t)NEIGHBOURS * top.node + k];
+      if (node < 0 || accepted[node]) continue;
+      const double value = solve(neighbours, 1.0 / spacing, accepted, distance, node);
+      if (value < distance[node]) {
+        distance[node] = value;
+        if (!push(&heap, value, node)) failed = 1;
       }
     }
   }

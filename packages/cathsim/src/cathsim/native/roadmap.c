@@ -2,33 +2,29 @@
 #include <math.h>
 #include <string.h>
 
+#include "lattice.h"
+
 typedef struct {
-  int size[3];         /* nodes along x, y, z; z is contiguous */
-  double origin[3];    /* world position of node (0, 0, 0), m */
-  double inverse;      /* 1 / spacing */
-  const float* wall;   /* signed distance to the wall, m, positive inside */
-  const float* remain; /* distance along the lumen to the target, m */
+  double origin[3]; /* world position of node (0, 0, 0) of both lattices, m */
+  double inverse;   /* 1 / spacing */
+  Lattice wall;     /* signed distance to the wall, m, positive inside */
+  Lattice remain;   /* distance along the lumen to the target, m */
 } Roadmap;
 
-static double sample(const Roadmap* r, const float* values, const double p[3]) {
+static double sample(const Roadmap* r, const Lattice* values, const double p[3]) {
   int index[3];
   double t[3];
   for (int i = 0; i < 3; i++) {
     double u = (p[i] - r->origin[i]) * r->inverse;
-    const double last = r->size[i] - 1.000001;
+    const double last = values->size[i] - 1.000001;
     u = u > 0 ? (u < last ? u : last) : 0; /* not a number gives 0 */
     index[i] = (int)u;
     t[i] = u - index[i];
   }
-  const size_t sy = r->size[2], sx = (size_t)r->size[1] * r->size[2];
-  const float* c = values + index[0] * sx + index[1] * sy + index[2];
-  const double c00 = c[0] + t[2] * (c[1] - c[0]), c01 = c[sy] + t[2] * (c[sy + 1] - c[sy]);
-  const double c10 = c[sx] + t[2] * (c[sx + 1] - c[sx]), c11 = c[sx + sy] + t[2] * (c[sx + sy + 1] - c[sx + sy]);
-  const double c0 = c00 + t[1] * (c01 - c00), c1 = c10 + t[1] * (c11 - c10);
-  return c0 + t[0] * (c1 - c0);
+  return lattice_interpolate(values, index, t);
 }
 
-static void gradient(const Roadmap* r, const float* values, const double p[3], double half, double g[3]) {
+static void gradient(const Roadmap* r, const Lattice* values, const double p[3], double half, double g[3]) {
   for (int i = 0; i < 3; i++) {
     double a[3], b[3];
     memcpy(a, p, sizeof a);
@@ -47,13 +43,13 @@ double cathsim_roadmap_path(const Roadmap* r, const double start[3], double step
   double p[3];
   memcpy(p, start, sizeof p);
   for (int n = 0; n < count; n++) {
-    double g[3], left = sample(r, r->remain, p);
+    double g[3], left = sample(r, &r->remain, p);
     if (left > 0.5 * step) {
-      gradient(r, r->remain, p, spacing, g);
-      const double room = sample(r, r->wall, p);
+      gradient(r, &r->remain, p, spacing, g);
+      const double room = sample(r, &r->wall, p);
       if (room < clearance) {
         double inwards[3];
-        gradient(r, r->wall, p, spacing, inwards);
+        gradient(r, &r->wall, p, spacing, inwards);
         const double push = 1 - room / clearance;
         for (int i = 0; i < 3; i++) g[i] -= (push < 2 ? push : 2) * inwards[i];
       }
@@ -64,7 +60,7 @@ double cathsim_roadmap_path(const Roadmap* r, const double start[3], double step
     }
     memcpy(path + 3 * n, p, sizeof p);
   }
-  return sample(r, r->remain, start);
+  return sample(r, &r->remain, start);
 }
 
 /* Distances (m, `limit` at most) from `start` to the wall along `count` unit directions (count x 3). */
@@ -76,7 +72,7 @@ void cathsim_roadmap_rays(const Roadmap* r, const double start[3], double limit,
     while (length < limit) {
       double p[3];
       for (int i = 0; i < 3; i++) p[i] = start[i] + length * directions[3 * n + i];
-      const double room = sample(r, r->wall, p);
+      const double room = sample(r, &r->wall, p);
       if (!(room > 0)) break;
       length += room > least ? room : least;
     }

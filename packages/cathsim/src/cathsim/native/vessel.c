@@ -12,16 +12,14 @@ static Vessel* vessels[MAX_VESSELS];
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 
 /* Returns the vessel's number, -1 when the table is full or memory is short. The grid must outlive the registration. */
-int cathsim_vessel_register(const int size[3], const double origin[3], double spacing, const float* values,
-                            const double entry[3], const double direction[3], double sheath_radius,
-                            double sheath_overlap) {
+int cathsim_vessel_register(const Lattice* distance, const double origin[3], double spacing, const double entry[3],
+                            const double direction[3], double sheath_radius, double sheath_overlap) {
   Vessel* v = malloc(sizeof(Vessel));
   if (!v) return -1;
-  memcpy(v->size, size, sizeof v->size);
+  v->distance = *distance;
   memcpy(v->origin, origin, sizeof v->origin);
   v->spacing = spacing;
   v->inverse = 1.0 / spacing;
-  v->values = values;
   memcpy(v->entry, entry, sizeof v->entry);
   memcpy(v->direction, direction, sizeof v->direction);
   v->sheath_radius = sheath_radius;
@@ -90,18 +88,11 @@ double vessel_distance(const Vessel* v, const double p[3]) {
   int index[3];
   double t[3];
   for (int i = 0; i < 3; i++) {
-    double u = clamp((p[i] - v->origin[i]) * v->inverse, 0, v->size[i] - 1.000001);
+    double u = clamp((p[i] - v->origin[i]) * v->inverse, 0, v->distance.size[i] - 1.000001);
     index[i] = (int)u;
     t[i] = u - index[i];
   }
-  const size_t sy = v->size[2], sx = (size_t)v->size[1] * v->size[2];
-  const float* c = v->values + index[0] * sx + index[1] * sy + index[2];
-  double c00 = c[0] + t[2] * (c[1] - c[0]);
-  double c01 = c[sy] + t[2] * (c[sy + 1] - c[sy]);
-  double c10 = c[sx] + t[2] * (c[sx + 1] - c[sx]);
-  double c11 = c[sx + sy] + t[2] * (c[sx + sy + 1] - c[sx + sy]);
-  double c0 = c00 + t[1] * (c01 - c00), c1 = c10 + t[1] * (c11 - c10);
-  double grid = c0 + t[0] * (c1 - c0);
+  const double grid = lattice_interpolate(&v->distance, index, t);
   double sheath = sheath_distance(v, p, NULL);
   return grid > sheath ? grid : sheath;
 }
@@ -110,10 +101,10 @@ double vessel_distance_gradient(const Vessel* v, const double p[3], double gradi
   int index[3];
   double w[3][3], dw[3][3];
   for (int i = 0; i < 3; i++) {
-    double u = clamp((p[i] - v->origin[i]) * v->inverse, 1, v->size[i] - 2.000001);
+    double u = clamp((p[i] - v->origin[i]) * v->inverse, 1, v->distance.size[i] - 2.000001);
     int nearest = (int)(u + 0.5);
     double t = u - nearest;
-    index[i] = nearest - 1;
+    index[i] = nearest;
     w[i][0] = 0.5 * (0.5 - t) * (0.5 - t);
     w[i][1] = 0.75 - t * t;
     w[i][2] = 0.5 * (0.5 + t) * (0.5 + t);
@@ -121,12 +112,11 @@ double vessel_distance_gradient(const Vessel* v, const double p[3], double gradi
     dw[i][1] = -2 * t;
     dw[i][2] = t + 0.5;
   }
-  const size_t sy = v->size[2], sx = (size_t)v->size[1] * v->size[2];
-  const float* base = v->values + index[0] * sx + index[1] * sy + index[2];
+  const float* base = lattice_node(&v->distance, index[0], index[1], index[2]) - NODE_X - NODE_Y - NODE_Z;
   double value = 0, gx = 0, gy = 0, gz = 0;
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
-      const float* c = base + i * sx + j * sy;
+      const float* c = base + i * NODE_X + j * NODE_Y;
       double line = w[2][0] * c[0] + w[2][1] * c[1] + w[2][2] * c[2];
       double slope = dw[2][0] * c[0] + dw[2][1] * c[1] + dw[2][2] * c[2];
       double wij = w[0][i] * w[1][j];

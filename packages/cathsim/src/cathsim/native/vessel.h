@@ -4,16 +4,17 @@
 
 #include <mujoco/mujoco.h>
 
+#include "lattice.h"
+
 /* geom_user of a vessel's geoms: this mark, the vessel's number here, and the part that the geom stands for. */
 #define CATHSIM_MAGIC 1129469011.0
 enum { VESSEL_LUMEN = 0, VESSEL_SHEATH = 1 };
 
 typedef struct {
-  int size[3];           /* nodes along x, y, z; z is contiguous */
+  Lattice distance;      /* signed distance, m, positive inside the lumen; the caller owns its values */
   double origin[3];      /* world position of node (0, 0, 0), m */
   double spacing;        /* m */
   double inverse;        /* 1 / spacing */
-  const float* values;   /* signed distance, m, positive inside the lumen; owned by the caller */
   double entry[3];       /* where the sheath opens into the vessel, m */
   double direction[3];   /* unit vector into the vessel */
   double sheath_radius;  /* inner radius, m; 0: no sheath */

@@ -13,6 +13,7 @@ from cathsim.anatomy.point_target import TargetLike, as_target
 from cathsim.contact.native import address, library
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import TIP_SITE
+from cathsim.lattice.native_lattice import LatticeStruct
 from cathsim.simulation import Simulation
 from cathsim.validation import Unit, quantity
 
@@ -45,11 +46,10 @@ class _RoadmapStruct(ctypes.Structure):
     """struct Roadmap of roadmap.c."""
 
     _fields_ = (
-        ("size", ctypes.c_int * 3),
         ("origin", ctypes.c_double * 3),
         ("inverse", ctypes.c_double),
-        ("wall", ctypes.c_void_p),
-        ("remain", ctypes.c_void_p),
+        ("wall", LatticeStruct),
+        ("remain", LatticeStruct),
     )
 
 
@@ -99,13 +99,9 @@ class Roadmap:
     def _native(self) -> _RoadmapStruct:
         if self._struct is None:  # the geodesic field is only loaded when it is wanted
             grid = self.simulation.phantom.grid
-            self._fields = grid.values, self.simulation.phantom.geodesic_field(self.target)
-            self._struct = _RoadmapStruct(
-                grid.shape,
-                tuple(grid.origin.tolist()),
-                1.0 / grid.spacing,
-                *(field.ctypes.data for field in self._fields),
-            )
+            self._fields = grid, self.simulation.phantom.geodesic_field(self.target)
+            wall, remain = (LatticeStruct.of(field.blocks) for field in self._fields)
+            self._struct = _RoadmapStruct(tuple(grid.origin.tolist()), 1.0 / grid.spacing, wall, remain)
             native = library()
             self._follow, self._cast = native.cathsim_roadmap_path, native.cathsim_roadmap_rays
             self._follow.restype, self._cast.restype = ctypes.c_double, None

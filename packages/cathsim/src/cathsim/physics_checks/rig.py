@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, empty_spec
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import TIP_SITE, Guidewire, load_guidewire
@@ -129,11 +130,5 @@ def sampled_vessel(
     """
     axes = [a + spacing * np.arange(round((b - a) / spacing) + 1) for a, b in zip(low, high, strict=True)]
     values = np.broadcast_to(distance(*np.ix_(*axes)), [len(axis) for axis in axes])
-    return Vessel(
-        np.ascontiguousarray(values, np.float32),
-        np.array(low),
-        spacing,
-        np.zeros(3),
-        np.array([0.0, 0.0, 1.0]),
-        sheath_radius=0.0,
-    )
+    grid = SignedDistanceGrid(values, low, spacing)
+    return Vessel(grid, np.zeros(3), np.array([0.0, 0.0, 1.0]), sheath_radius=0.0)

@@ -36,7 +36,7 @@ def drawn_errors(
     wrong = changed_device(device, stiffness)
     insertion = uncertainty.insertion * float(generator.standard_normal())
     rotation = uncertainty.rotation * float(generator.standard_normal())
-    moved = with_lumen(phantom, phantom.grid.values + np.float32(lumen), (x, y, z))
+    moved = with_lumen(phantom, phantom.grid.offset(lumen).moved((x, y, z)))
     return DrawnErrors(moved, wrong, insertion, rotation)
 
 

@@ -6,9 +6,6 @@ import dataclasses
 from collections.abc import Callable
 from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cathsim.anatomy import Phantom, SignedDistanceGrid
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.pair import DevicePair
@@ -84,16 +81,15 @@ def deviating_phantom(phantom: Phantom, deviation: Deviation) -> Phantom:
     """
     if deviation.lumen == 0 and not any(deviation.shift):
         return phantom
-    values = _widened(phantom.grid, deviation.lumen) if deviation.lumen else phantom.grid.values
-    return with_lumen(phantom, values, deviation.shift)
+    grid = _widened(phantom.grid, deviation.lumen) if deviation.lumen else phantom.grid
+    return with_lumen(phantom, grid.moved(deviation.shift))
 
 
-def with_lumen(phantom: Phantom, values: NDArray[np.float32], shift: tuple[float, float, float]) -> Phantom:
-    """The phantom with other distances to the wall (m) on its lattice, which is shifted (m); its entries stay."""
-    grid = SignedDistanceGrid(values, phantom.grid.origin + np.array(shift), phantom.grid.spacing)
+def with_lumen(phantom: Phantom, grid: SignedDistanceGrid) -> Phantom:
+    """The phantom with other distances to the wall; its entries stay."""
     return Phantom(phantom.name, phantom.hash, None, phantom.tree, grid, phantom.targets, phantom.entries)
 
 
 @kept_with_owner
-def _widened(grid: SignedDistanceGrid, lumen: float) -> NDArray[np.float32]:
-    return grid.values + np.float32(lumen)
+def _widened(grid: SignedDistanceGrid, lumen: float) -> SignedDistanceGrid:
+    return grid.offset(lumen)

@@ -1,0 +1,1 @@
+"""Regular lattices of which only the blocks near a vessel are stored."""

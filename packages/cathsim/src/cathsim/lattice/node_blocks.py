@@ -1,0 +1,266 @@
+"""Values at the nodes of a regular lattice, in blocks of 8 x 8 x 8 nodes; blocks that hold one constant are shared.
+
+Every block also keeps a copy of the nodes next to it, so that any 3 x 3 x 3 nodes lie within one block: the one that
+their middle belongs to. The native code reads the same layout (native/lattice.h).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+EDGE = 8  # nodes of its own along the edge of a block
+SIDE = EDGE + 2  # nodes along the edge of a stored block, those of its neighbours included
+STRIDES = np.array([SIDE * SIDE, SIDE, 1])
+AROUND = tuple(offset for offset in product((-1, 0, 1), repeat=3) if any(offset))  # to the 26 neighbours
+
+_OWN = slice(1, EDGE + 1)
+_LARGEST = 2**31  # nodes along an axis
+
+Shape = tuple[int, int, int]
+Box = tuple[slice, slice, slice]
+
+
+@dataclass(frozen=True, eq=False)
+class NodeBlocks:
+    """Values (nx, ny, nz) of a lattice, float32 or int32, never changed."""
+
+    shape: Shape  # number of nodes along x, y, z
+    table: NDArray[np.int32]  # (bx, by, bz) number of each block, in C order; 0 where all nodes hold the constant
+    nodes: NDArray  # (blocks, 10, 10, 10); block 0 holds the constant everywhere
+
+    def __post_init__(self) -> None:
+        expected = tuple(-(-n // EDGE) for n in self.shape)
+        if self.table.shape != expected:
+            raise ValueError(
+                f"a lattice of {self.shape} nodes has {expected} blocks, got a table of {self.table.shape}."
+            )
+        if self.nodes.ndim != 4 or self.nodes.shape[1:] != (SIDE, SIDE, SIDE) or not len(self.nodes):
+            raise ValueError(f"blocks must have shape (n, {SIDE}, {SIDE}, {SIDE}), got {self.nodes.shape}.")
+        for array in (self.table, self.nodes):
+            array.flags.writeable = False
+
+    @classmethod
+    def from_dense(cls, values: NDArray, constant: float | None = None) -> NodeBlocks:
+        """Blocks of a dense array (nx, ny, nz).
+
+        Args:
+            constant: the value whose blocks are shared; by default the least one.
+        """
+        if values.ndim != 3 or not values.size:
+            raise ValueError(f"a lattice needs values of shape (nx, ny, nz), got {values.shape}.")
+        fill = values.dtype.type(values.min() if constant is None else constant)
+        if np.isnan(fill):
+            fill = values.dtype.type(0)
+        blocks = tuple(-(-n // EDGE) for n in values.shape)
+        padding = [(0, EDGE * b - n) for b, n in zip(blocks, values.shape, strict=True)]
+        padded = np.pad(values, padding, constant_values=fill) if any(after for _, after in padding) else values
+        split = padded.reshape(blocks[0], EDGE, blocks[1], EDGE, blocks[2], EDGE).transpose(0, 2, 4, 1, 3, 5)
+        occupied = (split != fill).any(axis=(3, 4, 5))
+        nx, ny, nz = values.shape
+        return cls.from_cores(occupied, split[occupied], (nx, ny, nz), fill.item())
+
+    @classmethod
+    def from_nodes(cls, indices: ArrayLike, values: NDArray, shape: Shape, constant: float) -> NodeBlocks:
+        """Blocks of a lattice of which only some nodes are given; all others hold a constant.
+
+        Args:
+            indices: (n, 3) whole numbers, within `shape`.
+            values: (n,) at those nodes; of a node given twice the last counts.
+
+        Raises:
+            ValueError: other shapes, or an index outside the lattice.
+        """
+        indices, values = np.asarray(indices), np.asarray(values)
+        if indices.ndim != 2 or indices.shape[1] != 3 or indices.dtype.kind not in "iu":
+            raise ValueError(f"indices must be whole numbers of shape (n, 3), got {indices.dtype} {indices.shape}.")
+        if values.shape != (len(indices),):
+            raise ValueError(f"values must have shape ({len(indices)},) like the indices, got {values.shape}.")
+        if len(shape) != 3 or not all(0 < n < _LARGEST for n in shape):
+            raise ValueError(f"a lattice has (nx, ny, nz) nodes, at least one each, got {tuple(shape)}.")
+        if len(indices) and (indices.min() < 0 or (indices.max(axis=0) >= shape).any()):
+            low, high = indices.min(axis=0).tolist(), indices.max(axis=0).tolist()
+            raise ValueError(f"indices must lie within a lattice of {tuple(shape)} nodes, got {low} to {high}.")
+        blocks = tuple(-(-n // EDGE) for n in shape)
+        at, within = indices >> 3, indices & 7
+        block = np.ravel_multi_index(tuple(at.T), blocks)
+        occupied = np.zeros(blocks, dtype=bool)
+        occupied.reshape(-1)[block] = True
+        number = np.cumsum(occupied.reshape(-1)) - 1
+        cores = np.full((int(occupied.sum()), EDGE**3), constant, dtype=values.dtype)
+        cores[number[block], within @ np.array([EDGE * EDGE, EDGE, 1])] = values
+        nx, ny, nz = (int(n) for n in shape)
+        return cls.from_cores(occupied, cores.reshape(-1, EDGE, EDGE, EDGE), (nx, ny, nz), constant)
+
+    @classmethod
+    def from_cores(cls, occupied: NDArray[np.bool_], cores: NDArray, shape: Shape, constant: float) -> NodeBlocks:
+        """Blocks from the own nodes (k, 8, 8, 8) of those that are occupied (bx, by, bz), in C order.
+
+        Nodes beyond the lattice must hold the constant.
+        """
+        fill = cores.dtype.type(constant)
+        stored, places = np.pad(occupied, 1), np.argwhere(occupied) + 1
+        for offset in AROUND:  # a block next to nodes that are not constant keeps copies of them
+            touching = cores[(slice(None), *(_FACE[step] for step in offset))] != fill
+            there = places[touching.any(axis=(1, 2, 3))] + offset
+            stored[tuple(there.T)] = True
+        inner = (slice(1, -1),) * 3
+        stored = stored[inner]
+        table = np.where(stored, np.cumsum(stored).reshape(stored.shape), 0).astype(np.int32)
+        nodes = np.full((int(stored.sum()) + 1, SIDE, SIDE, SIDE), fill, dtype=cores.dtype)
+        nodes[(table[occupied], _OWN, _OWN, _OWN)] = cores
+        padded, places = np.pad(table, 1), np.argwhere(stored) + 1
+        for offset in AROUND:
+            neighbour = padded[tuple((places + offset).T)]
+            copied = nodes[(neighbour, *(_SOURCE[step] for step in offset))]
+            nodes[(slice(1, None), *(_COPY[step] for step in offset))] = copied
+        return cls(shape, table, nodes)
+
+    @property
+    def constant(self) -> float:
+        """The value of all nodes in blocks that are not stored."""
+        return self.nodes[0, 0, 0, 0].item()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory, bytes."""
+        return self.table.nbytes + self.nodes.nbytes
+
+    @cached_property
+    def places(self) -> NDArray[np.int64]:
+        """Index (blocks - 1, 3) of the first node of each stored block."""
+        return np.argwhere(self.table) * EDGE
+
+    @property
+    def own(self) -> NDArray:
+        """Own nodes (blocks - 1, 8, 8, 8) of the stored blocks; those beyond the lattice hold the constant."""
+        return self.nodes[1:, _OWN, _OWN, _OWN]
+
+    @property
+    def stored(self) -> NDArray[np.bool_]:
+        """Which blocks (bx, by, bz) are stored."""
+        return self.table > 0
+
+    def dense(self, box: Box | None = None) -> NDArray:
+        """The values in a box of the lattice as a dense array, by default all of them."""
+        spans = [range(n)[s] for n, s in zip(self.shape, box or (slice(None),) * 3, strict=True)]
+        if any(span.step != 1 for span in spans):
+            raise ValueError(f"a box is three slices without a step, got {box}.")
+        dense = np.full([len(span) for span in spans], self.constant, dtype=self.nodes.dtype)
+        if not dense.size:
+            return dense
+        first = [span.start // EDGE for span in spans]
+        last = [(span.stop - 1) // EDGE + 1 for span in spans]
+        blocks = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+        table = self.table[blocks]
+        for place in np.argwhere(table):
+            low = (place + first) * EDGE
+            into, of = [], []
+            for start, span in zip(low.tolist(), spans, strict=True):
+                a, b = max(start, span.start), min(start + EDGE, span.stop)
+                into.append(slice(a - span.start, b - span.start))
+                of.append(slice(a - start + 1, b - start + 1))
+            dense[tuple(into)] = self.nodes[(table[tuple(place)], *of)]
+        return dense
+
+    def where(self, condition: Callable[[NDArray], NDArray[np.bool_]]) -> tuple[NDArray[np.int32], NDArray]:
+        """Nodes whose values fulfil a condition.
+
+        Returns:
+            Indices (n, 3) int32, in C order, and values (n,).
+        """
+        if condition(self.nodes[0, :1, 0, 0])[0]:  # the constant does: there is nothing to leave out
+            dense = self.dense()
+            chosen = condition(dense)
+            return np.argwhere(chosen).astype(np.int32), dense[chosen]
+        own = self.own
+        chosen = condition(own)
+        indices, values = self.own_indices(chosen), own[chosen]
+        order = np.argsort(np.ravel_multi_index(tuple(indices.T), self.shape))
+        return indices[order], values[order]
+
+    def own_indices(self, chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """Indices (n, 3) of nodes chosen among `own` (blocks - 1, 8, 8, 8), block by block."""
+        block, within = np.divmod(np.flatnonzero(chosen), EDGE**3)
+        indices = self.places.astype(np.int32)[block]
+        for axis, part in enumerate(np.unravel_index(within, (EDGE,) * 3)):
+            indices[:, axis] += part
+        return indices
+
+    def mapped(self, change: Callable[[NDArray], NDArray]) -> NodeBlocks:
+        """The same lattice with every value changed alike by a function of arrays."""
+        return NodeBlocks(self.shape, self.table, np.ascontiguousarray(change(self.nodes)))
+
+    def coarser(self, stride: int) -> NodeBlocks:
+        """Every `stride`-th node along each axis, from the first on."""
+        if stride == 1:
+            return self
+        shape = tuple(-(-n // stride) for n in self.shape)
+        chosen = self._on_stride(stride)
+        nx, ny, nz = shape
+        return self.from_nodes(self.own_indices(chosen) // stride, self.own[chosen], (nx, ny, nz), self.constant)
+
+    def _on_stride(self, stride: int) -> NDArray[np.bool_]:
+        axes = [
+            ((self.places[:, k, None] + np.arange(EDGE)) % stride == 0)
+            & (self.places[:, k, None] + np.arange(EDGE) < self.shape[k])
+            for k in range(3)
+        ]
+        return axes[0][:, :, None, None] & axes[1][:, None, :, None] & axes[2][:, None, None, :]
+
+    def maximum_along(self, axis: int) -> NDArray:
+        """The largest value along an axis, of the two others; the constant must be the least value."""
+        return self._along(axis, self.own.max(axis=axis + 1), np.maximum, self.constant)
+
+    def sum_along(self, axis: int, change: Callable[[NDArray], NDArray]) -> NDArray[np.float64]:
+        """The sum along an axis of values changed by a function that is zero at the constant."""
+        return self._along(axis, change(self.own).sum(axis=axis + 1, dtype=np.float64), np.add, 0.0)
+
+    def _along(self, axis: int, faces: NDArray, join: np.ufunc, start: float) -> NDArray:
+        kept = [k for k in range(3) if k != axis]
+        blocks = [self.table.shape[k] for k in kept]
+        flat = np.full((blocks[0], blocks[1], EDGE, EDGE), start, dtype=faces.dtype)
+        join.at(flat, tuple(self.places[:, kept].T // EDGE), faces)
+        joined = flat.transpose(0, 2, 1, 3).reshape(blocks[0] * EDGE, blocks[1] * EDGE)
+        return np.ascontiguousarray(joined[: self.shape[kept[0]], : self.shape[kept[1]]])
+
+    def at(self, indices: NDArray[np.integer]) -> NDArray:
+        """Values (...,) at nodes (..., 3)."""
+        found: NDArray = self.nodes.reshape(-1)[self.positions(indices)]
+        return found
+
+    def interpolated(self, index: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Trilinear interpolation at fractional indices (..., 3), clamped to the lattice."""
+        limit = np.array(self.shape) - 1
+        index = np.clip(index, 0.0, limit)
+        base = np.minimum(index.astype(np.intp), limit - 1)
+        fx, fy, fz = np.moveaxis(index - base, -1, 0)
+        flat, corner = self.nodes.reshape(-1), self.positions(base)
+        result = np.zeros(index.shape[:-1])
+        for step_x, weight_x in ((0, 1 - fx), (SIDE * SIDE, fx)):
+            for step_y, weight_y in ((0, 1 - fy), (SIDE, fy)):
+                weight = weight_x * weight_y
+                lower = flat[corner + (step_x + step_y)]
+                upper = flat[corner + (step_x + step_y + 1)]
+                result += weight * (lower * (1 - fz) + upper * fz)
+        return result
+
+    def positions(self, indices: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Where nodes (..., 3) stand in `nodes` as a flat array; their neighbours are `STRIDES` away.
+
+        The indices must lie within the lattice.
+        """
+        at = indices >> 3
+        block = self.table[at[..., 0], at[..., 1], at[..., 2]].astype(np.int64)
+        return block * SIDE**3 + ((indices & 7) + 1) @ STRIDES
+
+
+# By the step to a neighbour: own nodes that it copies, where they stand in the stored block, and where they go.
+_FACE = {-1: slice(0, 1), 0: slice(None), 1: slice(EDGE - 1, EDGE)}
+_SOURCE = {-1: slice(EDGE, EDGE + 1), 0: _OWN, 1: slice(1, 2)}
+_COPY = {-1: slice(0, 1), 0: _OWN, 1: slice(SIDE - 1, SIDE)}

@@ -1,0 +1,65 @@
+"""Some nodes of a lattice, numbered, so that neighbours are found and arrays need not span the lattice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.lattice.node_blocks import STRIDES, NodeBlocks
+
+FACES = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))  # to the 6 neighbours across a face
+
+
+@dataclass(frozen=True, eq=False)
+class NodeSet:
+    """The nodes of a lattice whose values fulfil a condition, numbered from 0 in C order."""
+
+    indices: NDArray[np.int32]  # (n, 3)
+    values: NDArray  # (n,)
+    numbers: NodeBlocks  # number of each of these nodes, int32, -1 at all others
+    positions: NDArray[np.int64]  # (n,) where each stands in `numbers.nodes` as a flat array
+
+    @classmethod
+    def where(cls, blocks: NodeBlocks, condition: Callable[[NDArray], NDArray[np.bool_]]) -> NodeSet:
+        """The nodes at which a condition on arrays of values holds."""
+        indices, values = blocks.where(condition)
+        numbers = NodeBlocks.from_nodes(indices, np.arange(len(indices), dtype=np.int32), blocks.shape, -1)
+        return cls(indices, values, numbers, numbers.positions(indices))
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def neighbours(self, chosen: NDArray[np.integer] | slice, step: Sequence[int]) -> NDArray[np.int32]:
+        """Numbers (m,) of the neighbours of chosen nodes (m,), -1 where that is none of the set.
+
+        Args:
+            step: -1, 0 or 1 along each axis.
+        """
+        found: NDArray[np.int32] = self.numbers.nodes.reshape(-1)[self.positions[chosen] + int(np.dot(step, STRIDES))]
+        return found
+
+    def number_at(self, index: NDArray[np.integer]) -> int:
+        """Number of the node at an index (3,) of the lattice, -1 where that is none of the set."""
+        return int(self.numbers.nodes.reshape(-1)[self.numbers.positions(index)])
+
+    def spread(self, values: NDArray, constant: float) -> NodeBlocks:
+        """A lattice with these values (n,) at the nodes and a constant at all others."""
+        extended = np.append(values, values.dtype.type(constant))  # to which -1 points
+        return NodeBlocks(self.numbers.shape, self.numbers.table, extended[self.numbers.nodes])
+
+    def parts(self) -> NDArray[np.int32]:
+        """Number (n,) of the part that each node belongs to; nodes of a part hang together across faces."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        ends = []
+        for step in FACES[1::2]:
+            after = self.neighbours(slice(None), step)
+            first = np.flatnonzero(after >= 0).astype(np.int32)
+            ends.append((first, after[first]))
+        row, column = (np.concatenate(half) for half in zip(*ends, strict=True))
+        edges = coo_matrix((np.ones(len(row), dtype=np.int8), (row, column)), shape=(len(self), len(self)))
+        return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int32)
