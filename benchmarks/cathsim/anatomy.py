@@ -37,7 +37,7 @@ def build_and_check(job: tuple[int, float]) -> tuple[int, float, float, tuple[st
     report = check_lumen(phantom)
     problems = report.problems
     entry = phantom.entry().position
-    if not all(np.isfinite(field).all() for field in fields):
+    if not all(np.isfinite(field.blocks.nodes).all() for field in fields):
         problems += ("a geodesic field is not finite.",)
     for target in ("bca", "lcca", "lsa"):
         if target not in phantom.targets or not 0.05 < phantom.geodesic_distance(entry, target) < 0.35:
