@@ -146,8 +146,6 @@ def describe_episode(
         operator: who steers, e.g. "sampling_expert".
         configuration: kept beside that of task and wire.
     """
-    from cathsim.simulation import CONTROL_STEP
-
     return EpisodeInfo(
         phantom=environment.phantom.name,
         phantom_hash=environment.phantom.hash,
@@ -155,7 +153,7 @@ def describe_episode(
         entry=environment.simulation.entry,
         seed=seed,
         operator=operator,
-        control_dt=CONTROL_STEP,
+        control_dt=environment.simulation.pace.interval,
         configuration={
             **asdict(environment.task),
             "image_size": environment.fluoroscope.shape[0],

@@ -230,3 +230,11 @@ def test_a_preset_is_known_again_also_where_it_was_scaled(name: str) -> None:
     longer = wire.scaled(wire.length + 0.1)
     assert preset_of(longer) == (name, longer.length)
     assert preset_of(load_guidewire(name, friction=0.123)) is None
+
+
+def test_the_tip_of_arch_variety_is_an_arc_of_72_degrees(space: Vessel) -> None:
+    wire = load_guidewire("arch_variety")
+    assert wire.length == pytest.approx(0.450, abs=1e-6)
+    assert abs(wire.rest_curvature(0.005)) == pytest.approx(1 / 12.1e-3, rel=1e-4)
+    model = model_spec(space, wire, ACCURACY["accurate"]).compile()
+    assert np.degrees(model.qpos_spring[2:].sum()) == pytest.approx(72.0, abs=0.01)

@@ -74,6 +74,7 @@ EXAMPLES: dict[type[Any], Any] = {
     WireMaterial: WireMaterial((Section(0.1, ((0.3e-3, 800.0),)),)),
 }
 # Fields of which 0, and of which also -1, can be meant.
+_OF_TASK = {"target", "start_jitter", "start_rotation", "force_penalty", "path_penalty"}
 ZERO = {
     "Accuracy": {"tolerance", "rise"},
     "Aneurysm": {"distance", "angle"},
@@ -103,7 +104,8 @@ ZERO = {
     "Guidewire": {"taper", "tip_angle", "tip_length", "relaxation", "friction", "motor_joints", "motor_angle"},
     "Leader": {"position"},
     "LoadCell": {"resolution", "cutoff"},
-    "NavigationTask": {"target", "start_jitter", "start_rotation", "force_penalty", "path_penalty"},
+    "NavigationTask": _OF_TASK,
+    "ArchVarietyTask": _OF_TASK,
     "Uncertainty": {"stiffness", "insertion", "rotation", "registration", "lumen", "friction", "curve"},
     "VarietyArch": {"seed"},
     "XRayScene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},
@@ -119,6 +121,7 @@ MINUS_ONE = {
     "Guidewire": {"tip_angle"},
     "Leader": {"position"},
     "NavigationTask": {"target"},
+    "ArchVarietyTask": {"target"},
     "XRayScene": {"wall", "filling"},
 }
 NEVER = (math.nan, math.inf, -math.inf, 1e300, "text")
@@ -179,7 +182,7 @@ def accepted(kind: type[Any], name: str, value: Any) -> bool:
     base, taken = example(kind), False
     present = getattr(base, name)
     tried = list(variants(present, value)) or [value]
-    if kind is cathsim.NavigationTask and name == "target":
+    if issubclass(kind, cathsim.NavigationTask) and name == "target":
         tried = [(0.1, value, 0.1)]
     for changed in tried:
         sentence = ""

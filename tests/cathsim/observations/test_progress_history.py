@@ -7,6 +7,7 @@ import pytest
 
 from cathsim.environment import NavigateEnv
 from cathsim.observations.progress_history import GAIN_SCALE, HISTORY_SIZE, PATIENCE, TIME_CONSTANTS, History
+from cathsim.robot.pace import PACES
 from cathsim.simulation import CONTROL_STEP
 
 FORWARD = np.array([1.0, 0.2])
@@ -58,6 +59,7 @@ def test_waiting_counts_from_the_best_place(environment: NavigateEnv) -> None:
 def test_a_small_gain_is_no_progress() -> None:
     class Still:
         insertion = rotation = 0.0
+        pace = PACES["usual"]
 
     ways = iter((0.100, 0.0995, 0.0985))
     history = History(Still(), lambda: next(ways))  # type: ignore[arg-type]

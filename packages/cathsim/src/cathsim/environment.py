@@ -29,6 +29,7 @@ from cathsim.robot.feeders import ROTATION_STEP as ROTATION_STEP
 from cathsim.robot.feeders import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.robot.feeders import Feeders
 from cathsim.robot.follower import FollowerRobot
+from cathsim.robot.pace import Pace, named_pace
 from cathsim.simulation import CONTROL_STEP
 from cathsim.viewing.display import MODES, Display
 
@@ -40,7 +41,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     With `catheter`, the wire lies in a catheter, and the tip is that of the device that is further in.
 
-    One step lasts 0.1 s of simulated time, the feeder moving at constant speed.
+    One step lasts 0.1 s of simulated time, or as `pace` says, the feeder moving at constant speed.
 
     ## Actions
     `actions="feeder"`: `Box(-1, 1, (2,))`
@@ -80,6 +81,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     | force | resultant contact force | (3,) | N, world |
     | roadmap | the way to the target, walls, wire and force in the tip's frame (`Roadmap.read`) | (64,) | about 1 |
     | history | what was tried lately and how long without progress (`History.read`) | (11,) | about 1 |
+    | tracking | points of the wire in one view, the target, the last action (`Tracking.read`) | (16,) | about 1 |
     | goal | position of the target | (3,) | m, world |
     | goal_image | the target's dot in the frontal view | (1, size, size) uint8 | 0 to 255 |
 
@@ -91,7 +93,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     | internal, joints, shape | as above | (28 links,), (4 links,), (links + 1, 3) | as above |
     | feeder | insertion, cosine and sine of the rotation: wire, catheter; lead of the wire's tip | (7,) | m, 1 |
     | devices | insertion, angles of hub and tip, feeder's force, hub's torque: wire, catheter | (2, 5) | SI, rad |
-    | roadmap, history | followed by what concerns the catheter | (71,), (18,) | about 1 |
+    | roadmap, history, tracking | followed by what concerns the catheter | (71,), (18,), (18,) | about 1 |
 
     With `cameras`, for each of them (a and b): `image_a`, a noisy X-ray image, and `mask_a`, (1, size, size) uint8.
 
@@ -140,6 +142,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             "reference". None: what the solver makes of the usual contact.
         drive: "direct", or "robot": a follower robot feeds each device stroke by stroke, so that a step may move it
             less than its action says, or not at all while the clamp goes back; see `info["driven"]`.
+        pace: "usual", "arch_variety" (7.5 steps a second, 35 mm/s and 180 degrees/s at 1), or a `Pace`: duration of a
+            step and what actions of 1 move in it.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
         task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
@@ -168,6 +172,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         contact: str | Decomposition = "sdf",
         wall_stiffness: float | None = None,
         drive: str = "direct",
+        pace: str | Pace = "usual",
         cameras: str | BiplaneFluoroscope | None = None,
         registration_noise: float = 0.0,
         contact_info: bool = False,
@@ -190,6 +195,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             tip_motors=actions == "tip_motors",
             blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),
             wall_stiffness=wall_stiffness,
+            pace=chosen("pace", pace, Pace, named_pace),
         )
         self.render_mode, self._contact_info = render_mode, contact_info
         self.feeders = Feeders(self.simulation, drive)
@@ -282,7 +288,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         return self.observe(), self._info(tip, straight_distance(tip, self._goal), success=False, invalid=False)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advances by 0.1 s.
+        """Advances by one control step.
 
         Raises:
             ValueError: the action has another shape or is not finite.

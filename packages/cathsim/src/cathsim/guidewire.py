@@ -199,7 +199,7 @@ class Guidewire:
             )
 
 
-_NAMES = ("default", "thesis", "radifocus_angled", "nitrex_straight", "floppy", "amplatz", "stiff")
+_NAMES = ("default", "thesis", "radifocus_angled", "nitrex_straight", "floppy", "amplatz", "stiff", "arch_variety")
 
 
 def _of_file(path: str | Path) -> Guidewire:

@@ -181,13 +181,18 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         elif wanted is not None:
             case = int(wanted)
         self._change(case)
+        target = self._drawn_target() if target is None else target
         observation, info = self.current.reset(seed=own_seed, options={"start": start, "target": target})
         return observation, self._named(info)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advances by 0.1 s, as `NavigateEnv.step` does."""
+        """Advances by one control step, as `NavigateEnv.step` does."""
         observation, reward, terminated, truncated, info = self.current.step(action)
         return observation, reward, terminated, truncated, self._named(info)
+
+    def _drawn_target(self) -> TargetLike | None:
+        """The target of an episode in the anatomy of the moment; None: the case's."""
+        return None
 
     def _named(self, info: dict[str, Any]) -> dict[str, Any]:
         return info | {"case": self.case, "phantom": self.phantom.name, "target": self.task.target_name}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Annotated
 
 from annotated_types import Interval
@@ -38,6 +39,14 @@ ACCURACY: dict[str, Accuracy] = {
     "accurate": Accuracy(timestep=0.010, refinement=8, tolerance=2e-4, rise=5e-5, mass_scale=10.0),
     "fast": Accuracy(timestep=0.020, refinement=4, tolerance=5e-4, rise=3e-4, mass_scale=30.0),
 }
+
+
+def dividing(numerics: Accuracy, interval: float) -> Accuracy:
+    """The numerics with the timestep that divides an interval (s) and is nearest to theirs."""
+    substeps = max(round(interval / numerics.timestep), 1)
+    if abs(substeps * numerics.timestep - interval) <= 1e-9:
+        return numerics
+    return dataclasses.replace(numerics, timestep=interval / substeps)
 
 
 def accuracy(name: str) -> Accuracy:

@@ -23,10 +23,11 @@ from cathsim.contact.sdf import SHEATH_RADIUS, Vessel
 from cathsim.guidewire import TIP_SITE, Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.link_ladder import Ladder, pass_on, rung_models
-from cathsim.presets import Accuracy
+from cathsim.presets import Accuracy, dividing
+from cathsim.robot.pace import CONTROL_STEP as CONTROL_STEP
+from cathsim.robot.pace import PACES, Pace
 from cathsim.rung import Rung
 
-CONTROL_STEP = 0.1  # s
 MAX_CONTACTS = 512
 # The servo's target never runs further ahead of the wire than its force limit can use.
 LEAD_ADVANCE, LEAD_ROTATION = 0.004, 0.4
@@ -55,7 +56,7 @@ def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS
 
 
 class Simulation:
-    """A guidewire fed through a sheath into a phantom; one control step lasts 0.1 s.
+    """A guidewire fed through a sheath into a phantom; one control step lasts 0.1 s, or as `pace` says.
 
     Only the inserted links and a few in the sheath are simulated; `model` and `data` are those of the moment, and the
     arrays that this class returns always have the size of the whole wire.
@@ -68,6 +69,7 @@ class Simulation:
         measure_penetration: keeps the deepest penetration after every substep in `depths`, at about 3 % of the speed.
         wall_stiffness: N/mm, 0.1 to `stiffest_wall(numerics)`, of the wall at each contact: normal force over depth;
             takes a third of the speed. None: what the solver makes of the usual contact, 1-2 N/mm at rest.
+        pace: duration of a control step and what full actions move in it; the timestep is made to divide it.
 
     Raises:
         ValueError: the phantom has no such entry, or the wall is too soft or too stiff.
@@ -85,13 +87,16 @@ class Simulation:
         blood: BloodFlow | None = None,
         measure_penetration: bool = False,
         wall_stiffness: float | None = None,
+        pace: Pace = PACES["usual"],
     ) -> None:
-        self.phantom, self.wire, self.numerics, self.entry = phantom, wire, numerics, entry
+        numerics = dividing(numerics, pace.interval)
+        self.phantom, self.wire, self.numerics, self.entry, self.pace = phantom, wire, numerics, entry, pace
+        self._most_lead = max(LEAD_ADVANCE, 1.5 * pace.translation), max(LEAD_ROTATION, 1.5 * pace.rotation)
         self.wall_stiffness = None if wall_stiffness is None else checked_wall_stiffness(wall_stiffness, numerics)
         self.contact, self._measured = contact, measure_penetration
         self.vessel = self._make_vessel()
         self.tip_motors = tip_motors
-        self.substeps = round(CONTROL_STEP / numerics.timestep)
+        self.substeps = round(pace.interval / numerics.timestep)
         self.max_insertion = max_insertion(wire)
         if self.max_insertion <= 0:
             raise ValueError(f"a wire of {wire.length:.3f} m is too short to be fed through the sheath")
@@ -130,6 +135,7 @@ class Simulation:
             "blood": self.blood,
             "measure_penetration": self._measured,
             "wall_stiffness": self.wall_stiffness,
+            "pace": self.pace,
         }
 
     def stepped_by(self, numerics: Accuracy) -> Simulation:
@@ -239,7 +245,7 @@ class Simulation:
         self._index, self._rung = index, new
 
     def advance(self, translation: float, rotation: float, motors: np.ndarray | None = None) -> None:
-        """One control step of 0.1 s, the feeder moving at constant speed.
+        """One control step, the feeder moving at constant speed.
 
         Args:
             translation: of the feeder, m; positive inserts.
@@ -249,10 +255,11 @@ class Simulation:
         to, qpos = self._to, self.data.qpos
         self._from[:] = to
         at, angle = float(qpos[0]), float(qpos[1])
-        lead = min(max(float(to[0]) + translation - at, -LEAD_ADVANCE), LEAD_ADVANCE)
+        most_advance, most_rotation = self._most_lead
+        lead = min(max(float(to[0]) + translation - at, -most_advance), most_advance)
         target = min(max(at + lead, 0.0), self.max_insertion)
         to[0] = target
-        lead = min(max(float(to[1]) + rotation - angle, -LEAD_ROTATION), LEAD_ROTATION)
+        lead = min(max(float(to[1]) + rotation - angle, -most_rotation), most_rotation)
         to[1] = angle + lead
         if motors is not None:
             to[2:] = motors * self.model.actuator_ctrlrange[2:, 1]
@@ -297,7 +304,7 @@ class Simulation:
 
     def lead(self) -> np.ndarray:
         """How far the feeder's drive is ahead of the wire, -1 to 1 of what it may be: advance, rotation. Shape (2,)."""
-        return (self._to[:2] - self.data.qpos[:2]) / (LEAD_ADVANCE, LEAD_ROTATION)
+        return (self._to[:2] - self.data.qpos[:2]) / self._most_lead
 
     def joint_positions(self) -> np.ndarray:
         """Feeder's advance (m) and rotation (rad), then two angles (rad) a joint from the proximal end. Shape (nq,)."""

@@ -16,6 +16,7 @@ Point = tuple[float, float, float]  # m, world frame
 TargetLike = str | Sequence[float] | NDArray[np.floating]
 
 _FARTHEST = 10.0  # m: a coordinate beyond was meant in another unit
+_DEEP = 1e-3  # m: a point this far inside the wall is well within the lumen
 _KEPT = 4  # geodesic fields of points that are kept while nobody uses them, 3 to 50 MB each
 
 
@@ -69,6 +70,13 @@ def nearest_branch(point: Point, tree: VesselTree) -> tuple[str, float, float]:
         _, arc, distance = (values[0] for values in nearest_on_branch(branch, np.array([point])))
         found.append((float(distance / branch.radius_at(arc)), branch.name, float(arc), float(distance)))
     return min(found)[1:]
+
+
+def points_beyond_root(tree: VesselTree, grid: SignedDistanceGrid) -> NDArray[np.float64]:
+    """Points (n, 3) m on the centrelines of all branches but the root's: outside its lumen, and within their own."""
+    points = np.concatenate([branch.points for branch in tree.branches[1:]])
+    _, arc, distance = nearest_on_branch(tree.root, points)
+    return points[(distance > tree.root.radius_at(arc)) & (grid.sample(points) > _DEEP)]
 
 
 class PointFields:

@@ -20,7 +20,8 @@ from cathsim.devices.pair import DevicePair
 from cathsim.devices.rod import CATHETER, DEVICES, WIRE, Rod, device_tables, twin
 from cathsim.guidewire import Guidewire
 from cathsim.lifetime_cache import kept_with_owner
-from cathsim.presets import Accuracy
+from cathsim.presets import Accuracy, dividing
+from cathsim.robot.pace import PACES, Pace
 from cathsim.rung import Rung
 from cathsim.simulation import Simulation, vessel_of
 
@@ -61,7 +62,7 @@ class _PairRung(Rung):
 
 
 class DualSimulation(Simulation):
-    """A guidewire and a catheter, fed through one sheath into a phantom; one control step lasts 0.1 s.
+    """A guidewire and a catheter, fed through one sheath into a phantom.
 
     Both lie in one chain of links, whose end is the tip of the device that is further in (`tip`, `wire_points`);
     `device_points` gives each device. Insertions and rotations are those of the devices' hubs. Friction between the
@@ -70,7 +71,7 @@ class DualSimulation(Simulation):
 
     Args:
         pair: the devices, of which one may be absent.
-        entry, measure_penetration, wall_stiffness: as of `Simulation`.
+        entry, measure_penetration, wall_stiffness, pace: as of `Simulation`.
         blood: that flows past a rod of the outer device's diameter; None: there is none.
 
     Raises:
@@ -89,6 +90,7 @@ class DualSimulation(Simulation):
         blood: BloodFlow | None = None,
         measure_penetration: bool = False,
         wall_stiffness: float | None = None,
+        pace: Pace = PACES["usual"],
     ) -> None:
         if contact != "sdf" or tip_motors:
             raise ValueError(
@@ -96,6 +98,7 @@ class DualSimulation(Simulation):
                 "others"
             )
         self.pair = pair
+        numerics = dividing(numerics, pace.interval)
         self.tables = device_tables(pair, numerics)
         both = sum(table.linear_density for table in self.tables if table)
         chain = pair.chain(both, pair.radius)
@@ -109,6 +112,7 @@ class DualSimulation(Simulation):
             blood=blood,
             measure_penetration=measure_penetration,
             wall_stiffness=wall_stiffness,
+            pace=pace,
         )
 
     def _positional(self) -> tuple[Any, Any, Any]:
@@ -226,7 +230,7 @@ class DualSimulation(Simulation):
         *,
         catheter: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """One control step of 0.1 s, both feeders moving at constant speed.
+        """One control step, both feeders moving at constant speed.
 
         A movement that would leave the limits of lead, or of the insertion, is cut short.
 

@@ -16,6 +16,7 @@ from cathsim.observations.device_state import DEVICES_SHAPE, devices, feeder, fe
 from cathsim.observations.fluoroscopes import FRAMES, BiplaneView, Fluoroscope
 from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap, target_image
+from cathsim.observations.tracking import Tracking
 from cathsim.simulation import Simulation
 
 DOT_SHARE, LEAST_DOT = 0.02, 1.5  # radius of the target's dot: a share of the image's side, or px
@@ -81,7 +82,7 @@ def _mask(fluoroscope: Fluoroscope, device: str | None) -> np.ndarray:
 
 
 _VECTORS = {"tip": _tip, "force": _force}
-GUIDANCE = ("roadmap", "history", "goal", "goal_image")  # those that know where the target is
+GUIDANCE = ("roadmap", "history", "tracking", "goal", "goal_image")  # those that know where the target is
 OBSERVABLES = ("internal", "joints", "image", "mask", "sequential", "shape", "tip", "feeder", "force", *GUIDANCE)
 DEVICES = "devices"  # one more with a catheter
 MASKS = {"mask": None, **{f"mask_{device}": device for device in DEVICE_NAMES}}  # whose pixels; None: of both devices
@@ -94,6 +95,7 @@ def make_observable(
     biplane: BiplaneView | None = None,
     roadmap: Roadmap | None = None,
     history: History | None = None,
+    tracking: Tracking | None = None,
 ) -> Observable:
     """The observable of a name; "image_a", "mask_a" and so on are those of a bi-planar fluoroscope's cameras.
 
@@ -103,7 +105,7 @@ def make_observable(
         ValueError: there is none.
     """
     if name in GUIDANCE:
-        return _guidance(name, fluoroscope, roadmap, history)
+        return _guidance(name, fluoroscope, roadmap, history, tracking)
     if name in MASKS:
         mask = partial(_mask, fluoroscope, fluoroscope.shows(MASKS[name]))
         return Observable(gymnasium.spaces.Box(0, 255, (1, *fluoroscope.shape), np.uint8), mask)
@@ -131,11 +133,19 @@ def make_observable(
     raise ValueError(f"unknown observation '{name}'; there are {', '.join((*OBSERVABLES, DEVICES))}")
 
 
-def _guidance(name: str, fluoroscope: Fluoroscope, roadmap: Roadmap | None, history: History | None) -> Observable:
-    if roadmap is None or (name == "history" and history is None):
+def _guidance(
+    name: str,
+    fluoroscope: Fluoroscope,
+    roadmap: Roadmap | None,
+    history: History | None,
+    tracking: Tracking | None,
+) -> Observable:
+    if roadmap is None or (name == "history" and history is None) or (name == "tracking" and tracking is None):
         raise ValueError(f"observation '{name}' needs a target: use it in a navigation environment")
     if history is not None and name == "history":
         return Observable(_box(history.size), history.read)
+    if tracking is not None and name == "tracking":
+        return Observable(_box(tracking.size), tracking.read)
     if name == "roadmap":
         return Observable(_box(roadmap.size), roadmap.read)
     if name == "goal":

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cathsim.devices.simulation import DualSimulation
-from cathsim.simulation import CONTROL_STEP, Simulation
+from cathsim.simulation import Simulation
 
 TIME_CONSTANTS = np.array([1.0, 4.0])  # s: time constants of the running means
 PATIENCE = 8.0  # s without progress that count as long
@@ -33,7 +33,7 @@ class History:
         self.simulation, self._remaining_way = simulation, remaining
         self._pair = simulation if isinstance(simulation, DualSimulation) and simulation.pair.both else None
         self.size = HISTORY_SIZE + (_OF_CATHETER if self._pair else 0)
-        self._forget = np.exp(-CONTROL_STEP / TIME_CONSTANTS)
+        self._forget = np.exp(-simulation.pace.interval / TIME_CONSTANTS)
         self.begin()
 
     def begin(self) -> None:
@@ -52,11 +52,11 @@ class History:
 
     def advance(self, *moves: float) -> None:
         """Records a control step: translation and rotation of each feeder as shares of the largest, -1 to 1."""
-        keep, now = self._forget, self._remaining_way()
+        keep, now, interval = self._forget, self._remaining_way(), self.simulation.pace.interval
         self._moves = keep[:, None] * self._moves + (1 - keep)[:, None] * moves
-        self._gain = keep * self._gain + (1 - keep) * (self._remaining - now) / CONTROL_STEP
+        self._gain = keep * self._gain + (1 - keep) * (self._remaining - now) / interval
         self._remaining = now
-        self._waited += CONTROL_STEP
+        self._waited += interval
         if now < self._best - PROGRESS:
             self._best, self._waited = now, 0.0
             self._keep_place()

@@ -14,6 +14,7 @@ from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope
 from cathsim.observations.observables import make_observable
 from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap
+from cathsim.observations.tracking import Tracking
 from cathsim.simulation import Simulation
 
 
@@ -54,10 +55,9 @@ class Sensors:
         self.roadmap = Roadmap(simulation, target, registration_noise)
         # its way through the geodesic field costs something: only where it is wanted
         self.history = History(simulation, self.way_left) if self.reads_way else None
-        self._observables = {
-            name: make_observable(name, simulation, self.fluoroscope, self.biplane, self.roadmap, self.history)
-            for name in names
-        }
+        self.tracking = Tracking(simulation, self.roadmap) if "tracking" in names else None
+        parts = self.fluoroscope, self.biplane, self.roadmap, self.history, self.tracking
+        self._observables = {name: make_observable(name, simulation, *parts) for name in names}
         self._single = names[0] if isinstance(observation, str) else None
         spaces: dict[str, gymnasium.Space[Any]] = {name: one.space for name, one in self._observables.items()}
         self.space = spaces[self._single] if self._single else gymnasium.spaces.Dict(spaces)
@@ -74,6 +74,8 @@ class Sensors:
         self.roadmap.reset(generator)
         if self.history is not None:
             self.history.begin()
+        if self.tracking is not None:
+            self.tracking.begin()
 
     def advance(self, moves: Sequence[float]) -> None:
         """Says that a control step has passed.
@@ -86,6 +88,8 @@ class Sensors:
             self.biplane.update()
         if self.history is not None:
             self.history.advance(*moves)
+        if self.tracking is not None:
+            self.tracking.advance(moves)
 
     def observe(self) -> Any:
         """The observation of the moment."""
@@ -99,6 +103,7 @@ class Sensors:
             "fluoroscope": self.fluoroscope.state(),
             "registration": self.roadmap.offset.copy(),
             "history": None if self.history is None else self.history.state(),
+            "tracking": None if self.tracking is None else self.tracking.state(),
             "biplane": None if self.biplane is None else self.biplane.state(),
         }
 
@@ -108,5 +113,7 @@ class Sensors:
         self.roadmap.offset = state["registration"].copy()
         if self.history is not None:
             self.history.restore(state["history"])
+        if self.tracking is not None:
+            self.tracking.restore(state["tracking"])
         if self.biplane is not None:
             self.biplane.restore(state["biplane"])

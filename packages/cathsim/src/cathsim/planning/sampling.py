@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Interval
 
 from cathsim.devices.simulation import DualSimulation
-from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
+from cathsim.environment import NavigateEnv
 from cathsim.navigation import NavigationTask
 from cathsim.planning.primitives import motion_primitives, wire_advances
 from cathsim.presets import ACCURACY, Accuracy
@@ -78,7 +78,7 @@ class SamplingExpert:
             )
         both = isinstance(real, DualSimulation) and real.pair.both
         self.settings = settings or (TWO_DEVICES if both else ExpertSettings())
-        self.environment = environment
+        self.environment, self._pace = environment, real.pace
         self._actions = 4 if both else 2
         self._goal = environment.goal
         self._generator = np.random.default_rng(seed)
@@ -123,7 +123,7 @@ class SamplingExpert:
         costs = self._costs(state, candidates)
         best = int(np.argmin(costs))
         self._plan, cost = candidates[best], float(costs[best])
-        good = here - 0.85 * TRANSLATION_STEP * settings.horizon
+        good = here - 0.85 * self._pace.translation * settings.horizon
         if cost <= good:
             return
 
@@ -145,7 +145,7 @@ class SamplingExpert:
 
     def _advance_wire(self, simulation: DualSimulation, state: np.ndarray, cost: float) -> None:
         """Takes a plan that brings the wire out of the catheter, where one ends nearer to the target."""
-        plans = wire_advances(simulation.device_lead, TRANSLATION_STEP)
+        plans = wire_advances(simulation.device_lead, self._pace.translation)
         costs = self._costs(state, plans)
         if len(plans) and costs.min() < cost:
             self._plan = plans[int(np.argmin(costs))]
@@ -169,16 +169,16 @@ class SamplingExpert:
         return costs
 
     def _cost(self, copy: Simulation, state: np.ndarray, plan: np.ndarray) -> float:
-        settings, radius = self.settings, self.task.success_radius
+        settings, radius, pace = self.settings, self.task.success_radius, self._pace
         copy.restore(state)
         force = 0.0
         for step, (translation, rotation, *catheter) in enumerate(plan.tolist()):
             if catheter:
                 assert isinstance(copy, DualSimulation)
-                along = TRANSLATION_STEP * catheter[0], ROTATION_STEP * catheter[1]
-                copy.advance(TRANSLATION_STEP * translation, ROTATION_STEP * rotation, catheter=along)
+                along = pace.translation * catheter[0], pace.rotation * catheter[1]
+                copy.advance(pace.translation * translation, pace.rotation * rotation, catheter=along)
             else:
-                copy.advance(TRANSLATION_STEP * translation, ROTATION_STEP * rotation)
+                copy.advance(pace.translation * translation, pace.rotation * rotation)
             if not copy.valid:
                 return 1.0
             force += max(copy.summary.force_max - settings.free_force, 0.0) / len(plan)

@@ -7,6 +7,7 @@ import gymnasium
 ENVIRONMENT = "cathsim/Navigate-v0"
 DUAL = "cathsim/NavigateDual-v0"
 MANY = "cathsim/NavigateMany-v0"
+ARCH_VARIETY = "cathsim/ArchVariety-v0"
 
 
 def register() -> None:
@@ -29,4 +30,10 @@ def register() -> None:
             id=MANY,
             entry_point="cathsim.many_anatomies:NavigateManyEnv",
             vector_entry_point="cathsim.vector:ThreadedManyVectorEnv",
+        )
+    if ARCH_VARIETY not in gymnasium.registry:
+        gymnasium.register(
+            id=ARCH_VARIETY,
+            entry_point="cathsim.arch_variety.environment:ArchVarietyEnv",
+            vector_entry_point="cathsim.arch_variety.environment:ThreadedArchVarietyVectorEnv",
         )

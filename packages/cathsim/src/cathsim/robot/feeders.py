@@ -8,10 +8,9 @@ import numpy as np
 
 from cathsim.devices.simulation import DualSimulation
 from cathsim.robot.follower import DRIVES, FollowerRobot
-from cathsim.simulation import CONTROL_STEP, Simulation
-
-TRANSLATION_STEP = 0.002  # m at full action
-ROTATION_STEP = np.radians(15.0)  # rad at full action
+from cathsim.robot.pace import ROTATION_STEP as ROTATION_STEP
+from cathsim.robot.pace import TRANSLATION_STEP as TRANSLATION_STEP
+from cathsim.simulation import Simulation
 
 
 class Feeders:
@@ -60,7 +59,7 @@ class Feeders:
         return action.clip(-1.0, 1.0)
 
     def advance(self, action: np.ndarray) -> tuple[float, ...]:
-        """One control step of 0.1 s.
+        """One control step.
 
         Args:
             action: as `checked` returns it.
@@ -69,15 +68,16 @@ class Feeders:
             Translation and rotation of each feeder, as shares of those at full action.
         """
         motors = action[:-1] if self._motors else None
+        pace = self._simulation.pace
         if self._motors:
-            moves = [(TRANSLATION_STEP * float(action[-1]), 0.0)]
+            moves = [(pace.translation * float(action[-1]), 0.0)]
         else:
             moves = [
-                (TRANSLATION_STEP * float(action[2 * device]), ROTATION_STEP * float(action[2 * device + 1]))
+                (pace.translation * float(action[2 * device]), pace.rotation * float(action[2 * device + 1]))
                 for device in range(self.devices)
             ]
         if self.robots:
-            moves = [robot.advance(*move, CONTROL_STEP) for robot, move in zip(self.robots, moves, strict=True)]
+            moves = [robot.advance(*move, pace.interval) for robot, move in zip(self.robots, moves, strict=True)]
         if self._pair is not None:
             self._pair.advance(*moves[0], catheter=moves[1])
         else:
@@ -85,7 +85,7 @@ class Feeders:
         return tuple(
             share
             for translation, rotation in moves
-            for share in (translation / TRANSLATION_STEP, rotation / ROTATION_STEP)
+            for share in (translation / pace.translation, rotation / pace.rotation)
         )
 
     def info(self) -> dict[str, bool]:

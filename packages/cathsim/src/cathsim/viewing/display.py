@@ -68,7 +68,7 @@ class Display:
             picture = self.picture(goal)
             assert picture is not None
             self._window = self._window or Window()
-            self._window.show(picture)
+            self._window.show(picture, self._fluoroscope.simulation.pace.interval)
 
     def close(self) -> None:
         """Frees the renderer and closes the window."""
@@ -97,8 +97,8 @@ class Window:
         self._surface: Any = None
         self._clock = pygame.time.Clock()
 
-    def show(self, picture: np.ndarray) -> None:
-        """Shows a picture (height, width, 3) uint8, after the last one has been seen for a control step (0.1 s)."""
+    def show(self, picture: np.ndarray, interval: float = CONTROL_STEP) -> None:
+        """Shows a picture (height, width, 3) uint8, after the last one has been seen for a control step, s."""
         pygame, factor = self._pygame, max(1, -(-LEAST_HEIGHT // len(picture)))
         if self._surface is None:
             pygame.display.init()
@@ -108,7 +108,7 @@ class Window:
         self._surface.blit(pygame.surfarray.make_surface(enlarged.transpose(1, 0, 2)), (0, 0))
         pygame.event.pump()
         pygame.display.flip()
-        self._clock.tick(1 / CONTROL_STEP)
+        self._clock.tick(1 / interval)
 
     def close(self) -> None:
         """Closes the window; showing another picture opens it again."""

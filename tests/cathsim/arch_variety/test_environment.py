@@ -1,0 +1,95 @@
+"""ArchVariety: arches and targets of the episodes, repetition, devices, the registered environment, messages."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+from cathsim.anatomy.point_target import points_beyond_root
+from cathsim.arch_variety.environment import TEST_SEEDS, TRAINING_SEEDS, ArchVarietyEnv
+from cathsim.registration import ARCH_VARIETY
+
+COARSE = {"resolution": 2e-3, "seeds": (4, 5)}
+
+
+@pytest.fixture(scope="module")
+def environment() -> ArchVarietyEnv:
+    return ArchVarietyEnv(("I", "V"), **COARSE)
+
+
+def test_every_episode_has_an_arch_and_a_point_above_its_aorta(environment: ArchVarietyEnv) -> None:
+    environment.reset(seed=0)
+    seen = set()
+    for _ in range(12):
+        _, info = environment.reset()
+        seen.add(info["phantom"])
+        phantom, goal = environment.phantom, environment.current.goal
+        away = np.linalg.norm(points_beyond_root(phantom.tree, phantom.grid) - goal, axis=1)
+        assert away.min() == 0
+        assert phantom.target(environment.task.target).branch != "aorta"
+        assert info["target"] == environment.task.target_name
+    assert seen == {f"arch_variety_{kind}_{seed}" for kind in ("I", "V") for seed in (4, 5)}
+
+
+def test_a_seed_gives_the_same_episode(environment: ArchVarietyEnv) -> None:
+    first, info = environment.reset(seed=3)
+    moved = environment.step(np.array([1.0, -0.5]))
+    again, same = environment.reset(seed=3)
+    assert (first == again).all()
+    assert info["target"] == same["target"]
+    assert (environment.step(np.array([1.0, -0.5]))[0] == moved[0]).all()
+
+
+def test_a_target_may_be_given_and_a_start_brings_its_arch(environment: ArchVarietyEnv) -> None:
+    _, info = environment.reset(seed=1, options={"case": 3, "target": "lsa_end"})
+    assert (info["case"], info["phantom"], info["target"]) == (3, "arch_variety_V_5", "lsa_end")
+    start = environment.start_state()
+    assert environment.reset(seed=2, options={"start": start})[1]["case"] == 3
+
+
+def test_reaching_the_target_ends_the_episode(environment: ArchVarietyEnv) -> None:
+    environment.reset(seed=5)
+    for _ in range(8):
+        environment.step(np.array([1.0, 0.0]))
+    there = environment.simulation.tip
+    environment.reset(seed=5, options={"target": there})
+    for _ in range(12):
+        _, reward, terminated, truncated, info = environment.step(np.array([1.0, 0.0]))
+        if terminated or truncated:
+            break
+    assert terminated
+    assert info["success"]
+    assert info["distance"] <= 0.005
+    assert 0.99 < reward < 1.01
+
+
+def test_the_registered_environment_is_made_again_from_its_description() -> None:
+    made = gymnasium.make(ARCH_VARIETY, arch_types=("VI",), seeds=(1,), resolution=2e-3, disable_env_checker=True)
+    again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), disable_env_checker=True)
+    assert (made.reset(seed=1)[0] == again.reset(seed=1)[0]).all()
+    assert made.observation_space.shape == (16,)
+    vector = gymnasium.make_vec(ARCH_VARIETY, num_envs=2, arch_types=("VI",), seeds=(1,), resolution=2e-3)
+    assert vector.reset(seed=1)[0].shape == (2, 16)
+    vector.close()
+
+
+def test_a_catheter_and_pictures() -> None:
+    environment = ArchVarietyEnv(("VI",), catheter="simmons2", observation=("tracking", "image"), **COARSE)
+    observation, _ = environment.reset(seed=1)
+    assert (environment.action_space.shape, observation["tracking"].shape) == ((4,), (18,))
+    assert observation["image"].shape == (1, 80, 80)
+
+
+def test_arches_of_tests_are_not_trained_on() -> None:
+    assert not set(TRAINING_SEEDS) & set(TEST_SEEDS)
+
+
+def test_what_there_is_not_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"arch_types must list some of I, II, IV, V, VI, VII, got \('III',\)"):
+        ArchVarietyEnv(("III",))
+    with pytest.raises(ValueError, match="phantoms must list at least one"):
+        ArchVarietyEnv(seeds=())
+    with pytest.raises(ValueError, match="draws its targets: leave targets out"):
+        ArchVarietyEnv(targets=("lcca",))
