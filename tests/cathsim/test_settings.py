@@ -83,6 +83,7 @@ ZERO = {
         *("bca_takeoff", "lcca_takeoff", "lsa_takeoff", "winding_seed"),
     },
     "BloodFlow": {"peak_velocity", "descending_share", "phase"},
+    "Breathing": {"amplitude", "direction"},
     "Box": {"centre", "attenuation"},
     "Catheter": {
         "taper",
@@ -114,6 +115,7 @@ ZERO = {
 MINUS_ONE = {
     "Aneurysm": {"angle"},
     "Box": {"centre", "attenuation"},
+    "Breathing": {"direction"},
     "Catheter": {"shape"},
     "Detector": {"field_centre"},
     "DetectorDistortion": {"centre", "twist"},

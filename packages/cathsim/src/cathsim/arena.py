@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from cathsim.contact.breathing import let_vessel_move
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import Guidewire
 from cathsim.presets import Accuracy
@@ -34,17 +35,22 @@ def empty_spec(numerics: Accuracy) -> mujoco.MjSpec:
     return spec
 
 
-def model_spec(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motors: bool = False) -> mujoco.MjSpec:
+def model_spec(
+    vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motors: bool = False, breathes: bool = False
+) -> mujoco.MjSpec:
     """Describes a wire whose proximal end a feeder advances and rotates along the sheath's axis.
 
     Args:
         tip_motors: adds a motor to each of the two hinges of the most distal joints.
+        breathes: with room for the vessel's motion.
 
     Returns:
         The specification; controls are the feeder's advance (m), its rotation (rad), then motor torques (N m).
     """
     spec = empty_spec(numerics)
     vessel.add_to(spec)
+    if breathes:
+        let_vessel_move(spec)
 
     quaternion = np.zeros(4)
     mujoco.mju_quatZ2Vec(quaternion, vessel.direction)

@@ -13,6 +13,7 @@ import numpy as np
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.blood.flow import BloodFlow, blood_flow
+from cathsim.contact.breathing import Breathing
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.choice import chosen_catheter, chosen_wire, simulation_of
@@ -140,6 +141,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         contact: "sdf", "hulls" (convex hulls of the wall, made in minutes and cached), or a `Decomposition`.
         wall_stiffness: of the wall at each contact, N/mm; at most 1 with accuracy="accurate", 0.5 with "fast", 10 with
             "reference". None: what the solver makes of the usual contact.
+        breathing: None, or a `Breathing`, with which the vessel moves and its target; the sheath, roadmap, history and
+            images stay where the scan has them. An episode begins anywhere in a breath.
         drive: "direct", or "robot": a follower robot feeds each device stroke by stroke, so that a step may move it
             less than its action says, or not at all while the clamp goes back; see `info["driven"]`.
         pace: "usual", "arch_variety" (7.5 steps a second, 35 mm/s and 180 degrees/s at 1), or a `Pace`: duration of a
@@ -171,6 +174,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         blood: str | BloodFlow | None = None,
         contact: str | Decomposition = "sdf",
         wall_stiffness: float | None = None,
+        breathing: Breathing | None = None,
         drive: str = "direct",
         pace: str | Pace = "usual",
         cameras: str | BiplaneFluoroscope | None = None,
@@ -196,6 +200,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),
             wall_stiffness=wall_stiffness,
             pace=chosen("pace", pace, Pace, named_pace),
+            breathing=None if breathing is None else chosen("breathing", breathing, Breathing, _no_named_breathing),
         )
         self.render_mode, self._contact_info = render_mode, contact_info
         self.feeders = Feeders(self.simulation, drive)
@@ -239,7 +244,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     @property
     def goal(self) -> np.ndarray:
-        """Position of the episode's target, m, world frame. Shape (3,)."""
+        """Position of the episode's target, m, world frame, where breathing has not moved it. Shape (3,)."""
         return self._goal.copy()
 
     def _set_task(self, task: NavigationTask) -> None:
@@ -281,11 +286,11 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.feeders.reset()
         self.sensors.begin(self.np_random)
         self.steps, self.ended = 0, False
-        tip = self.simulation.tip
+        tip, inside = self.simulation.tip, self.simulation.tip_in_vessel
         if self.task.reads_progress:
-            self._remaining = self.task.remaining(self.phantom, tip)
+            self._remaining = self.task.remaining(self.phantom, inside)
         self._display.show(self._goal)
-        return self.observe(), self._info(tip, straight_distance(tip, self._goal), success=False, invalid=False)
+        return self.observe(), self._info(tip, straight_distance(inside, self._goal), success=False, invalid=False)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by one control step.
@@ -307,7 +312,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             simulation.reset()  # so that the last observation is at least finite
         self.sensors.advance(moves)
         tip = simulation.tip
-        distance = straight_distance(tip, self._goal)
+        distance = straight_distance(simulation.tip_in_vessel, self._goal)
         success = distance <= task.success_radius and not invalid
         reward = self._reward(before, tip, distance, success=success)
         truncated = not success and (invalid or self.steps >= task.max_steps)
@@ -348,7 +353,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     def _reward(self, before_step: np.ndarray, tip: np.ndarray, distance: float, *, success: bool) -> float:
         task, before = self.task, self._remaining
         if task.reads_progress:
-            self._remaining = task.remaining(self.phantom, tip)
+            self._remaining = task.remaining(self.phantom, self.simulation.tip_in_vessel)
         force = float(self.simulation.summary.force_max)
         moved = straight_distance(tip, before_step)
         return task.step_reward(distance, before - self._remaining, force, moved, success=success)
@@ -399,3 +404,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     def close(self) -> None:
         """Frees the renderer and closes the window."""
         self._display.close()
+
+
+def _no_named_breathing(name: str) -> Breathing:
+    raise ValueError(f"breathing must be None or a Breathing, got {name!r}")

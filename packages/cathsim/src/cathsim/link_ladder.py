@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from cathsim.arena import PROTRUSION, RESERVE, model_spec
+from cathsim.contact.breathing import let_walls_slide
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import Guidewire
@@ -55,14 +56,22 @@ class Ladder:
 
 @kept_with_owner
 def rung_models(
-    vessel: Vessel, wire: Guidewire, numerics: Accuracy, tip_motors: bool, compliant: bool = False
+    vessel: Vessel,
+    wire: Guidewire,
+    numerics: Accuracy,
+    tip_motors: bool,
+    compliant: bool = False,
+    breathes: bool = False,
 ) -> tuple[mujoco.MjModel, mujoco.MjModel, mujoco.MjModel]:
     """The model of a wire and its twins, refined once and twice, shared by every simulation with the same arguments.
 
     Args:
         compliant: the wall's contacts are springs integrated implicitly, whose stiffness the native step sets.
+        breathes: the vessel moves, as the native step says.
     """
-    model = model_spec(vessel, wire, numerics, tip_motors=tip_motors).compile()
+    model = model_spec(vessel, wire, numerics, tip_motors=tip_motors, breathes=breathes).compile()
+    if breathes:
+        let_walls_slide(model)
     fine, finest = model.__copy__(), model.__copy__()
     fine.opt.timestep = numerics.timestep / numerics.refinement
     finest.opt.timestep = fine.opt.timestep / numerics.refinement

@@ -81,13 +81,18 @@ class NavigationTask:
         return insertion, rotation
 
     def start(self, simulation: Simulation, generator: np.random.Generator) -> None:
-        """Puts the devices at the start of an episode: of two, the catheter is not advanced, and turned by its own."""
+        """Puts the devices at the start of an episode: of two, the catheter is not advanced, and turned by its own.
+
+        Where the vessel breathes, the episode begins anywhere in a breath.
+        """
         start = self.draw_start(generator)
-        if isinstance(simulation, DualSimulation):
-            insertion, rotation, catheter = self.draw_devices(start, simulation.pair, generator)
-            simulation.reset(insertion, rotation, catheter=catheter)
+        breathing, pair = simulation.breathing, isinstance(simulation, DualSimulation)
+        devices = self.draw_devices(start, simulation.pair, generator) if pair else None  # type: ignore[attr-defined]
+        time = 0.0 if breathing is None else float(generator.uniform(0.0, breathing.period))
+        if devices is not None:
+            simulation.reset(*devices[:2], catheter=devices[2], time=time)  # type: ignore[call-arg]
         else:
-            simulation.reset(*start)
+            simulation.reset(*start, time=time)
 
     def draw_devices(
         self, start: tuple[float, float], pair: DevicePair, generator: np.random.Generator

@@ -10,6 +10,7 @@ import numpy as np
 
 from cathsim.arena import FEEDER
 from cathsim.blood.drag import Drag
+from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import N_PER_MM
 from cathsim.contact.native import SimulationStruct
 from cathsim.contact.sdf import GEOM_NAME, Vessel
@@ -28,6 +29,7 @@ class Rung:
         links: number of links of the model.
         depth_samples: points a link at which the penetration is measured; 0: it is not.
         wall_stiffness: of each contact with the wall, N/mm; None: the usual contact's.
+        breathing: of the vessel, for which the models have room; None: it does not move.
     """
 
     def __init__(
@@ -41,6 +43,7 @@ class Rung:
         depth_samples: int,
         drag: Drag | None,
         wall_stiffness: float | None,
+        breathing: Breathing | None,
     ) -> None:
         self.model, fine, finest = models
         self.data = mujoco.MjData(self.model)
@@ -66,7 +69,9 @@ class Rung:
             drag=drag.address if drag else None,
             loads=self.loads.ctypes.data,
             wall_stiffness=N_PER_MM * (wall_stiffness or 0.0),
+            breath_rate=breathing.rate if breathing else 0.0,
         )
+        self.struct.breath[:] = breathing.farthest.tolist() if breathing else [0.0] * 3
         self.reference = ctypes.byref(self.struct)
         self.tip = self.data.site_xpos[self.model.site(TIP_SITE).id]
         # links 1, 2, … follow the feeder's body in the order of the chain

@@ -15,6 +15,7 @@ from cathsim.arena import max_insertion
 from cathsim.blood.drag import Drag
 from cathsim.blood.field import blood_field
 from cathsim.blood.flow import BloodFlow
+from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import checked_wall_stiffness, stiffest_wall
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, decomposition
@@ -70,9 +71,10 @@ class Simulation:
         wall_stiffness: N/mm, 0.1 to `stiffest_wall(numerics)`, of the wall at each contact: normal force over depth;
             takes a third of the speed. None: what the solver makes of the usual contact, 1-2 N/mm at rest.
         pace: duration of a control step and what full actions move in it; the timestep is made to divide it.
+        breathing: moves the vessel with the simulated time; None: it does not move.
 
     Raises:
-        ValueError: the phantom has no such entry, or the wall is too soft or too stiff.
+        ValueError: the phantom has no such entry, the wall is too soft or too stiff, or hulls that are to breathe.
     """
 
     def __init__(
@@ -88,7 +90,11 @@ class Simulation:
         measure_penetration: bool = False,
         wall_stiffness: float | None = None,
         pace: Pace = PACES["usual"],
+        breathing: Breathing | None = None,
     ) -> None:
+        if breathing is not None and contact != "sdf":
+            raise ValueError(f"a vessel breathes with contact 'sdf', got {contact!r}: leave one of them out")
+        self.breathing = breathing
         numerics = dividing(numerics, pace.interval)
         self.phantom, self.wire, self.numerics, self.entry, self.pace = phantom, wire, numerics, entry, pace
         self._most_lead = max(LEAD_ADVANCE, 1.5 * pace.translation), max(LEAD_ROTATION, 1.5 * pace.rotation)
@@ -136,6 +142,7 @@ class Simulation:
             "measure_penetration": self._measured,
             "wall_stiffness": self.wall_stiffness,
             "pace": self.pace,
+            "breathing": self.breathing,
         }
 
     def stepped_by(self, numerics: Accuracy) -> Simulation:
@@ -183,8 +190,8 @@ class Simulation:
         return self._rungs[index]
 
     def _make_rung(self, wire: Guidewire) -> Rung:
-        compliant = self.wall_stiffness is not None
-        model, fine, finest = rung_models(self.vessel, wire, self.numerics, self.tip_motors, compliant=compliant)
+        changed = {"compliant": self.wall_stiffness is not None, "breathes": self.breathing is not None}
+        model, fine, finest = rung_models(self.vessel, wire, self.numerics, self.tip_motors, **changed)
         return Rung((model, fine._address, finest._address), (fine, finest), len(wire.links), **self._rung_settings())
 
     def _rung_settings(self) -> dict[str, Any]:
@@ -194,6 +201,7 @@ class Simulation:
             "depth_samples": self.depth_samples,
             "drag": self.drag,
             "wall_stiffness": self.wall_stiffness,
+            "breathing": self.breathing,
         }
 
     @property
@@ -211,12 +219,13 @@ class Simulation:
         """How many links are simulated now."""
         return self.ladder.counts[self._index]
 
-    def reset(self, insertion: float = 0.0, rotation: float = 0.0) -> None:
+    def reset(self, insertion: float = 0.0, rotation: float = 0.0, *, time: float = 0.0) -> None:
         """Puts the wire straight into the sheath and lets its tip unbend for 0.3 s.
 
         Args:
             insertion: how far it is advanced, m.
             rotation: of its proximal end, rad.
+            time: at which it then is, s: where in a breath.
         """
         if not 0 <= insertion <= self.max_insertion:
             raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {insertion}")
@@ -229,9 +238,11 @@ class Simulation:
         self._to[:] = 0.0
         self._to[:2] = insertion, rotation
         self._rung.struct.depth = 0.0
+        if self.breathing is not None:
+            self.data.time = time - SETTLE_STEPS * self.pace.interval
         for _ in range(SETTLE_STEPS):
             self.advance(0.0, 0.0)
-        self.data.time = 0.0
+        self.data.time = time
         ctypes.memset(ctypes.byref(self.summary), 0, ctypes.sizeof(self.summary))
 
     def _change_rung(self, index: int) -> None:
@@ -292,6 +303,16 @@ class Simulation:
     def tip(self) -> np.ndarray:
         """Tip position, m. Shape (3,)."""
         return self._rung.tip.copy()
+
+    @property
+    def vessel_displacement(self) -> np.ndarray:
+        """By how much breathing displaces the vessel at the moment, m, world frame. Shape (3,)."""
+        return np.zeros(3) if self.breathing is None else self.breathing.displacement(float(self.data.time))
+
+    @property
+    def tip_in_vessel(self) -> np.ndarray:
+        """Tip position in the frame that moves with the vessel, where the phantom lies, m. Shape (3,)."""
+        return self.tip if self.breathing is None else self.tip - self.vessel_displacement
 
     def tip_velocity(self) -> np.ndarray:
         """Velocity of the tip, m/s, world frame. Shape (3,)."""

@@ -16,7 +16,8 @@ LAYOUT_FIELDS = (
     *("qpos", "qvel", "ctrl", "qacc_warmstart", "geom_xpos", "geom_xmat"),
     *("contact_x", "contact_geom", "contact_efc_address"),
     *("geom_bodyid", "body_mass", "xanchor", "xaxis", "qfrc_applied"),
-    *("efc_diagA", "contact_solref", "contact_solimp"),
+    *("efc_diagA", "contact_solref", "contact_solimp", "contact_surfacevel"),
+    *("nuserdata", "userdata"),
 )
 
 
@@ -42,6 +43,8 @@ class SimulationStruct(ctypes.Structure):
         *_fields(ctypes.c_void_p, "drag", "loads"),
         *_fields(ctypes.c_double, "wall_stiffness"),
         *_fields(ctypes.c_void_p, "rod"),
+        *_fields(ctypes.c_double * 3, "breath"),
+        *_fields(ctypes.c_double, "breath_rate"),
     )
 
 
@@ -155,7 +158,8 @@ def _sources_digest(built: str) -> str:
 
 
 _PROBE = """
-<mujoco><option timestep="0.003"/><size nuser_geom="3"/><worldbody><geom type="plane" size="1 1 1"/>
+<mujoco><option timestep="0.003"/><size nuser_geom="3" nuserdata="2"/><worldbody>
+<geom type="plane" size="1 1 1" surfacevel="0.3 0.2 0 0 0 0"/>
 <body pos="0.25 0 0.04"><joint name="lift" type="slide" axis="0 0 1"/>
 <geom type="sphere" size="0.05" user="1 2 3"/></body>
 </worldbody><actuator><motor joint="lift"/></actuator></mujoco>
@@ -185,6 +189,9 @@ def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int
         *(array.ctypes.data for array in (data.xanchor, data.xaxis, data.qfrc_applied, data.efc_diagA)),
         int(contact.solref[0, 0] * 1e9) if some else 0,
         int(contact.solimp[0, 0] * 1e9) if some else 0,
+        int(contact.surfacevel[0, 0] * 1e9) if some else 0,
+        model.nuserdata,
+        data.userdata.ctypes.data if model.nuserdata else 0,
     )
     return dict(zip(LAYOUT_FIELDS, (int(value) for value in values), strict=True))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy import Phantom
 from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, max_insertion, model_spec
 from cathsim.blood.flow import BloodFlow
+from cathsim.contact.breathing import Breathing, let_walls_slide
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
 from cathsim.devices.device_points import points_behind
@@ -33,7 +34,7 @@ Array = NDArray[np.float64]
 
 @kept_with_owner
 def covered_model(
-    vessel: Vessel, pair: DevicePair, chain: Guidewire, numerics: Accuracy
+    vessel: Vessel, pair: DevicePair, chain: Guidewire, numerics: Accuracy, breathes: bool = False
 ) -> tuple[mujoco.MjModel, Array]:
     """The model of a chain that the outer device covers, and the inverse weights of a bare and of a covered chain."""
     tables = device_tables(pair)
@@ -41,7 +42,9 @@ def covered_model(
     inner = next(table for table in tables if table)
     spread = pair.chain(both, pair.radius).distal(len(chain.links))
     bare = pair.chain(inner.linear_density, inner.struct.radius).distal(len(chain.links))
-    models = [model_spec(vessel, one, numerics).compile() for one in (bare, spread)]
+    models = [model_spec(vessel, one, numerics, breathes=breathes).compile() for one in (bare, spread)]
+    if breathes:
+        let_walls_slide(models[1])
     first = models[0].body(FEEDER).id
     weights = np.stack([model.body_invweight0[first : first + len(chain.links)] for model in models])
     return models[1], weights.copy()
@@ -71,7 +74,7 @@ class DualSimulation(Simulation):
 
     Args:
         pair: the devices, of which one may be absent.
-        entry, measure_penetration, wall_stiffness, pace: as of `Simulation`.
+        entry, measure_penetration, wall_stiffness, pace, breathing: as of `Simulation`.
         blood: that flows past a rod of the outer device's diameter; None: there is none.
 
     Raises:
@@ -91,6 +94,7 @@ class DualSimulation(Simulation):
         measure_penetration: bool = False,
         wall_stiffness: float | None = None,
         pace: Pace = PACES["usual"],
+        breathing: Breathing | None = None,
     ) -> None:
         if contact != "sdf" or tip_motors:
             raise ValueError(
@@ -113,6 +117,7 @@ class DualSimulation(Simulation):
             measure_penetration=measure_penetration,
             wall_stiffness=wall_stiffness,
             pace=pace,
+            breathing=breathing,
         )
 
     def _positional(self) -> tuple[Any, Any, Any]:
@@ -122,7 +127,9 @@ class DualSimulation(Simulation):
         return vessel_of(self.phantom, self.entry, self.pair.sheath_radius)
 
     def _make_rung(self, wire: Guidewire) -> Rung:
-        pattern, weights = covered_model(self.vessel, self.pair, wire, self.numerics)
+        pattern, weights = covered_model(
+            self.vessel, self.pair, wire, self.numerics, breathes=self.breathing is not None
+        )
         model = pattern.__copy__()
         if self.wall_stiffness is not None:
             soften_contacts(model, len(wire.links))
@@ -186,13 +193,19 @@ class DualSimulation(Simulation):
         return self._hubs.lead
 
     def reset(
-        self, insertion: float = 0.0, rotation: float = 0.0, *, catheter: tuple[float, float] | None = None
+        self,
+        insertion: float = 0.0,
+        rotation: float = 0.0,
+        *,
+        time: float = 0.0,
+        catheter: tuple[float, float] | None = None,
     ) -> None:
         """Puts both devices straight into the sheath and lets them unbend for 0.3 s.
 
         Args:
             insertion: of the wire, m; of the catheter where there is no wire.
             rotation: of its hub, rad.
+            time: at which they then are, s: where in a breath.
             catheter: the catheter's insertion (m) and rotation of its hub (rad); None: as far back as it may be, and
                 not turned.
 
@@ -201,7 +214,7 @@ class DualSimulation(Simulation):
         """
         chain = self._hubs.place(insertion, rotation, catheter)
         self.twist[:] = np.array(self._hubs.angles)[:, None] - rotation
-        super().reset(chain, rotation)
+        super().reset(chain, rotation, time=time)
 
     def let_untwist(self) -> None:
         """Lets the devices' twist come to rest for the bends of the moment, which were set from outside."""

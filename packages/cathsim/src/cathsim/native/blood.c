@@ -149,7 +149,14 @@ static void link_drag(const Drag* drag, const Moment* moment, const mjModel* m, 
     double p[3], flow[3], moving[3], relative[3], force[3];
     for (int k = 0; k < 3; k++) p[k] = centre[k] + at * axis[k];
     if (sheathed && vessel_sheath_coordinate(v, p) < 0) continue;
-    velocity_at(drag->blood, moment, p, flow);
+    if (m->nuserdata >= VESSEL_MOTION) { /* the blood moves with its vessel */
+      double in_vessel[3];
+      for (int k = 0; k < 3; k++) in_vessel[k] = p[k] - d->userdata[VESSEL_DISPLACEMENT + k];
+      velocity_at(drag->blood, moment, in_vessel, flow);
+      for (int k = 0; k < 3; k++) flow[k] += d->userdata[VESSEL_VELOCITY + k];
+    } else {
+      velocity_at(drag->blood, moment, p, flow);
+    }
     point_velocity(motion, p, moving);
     for (int k = 0; k < 3; k++) relative[k] = flow[k] - moving[k];
     cylinder_force(drag, axis, relative, most, force);

@@ -8,7 +8,7 @@ const char* cathsim_sources(void) { return CATHSIM_SOURCES; }
 
 int cathsim_header_version(void) { return mjVERSION_HEADER; }
 
-/* Fills `seen` (27 numbers) in the order that contact/native.py lists. */
+/* Fills `seen` (30 numbers) in the order that contact/native.py lists. */
 void cathsim_layout(const mjModel* m, const mjData* d, int64_t* seen) {
   int i = 0;
   seen[i++] = m->nq;
@@ -38,6 +38,9 @@ void cathsim_layout(const mjModel* m, const mjData* d, int64_t* seen) {
   seen[i++] = (int64_t)(intptr_t)d->efc_diagA;
   seen[i++] = d->ncon > 0 ? (int64_t)(d->contact[0].solref[0] * 1e9) : 0;
   seen[i++] = d->ncon > 0 ? (int64_t)(d->contact[0].solimp[0] * 1e9) : 0;
+  seen[i++] = d->ncon > 0 ? (int64_t)(d->contact[0].surfacevel[0] * 1e9) : 0;
+  seen[i++] = m->nuserdata;
+  seen[i++] = m->nuserdata > 0 ? (int64_t)(intptr_t)d->userdata : 0;
 }
 
 /* Size (bytes) of a model's structure. */

@@ -27,7 +27,8 @@ int cathsim_contact_forces(const Simulation* s, const Engine* engine, int capaci
 double cathsim_penetration(const Simulation* s, int samples) {
   const mjModel* m = s->model;
   const mjData* d = s->data;
-  const Vessel* v = vessel_of_geom(m, s->vessel_geom, NULL);
+  Vessel room;
+  const Vessel* v = vessel_at_moment(vessel_of_geom(m, s->vessel_geom, NULL), m, d, &room);
   double deepest = 0;
   if (!v) return 0;
   for (int g = s->first_geom; g <= s->last_geom; g++) {
@@ -146,6 +147,30 @@ static void take_back_account(const Account* a, const Before* before) {
   memcpy(a->forces, a->kept_forces, sizeof(double) * count);
 }
 
+/* Displaces the vessel to where breathing brings it by the end of the step that comes: (1 - cos) / 2 of the way. */
+static void move_vessel(const Simulation* s, double timestep) {
+  const double phase = s->breath_rate * (s->data->time + timestep);
+  double* motion = s->data->userdata;
+  for (int k = 0; k < 3; k++) {
+    motion[VESSEL_DISPLACEMENT + k] = 0.5 * s->breath[k] * (1 - cos(phase));
+    motion[VESSEL_VELOCITY + k] = 0.5 * s->breath[k] * s->breath_rate * sin(phase);
+  }
+}
+
+/* Tells the contacts with the wall how fast that moves along itself, for its friction. */
+static void move_walls(const Simulation* s) {
+  mjData* d = s->data;
+  const double* velocity = d->userdata + VESSEL_VELOCITY;
+  for (int i = 0; i < d->ncon; i++) {
+    mjContact* c = d->contact + i;
+    if (c->geom[1] < s->vessel_geom || c->geom[1] > s->vessel_geom + s->hulls) continue;
+    for (int k = 0; k < 2; k++) {
+      const double* tangent = c->frame + 3 * (k + 1);
+      c->surfacevel[k] = tangent[0] * velocity[0] + tangent[1] * velocity[1] + tangent[2] * velocity[2];
+    }
+  }
+}
+
 /* One step of `model`. In a compliant wall every contact is a spring of `wall_stiffness`, without damping, integrated
  * implicitly. MuJoCo's regularisation of a contact is (1 - d) / d times the diagonal A of the constraint's inverse
  * inertia, which it knows only once it has solved: the state is solved twice, and d set between. Its discrete integrator
@@ -153,6 +178,15 @@ static void take_back_account(const Account* a, const Before* before) {
  * regularisation must be 1 / (3 h^2 K). */
 static void step_engine(const Simulation* s, const Engine* engine, const mjModel* model) {
   mjData* d = s->data;
+  if (s->breath_rate > 0) {
+    move_vessel(s, model->opt.timestep);
+    if (!(s->wall_stiffness > 0)) {
+      engine->first_half(model, d);
+      move_walls(s);
+      engine->second_half(model, d);
+      return;
+    }
+  }
   if (!(s->wall_stiffness > 0)) {
     engine->step(model, d);
     return;
@@ -165,6 +199,7 @@ static void step_engine(const Simulation* s, const Engine* engine, const mjModel
     }
   }
   engine->first_half(model, d);
+  if (s->breath_rate > 0) move_walls(s);
   engine->forward(model, d, mjSTAGE_VEL, 1);
   for (int i = 0; i < d->ncon; i++) {
     mjContact* c = d->contact + i;

@@ -37,6 +37,8 @@ typedef struct {
   double* loads;          /* room for that on each link: 6 numbers */
   double wall_stiffness;  /* of each contact with the wall, N/m; 0: as the wire's geoms say */
   Rod* rod;               /* two devices; NULL: the chain is a bare wire */
+  double breath[3];       /* farthest displacement of the vessel by breathing, m */
+  double breath_rate;     /* rad/s; 0: it does not move */
 } Simulation;
 
 typedef struct {

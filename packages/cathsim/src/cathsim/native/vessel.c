@@ -58,6 +58,13 @@ const Vessel* vessel_of_geom(const mjModel* m, int geom, int* part) {
   return __atomic_load_n(&vessels[number], __ATOMIC_ACQUIRE);
 }
 
+const Vessel* vessel_at_moment(const Vessel* v, const mjModel* m, const mjData* d, Vessel* room) {
+  if (!v || m->nuserdata < VESSEL_MOTION) return v;
+  *room = *v;
+  for (int k = 0; k < 3; k++) room->origin[k] += d->userdata[VESSEL_DISPLACEMENT + k];
+  return room;
+}
+
 double vessel_sheath_coordinate(const Vessel* v, const double p[3]) {
   return (p[0] - v->entry[0]) * v->direction[0] + (p[1] - v->entry[1]) * v->direction[1] +
          (p[2] - v->entry[2]) * v->direction[2];

@@ -113,7 +113,7 @@ class SamplingExpert:
         settings, generator = self.settings, self._generator
         simulation = self.environment.simulation
         state, self._goal = simulation.state(), self.environment.goal
-        here = self.task.remaining(self.environment.phantom, simulation.tip)
+        here = self.task.remaining(self.environment.phantom, simulation.tip_in_vessel)
         knots = -(-settings.horizon // settings.hold)
         straight = np.tile([1.0, 0.0] * (self._actions // 2), (settings.horizon, 1))
         kept = np.concatenate((self._plan, straight))[: settings.horizon]
@@ -182,10 +182,10 @@ class SamplingExpert:
             if not copy.valid:
                 return 1.0
             force += max(copy.summary.force_max - settings.free_force, 0.0) / len(plan)
-            if np.linalg.norm(copy.tip - self._goal) < 0.9 * radius:
+            if np.linalg.norm(copy.tip_in_vessel - self._goal) < 0.9 * radius:
                 return -1.0 + 0.01 * step + settings.force_cost * force
         strayed = max(copy.device_lead - settings.most_lead, 0.0) if isinstance(copy, DualSimulation) else 0.0
-        return self.task.remaining(self.environment.phantom, copy.tip) + settings.force_cost * force + strayed
+        return self.task.remaining(self.environment.phantom, copy.tip_in_vessel) + settings.force_cost * force + strayed
 
     def close(self) -> None:
         """Ends the threads."""
