@@ -31,10 +31,12 @@ from pipeline.store.provenance import hash_file
 
 if TYPE_CHECKING:
     from cathsim import Catheter, Guidewire
+    from cathsim.devices.pair import DevicePair
 
 FEEDER, TIP_MOTORS = "feeder", "tip_motors"
 TASK = "task"  # key in the metadata of policies
 LENGTH = "wire_length_mm"
+NO_WIRE = "none"  # in place of a wire: the catheter alone
 _MM = 1e3
 Torsion = Annotated[str, one_of("elastic", "rigid")]
 _JOINTS, _FEEDER_STATE = ("joints", "internal"), "feeder"  # observations
@@ -45,7 +47,7 @@ _SAME = 1e-9  # relative: lengths come back from logs in metres
 class Task:
     """What an episode asks for, whatever the anatomy and the target; treated as immutable once it is made."""
 
-    wire: FolderName = "default"  # preset of the guidewire; checked by `require_known_task`
+    wire: FolderName = "default"  # preset of the guidewire, or "none"; checked by `require_known_task`
     wire_length_mm: WireLength = 0.0  # to which it is scaled; 0: as long as the preset
     catheter: PathText | None = None  # preset of the catheter over the wire, or its YAML file; null: the wire alone
     torsion: Torsion = "elastic"  # of wire and catheter, where there is one
@@ -58,7 +60,9 @@ class Task:
     start_rotation_deg: StartRotation = 180.0  # ... and turned by up to this much either way
 
     def __post_init__(self) -> None:
-        """Refuses a catheter that motors are to steer."""
+        """Refuses neither wire nor catheter, and a catheter that motors are to steer."""
+        if self.catheter is None and self.wire == NO_WIRE:
+            raise ConfigurationError(f"{TASK}.wire={NO_WIRE} leaves no device: name a catheter or a wire")
         if self.catheter is not None and self.actions != FEEDER:
             raise ConfigurationError(
                 f"{TASK}.actions={self.actions} bends the tip of a wire alone, got {TASK}.catheter={self.catheter}: "
@@ -73,10 +77,17 @@ class Task:
     @property
     def device_names(self) -> str:
         """Wire and catheter in words."""
+        if self.wire == NO_WIRE:
+            return f"{self.catheter} alone"
         return self.wire if self.catheter is None else f"{self.wire} in {self.catheter}"
 
+    @property
+    def two_devices(self) -> bool:
+        """Whether there is a wire in a catheter."""
+        return self.catheter is not None and self.wire != NO_WIRE
+
     def guidewire(self) -> Guidewire:
-        """The wire."""
+        """The wire; there must be one."""
         return self.scaled(self.wire)
 
     def scaled(self, preset: str) -> Guidewire:
@@ -94,8 +105,21 @@ class Task:
 
     def devices(self) -> dict[str, Any]:
         """Wire, and where there is one, catheter and torsion, as arguments of an environment."""
-        wire, catheter = self.guidewire(), self.guiding_catheter()
+        wire, catheter = self._wire(), self.guiding_catheter()
         return {"wire": wire} if catheter is None else {"wire": wire, "catheter": catheter, "torsion": self.torsion}
+
+    def _wire(self) -> Guidewire | None:
+        return None if self.wire == NO_WIRE else self.guidewire()
+
+    def pair(self) -> DevicePair:
+        """Wire and catheter, either of which may be absent.
+
+        Raises:
+            ValueError: the wire does not pass the catheter.
+        """
+        from cathsim.devices.pair import DevicePair
+
+        return DevicePair(self._wire(), self.guiding_catheter())
 
     def rules(self) -> dict[str, Any]:
         """Images, limits and start as arguments of an environment, in m and rad."""
@@ -115,25 +139,26 @@ class Task:
 def number_of_actions(task: Task) -> int:
     """How many numbers an action has: as `cathsim.NavigateEnv` makes its space."""
     if task.actions == FEEDER:
-        return 2 if task.catheter is None else 4
+        return 4 if task.two_devices else 2
     wire = task.guidewire()
     return 2 * min(wire.motor_joints, wire.joints) + 1
 
 
 @validated()
 class DeviceSettings:
-    """The task of a stage that steers the feeder, and its catheter as settings of the stage itself."""
+    """The task of a stage that steers the feeder, and its devices as settings of the stage itself."""
 
     task: Task = field(default_factory=Task)
+    wire: FolderName | None = None  # stage.wire=… is stage.task.wire=…
     catheter: PathText | None = None  # stage.catheter=… is stage.task.catheter=…
     torsion: Torsion | None = None  # stage.torsion=… is stage.task.torsion=…
 
     def __post_init__(self) -> None:
-        """Takes the catheter over into the task."""
-        given = {name: value for name in ("catheter", "torsion") if (value := getattr(self, name)) is not None}
+        """Takes the devices over into the task."""
+        given = {name: value for name in ("wire", "catheter", "torsion") if (value := getattr(self, name)) is not None}
         if given:
             self.task = dataclasses.replace(self.task, **given)
-        self.catheter = self.torsion = None  # so that either way counts as the same settings
+        self.wire = self.catheter = self.torsion = None  # so that either way counts as the same settings
 
 
 PARTS = tuple(field.name for field in dataclasses.fields(Task))
@@ -169,13 +194,11 @@ def require_known_task(task: Task) -> None:
     """
     from cathsim import GUIDEWIRES
 
-    if task.wire not in GUIDEWIRES:
-        raise ConfigurationError(f"unknown wire {task.wire!r}: choose from {', '.join(GUIDEWIRES)}")
+    if task.wire not in (*GUIDEWIRES, NO_WIRE):
+        raise ConfigurationError(f"unknown wire {task.wire!r}: choose from {', '.join(GUIDEWIRES)}, {NO_WIRE}")
     if task.catheter is not None:
-        from cathsim.devices.pair import DevicePair
-
         try:
-            DevicePair(task.guidewire(), task.guiding_catheter())
+            task.pair()
         except ValueError as error:
             raise ConfigurationError(str(error)) from error
 
@@ -188,16 +211,13 @@ def observed(task: Task, keys: Sequence[str]) -> tuple[str, ...]:
     Args:
         keys: observations that the policy sees with the wire alone.
     """
-    inside = task.catheter is not None and any(key in _JOINTS for key in keys) and _FEEDER_STATE not in keys
+    inside = task.two_devices and any(key in _JOINTS for key in keys) and _FEEDER_STATE not in keys
     return (*keys, _FEEDER_STATE) if inside else tuple(keys)
 
 
 def joint_observations(task: Task) -> int:
     """How many numbers the observation `joints` has: positions and velocities of feeder and hinges."""
-    from cathsim.devices.pair import DevicePair
-
-    wire, catheter = task.guidewire(), task.guiding_catheter()
-    joints = wire.joints if catheter is None else len(DevicePair(wire, catheter).links()) - 1
+    joints = task.guidewire().joints if task.catheter is None else len(task.pair().links()) - 1
     return 4 * (joints + 1)
 
 
@@ -235,7 +255,7 @@ def require_feeder(task: Task, stage: str) -> None:
 def differences(one: Task, other: Task, parts: Sequence[str] = PARTS) -> list[str]:
     """Names of the parts in which two tasks differ."""
     found = [name for name in parts if not _same(getattr(one, name), getattr(other, name))]
-    if LENGTH in found and one.wire == other.wire and one.guidewire() == other.guidewire():
+    if LENGTH in found and one.wire == other.wire and (one.wire == NO_WIRE or one.guidewire() == other.guidewire()):
         found.remove(LENGTH)  # wires are made of whole links: two lengths may be one wire
     if "catheter" in found and _same_catheter(one, other):
         found.remove("catheter")

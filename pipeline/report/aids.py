@@ -126,7 +126,8 @@ def of_navigator(job: NavigatorJob) -> list[str]:
 def _of_task(task: Task, observed: Sequence[str]) -> list[str]:
     aids = [f"{number_of_actions(task)} actions"]
     if task.catheter is not None:
-        aids.append(f"the wire in the catheter {task.catheter}, {task.torsion} torsion")
+        devices = f"the wire in the catheter {task.catheter}" if task.two_devices else f"the catheter {task.catheter}"
+        aids.append(f"{devices}, {task.torsion} torsion")
     if any(name in _PICTURES for name in observed):
         aids.append(f"images of {task.image_size_px} px")
     if task.start_rotation_deg:

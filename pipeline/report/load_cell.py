@@ -62,7 +62,8 @@ def wall_forces(arrays: Mapping[str, NDArray[Any]], *, interval: float, seed: in
 
 
 def device_of(configuration: Mapping[str, Any]) -> str:
-    """The catheter that a log names, or the wire alone."""
+    """The catheter that a log names, with "alone" where no wire lay in it, or the wire alone."""
     if not configuration.get("catheter"):
         return WIRE
-    return str(configuration.get("catheter_preset") or "own catheter")
+    name = str(configuration.get("catheter_preset") or "own catheter")
+    return f"{name} alone" if configuration.get("wire", "") is None else name

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from cathsim import Phantom, Simulation, export, load_guidewire
+from cathsim import Phantom, Simulation, export, load_catheter, load_guidewire
 from cathsim.contact.hulls import Hull
+from cathsim.devices.pair import DevicePair
 from cathsim.export import EXPORT_NUMERICS, export_mjcf
 
 MakeSimulation = Callable[..., Simulation]
@@ -118,3 +119,12 @@ def test_command_line(
     assert "unknown entry 'radial'" in capsys.readouterr().err
     assert export.main([str(tmp_path / "out3"), "--threshold", "7"]) == 2
     assert "threshold must lie in" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("catheter", [load_catheter("vertebral"), DevicePair(None, load_catheter("vertebral"))])
+def test_refuses_a_catheter_in_one_sentence(bend: Phantom, tmp_path: Path, catheter: object) -> None:
+    with pytest.raises(
+        ValueError, match=r"does not travel in an MJCF file: export a Guidewire, got (Catheter|DevicePa)"
+    ):
+        export_mjcf(tmp_path / "pair", bend, catheter)
+    assert not (tmp_path / "pair").exists()

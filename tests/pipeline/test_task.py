@@ -284,6 +284,31 @@ def test_a_log_says_which_catheter_its_task_had(tmp_path: Path) -> None:
         require_demonstrations("enn", LearningTask("type_1", "lcca", Task(torsion="rigid")), [tmp_path / "0.mcap"])
 
 
+@pytest.mark.parametrize("name", ["expert", "enn"])
+def test_a_catheter_alone_is_steered_with_two_actions(name: str, tmp_path: Path) -> None:
+    task = composed(f"stage={name}", "stage.catheter=simmons2", "stage.wire=none").stage.task
+    assert task == composed(f"stage={name}", "task.catheter=simmons2", "task.wire=none").stage.task
+    assert (task.wire, task.device_names, task.two_devices) == ("none", "simmons2 alone", False)
+    check_expert(composed("stage=expert", "stage.catheter=simmons2", "stage.wire=none").stage)
+    learnt = LearningTask("type_1", "lcca", replace(task, max_steps=2))
+    environment = learnt.environment(("joints", "feeder"))
+    assert environment.action_space.shape == (number_of_actions(task),) == (2,)
+    assert environment.observation_space["joints"].shape == (joint_observations(task),)
+    log = tmp_path / "alone.mcap"
+    record_episode(environment, lambda *_: np.ones(2), log, seed=0, operator="test", pictures=False)
+    assert not differences(task_of_log(log).task, learnt.task)
+    assert differences(task_of_log(log).task, replace(learnt.task, wire="default")) == ["wire"]
+
+
+def test_no_device_at_all_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"task\.wire=none leaves no device: name a catheter or a wire"):
+        composed("stage=expert", "stage.wire=none")
+    with pytest.raises(ConfigurationError, match="unseen steers a wire without a catheter"):
+        check_unseen(composed("stage=unseen", "stage.task.catheter=jb2", "stage.task.wire=none").stage)
+    with pytest.raises(ConfigurationError, match=r"unknown wire 'rope': choose from .*, none"):
+        check_expert(composed("stage=expert", "stage.wire=rope").stage)
+
+
 def test_a_catheters_file_is_part_of_the_results(tmp_path: Path) -> None:
     file = tmp_path / "own.yaml"
     file.write_text(preset_path("catheter", "jb2").read_text())

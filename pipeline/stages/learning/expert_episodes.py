@@ -17,7 +17,7 @@ from pipeline.episodes.errors import EpisodeReadError
 from pipeline.recording.replay import ReplayError, recorded_catheter, recorded_devices, recorded_wire
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import StageError
-from pipeline.task import FEEDER, MOTION, TASK, TIP_MOTORS, Task, require_same_task, task_from
+from pipeline.task import FEEDER, MOTION, NO_WIRE, TASK, TIP_MOTORS, Task, require_same_task, task_from
 
 if TYPE_CHECKING:
     from cathsim import Catheter
@@ -245,7 +245,7 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
         size = reader.camera(CAMERA).width if CAMERA in reader.cameras else 80
         actions = len(reader.step(0).action)
     recorded: dict[str, Any] = dict(info.configuration)
-    preset = None if wire is None else preset_of(wire)
+    preset = (NO_WIRE, 0.0) if wire is None else preset_of(wire)
     if preset is None:
         raise StageError(f"{log} was recorded with a wire that this version does not have: record it again")
     name = None if catheter is None else _catheter_name(catheter, like)

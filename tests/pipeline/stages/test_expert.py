@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.episodes import EpisodeReader
+from pipeline.episodes.check import check
+from pipeline.recording.replay import replay
 from pipeline.report.learning.tables import tables_from_logs
 from pipeline.seeds import demonstration_seeds, held_out_seeds
 from pipeline.stages.expert import ExpertSettings, run_expert
@@ -43,3 +45,19 @@ def test_tables_hold_evaluations_alone_and_the_number_of_actions(run: Path) -> N
     assert tables["task"]["evaluation_episodes"]["value"] == 2
     assert tables["task"]["actions"]["value"] == 2
     assert number_of_actions(Task(actions="tip_motors", wire="thesis")) == 21
+
+
+def test_a_catheter_alone_is_steered_and_stands_apart_in_the_tables(tmp_path: Path) -> None:
+    settings = ExpertSettings(phantoms=["type_1"], targets=["bca"], episodes=1, evaluation_episodes=1, film=False,
+                              task=Task(max_steps=2), wire="none", catheter="vertebral", threads=1)  # fmt: skip
+    run_expert(settings, context(tmp_path, "expert", reads=()))
+    log = tmp_path / "expert/type_1/bca/evaluation/000.mcap"
+    assert not check(log).problems
+    with EpisodeReader(log) as reader:
+        devices = reader.step(2).devices
+        assert devices is not None
+        assert len(devices.wire_points) == 0
+        assert len(devices.catheter_points) > 10
+        assert len(reader.step(1).action) == 2
+    assert len(replay(log).actions) == 2
+    assert list(tables_from_logs(tmp_path)["devices"]) == ["type_1/bca/expert/sampling_expert/vertebral alone"]

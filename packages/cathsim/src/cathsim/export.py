@@ -56,8 +56,14 @@ def export_mjcf(
         Path of `model.xml`.
 
     Raises:
-        ValueError: a contact that only works inside this package, an unknown entry, or a folder with other files.
+        ValueError: a contact that only works inside this package, two devices, an unknown entry, or a folder with other
+            files.
     """
+    if not isinstance(wire, Guidewire):
+        raise ValueError(
+            "native code of this package rewrites the rod of a wire in a catheter at every step, which does not travel "
+            f"in an MJCF file: export a Guidewire, got {type(wire).__name__}"
+        )
     if contact == "sdf":
         raise ValueError(
             "contact='sdf' is native code of this package and does not travel in an MJCF file: export contact='hulls'"
