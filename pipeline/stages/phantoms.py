@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,10 +20,11 @@ from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file
 
 if TYPE_CHECKING:
-    from cathsim.anatomy import Phantom
+    from cathsim.anatomy import Phantom, SignedDistanceGrid
 
 TARGETS = ("bca", "lcca", "lsa")  # that stages navigate to
 _MM = 1e3
+_SLAB = 16  # layers of a grid written at once
 COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
 
 
@@ -131,6 +133,19 @@ def _build(anatomy: Anatomy, settings: PhantomsSettings) -> Phantom:
     return import_mesh(anatomy.mesh, unit=settings.unit, names=settings.names, resolution=resolution)
 
 
+def _write_grid(grid: SignedDistanceGrid, path: Path) -> None:
+    """Writes a grid's values, origin and spacing as NumPy reads them; a large one is never dense in memory."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("values.npy", "w", force_zip64=True) as file:
+            np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": grid.shape})
+            for first in range(0, grid.shape[0], _SLAB):
+                slab = grid.dense((slice(first, first + _SLAB), slice(None), slice(None)))
+                file.write(slab.astype("<f4", copy=False).tobytes())
+        for name, value in (("origin", grid.origin), ("spacing", np.array(grid.spacing))):
+            with archive.open(f"{name}.npy", "w") as file:
+                np.lib.format.write_array(file, value)
+
+
 def _folder_name(mesh: Path) -> str:
     return re.sub(r"[^A-Za-z0-9_.+-]", "_", mesh.stem).lstrip(".") or "mesh"
 
@@ -141,9 +156,8 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
         phantom.lumen_mesh.export(path)
     with atomic_path(folder / "wall.stl") as path:
         phantom.wall_mesh(wall_thickness).export(path)
-    grid = phantom.grid
     with atomic_path(folder / "grid.npz") as path:
-        np.savez_compressed(path, values=grid.values, origin=grid.origin, spacing=grid.spacing)
+        _write_grid(phantom.grid, path)
     write_json(folder / "centrelines.json", {
         branch.name: {"points_m": np.asarray(branch.points).tolist(), "radius_m": np.asarray(branch.radius).tolist()}
         for branch in phantom.tree.branches

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from cathsim.anatomy import surface
 from cathsim.anatomy.surface import open_ends
 
 
@@ -43,3 +45,16 @@ def test_the_wall_is_a_solid_of_even_thickness_open_at_every_end(phantom):
 def test_an_impossible_thickness_is_refused(phantom, thickness):
     with pytest.raises(ValueError, match=r"thickness must lie in \(0, 0.005\] m, got"):
         phantom.wall_mesh(thickness)
+
+
+def test_surface_made_in_slabs_is_the_same(phantom, monkeypatch):
+    whole = phantom.lumen_mesh
+    monkeypatch.setattr(surface, "_DENSE", 0)
+    for level in (0.0, -1.5e-3):
+        pieced = surface.lumen_surface(phantom.grid, level=level)
+        assert pieced.is_watertight
+        assert pieced.is_winding_consistent
+    pieced = surface.lumen_surface(phantom.grid)
+    assert len(pieced.faces) == pytest.approx(len(whole.faces), abs=50)  # collapsed ones are rounding
+    assert pieced.volume == pytest.approx(whole.volume, rel=1e-6)
+    assert cKDTree(whole.vertices).query(pieced.vertices)[0].max() < 1e-4

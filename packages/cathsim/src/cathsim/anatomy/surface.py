@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,8 @@ from cathsim.anatomy.vessel_tree import VesselTree
 if TYPE_CHECKING:
     import trimesh
 
+_DENSE = 2**24  # nodes: the surface of a larger lattice is made slab by slab
+_SLAB = 32  # cells along x
 MAXIMUM_WALL = 5e-3  # m: beyond it the distance grid's padding ends
 
 Array = NDArray[np.float64]
@@ -28,13 +31,43 @@ def lumen_surface(grid: SignedDistanceGrid, *, level: float = 0.0) -> trimesh.Tr
     import trimesh
     from skimage.measure import marching_cubes
 
-    vertices, faces, _, _ = marching_cubes(
-        grid.dense(), level=level, spacing=(grid.spacing,) * 3, allow_degenerate=False
-    )
+    if math.prod(grid.shape) > _DENSE:
+        vertices, faces = _surface_in_slabs(grid, level)
+    else:
+        vertices, faces, _, _ = marching_cubes(
+            grid.dense(), level=level, spacing=(grid.spacing,) * 3, allow_degenerate=False
+        )
     mesh = trimesh.Trimesh(vertices + grid.origin, faces, process=False)
     if mesh.volume < 0:
         mesh.invert()
     return mesh
+
+
+def _surface_in_slabs(grid: SignedDistanceGrid, level: float) -> tuple[Array, NDArray[np.int64]]:
+    """Marching cubes slab by slab along x: vertices (n, 3) m from the grid's origin, and faces (m, 3)."""
+    from skimage.measure import marching_cubes
+
+    inside = grid.blocks.where(lambda values: values > level)[0]
+    low = np.maximum(inside.min(axis=0) - 1, 0).tolist()
+    high = np.minimum(inside.max(axis=0) + 2, grid.shape).tolist()
+    pieces, triangles, count = [], [], 0
+    for first in range(low[0], high[0] - 1, _SLAB):
+        # neighbouring slabs share a layer of nodes, on which they make the same vertices
+        slab = grid.dense(
+            (slice(first, min(first + _SLAB + 1, high[0])), slice(low[1], high[1]), slice(low[2], high[2]))
+        )
+        if slab.min() < level < slab.max():
+            vertices, faces, _, _ = marching_cubes(slab, level=level, allow_degenerate=False)
+            pieces.append(vertices.astype(np.float64) + np.array([first, low[1], low[2]]))
+            triangles.append(faces.astype(np.int64) + count)
+            count += len(vertices)
+    vertices, faces = np.concatenate(pieces), np.concatenate(triangles)
+    shared = np.flatnonzero((vertices[:, 0] - low[0]) % _SLAB == 0)
+    _, first_of, same_as = np.unique(vertices[shared], axis=0, return_index=True, return_inverse=True)
+    kept = np.arange(count)
+    kept[shared] = shared[first_of][same_as.reshape(-1)]
+    used, renumbered = np.unique(kept, return_inverse=True)
+    return vertices[used] * grid.spacing, renumbered.reshape(-1)[faces]
 
 
 def open_ends(tree: VesselTree) -> list[tuple[Array, Array, float]]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import heapq
+import ctypes
 import logging
-from array import array
 from dataclasses import dataclass
-from math import inf, sqrt
 from pathlib import Path as FilePath
 from typing import Annotated
 
@@ -16,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.lattice.node_blocks import AROUND, STRIDES
+from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
 from cathsim.validation import LengthOrNone, quantity
 
@@ -28,6 +28,7 @@ _Aversion = Annotated[float, Interval(ge=0, le=1e6)]  # the search needs costs n
 _SNAP = 3  # lattice points between an end of the path and the lattice, at most
 _STEP = 1e-3  # m between the points of a smoothed path
 _ROUNDS = 60
+_FOUND, _NO_MEMORY = 0, 2  # what the native search returns
 
 
 class UnreachableError(ValueError):
@@ -123,85 +124,63 @@ def shortest_lattice_path(
     preferred_clearance = quantity("preferred_clearance", preferred_clearance, LengthOrNone)
     aversion = quantity("aversion", aversion, _Aversion)
     ends = [np.asarray(end, dtype=np.float64) for end in (start, target)]
-    free = grid.values >= clearance
-    first, last = (_nearest_free(grid, free, end, name) for end, name in zip(ends, ("start", "target"), strict=True))
-
-    # Crop to the free region with a closed border, so that a step never leaves the array.
-    inside = np.argwhere(free)
-    low, high = inside.min(axis=0), inside.max(axis=0) + 1
-    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    room = np.pad(free[box], 1)
-    corner = low - 1
-    weight = np.ones(room.shape, dtype=np.float64)
+    free = NodeSet.where(grid.blocks, lambda values: values >= clearance)
+    first, last = (
+        _nearest_free(grid, end, clearance, name) for end, name in zip(ends, ("start", "target"), strict=True)
+    )
+    weight = np.ones(len(free), dtype=np.float64)
     if preferred_clearance > 0:
-        near = 1.0 - np.pad(grid.values[box], 1) / preferred_clearance
-        weight += aversion * np.clip(near, 0.0, 1.0)
-
-    route = _search(room, weight, tuple(first - corner), tuple(last - corner))
+        weight += aversion * np.clip(1.0 - free.values / preferred_clearance, 0.0, 1.0)
+    route = _search(free, weight, first, last)
     if route is None:
         raise UnreachableError(
             f"no way through the lumen leads from {_text(ends[0])} to {_text(ends[1])} with {clearance * 1e3:g} mm of "
             "clearance: choose another target or less clearance."
         )
-    points = grid.coordinates(np.array(route) + corner)
+    points = grid.coordinates(route)
     points = np.concatenate([ends[0][None], points, ends[1][None]])
     moved = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9 * grid.spacing])
     return LumenPath(points[moved])
 
 
-def _search(
-    room: NDArray[np.bool_], weight: Array, first: tuple[int, ...], last: tuple[int, ...]
-) -> list[tuple[int, ...]] | None:
-    """A* from the target back to the start; lattice indices from start to target, or None. Lengths in lattice steps."""
-    shape = room.shape
-    strides = (shape[1] * shape[2], shape[2], 1)
-    begin, goal = (sum(i * s for i, s in zip(index, strides, strict=True)) for index in (last, first))
-    # flat arrays of the standard library: indexing a numpy array element by element costs several times as much
-    squares = [(np.arange(n) - i) ** 2.0 for n, i in zip(shape, first, strict=True)]
-    bound = np.sqrt(squares[0][:, None, None] + squares[1][None, :, None] + squares[2][None, None, :])
-    estimate, cost_here = array("d", bound.tobytes()), array("d", (0.5 * weight).tobytes())
-    waiting = bytearray(room.tobytes())
-    best = array("d", [inf]) * room.size
-    came_from: dict[int, int] = {}
-    moves = [
-        (i * strides[0] + j * strides[1] + k, sqrt(i * i + j * j + k * k))
-        for i in (-1, 0, 1)
-        for j in (-1, 0, 1)
-        for k in (-1, 0, 1)
-        if i or j or k
-    ]
-    best[begin] = 0.0
-    heap = [(estimate[begin], begin)]
-    push, pop = heapq.heappush, heapq.heappop
-    while heap:
-        _, here = pop(heap)
-        if not waiting[here]:
-            continue
-        waiting[here] = 0
-        if here == goal:
-            route = [here]
-            while route[-1] != begin:
-                route.append(came_from[route[-1]])
-            return [tuple(int(i) for i in np.unravel_index(index, shape)) for index in route]
-        so_far, half = best[here], cost_here[here]
-        for offset, distance in moves:
-            there = here + offset
-            if waiting[there]:
-                cost = so_far + distance * (half + cost_here[there])
-                if cost < best[there]:
-                    best[there] = cost
-                    came_from[there] = here
-                    push(heap, (cost + estimate[there], there))
-    return None
+def _search(free: NodeSet, weight: Array, first: NDArray[np.intp], last: NDArray[np.intp]) -> NDArray[np.int32] | None:
+    """A* from the target back to the start; lattice indices (n, 3) from start to target, or None.
+
+    Args:
+        weight: (n,) cost of a lattice step at each free node.
+        first, last: indices (3,) of start and target, free nodes.
+    """
+    from cathsim.contact.native import address, library
+
+    squares = [(np.arange(n) - i) ** 2.0 for n, i in zip(free.numbers.shape, first, strict=True)]
+    x, y, z = (square[free.indices[:, k]] for k, square in enumerate(squares))
+    bound, half = np.sqrt(x + y + z), 0.5 * weight
+    offsets = np.array(AROUND, dtype=np.int32) @ STRIDES.astype(np.int32)
+    lengths = np.sqrt(np.square(AROUND).sum(axis=1, dtype=np.float64))
+    begin, goal = free.number_at(last), free.number_at(first)
+    came_from = np.empty(len(free), dtype=np.int32)
+    arrays = (free.numbers.nodes, free.positions, offsets, lengths, half, bound)
+    ends = (ctypes.c_int32(begin), ctypes.c_int32(goal))
+    result = library().cathsim_shortest_path(len(free), *map(address, arrays), *ends, address(came_from))
+    if result == _NO_MEMORY:
+        raise MemoryError(f"no memory left for a path among {len(free)} grid nodes: use a coarser resolution")
+    if result != _FOUND:
+        return None
+    route = [goal]
+    while route[-1] != begin:
+        route.append(int(came_from[route[-1]]))
+    return free.indices[route]
 
 
-def _nearest_free(grid: SignedDistanceGrid, free: NDArray[np.bool_], end: Array, name: str) -> NDArray[np.intp]:
+def _nearest_free(grid: SignedDistanceGrid, end: Array, clearance: float, name: str) -> NDArray[np.intp]:
+    """Index (3,) of the free node nearest to an end of the path."""
     if end.shape != (3,) or not np.isfinite(end).all():
         raise ValueError(f"the path's {name} must be three finite coordinates, got {end.tolist()}.")
     index = (end - grid.origin) / grid.spacing
-    low = np.clip(np.floor(index).astype(int) - _SNAP, 0, np.array(free.shape))
-    high = np.clip(np.ceil(index).astype(int) + _SNAP + 1, 0, np.array(free.shape))
-    near = np.argwhere(free[low[0] : high[0], low[1] : high[1], low[2] : high[2]]) + low
+    low = np.clip(np.floor(index) - _SNAP, 0, grid.shape).astype(int)
+    high = np.clip(np.ceil(index) + _SNAP + 1, 0, grid.shape).astype(int)
+    box = (slice(low[0], high[0]), slice(low[1], high[1]), slice(low[2], high[2]))
+    near = np.argwhere(grid.dense(box) >= clearance) + low
     distance = np.linalg.norm(near - index, axis=1)
     if len(near) == 0 or distance.min() > _SNAP:
         raise ValueError(f"the path's {name} {_text(end)} lies outside the lumen: move it inside, away from the wall.")
@@ -278,7 +257,6 @@ def picture(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    thickness = 1e3 * grid.spacing * np.clip(grid.values / grid.spacing + 0.5, 0.0, 1.0)
     low, high = grid.bounds * 1e3
     points = path.points * 1e3
     figure = Figure(figsize=(8.0, 6.4), layout="constrained")
@@ -286,11 +264,11 @@ def picture(
     axes = figure.subplots(1, 2, sharey=True)
     views = (("from the front", 1, 0, "x, left (mm)"), ("from the left", 0, 1, "y, posterior (mm)"))
     for plot, (name, through, across, label) in zip(axes, views, strict=True):
-        depth = thickness.sum(axis=through)
+        depth = 1e3 * grid.thickness(through)
         half = 500 * grid.spacing
         extent = (low[across] - half, high[across] + half, low[2] - half, high[2] + half)
         plot.imshow(depth.T, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1.6 * depth.max())
-        silhouette = grid.values.max(axis=through).T
+        silhouette = grid.silhouette(through).T
         scale = [np.linspace(low[k], high[k], grid.shape[k]) for k in (across, 2)]
         plot.contour(*scale, silhouette, levels=[0.0], colors="0.35", linewidths=0.8)
         plot.plot(points[:, across], points[:, 2], color="tab:red", linewidth=1.8)
