@@ -49,6 +49,7 @@ RECORDS = {
     *(
         "fluoroscopy.radiograph:Radiograph",
         "observations.observables:Observable",
+        "observations.scan:Scan",
         "robot.cycle:Measured",
         "simulation:Contacts",
     ),
@@ -107,6 +108,7 @@ ZERO = {
     "LoadCell": {"resolution", "cutoff"},
     "NavigationTask": _OF_TASK,
     "ArchVarietyTask": _OF_TASK,
+    "Perturbation": {"walls", "shift", "turn", "stiffness", "friction", "breathing"},
     "Uncertainty": {"stiffness", "insertion", "rotation", "registration", "lumen", "friction", "curve"},
     "VarietyArch": {"seed"},
     "XRayScene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},

@@ -22,6 +22,7 @@ from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire
 from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
 from cathsim.observations.fluoroscopes import wire_radius_of
+from cathsim.observations.scan import Scan
 from cathsim.observations.sensors import Sensors
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
@@ -148,6 +149,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         pace: "usual", "arch_variety" (7.5 steps a second, 35 mm/s and 180 degrees/s at 1), or a `Pace`: duration of a
             step and what actions of 1 move in it.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
+        scan: None, or a `Scan` that roadmap and history show instead of the vessel itself.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
         task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
             replace the task's: success_radius, max_steps, start_jitter, start_rotation, reward, force_penalty,
@@ -179,6 +181,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         pace: str | Pace = "usual",
         cameras: str | BiplaneFluoroscope | None = None,
         registration_noise: float = 0.0,
+        scan: Scan | None = None,
         contact_info: bool = False,
         task: NavigationTask | None = None,
         **task_fields: Any,
@@ -218,6 +221,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             image_size=image_size,
             registration_noise=registration_noise,
             biplane=biplane,
+            scan=scan,
         )
         self.fluoroscope, self.biplane = self.sensors.fluoroscope, self.sensors.biplane
         self.roadmap, self.history = self.sensors.roadmap, self.sensors.history

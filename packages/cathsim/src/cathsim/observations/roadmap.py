@@ -14,6 +14,7 @@ from cathsim.contact.native import address, library
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import TIP_SITE
 from cathsim.lattice.native_lattice import LatticeStruct
+from cathsim.observations.scan import Scan
 from cathsim.simulation import Simulation
 from cathsim.validation import Unit, quantity
 
@@ -64,10 +65,17 @@ class Roadmap:
         target: one of its phantom's targets, or a point in the lumen.
         registration_noise: standard deviation, m an axis, of the displacement between scan and patient, which stays the
             same through an episode; 0: a perfect registration.
+        scan: what is shown of the vessel; None: the vessel itself.
     """
 
-    def __init__(self, simulation: Simulation, target: TargetLike, registration_noise: float = 0.0) -> None:
-        self.simulation = simulation
+    def __init__(
+        self,
+        simulation: Simulation,
+        target: TargetLike,
+        registration_noise: float = 0.0,
+        scan: Scan | None = None,
+    ) -> None:
+        self.simulation, self.scan = simulation, scan
         self.registration_noise = quantity("registration_noise", registration_noise, _Noise)
         self.offset = np.zeros(3)
         self.aim(target)
@@ -98,14 +106,19 @@ class Roadmap:
 
     def _native(self) -> _RoadmapStruct:
         if self._struct is None:  # the geodesic field is only loaded when it is wanted
-            grid = self.simulation.phantom.grid
-            self._fields = grid, self.simulation.phantom.geodesic_field(self.target)
+            shown = self.simulation.phantom if self.scan is None else self.scan.phantom
+            grid = shown.grid
+            self._fields = grid, shown.geodesic_field(self.target)
             wall, remain = (LatticeStruct.of(field.blocks) for field in self._fields)
             self._struct = _RoadmapStruct(tuple(grid.origin.tolist()), 1.0 / grid.spacing, wall, remain)
             native = library()
             self._follow, self._cast = native.cathsim_roadmap_path, native.cathsim_roadmap_rays
             self._follow.restype, self._cast.restype = ctypes.c_double, None
         return self._struct
+
+    def in_scan(self, place: np.ndarray) -> np.ndarray:
+        """Where the scan shows a place (3,) m, world frame."""
+        return (place if self.scan is None else self.scan.place(place)) + self.offset
 
     def frame(self) -> np.ndarray:
         """Axes of the tip's frame, as columns, world frame. Shape (3, 3)."""
@@ -157,10 +170,11 @@ class Roadmap:
         simulation = self.simulation
         points, axes = simulation.inserted_points(), self.frame()
         tip = points[0]
-        start = tip + self.offset
+        start = self.in_scan(tip)
+        there = axes if self.scan is None else self.scan.directions(axes)
         remaining = self._follow_from(start)
-        walls = self.walls(start, axes)
-        ahead = (self._path[self._shown] - start) @ axes / PATH_ARCS[:, None]
+        walls = self.walls(start, there)
+        ahead = (self._path[self._shown] - start) @ there / PATH_ARCS[:, None]
         arc = np.concatenate(([0.0], np.cumsum(np.sqrt(np.square(np.diff(points, axis=0)).sum(axis=1)))))
         behind = np.stack([np.interp(WIRE_ARCS, arc, points[:, k]) for k in range(3)], axis=1)
         behind = (behind - tip) @ axes / WIRE_ARCS[:, None]

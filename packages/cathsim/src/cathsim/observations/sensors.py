@@ -14,6 +14,7 @@ from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope
 from cathsim.observations.observables import make_observable
 from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap
+from cathsim.observations.scan import Scan
 from cathsim.observations.tracking import Tracking
 from cathsim.simulation import Simulation
 
@@ -29,6 +30,7 @@ class Sensors:
         observation: one name, or several.
         remaining: gives the way from a place (3,) m to the target of the moment, m.
         biplane: the C-arms that see the simulation, or None.
+        scan: what roadmap and history show of the vessel; None: the vessel itself.
 
     Raises:
         ValueError: no name, an unknown one, or an image size or noise out of range.
@@ -44,6 +46,7 @@ class Sensors:
         image_size: int,
         registration_noise: float,
         biplane: BiplaneFluoroscope | None,
+        scan: Scan | None = None,
     ) -> None:
         self._simulation, self._remaining = simulation, remaining
         names = [observation] if isinstance(observation, str) else list(observation)
@@ -52,7 +55,7 @@ class Sensors:
         self.reads_way = "history" in names
         self.fluoroscope = Fluoroscope(simulation, image_size)
         self.biplane = None if biplane is None else BiplaneView(simulation, biplane)
-        self.roadmap = Roadmap(simulation, target, registration_noise)
+        self.roadmap = Roadmap(simulation, target, registration_noise, scan)
         # its way through the geodesic field costs something: only where it is wanted
         self.history = History(simulation, self.way_left) if self.reads_way else None
         self.tracking = Tracking(simulation, self.roadmap) if "tracking" in names else None
@@ -64,7 +67,7 @@ class Sensors:
 
     def way_left(self) -> float:
         """The way from the tip to the target as the displaced scan shows it, m."""
-        return self._remaining(self._simulation.tip + self.roadmap.offset)
+        return self._remaining(self.roadmap.in_scan(self._simulation.tip))
 
     def begin(self, generator: np.random.Generator) -> None:
         """Starts an episode at the moment; draws the noise of images and registration."""

@@ -7,6 +7,7 @@ import gymnasium
 ENVIRONMENT = "cathsim/Navigate-v0"
 DUAL = "cathsim/NavigateDual-v0"
 MANY = "cathsim/NavigateMany-v0"
+COPIES = "cathsim/NavigateCopies-v0"
 ARCH_VARIETY = "cathsim/ArchVariety-v0"
 
 
@@ -37,3 +38,5 @@ def register() -> None:
             entry_point="cathsim.arch_variety.environment:ArchVarietyEnv",
             vector_entry_point="cathsim.arch_variety.environment:ThreadedArchVarietyVectorEnv",
         )
+    if COPIES not in gymnasium.registry:
+        gymnasium.register(id=COPIES, entry_point="cathsim.rehearsal.environment:NavigateCopiesEnv")

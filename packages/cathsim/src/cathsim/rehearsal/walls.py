@@ -1,0 +1,91 @@
+"""A phantom whose walls lie elsewhere than its scan's, smoothly."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cathsim.anatomy import Phantom
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.point_target import PointFields
+from cathsim.anatomy.vessel_tree import VesselTree
+
+MODES = 24  # waves of which the displacement is the sum
+WAVES = 0.030, 0.080  # m: shortest and longest of them
+BAND = 0.004  # m: beyond this distance from the wall nothing changes
+NARROWEST = 0.4  # of a branch's radius at most is lost
+
+_copies: WeakValueDictionary[tuple[str, int, float], Phantom] = WeakValueDictionary()
+_making = threading.RLock()
+
+
+def displaced_walls(phantom: Phantom, seed: int, farthest: float) -> Phantom:
+    """A phantom with walls displaced outwards or inwards by a smooth random field.
+
+    The field is a sum of waves of 30 to 80 mm in all directions, cut at twice its standard deviation. No
+    branch loses more than 40 % of its radius. Targets, entries, centrelines and the distances along the lumen are those
+    of the scan.
+
+    Args:
+        phantom: the scan.
+        seed: of the field.
+        farthest: largest displacement, m.
+
+    Returns:
+        The copy; calls with the same arguments share one object while it is used.
+    """
+    key = (phantom.hash, seed, farthest)
+    with _making:
+        copy = _copies.get(key)
+        if copy is None:
+            copy = _copies[key] = _displaced(phantom, seed, farthest)
+        return copy
+
+
+def wall_field(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """The displacement of the walls at points (n, 3) m as a share of the largest, outwards positive. Shape (n,)."""
+    generator = np.random.default_rng(seed)
+    directions = generator.standard_normal((MODES, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    waves = directions * (2 * np.pi / generator.uniform(*WAVES, (MODES, 1)))
+    phases = generator.uniform(0.0, 2 * np.pi, MODES)
+    total = np.zeros(len(points))
+    for wave, phase in zip(waves, phases, strict=True):
+        total += np.cos(points @ wave + phase)
+    return np.clip(total / (2 * np.sqrt(MODES / 2)), -1.0, 1.0)
+
+
+def _displaced(phantom: Phantom, seed: int, farthest: float) -> Phantom:
+    grid = phantom.grid
+    clamp = grid.blocks.constant
+    indices, values = grid.blocks.where(lambda value: value != clamp)
+    near = np.abs(values) < BAND
+    before = values[near]
+    points = grid.coordinates(indices[near])
+    moved = np.maximum(farthest * wall_field(points, seed), -NARROWEST * _radius_at(phantom.tree, points))
+    # full at the wall, nothing at the band's edge, so that what lies farther off stays as it is
+    values[near] = before + moved * (1.0 - np.square(before / BAND))
+    displaced = SignedDistanceGrid.from_nodes(indices, values, grid.shape, grid.origin, grid.spacing, outside=clamp)
+    return dataclasses.replace(
+        phantom,
+        name=f"{phantom.name}_copy{seed}",
+        hash=f"{phantom.hash}:{seed}:{farthest:g}",
+        parameters=None,
+        source=None,
+        grid=displaced,
+        _load_field=phantom.geodesic_field,
+        _fields={},
+        _points=PointFields(),
+        _lock=threading.Lock(),
+    )
+
+
+def _radius_at(tree: VesselTree, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Radius of the lumen where the centrelines are nearest to points (n, 3) m. Shape (n,), m."""
+    nearest = cKDTree(np.concatenate([branch.points for branch in tree])).query(points)[1]
+    return np.concatenate([branch.radius for branch in tree])[nearest]
