@@ -33,6 +33,7 @@ RECORDS = {
         "anatomy.distance_grid:LatticeField",
         "anatomy.distance_grid:SignedDistanceGrid",
         "anatomy.lumen_report:LumenReport",
+        "anatomy.measurement.sections:Sections",
     ),
     *("lattice.node_blocks:NodeBlocks", "lattice.node_set:NodeSet"),
     *("anatomy.phantom:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
