@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import VesselTree
-from cathsim.lattice.node_blocks import AROUND
-from cathsim.lattice.node_set import FACES, NodeSet
+from cathsim.lattice.native_lattice import NodeSetStruct
+from cathsim.lattice.node_set import NodeSet
 
 MARGIN = 4e-3  # m outside the lumen up to which the field continues its nearest inside value
 _SEED_RADIUS = 2e-3  # m: within this ball about the target the distance is the straight one
@@ -32,54 +32,43 @@ def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> LatticeField:
         raise ValueError(f"a geodesic target must lie inside the lumen, got {target.tolist()} m, {-depth:g} m outside.")
     seed = max(min(_SEED_RADIUS, 0.8 * depth), 1.01 * grid.spacing)
     band = NodeSet.where(grid.blocks, lambda values: -values < MARGIN + grid.spacing)
-    inside = np.flatnonzero(band.values > 0)
+    inside = band.values > 0
     axes = [grid.origin[k] + np.arange(grid.shape[k]) * grid.spacing - target[k] for k in range(3)]
-    x, y, z = (axis[band.indices[inside, k]] for k, axis in enumerate(axes))
-    straight = np.sqrt(x**2 + y**2 + z**2)
-    distance = _march(np.where(straight < seed, straight, np.inf), band, inside, grid.spacing)
-    reached = np.isfinite(distance)
-    field = np.full(len(band), np.inf, dtype=np.float32)
-    field[inside[reached]] = distance[reached]
+    x, y, z = (np.square(axis)[band.indices[:, k]] for k, axis in enumerate(axes))
+    straight = np.sqrt(x + y + z)
+    distance = np.where(inside & (straight < seed), straight, np.inf)
+    _march(distance, band, inside, grid.spacing)
+    farthest = float(distance[np.isfinite(distance)].max())
+    field = distance.astype(np.float32)
     _continue_outwards(field, band, grid.spacing)
-    farthest = float(distance[reached].max())
     field[~np.isfinite(field)] = farthest
     return LatticeField(band.spread(field, farthest), grid.origin, grid.spacing)
 
 
-def _march(
-    seeded: NDArray[np.float64], band: NodeSet, inside: NDArray[np.int64], spacing: float
-) -> NDArray[np.float64]:
-    """Distances at the lumen's nodes, m, from those that are finite already; infinite where there is no way."""
+def _march(distance: NDArray[np.float64], band: NodeSet, inside: NDArray[np.bool_], spacing: float) -> None:
+    """Fills in the distances (n,) at the lumen's nodes, m, from those that are finite; infinite where is no way."""
     from cathsim.contact.native import address, library
 
-    renumbered = np.full(len(band) + 1, -1, dtype=np.int32)  # the last one is that of no node
-    renumbered[inside] = np.arange(len(inside))
-    neighbours = np.stack([renumbered[band.neighbours(inside, step)] for step in FACES], axis=1)
-    accepted = np.zeros(len(inside), dtype=np.uint8)
+    accepted = np.zeros(len(band), dtype=np.uint8)
+    nodes = ctypes.byref(NodeSetStruct.of(band))
     march = library().cathsim_march
-    if march(len(inside), address(neighbours), ctypes.c_double(spacing), address(accepted), address(seeded)):
-        raise MemoryError(f"no memory left for the distances of {inside.size} grid nodes: use a coarser resolution")
-    return seeded
+    if march(nodes, address(inside), ctypes.c_double(spacing), address(accepted), address(distance)):
+        raise MemoryError(f"no memory left for the distances of {len(band)} grid nodes: use a coarser resolution")
 
 
 def _continue_outwards(field: NDArray[np.float32], band: NodeSet, spacing: float) -> None:
     """Fills a field (n,) on a band of nodes outside the lumen, layer by layer, with the mean of known neighbours."""
-    depth, open_ = -band.values, np.flatnonzero(~np.isfinite(field))
-    known = np.append(field, np.float32(np.inf))  # the last one is that of no node
+    from cathsim.contact.native import address, library
+
+    nodes = NodeSetStruct.of(band)
+    depth, open_ = -band.values, np.flatnonzero(~np.isfinite(field)).astype(np.int32)
     layers = int(np.ceil(MARGIN / spacing)) + 1
     for layer in range(1, layers + 1):
         chosen = open_[depth[open_] < layer * spacing]
-        total = np.zeros(len(chosen), dtype=np.float32)
-        count = np.zeros(len(chosen), dtype=np.float32)
-        for step in AROUND:
-            neighbour = known[band.neighbours(chosen, step)]
-            finite = np.isfinite(neighbour)
-            count += finite
-            total += np.where(finite, neighbour, 0)
-        reached = count > 0
-        known[chosen[reached]] = total[reached] / count[reached]
-        open_ = open_[~np.isfinite(known[open_])]
-    field[:] = known[:-1]
+        means = np.empty(len(chosen), dtype=np.float32)
+        arrays = (address(array) for array in (chosen, field, means))
+        library().cathsim_continue_outwards(ctypes.byref(nodes), len(chosen), *arrays)
+        open_ = open_[~np.isfinite(field[open_])]
 
 
 def graph_distance(tree: VesselTree, start: str, start_arc: ArrayLike, branch: str, arc: float) -> NDArray[np.float64]:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
+from cathsim.lattice.node_blocks import STRIDES, NodeBlocks
 
 PADDING = 7  # lattice points around the lumen
 _CELL = 3  # lattice points along the edge of a block that shares one nearest-centreline query
+_LAYERS = 24  # slabs of the lattice are a multiple of this thick: whole blocks and whole cells
+_DENSE = 8e6  # lattice points of a slab
+_BAND = 4  # lattice points from the wall within which slopes are corrected
 _BATCH = 200  # blocks worked on at once, so that they stay in the processor's cache
 _NEWTON_STEPS = 2
 _LONGEST_STEP = 2e-3  # m: the block's nearest sample is never further off than this where it matters
@@ -46,10 +52,33 @@ def build_lumen(tree: VesselTree, *, resolution: float, fillet_radius: float) ->
     high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
     origin = np.floor(low / resolution - PADDING) * resolution
     shape = np.ceil((high - origin) / resolution).astype(int) + PADDING + 1
-    field = np.full(shape, 2 * OUTSIDE, dtype=np.float32)
-    ostia = np.zeros(shape, dtype=bool)
+    thickness = max(_LAYERS, int(_DENSE / (shape[1] * shape[2])) // _LAYERS * _LAYERS)
+    blended: list[NDArray[np.int64]] = []
+
+    def slabs() -> Iterator[NDArray[np.float32]]:
+        for first in range(0, int(shape[0]), thickness):
+            field, ostia = _slab(tree, origin, shape, resolution, fillet_radius, slice(first, first + thickness))
+            near = np.argwhere(ostia & (np.abs(field) < _BAND * resolution))
+            near[:, 0] += first
+            blended.append(near)
+            # far outside the branches leave traces that nothing reads
+            field[field < OUTSIDE - 1.5 * _BAND * resolution] = 2 * OUTSIDE
+            yield field
+
+    nx, ny, nz = shape.tolist()
+    blocks = NodeBlocks.from_slabs(slabs(), (nx, ny, nz), 2 * OUTSIDE)
+    return SignedDistanceGrid(_unit_slope(blocks, np.concatenate(blended), resolution), origin, resolution)
+
+
+def _slab(
+    tree: VesselTree, origin: Array, shape: Array, spacing: float, fillet_radius: float, layers: slice
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Some layers of the lattice along x: the joined tubes, and where they were blended."""
+    size = (min(layers.stop, int(shape[0])) - layers.start, shape[1], shape[2])
+    field = np.full(size, 2 * OUTSIDE, dtype=np.float32)
+    ostia = np.zeros(size, dtype=bool)
     for branch in tree:
-        region, tube = _tube(branch, tree, origin, shape, resolution)
+        region, tube = _tube(branch, tree, origin, shape, spacing, layers)
         before = field[region]
         rounding = 1.17 * fillet_radius  # a quadratic smooth maximum this wide matches a fillet between right angles
         if branch.parent is not None and not branch.open_end and not _continued(branch, tree):
@@ -59,15 +88,13 @@ def build_lumen(tree: VesselTree, *, resolution: float, fillet_radius: float) ->
         overlap = np.maximum(rounding - np.abs(before - tube), 0.0)
         field[region] = np.maximum(before, tube) + overlap**2 / np.float32(4 * rounding)
         ostia[region] |= overlap > 0
-    field = _unit_slope(field, ostia, resolution)
-    np.maximum(field, np.float32(OUTSIDE), out=field)
-    return SignedDistanceGrid(field, origin, resolution)
+    return field, ostia
 
 
 def _tube(
-    branch: Branch, tree: VesselTree, origin: Array, shape: Array, spacing: float
+    branch: Branch, tree: VesselTree, origin: Array, shape: Array, spacing: float, layers: slice
 ) -> tuple[tuple[slice, slice, slice], NDArray[np.float32]]:
-    """One branch's own distance, on the part of the lattice near it."""
+    """One branch's own distance, on the part of the lattice's layers near it, counted from the first layer."""
     from scipy.spatial import cKDTree
 
     extend_start, extend_end = branch.parent is None, branch.open_end
@@ -75,6 +102,9 @@ def _tube(
     reach = float(branch.radius.max()) - OUTSIDE
     low = np.floor((branch.points.min(axis=0) - reach - origin) / spacing).astype(int) // _CELL * _CELL
     high = np.ceil((branch.points.max(axis=0) + reach - origin) / spacing).astype(int) // _CELL * _CELL + _CELL
+    low[0], high[0] = max(low[0], layers.start), min(high[0], layers.stop)  # whole cells: layers are
+    if high[0] <= low[0]:
+        return (slice(0, 0),) * 3, np.zeros((0, 0, 0), dtype=np.float32)
     cells = (high - low) // _CELL
 
     # Nearest centreline sample of each block's middle, then Newton's method from there for each lattice point.
@@ -100,7 +130,7 @@ def _tube(
 
     dense = tube.reshape(*cells, _CELL, _CELL, _CELL).transpose(0, 3, 1, 4, 2, 5).reshape(*(cells * _CELL))
     first, end = np.maximum(low, 0), np.minimum(high, shape)
-    region = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
+    region = tuple(slice(a - o, b - o) for a, b, o in zip(first, end, (layers.start, 0, 0), strict=True))
     inside = tuple(slice(a - o, b - o) for a, b, o in zip(first, end, low, strict=True))
     return (region[0], region[1], region[2]), dense[inside]
 
@@ -150,19 +180,20 @@ def _samples(branch: Branch, extend_start: bool, extend_end: bool) -> tuple[NDAr
     return arc, centre, tangent, bend, radius, cosine
 
 
-def _unit_slope(field: NDArray[np.float32], where: NDArray[np.bool_], spacing: float) -> NDArray[np.float32]:
-    """Divides the field by its slope where tubes were blended: first-order exact, and the wall stays where it is."""
-    band = 4 * spacing
-    chosen = np.nonzero(where & (np.abs(field) < band))
-    inner = tuple(np.clip(index, 1, size - 2) for index, size in zip(chosen, field.shape, strict=True))
-    square = np.zeros(len(inner[0]), dtype=np.float32)
-    for axis in range(3):
-        after, before = list(inner), list(inner)
-        after[axis], before[axis] = inner[axis] + 1, inner[axis] - 1
-        square += ((field[tuple(after)] - field[tuple(before)]) / np.float32(2 * spacing)) ** 2
-    value = field[chosen]
+def _unit_slope(blocks: NodeBlocks, chosen: NDArray[np.int64], spacing: float) -> NodeBlocks:
+    """Divides the field by its slope at chosen nodes (n, 3) and clamps it.
+
+    Where tubes were blended it becomes first-order exact, and the wall stays where it is.
+    """
+    band = _BAND * spacing
+    flat, at = blocks.nodes.reshape(-1), blocks.positions(np.clip(chosen, 1, np.array(blocks.shape) - 2))
+    square = np.zeros(len(chosen), dtype=np.float32)
+    for stride in STRIDES:
+        square += ((flat[at + stride] - flat[at - stride]) / np.float32(2 * spacing)) ** 2
+    value = blocks.at(chosen)
     near = np.clip(2 - 2 * np.abs(value) / band, 0, 1)  # fades out, so that no step arises at the band's edge
     slope = 1 + near * (np.clip(np.sqrt(square), 0.6, 1.2) - 1)
-    corrected = field.copy()
-    corrected[chosen] = value / slope
-    return corrected
+    own = blocks.own.copy()
+    block = blocks.table[tuple((chosen >> 3).T)] - 1
+    own[(block, *(chosen & 7).T)] = value / slope
+    return NodeBlocks.from_cores(blocks.stored, np.maximum(own, np.float32(OUTSIDE)), blocks.shape, OUTSIDE)

@@ -6,7 +6,7 @@ their middle belongs to. The native code reads the same layout (native/lattice.h
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -20,6 +20,7 @@ STRIDES = np.array([SIDE * SIDE, SIDE, 1])
 AROUND = tuple(offset for offset in product((-1, 0, 1), repeat=3) if any(offset))  # to the 26 neighbours
 
 _OWN = slice(1, EDGE + 1)
+_BATCH = 2**20  # nodes placed at once
 _LARGEST = 2**31  # nodes along an axis
 
 Shape = tuple[int, int, int]
@@ -54,16 +55,26 @@ class NodeBlocks:
         """
         if values.ndim != 3 or not values.size:
             raise ValueError(f"a lattice needs values of shape (nx, ny, nz), got {values.shape}.")
-        fill = values.dtype.type(values.min() if constant is None else constant)
-        if np.isnan(fill):
-            fill = values.dtype.type(0)
-        blocks = tuple(-(-n // EDGE) for n in values.shape)
-        padding = [(0, EDGE * b - n) for b, n in zip(blocks, values.shape, strict=True)]
-        padded = np.pad(values, padding, constant_values=fill) if any(after for _, after in padding) else values
-        split = padded.reshape(blocks[0], EDGE, blocks[1], EDGE, blocks[2], EDGE).transpose(0, 2, 4, 1, 3, 5)
-        occupied = (split != fill).any(axis=(3, 4, 5))
+        least = values.min() if constant is None else constant
         nx, ny, nz = values.shape
-        return cls.from_cores(occupied, split[occupied], (nx, ny, nz), fill.item())
+        return cls.from_slabs([values], (nx, ny, nz), 0.0 if np.isnan(least) else float(least))
+
+    @classmethod
+    def from_slabs(cls, slabs: Iterable[NDArray], shape: Shape, constant: float) -> NodeBlocks:
+        """Blocks of a lattice that comes slab by slab, so that it is never dense as a whole.
+
+        Args:
+            slabs: (layers, ny, nz), one after the other along x; all but the last of a multiple of 8 layers.
+        """
+        occupied, cores = [], []
+        for slab in slabs:
+            blocks = tuple(-(-n // EDGE) for n in slab.shape)
+            padding = [(0, EDGE * b - n) for b, n in zip(blocks, slab.shape, strict=True)]
+            padded = np.pad(slab, padding, constant_values=constant) if any(after for _, after in padding) else slab
+            split = padded.reshape(blocks[0], EDGE, blocks[1], EDGE, blocks[2], EDGE).transpose(0, 2, 4, 1, 3, 5)
+            occupied.append((split != slab.dtype.type(constant)).any(axis=(3, 4, 5)))
+            cores.append(split[occupied[-1]])
+        return cls.from_cores(np.concatenate(occupied), np.concatenate(cores), shape, constant)
 
     @classmethod
     def from_nodes(cls, indices: ArrayLike, values: NDArray, shape: Shape, constant: float) -> NodeBlocks:
@@ -87,13 +98,16 @@ class NodeBlocks:
             low, high = indices.min(axis=0).tolist(), indices.max(axis=0).tolist()
             raise ValueError(f"indices must lie within a lattice of {tuple(shape)} nodes, got {low} to {high}.")
         blocks = tuple(-(-n // EDGE) for n in shape)
-        at, within = indices >> 3, indices & 7
-        block = np.ravel_multi_index(tuple(at.T), blocks)
+        batches = [slice(first, first + _BATCH) for first in range(0, len(indices), _BATCH)]
         occupied = np.zeros(blocks, dtype=bool)
-        occupied.reshape(-1)[block] = True
-        number = np.cumsum(occupied.reshape(-1)) - 1
+        for batch in batches:
+            occupied[tuple((indices[batch] >> 3).T)] = True
+        number = np.cumsum(occupied, dtype=np.int64).reshape(blocks) - 1
         cores = np.full((int(occupied.sum()), EDGE**3), constant, dtype=values.dtype)
-        cores[number[block], within @ np.array([EDGE * EDGE, EDGE, 1])] = values
+        for batch in batches:
+            at = indices[batch]
+            x, y, z = (at & (EDGE - 1)).T
+            cores[number[tuple((at >> 3).T)], x * EDGE**2 + y * EDGE + z] = values[batch]
         nx, ny, nz = (int(n) for n in shape)
         return cls.from_cores(occupied, cores.reshape(-1, EDGE, EDGE, EDGE), (nx, ny, nz), constant)
 
@@ -104,6 +118,10 @@ class NodeBlocks:
         Nodes beyond the lattice must hold the constant.
         """
         fill = cores.dtype.type(constant)
+        differs = (cores != fill).any(axis=(1, 2, 3))
+        if not differs.all():
+            occupied, cores = occupied.copy(), cores[differs]
+            occupied[occupied] = differs
         stored, places = np.pad(occupied, 1), np.argwhere(occupied) + 1
         for offset in AROUND:  # a block next to nodes that are not constant keeps copies of them
             touching = cores[(slice(None), *(_FACE[step] for step in offset))] != fill
@@ -178,11 +196,17 @@ class NodeBlocks:
             dense = self.dense()
             chosen = condition(dense)
             return np.argwhere(chosen).astype(np.int32), dense[chosen]
-        own = self.own
-        chosen = condition(own)
-        indices, values = self.own_indices(chosen), own[chosen]
-        order = np.argsort(np.ravel_multi_index(tuple(indices.T), self.shape))
-        return indices[order], values[order]
+        found, values = [np.zeros((0, 3), dtype=np.int32)], [np.zeros(0, dtype=self.nodes.dtype)]
+        for layer in np.flatnonzero(self.table.any(axis=(1, 2))):
+            stored = np.argwhere(self.table[layer])
+            low, high = EDGE * stored.min(axis=0), EDGE * (stored.max(axis=0) + 1)
+            first = EDGE * int(layer)
+            box = (slice(first, first + EDGE), slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1])))
+            dense = self.dense(box)
+            chosen = condition(dense)
+            found.append(np.argwhere(chosen).astype(np.int32) + np.array([first, *low], dtype=np.int32))
+            values.append(dense[chosen])
+        return np.concatenate(found), np.concatenate(values)
 
     def own_indices(self, chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Indices (n, 3) of nodes chosen among `own` (blocks - 1, 8, 8, 8), block by block."""
@@ -257,7 +281,8 @@ class NodeBlocks:
         """
         at = indices >> 3
         block = self.table[at[..., 0], at[..., 1], at[..., 2]].astype(np.int64)
-        return block * SIDE**3 + ((indices & 7) + 1) @ STRIDES
+        within = [(indices[..., k] & (EDGE - 1)) + 1 for k in range(3)]
+        return block * SIDE**3 + (within[0] * SIDE**2 + within[1] * SIDE + within[2])
 
 
 # By the step to a neighbour: own nodes that it copies, where they stand in the stored block, and where they go.

@@ -35,4 +35,17 @@ static inline double lattice_interpolate(const Lattice* l, const int index[3], c
   return c0 + t[0] * (c1 - c0);
 }
 
+/* Some nodes of a lattice, numbered from 0 (lattice/node_set.py). */
+typedef struct {
+  int32_t count;
+  const int32_t* numbers;   /* a lattice in blocks with each node's number, -1 at all others */
+  const int64_t* positions; /* where each node stands in it */
+} NodeSet;
+
+/* Number of the neighbour a step away, -1 where that is none of the set; a step is a sum of NODE_X, NODE_Y and NODE_Z,
+ * each at most once forwards or backwards. */
+static inline int32_t node_neighbour(const NodeSet* set, int32_t node, int step) {
+  return set->numbers[set->positions[node] + step];
+}
+
 #endif

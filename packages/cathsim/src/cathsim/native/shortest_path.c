@@ -3,6 +3,8 @@
 #include <stdint.h>
 #include <stdlib.h>
 
+#include "lattice.h"
+
 enum { MOVES = 26 };
 
 typedef struct {
@@ -52,14 +54,12 @@ static Entry pop(Heap* h) {
 
 /* Cheapest way from node `begin` to `goal`.
  *
- * `numbers` is a lattice in blocks with the numbers of `count` nodes, -1 elsewhere; `positions` says where each stands
- * in it. A move to a neighbour, `offsets` away in it and `lengths` long, costs its length times the sum of `half` at
- * both ends; `bound` is a lower bound of the cost from each node to the goal. Fills `from` (count) with the node before
- * each on the way, -1 where there is none. Returns 0 where it found the goal, 1 where no way leads there, 2 when memory
- * is short. */
-int cathsim_shortest_path(int32_t count, const int32_t* numbers, const int64_t* positions, const int32_t offsets[MOVES],
-                          const double lengths[MOVES], const double* half, const double* bound, int32_t begin,
-                          int32_t goal, int32_t* from) {
+ * A move to a neighbour, a step of `steps` that is `lengths` long, costs its length times the sum of `half` at both
+ * ends; `bound` is a lower bound of the cost from each node to the goal. Fills `from` with the node before each on the
+ * way, -1 where there is none. Returns 0 where it found the goal, 1 where no way leads there, 2 when memory is short. */
+int cathsim_shortest_path(const NodeSet* set, const int32_t steps[MOVES], const double lengths[MOVES],
+                          const double* half, const double* bound, int32_t begin, int32_t goal, int32_t* from) {
+  const int32_t count = set->count;
   double* best = malloc(count * sizeof(double));
   uint8_t* closed = calloc(count, 1);
   Heap heap = {0};
@@ -80,7 +80,7 @@ int cathsim_shortest_path(int32_t count, const int32_t* numbers, const int64_t* 
       break;
     }
     for (int move = 0; move < MOVES; move++) {
-      const int32_t there = numbers[positions[here] + offsets[move]];
+      const int32_t there = node_neighbour(set, here, steps[move]);
       if (there < 0 || closed[there]) continue;
       const double cost = best[here] + lengths[move] * (half[here] + half[there]);
       if (cost < best[there]) {

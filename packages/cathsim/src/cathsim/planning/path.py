@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.lattice.native_lattice import NodeSetStruct
 from cathsim.lattice.node_blocks import AROUND, STRIDES
 from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
@@ -155,13 +156,13 @@ def _search(free: NodeSet, weight: Array, first: NDArray[np.intp], last: NDArray
     squares = [(np.arange(n) - i) ** 2.0 for n, i in zip(free.numbers.shape, first, strict=True)]
     x, y, z = (square[free.indices[:, k]] for k, square in enumerate(squares))
     bound, half = np.sqrt(x + y + z), 0.5 * weight
-    offsets = np.array(AROUND, dtype=np.int32) @ STRIDES.astype(np.int32)
+    steps = np.array(AROUND, dtype=np.int32) @ STRIDES.astype(np.int32)
     lengths = np.sqrt(np.square(AROUND).sum(axis=1, dtype=np.float64))
     begin, goal = free.number_at(last), free.number_at(first)
     came_from = np.empty(len(free), dtype=np.int32)
-    arrays = (free.numbers.nodes, free.positions, offsets, lengths, half, bound)
-    ends = (ctypes.c_int32(begin), ctypes.c_int32(goal))
-    result = library().cathsim_shortest_path(len(free), *map(address, arrays), *ends, address(came_from))
+    arrays = (address(array) for array in (steps, lengths, half, bound))
+    nodes = ctypes.byref(NodeSetStruct.of(free))
+    result = library().cathsim_shortest_path(nodes, *arrays, begin, goal, address(came_from))
     if result == _NO_MEMORY:
         raise MemoryError(f"no memory left for a path among {len(free)} grid nodes: use a coarser resolution")
     if result != _FOUND:
