@@ -2,9 +2,10 @@
 
 Truth is a wire at rest after random pushes and turns. The estimator gets its curve with noise that is smooth over
 10 mm, and in the real case a wrong insertion (1 mm), rotation (0.2 rad), place of the lumen (0.5 mm an axis), radius of
-the lumen (0.2 mm) and bending stiffness (10 %), all normal. The last line is JSON.
+the lumen (0.2 mm) and bending stiffness (10 %), all normal. With --pair a vertebral catheter lies over the wire; its
+insertion and rotation are wrong by as much as the wire's. The last line is JSON.
 
-    python benchmarks/cathsim/contact_forces.py [--quick] [--training] [--members 16] [--out results.json]
+    python benchmarks/cathsim/contact_forces.py [--quick] [--training | --pair] [--members 16] [--out results.json]
 """
 
 from __future__ import annotations
@@ -12,16 +13,15 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy import Phantom, load_phantom
-from cathsim.guidewire import Guidewire
+from benchmarks.cathsim.states_at_rest import LEAST_RESULTANT, PAIR, WIRE, Device, State, states_at_rest
+from cathsim.anatomy import load_phantom
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
 from cathsim.statics import (
@@ -33,10 +33,11 @@ from cathsim.statics import (
     noisy_curve,
 )
 from cathsim.statics.observed_curve import observed_curve
-from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
+from cathsim.statics.resting_contacts import resting_contacts
 
 NAMED, NAMED_STATES = ("type_1", "type_2", "bovine"), 2
 RANDOM, RANDOM_STATES = range(20), 1
+PAIR_RANDOM = range(8)
 TRAINING = range(200, 220)  # seeds of random arches for choices and calibration
 NOISES_MM = (0.0, 0.25, 0.5, 1.0)
 RECONSTRUCTED_MM = (
@@ -44,57 +45,10 @@ RECONSTRUCTED_MM = (
 )
 SEEDS = 3  # of noise and errors at that noise; one at the others
 MEMBERS = 16
-LEAST_RESULTANT = 0.03  # N: relative errors of less mean little
-WIRE = Guidewire().scaled(0.36)  # the default one, long enough for every branch
-REST = 20  # control steps before the truth is read
 QUANTITIES = ("resultant", "normal_sum", "largest")
 RESAMPLES = 1000
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class State:
-    """A wire at rest."""
-
-    phantom: Phantom
-    curve: Array  # from the entry to the tip, m. Shape (n, 3).
-    insertion: float  # m
-    rotation: float  # rad
-    truth: RestingContacts
-
-    @property
-    def forces(self) -> dict[str, float]:
-        """The true numbers, N."""
-        resultant = float(np.linalg.norm(self.truth.resultant))
-        return {"resultant": resultant, "normal_sum": self.truth.normal_sum, "largest": self.truth.largest}
-
-
-def states_at_rest(phantom: Phantom, count: int, seed: int) -> Iterator[State]:
-    """Wires at rest after random pushes and turns, with a resultant of 0.03 N at least."""
-    simulation = Simulation(phantom, WIRE, ACCURACY["accurate"])
-    generator = np.random.default_rng(seed)
-    simulation.reset(0.0, generator.uniform(-np.pi, np.pi))
-    while count:
-        goal, turn = generator.uniform(0.10, 0.30), generator.uniform(-0.5, 0.5)
-        for _ in range(int((simulation.insertion - goal) / 0.002)):
-            simulation.advance(-0.002, 0.0)
-        for _ in range(250):
-            if simulation.insertion > goal - 0.001:
-                break
-            push, twist = generator.normal(0.7, 0.4), turn + generator.normal(0.0, 0.35)
-            simulation.advance(0.002 * float(np.clip(push, -1, 1)), 0.26 * float(np.clip(twist, -1, 1)))
-        lean, turn = generator.uniform(-1, 1, 2)
-        for _ in range(generator.integers(5, 20)):
-            push, twist = lean + generator.normal(0.0, 0.4), turn + generator.normal(0.0, 0.7)
-            simulation.advance(0.002 * float(np.clip(push, -1, 1)), 0.26 * float(np.clip(twist, -1, 1)))
-        for _ in range(REST):
-            simulation.advance(0.0, 0.0)
-        curve = inserted_curve(simulation)
-        truth = resting_contacts(simulation, observed_curve(curve, phantom, "descending", simulation.max_insertion))
-        if simulation.valid and np.linalg.norm(truth.resultant) >= LEAST_RESULTANT:
-            count -= 1
-            yield State(phantom, curve, simulation.insertion, simulation.rotation, truth)
 
 
 def compared(state: State, estimate: ContactForces) -> dict[str, float]:
@@ -113,25 +67,32 @@ def compared(state: State, estimate: ContactForces) -> dict[str, float]:
     return row
 
 
-def measured(state: State, seed: int, noises: tuple[float, ...], members: int, workers: int) -> dict[Any, dict]:
-    """Rows of a state by case and noise."""
+def measured(
+    state: State, seed: int, noises: tuple[float, ...], members: int, workers: int, device: Device = WIRE
+) -> dict[Any, dict]:
+    """Rows of a state by case and noise; a pair is not estimated without feeder data."""
     rows = {}
-    exact = ContactForceEstimator(state.phantom, WIRE)
-    errors = drawn_errors(state.phantom, WIRE, Uncertainty(), np.random.default_rng(seed))
-    insertion = min(max(state.insertion + errors.insertion, 0.0), exact.max_insertion)
+    exact = ContactForceEstimator(state.phantom, device)
+    errors = drawn_errors(state.phantom, device, Uncertainty(), np.random.default_rng(seed))
+
+    def wrong(insertion: float, rotation: float) -> tuple[float, float]:
+        return min(max(insertion + errors.insertion, 0.0), exact.max_insertion), rotation + errors.rotation
+
+    feeders = (state.insertion, state.rotation), state.catheter
+    wrong_feeders = wrong(*feeders[0]), None if state.catheter is None else wrong(*state.catheter)
     real = ContactForceEstimator(errors.phantom, errors.device, members=members, workers=workers)
     for noise in noises:
         curve = noisy_curve(state.curve, 1e-3 * noise, np.random.default_rng(seed))
-        for case, estimator, feeder in (
-            ("exact", exact, (state.insertion, state.rotation)),
-            ("real", real, (insertion, state.rotation + errors.rotation)),
-            ("real, no feeder data", real, (None, None)),
+        for case, estimator, (feeder, catheter) in (
+            ("exact", exact, feeders),
+            ("real", real, wrong_feeders),
+            ("real, no feeder data", real, ((None, None), None)),
         ):
-            if case == "real, no feeder data" and noise != RECONSTRUCTED_MM:
+            if case == "real, no feeder data" and (noise != RECONSTRUCTED_MM or state.catheter is not None):
                 continue
             estimator.reset()
             began = time.perf_counter()
-            estimate = estimator.update(curve, *feeder)
+            estimate = estimator.update(curve, *feeder, catheter=catheter)
             rows[case, noise] = {**compared(state, estimate), "s": time.perf_counter() - began}
     return rows
 
@@ -225,27 +186,34 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="six states, one seed, noise 0.5 mm")
     parser.add_argument("--training", action="store_true", help="other random arches: for choices and calibration")
+    parser.add_argument(
+        "--pair", action="store_true", help="a vertebral catheter over the wire; noise 0.5 mm, one draw"
+    )
     parser.add_argument("--members", type=int, default=MEMBERS, help="of the ensemble")
     parser.add_argument("--workers", type=int, default=1, help="threads")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="of noise and errors at 0.5 mm; one at the others")
     parser.add_argument("--out", type=Path, help="gets every single row too")
     chosen = parser.parse_args()
-    noises = (RECONSTRUCTED_MM,) if chosen.quick or chosen.training else NOISES_MM
+    noises = (RECONSTRUCTED_MM,) if chosen.quick or chosen.training or chosen.pair else NOISES_MM
+    device = PAIR if chosen.pair else WIRE
     places: list[tuple[str, int | None, int]] = [(name, None, 2 if chosen.quick else NAMED_STATES) for name in NAMED]
-    places += [("random", seed, RANDOM_STATES) for seed in (() if chosen.quick else RANDOM)]
+    places += [
+        ("random", seed, RANDOM_STATES) for seed in (() if chosen.quick else PAIR_RANDOM if chosen.pair else RANDOM)
+    ]
     if chosen.training:
         places = [("random", seed, 3) for seed in TRAINING]
     began, rows, number = time.perf_counter(), [], 0
     for name, seed, count in places:
-        for state in states_at_rest(load_phantom(name, seed=seed), count, seed or 0):
+        for state in states_at_rest(load_phantom(name, seed=seed), count, seed or 0, device):
             number += 1
-            for draw in range(1 if chosen.quick else chosen.seeds):
+            for draw in range(1 if chosen.quick or chosen.pair else chosen.seeds):
                 found = measured(
                     state,
                     10 * number + draw,
                     noises if draw == 0 else (RECONSTRUCTED_MM,),
                     chosen.members,
                     chosen.workers,
+                    device,
                 )
                 for (case, noise), row in found.items():
                     where = {"state": number, "anatomy": state.phantom.name, "seed": draw}
@@ -256,7 +224,9 @@ def main() -> None:
     head = " | ".join(f"{name:>19s}" for name in QUANTITIES)
     print(f"{'case':22s} noise    n | {head} | place, mm    | s\n{'':34s} | (median %, 90th percentile %, held %)")
     print("\n".join(printed(line) for line in lines))
-    tracked = [sequences(3, 10 if chosen.quick else 40, members) for members in (1, chosen.members)]
+    tracked = (
+        [] if chosen.pair else [sequences(3, 10 if chosen.quick else 40, members) for members in (1, chosen.members)]
+    )
     for line in tracked:
         print({key: round(value, 1) for key, value in line.items()})
     summary = {"states": number, "members": chosen.members, "wall_s": time.perf_counter() - began}

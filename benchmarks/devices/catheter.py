@@ -1,13 +1,14 @@
 """A wire in a catheter: statics against theory, stability under random motions, speed, forces of the expert.
 
-    python benchmarks/devices/catheter.py [--quick] [--seeds N] [--steps N]
+    python benchmarks/devices/catheter.py [--quick] [--parts A,B] [--seeds N] [--first-seed N] [--steps N]
 
 Prints tables and, as its last line, one JSON object: cantilever_pct, the largest error of ten coverages; two_rods_deg,
 the largest angle between the ends of the composite rod and of two rods on one centreline; penetration_p99_mm, the
 largest of the catheters' 99th percentiles of the deepest penetration after each substep; nan, the number of runs that
 became invalid; speed_ratio, steps a second of processor time with the vertebral catheter over those of the bare wire
-(`accurate`, in turns, median); force_mean_n and force_sd_n, of the readings of a load cell under the phantom (ATI
-Mini40, SI-20-1, low-pass of 2 Hz) over the steps of the sampling expert with the vertebral catheter in Type I.
+(`accurate`, in turns, median), both devices fed together; speed_ahead_ratio, with the wire ahead; force_mean_n and
+force_sd_n, of the readings of a load cell under the phantom (ATI Mini40, SI-20-1, low-pass of 2 Hz) over the steps of
+the sampling expert with the vertebral catheter in Type I.
 --quick takes one seed, few steps and a small budget of the search, below 60 s.
 """
 
@@ -44,6 +45,9 @@ REAL_MEAN, REAL_SD = 0.40, 0.19  # N, measured by the thesis, a catheter steered
 BURST = (5, 40)  # control steps in which the mean motion stays
 RESTART = 500  # control steps after which a run begins again in the sheath
 SPREAD = 0.4  # of a motion about that mean, in shares of a full step
+AHEAD = 0.5  # share of the wire's speed at which the catheter follows it
+AHEAD_STEPS = 240
+PARTS = ("theory", "stability", "speed", "forces")
 QUICK_EXPERT = ExpertSettings(samples=8, elites=3, rounds=1, primitives=True)
 ROUNDS, QUICK_ROUNDS = 9, 3
 SPEED_STEPS = 300
@@ -90,38 +94,59 @@ def depths(catheter: str, steps: int, seed: int) -> tuple[Array, bool]:
     return 1e3 * np.concatenate(found), simulation.valid
 
 
-def stability(steps: int, seeds: int) -> dict[str, float]:
+def stability(steps: int, seeds: range) -> dict[str, float]:
     """Random motions with every catheter."""
     print(f"\n{'catheter':<12} {'runs x steps':>14} {'p99, mm':>8} {'max, mm':>8} {'invalid':>8}")
     largest, broken = 0.0, 0
     for catheter in SHAPES:
-        runs = [depths(catheter, steps, seed) for seed in range(seeds)]
+        runs = [depths(catheter, steps, seed) for seed in seeds]
         all_depths, invalid = np.concatenate([run[0] for run in runs]), sum(not run[1] for run in runs)
         p99 = float(np.percentile(all_depths, 99))
         largest, broken = max(largest, p99), broken + invalid
-        print(f"{catheter:<12} {f'{seeds} x {steps}':>14} {p99:8.3f} {all_depths.max():8.3f} {invalid:8d}", flush=True)
+        print(
+            f"{catheter:<12} {f'{len(seeds)} x {steps}':>14} {p99:8.3f} {all_depths.max():8.3f} {invalid:8d}",
+            flush=True,
+        )
     print(f"aim: no invalid run, p99 below {DEEPEST} mm")
     return {"penetration_p99_mm": largest, "nan": broken}
 
 
+def ahead_per_second(environment: NavigateEnv, seed: int) -> float:
+    """Steps a second of processor time, the wire fed at full speed, a catheter at `AHEAD` of it; resets count."""
+    forwards = np.array((1.0, 0.0, AHEAD, 0.0)[: environment.feeders.shape[0]])
+    environment.reset(seed=seed)
+    begin = time.process_time()
+    for step in range(AHEAD_STEPS):
+        if step % (AHEAD_STEPS // 2) == 0:
+            environment.reset(seed=seed)
+        environment.step(forwards)
+    return AHEAD_STEPS / max(time.process_time() - begin, 1e-9)
+
+
 def speeds(rounds: int, presets: tuple[str, ...]) -> dict[str, float]:
-    """Speeds of the bare wire and with catheters in turns; half the steps at random, half forwards."""
-    ratios: dict[tuple[str, str], float] = {}
-    print(f"\n{'preset':<10} {'catheter':<12} {'steps/s':>8} {'over bare':>10} {'least':>6} {'most':>6}")
+    """Speeds of the bare wire and with catheters in turns: fed together, half of it at random; and the wire ahead."""
+    ratios: dict[tuple[str, str, str], float] = {}
+    print(f"\n{'motion':<9} {'preset':<10} {'catheter':<12} {'steps/s':>8} {'over bare':>10} {'least':>6} {'most':>6}")
     for preset in presets:
         environments = {
             name: NavigateEnv(PHANTOM, catheter=name, accuracy=preset, observation="tip", success_radius=1e-6)
             for name in (None, *SPEED_CATHETERS)
         }
-        rates = np.array(
-            [[steps_per_second(one, SPEED_STEPS, seed=turn) for one in environments.values()] for turn in range(rounds)]
-        )
-        for name, rate in zip(environments, rates.T, strict=True):
-            ratio = rate / rates[:, 0]
-            ratios[preset, str(name)] = float(np.median(ratio))
-            figures = f"{np.median(rate):8.0f} {np.median(ratio):10.2f} {ratio.min():6.2f} {ratio.max():6.2f}"
-            print(f"{preset:<10} {name or '-':<12} {figures}", flush=True)
-    return {"speed_ratio": ratios["accurate", CATHETER]}
+        motions = {
+            "together": lambda one, turn: steps_per_second(one, SPEED_STEPS, seed=turn),
+            "ahead": ahead_per_second,
+        }
+        for motion, rate_of in motions.items():
+            rates = np.array([[rate_of(one, turn) for one in environments.values()] for turn in range(rounds)])
+            for name, rate in zip(environments, rates.T, strict=True):
+                ratio = rate / rates[:, 0]
+                ratios[motion, preset, str(name)] = float(np.median(ratio))
+                figures = f"{np.median(rate):8.0f} {np.median(ratio):10.2f} {ratio.min():6.2f} {ratio.max():6.2f}"
+                print(f"{motion:<9} {preset:<10} {name or '-':<12} {figures}", flush=True)
+    return {
+        "speed_ratio": ratios["together", "accurate", CATHETER],
+        "speed_ahead_ratio": ratios["ahead", "accurate", CATHETER],
+    }
 
 
 def expert_readings(target: str, seed: int, settings: ExpertSettings) -> tuple[Array, Array, bool]:
@@ -159,15 +184,27 @@ def main() -> None:
     """Runs all parts, prints their tables and a JSON line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one seed, few steps, a small search: below 60 s")
+    parser.add_argument("--parts", default=",".join(PARTS), help="what is measured, with commas between")
     parser.add_argument("--seeds", type=int, default=3, help="of the expert; random motions take one more")
+    parser.add_argument("--first-seed", type=int, help="of random motions, which then take as many as --seeds")
     parser.add_argument("--steps", type=int, default=20_000, help="of a run with random motions")
     arguments = parser.parse_args()
-    quick, begin = arguments.quick, time.perf_counter()
-    figures = theory()
-    figures |= stability(300 if quick else arguments.steps, 1 if quick else arguments.seeds + 1)
-    figures |= speeds(QUICK_ROUNDS if quick else ROUNDS, ("accurate",) if quick else ("accurate", "fast"))
-    targets, seeds = (TARGETS[:1], 1) if quick else (TARGETS, arguments.seeds)
-    figures |= expert_forces(targets, seeds, QUICK_EXPERT if quick else TWO_DEVICES)
+    quick, begin, parts = arguments.quick, time.perf_counter(), arguments.parts.split(",")
+    if unknown := set(parts) - set(PARTS):
+        parser.error(f"unknown parts {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
+    motions = range(arguments.seeds + 1)
+    if arguments.first_seed is not None:
+        motions = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    figures: dict[str, float] = {}
+    if "theory" in parts:
+        figures |= theory()
+    if "stability" in parts:
+        figures |= stability(300 if quick else arguments.steps, range(1) if quick else motions)
+    if "speed" in parts:
+        figures |= speeds(QUICK_ROUNDS if quick else ROUNDS, ("accurate",) if quick else ("accurate", "fast"))
+    if "forces" in parts:
+        targets, seeds = (TARGETS[:1], 1) if quick else (TARGETS, arguments.seeds)
+        figures |= expert_forces(targets, seeds, QUICK_EXPERT if quick else TWO_DEVICES)
     rounded = {name: round(value, 4) for name, value in figures.items()}
     print(json.dumps(rounded | {"wall_s": round(time.perf_counter() - begin, 1)}))
 
