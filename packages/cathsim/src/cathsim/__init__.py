@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cathsim.registration import ENVIRONMENT, register
 
 if TYPE_CHECKING:
-    from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
+    from cathsim.anatomy import PHANTOMS, Phantom, import_anatomy, load_phantom
     from cathsim.devices.catheter import Catheter
     from cathsim.devices.shelf import CATHETERS, load_catheter
     from cathsim.environment import NavigateEnv
@@ -26,6 +26,7 @@ __version__ = "0.1.0"
 _HOME = {
     "PHANTOMS": "anatomy",
     "Phantom": "anatomy",
+    "import_anatomy": "anatomy",
     "load_phantom": "anatomy",
     "Catheter": "devices.catheter",
     "CATHETERS": "devices.shelf",
@@ -55,6 +56,7 @@ __all__ = [
     "Phantom",
     "Simulation",
     "ThreadedVectorEnv",
+    "import_anatomy",
     "load_catheter",
     "load_guidewire",
     "load_phantom",

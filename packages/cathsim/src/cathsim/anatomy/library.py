@@ -23,8 +23,8 @@ from cathsim.anatomy.generator.recipe import (
     recipe_content,
     recipe_of,
 )
+from cathsim.anatomy.importing import import_again, import_anatomy, import_digest, is_anatomy_path
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.mesh.reading import is_mesh_path
 from cathsim.anatomy.phantom import Phantom, locate_entries, locate_targets
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
@@ -99,7 +99,7 @@ def load_phantom(
         ValueError: for an unknown name, a missing or misplaced seed, or an impossible resolution.
     """
     if parameters is None:
-        if is_mesh_path(name):
+        if is_anatomy_path(name):
             return _import(name, seed, resolution, cache_dir)
         parameters = _parameters_of(name, seed)
         if name in RANDOM:
@@ -148,7 +148,7 @@ def phantom_described(description: Mapping[str, Any]) -> Phantom:
     """
     name, resolution = description["name"], description["resolution"]
     if "mesh" in description:
-        return _described_mesh(description)
+        return _described_import(description)
     if "parameters" in description or "variety" in description:
         phantom = _load_arch(name, recipe_of(description), resolution)
     else:
@@ -157,15 +157,10 @@ def phantom_described(description: Mapping[str, Any]) -> Phantom:
     return phantom
 
 
-def _described_mesh(description: Mapping[str, Any]) -> Phantom:
-    from cathsim.anatomy.mesh.importer import import_mesh, mesh_digest
-
-    path, unit, names = (description["mesh"][key] for key in ("path", "unit", "names"))
-    names = None if names is None else tuple(one if isinstance(one, str) else tuple(one) for one in names)
-    # before the import, which takes its time
-    _require_same(description, mesh_digest(Path(path), unit, names, float(description["resolution"])))
-    renamed = dict(names) if names and not isinstance(names[0], str) else names
-    return import_mesh(path, unit=unit, names=renamed, resolution=description["resolution"])
+def _described_import(description: Mapping[str, Any]) -> Phantom:
+    source, resolution = description["mesh"], float(description["resolution"])
+    _require_same(description, import_digest(source, resolution))  # before the import, which takes its time
+    return import_again(source, resolution)
 
 
 def _require_same(description: Mapping[str, Any], digest: str) -> None:
@@ -198,11 +193,9 @@ def build_phantom(name: str, parameters: Recipe, *, resolution: float = 1e-3) ->
 
 
 def _import(path: str, seed: int | None, resolution: float, cache_dir: Path | None) -> Phantom:
-    from cathsim.anatomy.mesh.importer import import_mesh
-
     if seed is not None:
-        raise ValueError(f"a phantom from a mesh takes no seed, got {seed!r}; only 'random' does.")
-    return import_mesh(path, resolution=resolution, cache_dir=cache_dir)
+        raise ValueError(f"a phantom from a file takes no seed, got {seed!r}; only 'random' does.")
+    return import_anatomy(path, resolution=resolution, cache_dir=cache_dir)
 
 
 def _parameters_of(name: str, seed: int | None) -> Recipe:

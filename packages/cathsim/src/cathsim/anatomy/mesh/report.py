@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ class ImportReport:
     automatic_names: dict[str, str]  # name of each branch to the name that was found for it
     way_length: dict[str, float]  # m from the entry "descending" to each target along the centrelines
     notes: tuple[str, ...]  # what was left out, assumed or changed
+    # ml of every vessel of a label volume: of its voxels, and of its part of the lumen
+    volumes_ml: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """As a value that JSON can hold."""
@@ -45,7 +47,9 @@ class ImportReport:
         """From what `to_json` gave, through JSON."""
         rotation = tuple((float(a), float(b), float(c)) for a, b, c in value["rotation"])
         x, y, z = value["offset"]
-        return cls(**{**value, "rotation": rotation, "offset": (x, y, z), "notes": tuple(value["notes"])})
+        volumes = {name: (float(a), float(b)) for name, (a, b) in value.get("volumes_ml", {}).items()}
+        content = {"rotation": rotation, "offset": (x, y, z), "notes": tuple(value["notes"]), "volumes_ml": volumes}
+        return cls(**{**value, **content})
 
 
 class MeshRefusedError(ValueError):

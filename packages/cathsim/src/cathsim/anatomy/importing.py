@@ -1,0 +1,82 @@
+"""The one door for anatomies from files: surfaces, label volumes, and folders of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cathsim.anatomy.mesh.importer import import_mesh, mesh_digest
+from cathsim.anatomy.mesh.reading import is_mesh_path
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.mesh.surface_import import Names
+from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.volume.importer import import_volume, volume_digest
+from cathsim.anatomy.volume.labels import Labels
+from cathsim.anatomy.volume.reading import is_volume_path
+
+
+def is_anatomy_path(name: str) -> bool:
+    """Whether a phantom's name is the path of an anatomy: it ends like a file of one, or is a folder."""
+    return is_mesh_path(name) or is_volume_path(name)
+
+
+def import_anatomy(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    labels: Labels = None,
+    names: Names = None,
+    resolution: float = 1e-3,
+    cache_dir: Path | None = None,
+) -> Phantom:
+    """Makes a phantom of a patient's anatomy; cached by content.
+
+    Args:
+        path: a surface (see `import_mesh`), a label volume, or a folder with one volume a vessel (see `import_volume`).
+        unit: of a surface; a volume's header has its own.
+        labels: which label of a volume is which vessel.
+        names: names of the user's own, by automatic name or in order along the arch.
+        resolution: m between lattice points of the distance grid.
+        cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
+
+    Raises:
+        MeshRefusedError: a ValueError with the reason.
+        ValueError: for an impossible resolution, or an argument that the kind of file does not take.
+    """
+    if not is_volume_path(path):
+        if labels:
+            raise MeshRefusedError(f"{Path(path).name} is no label volume, it takes no labels; give names instead.")
+        return import_mesh(path, unit=unit, names=names, resolution=resolution, cache_dir=cache_dir)
+    if unit is not None:
+        raise MeshRefusedError(f"{Path(path).name} has its unit in its header and takes none; leave unit={unit!r} out.")
+    return import_volume(path, labels=labels, names=names, resolution=resolution, cache_dir=cache_dir)
+
+
+def import_digest(source: Mapping[str, Any], resolution: float) -> str:
+    """The hash of the phantom that an import gives.
+
+    Args:
+        source: what a phantom was imported with: path, unit, names and for a volume labels.
+    """
+    path, names = Path(source["path"]), _tuples(source["names"])
+    if is_volume_path(path):
+        return volume_digest(path, _tuples(source.get("labels")), names, resolution)
+    return mesh_digest(path, source["unit"], names, resolution)
+
+
+def import_again(source: Mapping[str, Any], resolution: float) -> Phantom:
+    """The phantom of an import that was made before, by what it was imported with."""
+    names, labels = _tuples(source["names"]), _tuples(source.get("labels"))
+    return import_anatomy(
+        source["path"],
+        unit=source["unit"],
+        labels=dict(labels) if labels else None,
+        names=dict(names) if names and not isinstance(names[0], str) else names,
+        resolution=resolution,
+    )
+
+
+def _tuples(value: Any) -> tuple | None:
+    """Lists as JSON holds them, as tuples again."""
+    return None if value is None else tuple(one if isinstance(one, str) else tuple(one) for one in value)

@@ -1,0 +1,284 @@
+"""Courses of labelled vessels: the aorta from its lower to its upper end, each vessel from its take-off to its end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.centreline import arc_length, resampled, smoothed
+from cathsim.anatomy.cross_section import plane_coordinates
+from cathsim.anatomy.mesh.branches import RoughVessel
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.vessel_names import AORTA
+from cathsim.anatomy.volume.family import Family
+from cathsim.anatomy.volume.lattice import Nodes
+from cathsim.anatomy.volume.lumen_graph import LumenGraph
+from cathsim.anatomy.volume.union import FlatEnd
+
+_INFERIOR = 0.3  # how much a lower place speaks for the descending end, against one further back
+_ACCESS = ("iliac_right", "iliac_left")  # by which a wire comes in, the usual side first
+_AT_TIP = (1.5, 3e-3)  # radii and m before a vessel's tip within which others leave its end
+_FULL = 0.8  # of the usual depth, at which a vessel has its full width
+_LOOK_BACK = (2.0, 6e-3)  # radii and m of the way before the tip that say what is usual
+_HALF_SECTION = 0.5  # of the section's area, where a rounded end is cut flat
+_STEEP = 0.77  # cosine of the angle to the volume's face up to which an end there is left as the face cuts it
+_STEP = 1e-3  # m along ways
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Tip:
+    """Where a vessel ends."""
+
+    node: int  # of the graph
+    end: FlatEnd
+    cut: bool  # by the volume's edge
+    flat: bool = False  # whether that edge is its end as it is
+
+
+@dataclass(eq=False)
+class Courses:
+    """Where labelled vessels run, in the graph of their lumen."""
+
+    graph: LumenGraph
+    which: NDArray[np.uint8]  # (n,) number of the vessel that each node belongs to
+    family: Family
+    main: list[int]  # vessels that the main course follows, from where the wire comes in
+    start: int  # node of the main course's first end
+    last: int  # of its other end
+    tips: dict[int, int] = field(default_factory=dict)  # node of the far end by vessel; none where others go on from it
+    forks: dict[int, int] = field(default_factory=dict)  # node where a vessel's daughters part, by vessel
+
+    def nodes_of(self, *numbers: int) -> NDArray[np.bool_]:
+        """Which nodes (n,) belong to vessels."""
+        return np.isin(self.which, numbers)
+
+    def children(self, number: int) -> list[int]:
+        """Vessels that leave a vessel."""
+        return [n for n, link in self.family.links.items() if link.parent == number]
+
+
+def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, ostia: dict[int, Array]) -> Courses:
+    """Finds the ends of all vessels.
+
+    Args:
+        graph: of the lumen, patient's axes (left, posterior, superior).
+        ostia: (3,) m, middle of each vessel's take-off.
+    """
+    root = family.order[0]
+    mine = which == root
+    seed = int(np.flatnonzero(mine)[np.argmax(graph.depth[mine])])
+    first = _farthest(graph.away(seed, mine))
+    second = _farthest(graph.away(first, mine))
+    numbers = {name: number for number, name in family.names.items()}
+    access = next((numbers[name] for name in _ACCESS if name in numbers), None)
+    main = [root]
+    if access is not None and family.links[access].parent == root:
+        # the aorta's end at the take-off is none: the way goes on to the groin
+        gaps = [np.linalg.norm(graph.points[node] - ostia[access]) for node in (first, second)]
+        lower, upper = (first, second) if gaps[0] < gaps[1] else (second, first)
+        main = [access, root]
+        while onward := [n for n in family.links if family.links[n].parent == main[0] and _onward(family.names[n])]:
+            main.insert(0, onward[0])
+        lower = _farthest(graph.away(upper, np.isin(which, main)))
+    else:
+        height = [graph.points[n][2] * _INFERIOR - graph.points[n][1] for n in (first, second)]
+        lower, upper = (first, second) if height[0] < height[1] else (second, first)
+    courses = Courses(graph, which, family, main, lower, upper)
+    away = graph.away(lower)
+    for number in family.order:
+        own = np.flatnonzero((which == number) & np.isfinite(away))
+        if number in main or len(own) == 0:
+            continue
+        tip = int(own[np.argmax(away[own])])
+        radius = float(np.quantile(graph.depth[own], 0.95))
+        reach = _AT_TIP[0] * radius + _AT_TIP[1]
+        at_tip = [
+            n
+            for n in courses.children(number)
+            if away[tip] - away[graph.nearest(ostia[n], which == number)] < reach + family.links[n].radius
+        ]
+        if at_tip:
+            middle = np.mean([ostia[n] for n in at_tip], axis=0)
+            courses.forks[number] = graph.nearest(middle, which == number)
+        else:
+            courses.tips[number] = tip
+    return courses
+
+
+def _onward(name: str) -> bool:
+    return name.startswith(("external_iliac", "femoral"))
+
+
+def _farthest(away: Array) -> int:
+    return int(np.argmax(np.where(np.isfinite(away), away, -1.0)))
+
+
+def flat_end(
+    courses: Courses, number: int, tip: int, begin: int, faces: list[tuple[Array, Array]], reach: float
+) -> Tip:
+    """The flat end of a vessel at its tip.
+
+    Args:
+        begin: node from which the vessel is followed.
+        faces: points and outward normals of the volume's faces.
+        reach: m between a tip and a face that cuts it.
+    """
+    graph = courses.graph
+    mine = courses.nodes_of(*courses.main) if number in courses.main else courses.nodes_of(number)
+    way = _way_within(graph, begin, tip, mine)
+    points, depth = graph.points[way], graph.depth[way]
+    from_end = arc_length(points[::-1])[::-1]
+    index = _full_width(from_end, depth)
+    radius = float(np.median(depth[(from_end >= from_end[index]) & (from_end <= from_end[index] + 2 * depth[index])]))
+    direction = _direction(points[: index + 1], 2.5 * radius)
+    base = points[index]
+    cut = next((f for f in faces if (f[0] - points[-1]) @ f[1] < reach and direction @ f[1] > 0.2), None)
+    if cut is not None:
+        place, normal = cut
+        steepness = float(direction @ normal)
+        to_face = float((place - base) @ normal) / steepness
+        if steepness >= _STEEP:
+            return Tip(tip, FlatEnd(base, direction, max(to_face, 1e-4), radius), True, True)
+        # a plane across the vessel whose whole section lies before the face
+        back = to_face - radius * float(np.sqrt(1 - steepness**2)) / steepness
+        if back < 0:
+            index = int(np.argmin(np.abs(from_end - (from_end[index] - back))))
+            base, back = points[index], 0.0
+        return Tip(tip, FlatEnd(base, direction, max(back, 1e-4), radius), True)
+    beyond = _half_section(graph.points[mine], base, direction, radius, graph.spacing)
+    return Tip(tip, FlatEnd(base, direction, beyond, radius), False)
+
+
+def _full_width(from_end: Array, depth: Array) -> int:
+    """Last point of a way where the vessel has its usual width."""
+    for index in range(len(depth) - 1, -1, -1):
+        reach = from_end[index] + _LOOK_BACK[0] * depth[index] + _LOOK_BACK[1]
+        before = (from_end >= from_end[index]) & (from_end <= reach)
+        if depth[index] >= _FULL * depth[before].max():
+            return index
+    return 0
+
+
+def _half_section(points: Array, base: Array, normal: Array, radius: float, spacing: float) -> float:
+    """How far (m) beyond a base a vessel's section falls to half its area."""
+    height, aside = plane_coordinates(points, base, normal)
+    near = (aside < 2 * radius) & (height > -radius) & (height < 3 * radius)
+    full = np.count_nonzero(near & (height <= 0)) / radius
+    for beyond in np.arange(0.0, 3 * radius, spacing):
+        count = np.count_nonzero(near & (height > beyond) & (height <= beyond + 2 * spacing)) / (2 * spacing)
+        if count < _HALF_SECTION * full:
+            return float(beyond + spacing)
+    return 3 * radius
+
+
+def _direction(points: Array, length: float) -> Array:
+    """Unit direction of a polyline's last stretch."""
+    if len(points) < 2:
+        raise MeshRefusedError("a vessel is too short to have an end; take a finer resolution.")
+    from_end = arc_length(points[::-1])[::-1]
+    some = points[from_end <= length]
+    some = some if len(some) >= 3 else points[-3:]
+    _, _, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
+    direction: Array = axes[0] * np.sign(axes[0] @ (some[-1] - some[0]) or 1.0)
+    return direction
+
+
+def _way_within(graph: LumenGraph, start: int, end: int, chosen: NDArray[np.bool_]) -> Nodes:
+    """The way (k,) of nodes along the middle between two nodes, within some nodes where there is one."""
+    for allowed in (chosen, None):
+        _, before = graph._search(start, graph._middle_cost, allowed)
+        way = [end]
+        while way[-1] != start and before[way[-1]] >= 0:
+            way.append(int(before[way[-1]]))
+        if way[-1] == start:
+            return np.array(way[::-1])
+    raise MeshRefusedError("the lumen falls apart between two places of one vessel; take a finer resolution.")
+
+
+def rough_vessels(
+    courses: Courses, ends: dict[int, FlatEnd], first: FlatEnd, ostia: dict[int, Array]
+) -> tuple[RoughVessel, dict[int, str]]:
+    """The vessels' courses as a tree of rough vessels, and their names by `id()`.
+
+    Args:
+        ends: flat ends of vessels; that of the main course's upper end under the aorta's number.
+        first: flat end where the main course begins.
+    """
+    graph, family = courses.graph, courses.family
+    root = family.order[0]
+    names: dict[int, str] = {}
+
+    def followed(number: int, start: int, end: int, *, head: Array, tail: Array | None) -> tuple[Array, Array]:
+        mine = courses.nodes_of(*courses.main) if number == root else courses.nodes_of(number)
+        way = _way_within(graph, start, end, mine)
+        points, depth = graph.points[way], graph.depth[way]
+        if tail is not None:
+            points, depth = np.concatenate([points, tail[None]]), np.append(depth, depth[-1])
+        lead = np.linspace(0.0, 1.0, max(int(np.linalg.norm(points[0] - head) / _STEP), 1), endpoint=False)
+        points = np.concatenate([head + lead[:, None] * (points[0] - head), points])
+        return points, np.concatenate([np.full(len(lead), depth[0]), depth])
+
+    points, depth = followed(root, courses.start, courses.last, head=first.centre, tail=ends[root].centre)
+    aorta = RoughVessel(points, depth, root)
+    names[id(aorta)] = AORTA
+    # a course from the groin on is the aorta's as a whole
+    made = dict.fromkeys(courses.main, aorta)
+    for number in family.order:
+        if number in courses.main or family.links[number].parent not in made:
+            continue
+        link = family.links[number]
+        parent = made[link.parent]
+        mine = courses.which == number
+        if not mine.any():
+            continue
+        begin = graph.nearest(ostia[number], mine)
+        end = courses.forks.get(number, courses.tips.get(number, begin))
+        # the first way led to the vessel's rounded tip; it now ends in its flat end
+        flat = ends.get(number)
+        if flat is not None:
+            end = graph.nearest(flat.centre - min(0.5 * flat.radius, 2e-3) * flat.normal, mine)
+        at_fork = courses.forks.get(link.parent) is not None and _leaves_end(courses, number, ostia)
+        foot = (
+            len(parent.points) - 1 if at_fork else int(np.argmin(np.linalg.norm(parent.points - ostia[number], axis=1)))
+        )
+        points, depth = followed(
+            number, begin, end, head=parent.points[foot], tail=None if flat is None else flat.centre
+        )
+        vessel = RoughVessel(points, depth, None if number in courses.forks else number, from_fork=at_fork)
+        vessel.start = float(arc_length(parent.points)[foot])
+        parent.children.append(vessel)
+        names[id(vessel)] = family.names[number]
+        made[number] = vessel
+    for vessel in made.values():
+        vessel.children.sort(key=lambda child: child.start)
+    return aorta, names
+
+
+def _leaves_end(courses: Courses, number: int, ostia: dict[int, Array]) -> bool:
+    """Whether a vessel goes on from its parent's end, rather than leaves it at its side."""
+    parent = courses.family.links[number].parent
+    fork = courses.graph.points[courses.forks[parent]]
+    own = courses.which == parent
+    radius = float(np.quantile(courses.graph.depth[own], 0.95))
+    return float(np.linalg.norm(ostia[number] - fork)) < 2 * radius + courses.family.links[number].radius + _AT_TIP[1]
+
+
+def narrow_places(courses: Courses, number: int, begin: int, end: int, least: float) -> tuple[Array, float]:
+    """Places (n, 3) m along a vessel's course where it is narrower than a radius (m), and the least depth there, m."""
+    from scipy.spatial import cKDTree
+
+    way = _way_within(courses.graph, begin, end, courses.nodes_of(number))
+    points = smoothed(resampled(courses.graph.points[way], 0.5 * _STEP), 2 * _STEP)
+    if len(points) < 4:
+        return points[:0], least
+    _, nearest = cKDTree(courses.graph.points[way]).query(points)
+    depth = courses.graph.depth[way][nearest]
+    from_end = arc_length(points[::-1])[::-1]
+    narrow = (depth < least) & (from_end > 2 * least)
+    reach = round(2 * least / (0.5 * _STEP))
+    wide = np.convolve(narrow, np.ones(2 * reach + 1), mode="same") > 0
+    return points[wide & (from_end > least)], float(depth[narrow].min()) if narrow.any() else least

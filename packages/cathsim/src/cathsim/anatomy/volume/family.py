@@ -1,0 +1,274 @@
+"""Which vessel hangs on which, and where: contacts of labels, false bridges, gaps within and between vessels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.vessel_names import AORTA
+
+# Where a vessel can leave, the usual place first; others leave whatever they touch most.
+PARENTS: dict[str, tuple[str, ...]] = {
+    "bca": (AORTA,),
+    "lcca": (AORTA, "bca"),
+    "lsa": (AORTA,),
+    "rsa": ("bca", AORTA),
+    "rcca": ("bca", "rsa", AORTA),
+    "vertebral_left": ("lsa", AORTA),
+    "vertebral_right": ("rsa", "bca"),
+}
+_LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
+_CLUSTER = 4e-3  # m: contacts nearer to each other than this are one
+_LONGEST_GAP = 6e-3  # m between a vessel and its parent, or two parts of one, that is closed
+_SPECK = 0.02  # of a vessel: a part of this size is noise
+_NOISE = 0.5  # of a vessel must hang together
+_MOST_PARTS = 200
+_NEAR_GAP = 5e-3  # m around a gap that say how wide the vessel is there
+_AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+
+Array = NDArray[np.float64]
+Box = NDArray[np.uint8]
+
+
+@dataclass(eq=False)
+class Link:
+    """Where a vessel leaves its parent."""
+
+    parent: int  # number of the parent
+    ostium: Array  # (n, 3) m, contacts there, in the lattice's axes
+    radius: float  # m, of a circle of the contacts' area
+
+
+@dataclass(eq=False)
+class Family:
+    """Vessels that hang together, by their number in the box."""
+
+    names: dict[int, str]
+    links: dict[int, Link]  # of all but the aorta
+    false: list[tuple[int, int, Array]]  # pairs that touch where neither leaves the other, and where: (n, 3) m
+    order: list[int]  # the aorta first, each parent before its children
+    notes: list[str] = field(default_factory=list)
+
+
+def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Family]:
+    """Cleans a box of labels and finds which vessel leaves which; gaps of a few voxels are closed.
+
+    Args:
+        box: (nx, ny, nz) numbers of vessels, from 1 on.
+        spacing: (3,) m between voxels.
+
+    Returns:
+        The cleaned box, and its family.
+    """
+    box = box.copy()
+    notes: list[str] = []
+    numbers = {name: number for number, name in enumerate(names, 1)}
+    root = numbers[AORTA]
+    for number, name in enumerate(names, 1):
+        notes += _clean(box, number, name, spacing)
+    links: dict[int, Link] = {}
+    order, waiting = [root], [n for n in numbers.values() if n != root and (box == n).any()]
+    touching = _contacts(box, spacing)
+    closed = False
+    while waiting:
+        found = {n: parent for n in waiting if (parent := _parent(n, names, order, touching, closed))}
+        if found:
+            links |= {n: _link(n, parent, touching) for n, parent in found.items()}
+            order += found
+            waiting = [n for n in waiting if n not in found]
+        elif not closed:
+            gaps = [_close_to_parent(box, n, names, order, spacing) for n in waiting]
+            notes += [gap for gap in gaps if gap]
+            touching, closed = _contacts(box, spacing), True
+        else:
+            break
+    for number in waiting:
+        box[box == number] = 0
+        notes.append(f"{names[number - 1]} touches no other vessel and is left out")
+    false = []
+    for (a, b), (places, _) in touching.items():
+        if a in waiting or b in waiting:
+            continue
+        link = links[a] if a in links and links[a].parent == b else links.get(b)
+        if link is not None and link.parent in (a, b):
+            places = places[_distance(places, link.ostium) > _CLUSTER]
+        elif a in links and b in links and links[a].parent == links[b].parent != root:
+            # the ridge where a trunk parts in two is no bridge
+            for one in (links[a], links[b]):
+                if len(places):
+                    places = places[_distance(places, one.ostium) > one.radius + _CLUSTER]
+        if len(places):
+            false.append((a, b, places))
+    kept = {number: names[number - 1] for number in order}
+    return box, Family(kept, links, false, order, notes)
+
+
+def _clean(box: Box, number: int, name: str, spacing: Array) -> list[str]:
+    """Keeps the largest part of a vessel and those that a small gap parts from it."""
+    from scipy.ndimage import find_objects, label
+
+    region = find_objects((box == number).view(np.uint8))
+    if not region:
+        return []
+    crop = box[region[0]]
+    parts, count = label(crop == number, np.ones((3, 3, 3)))
+    if count <= 1:
+        return []
+    sizes = np.bincount(parts.reshape(-1))[1:]
+    whole = int(sizes.sum())
+    if count > _MOST_PARTS and sizes.max() < _NOISE * whole:
+        raise MeshRefusedError(
+            f"the label of {name} is noise: its {whole:,} voxels lie in {count:,} separate parts; export the "
+            "segmentation "
+            "again, or say which labels are vessels by labels=."
+        )
+    by_size = np.argsort(-sizes) + 1
+    kept, notes, dropped = [int(by_size[0])], [], 0
+    for part in by_size[1:].tolist():
+        if sizes[part - 1] < max(_SPECK * whole, 8):
+            dropped += int(sizes[part - 1])
+            crop[parts == part] = 0
+            continue
+        ours = np.argwhere(np.isin(parts, kept)) * spacing
+        theirs = np.argwhere(parts == part) * spacing
+        gap = _bridge(crop, number, ours, theirs, spacing)
+        if gap is None:
+            dropped += int(sizes[part - 1])
+            crop[parts == part] = 0
+            notes.append(f"{name} is broken off: {_share(sizes[part - 1], whole)} of it lies too far from the rest")
+        else:
+            kept.append(part)
+            notes.append(f"a gap of {1e3 * gap:.1f} mm in {name} is closed")
+    if dropped:
+        notes.append(f"{_share(dropped, whole)} of {name} lies in separate parts and is left out")
+    return notes
+
+
+def _share(part: float, whole: float) -> str:
+    return f"{100 * part / whole:.2g} %"
+
+
+def _bridge(
+    box: Box, number: int, ours: Array, theirs: Array, spacing: Array, reach: float = _LONGEST_GAP
+) -> float | None:
+    """Fills the gap between two clouds of voxels (n, 3) m with a tube; returns its length, None if that is too long."""
+    from scipy.spatial import cKDTree
+
+    away, nearest = cKDTree(theirs).query(ours, distance_upper_bound=reach + float(spacing.max()))
+    best = int(np.argmin(away))
+    gap = float(away[best])
+    if not gap <= reach + float(spacing.max()):
+        return None
+    ends = []
+    for cloud, place in ((ours, theirs[nearest[best]]), (theirs, ours[best])):
+        ends.append(cloud[np.linalg.norm(cloud - place, axis=1) <= gap + _NEAR_GAP])
+    first, last = (end.mean(axis=0) for end in ends)
+    # a stretch of a tube of the length 2 s and radius r holds 2 pi r^2 s
+    radii = [
+        np.sqrt(len(end) * np.prod(spacing) / (np.pi * max(np.ptp(end @ _unit(last - first)), 1e-3))) for end in ends
+    ]
+    radius = max(min(radii), float(spacing.max()))
+    low = np.maximum(np.floor((np.minimum(first, last) - radius) / spacing).astype(int), 0)
+    high = np.minimum(np.ceil((np.maximum(first, last) + radius) / spacing).astype(int) + 1, box.shape)
+    window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    points = np.stack(np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)], indexing="ij"), axis=-1)
+    offset = points * spacing - first
+    along = np.clip(offset @ (last - first) / max(float((last - first) @ (last - first)), 1e-12), 0.0, 1.0)
+    inside = np.linalg.norm(offset - along[..., None] * (last - first), axis=-1) <= radius
+    part = box[window]
+    part[inside & (part == 0)] = number
+    return gap
+
+
+def _unit(vector: Array) -> Array:
+    unit: Array = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    return unit
+
+
+def _contacts(box: Box, spacing: Array) -> dict[tuple[int, int], tuple[Array, Array]]:
+    """Places (n, 3) m where two vessels touch, and the area (n,) m^2 of each, by pair; edges and corners have none."""
+    area = [spacing[1] * spacing[2], spacing[0] * spacing[2], spacing[0] * spacing[1]]
+    steps = list(np.ndindex(3, 3, 3))
+    offsets = [tuple(int(n) - 1 for n in step) for step in steps]
+    offsets = [o for o in offsets if o > (0, 0, 0)]
+    found: dict[tuple[int, int], list[tuple[Array, Array]]] = {}
+    for offset in offsets:
+        here = tuple(slice(max(-o, 0), n - max(o, 0)) for o, n in zip(offset, box.shape, strict=True))
+        there = tuple(slice(max(o, 0), n - max(-o, 0)) for o, n in zip(offset, box.shape, strict=True))
+        a, b = box[here], box[there]
+        places = np.argwhere((a != b) & (a > 0) & (b > 0))
+        if len(places) == 0:
+            continue
+        first, second = a[tuple(places.T)].astype(int), b[tuple(places.T)].astype(int)
+        middle = (places + [s.start for s in here] + np.array(offset) / 2) * spacing
+        size = area[offset.index(1)] if offset in _AXES else 0.0
+        for pair in {tuple(sorted(p)) for p in zip(first.tolist(), second.tolist(), strict=True)}:
+            chosen = ((first == pair[0]) & (second == pair[1])) | ((first == pair[1]) & (second == pair[0]))
+            found.setdefault((pair[0], pair[1]), []).append((middle[chosen], np.full(int(chosen.sum()), size)))
+    return {pair: (np.concatenate([p for p, _ in parts]), np.concatenate([s for _, s in parts]))
+            for pair, parts in found.items()}  # fmt: skip
+
+
+def _parent(
+    number: int,
+    names: Sequence[str],
+    placed: Sequence[int],
+    touching: dict[tuple[int, int], tuple[Array, Array]],
+    closed: bool,
+) -> int | None:
+    """The vessel that a vessel leaves; None as long as that has no place in the family itself."""
+    areas = {b if a == number else a: float(sizes.sum()) for (a, b), (_, sizes) in touching.items() if number in (a, b)}
+    largest = max(areas.values(), default=0.0)
+    wide = {other: area for other, area in areas.items() if area > 0 and area >= _LEAST_SHARE * largest}
+    usual = PARENTS.get(names[number - 1], ())
+    for wanted in usual:
+        for other in wide:
+            if names[other - 1] == wanted:
+                return other if other in placed else None
+    if usual and not closed:
+        return None  # a gap may part it from where it belongs
+    wide = {other: area for other, area in wide.items() if other in placed}
+    return max(wide, key=lambda other: wide[other]) if wide else None
+
+
+def _link(number: int, parent: int, touching: dict[tuple[int, int], tuple[Array, Array]]) -> Link:
+    places, areas = touching[min(number, parent), max(number, parent)]
+    cluster = _main_cluster(places, areas)
+    return Link(parent, places[cluster], float(np.sqrt(max(areas[cluster].sum(), 1e-6) / np.pi)))
+
+
+def _main_cluster(places: Array, areas: Array) -> NDArray[np.bool_]:
+    """The contacts (n,) that hang together over the largest area."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(places).query_pairs(_CLUSTER, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(places),) * 2)
+    count, which = connected_components(graph, directed=False)
+    sizes = np.bincount(which, weights=areas + 1e-12, minlength=count)
+    chosen: NDArray[np.bool_] = which == int(np.argmax(sizes))
+    return chosen
+
+
+def _close_to_parent(box: Box, number: int, names: Sequence[str], placed: Sequence[int], spacing: Array) -> str:
+    """Closes the gap between a vessel and the nearest that may be its parent; returns a note, or nothing."""
+    usual = PARENTS.get(names[number - 1], tuple(names[p - 1] for p in placed))
+    ours = np.argwhere(box == number) * spacing
+    for wanted in usual:
+        other = next((n for n, name in enumerate(names, 1) if name == wanted), None)
+        theirs = np.argwhere(box == other) * spacing
+        if len(theirs) and (gap := _bridge(box, number, ours, theirs, spacing)) is not None:
+            return f"a gap of {1e3 * gap:.1f} mm between {names[number - 1]} and {wanted} is closed"
+    return ""
+
+
+def _distance(points: Array, to: Array) -> Array:
+    from scipy.spatial import cKDTree
+
+    distance: Array = cKDTree(to).query(points)[0]
+    return distance

@@ -1,0 +1,176 @@
+"""A phantom from a label volume: NIfTI, NRRD, or a folder with one file a vessel."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+from cathsim.anatomy.mesh.importer import COARSEST, FINEST
+from cathsim.anatomy.mesh.naming import ordered_names, propose_entries, propose_targets, renamed
+from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
+from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, Names, SurfaceFacts, phantom_of_surface
+from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
+from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
+from cathsim.anatomy.vessel_names import vessel_name
+from cathsim.anatomy.volume.labelled_lumen import LabelledLumen
+from cathsim.anatomy.volume.labels import Labels
+from cathsim.anatomy.volume.reading import LabelVolume, file_stem, read_labels, volume_files
+from cathsim.anatomy.volume.single_lumen import lumen_surface_of
+
+logger = logging.getLogger(__name__)
+
+VOLUME_VERSION = 1  # raise it whenever the same volume gives another phantom
+_VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
+_LEAST_ML = 1.0  # of a vessel whose volume is compared
+
+_importing = threading.Lock()
+
+
+def import_volume(
+    path: str | Path,
+    *,
+    labels: Labels = None,
+    names: Names = None,
+    resolution: float = 1e-3,
+    cache_dir: Path | None = None,
+) -> Phantom:
+    """Makes a phantom of a segmentation: a NIfTI or NRRD file, or a folder with one file a vessel; cached by content.
+
+    Args:
+        path: of the file or folder.
+        labels: which label is which vessel, by its number, by its name in the file, or by a folder's file without its
+            ending; None leaves a label out. It overrules names in the file and published numbers.
+        names: names of the user's own: a mapping from the names that were found, or a list for the aorta's branches
+            from the heart on.
+        resolution: m between lattice points of the distance grid.
+        cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
+
+    Returns:
+        The phantom in the patient's axes, as the file's affine has them; `phantom.imported` is the account of the
+        import.
+
+    Raises:
+        MeshRefusedError: a ValueError with the reason.
+        ValueError: for an impossible resolution.
+    """
+    if not (isinstance(resolution, int | float) and math.isfinite(resolution) and FINEST <= resolution <= COARSEST):
+        raise ValueError(f"resolution must lie in [{FINEST:g}, {COARSEST:g}] m for a volume, got {resolution!r}.")
+    path = Path(path).expanduser()
+    directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
+    chosen: tuple | None = None if not names else tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
+    wanted = None if not labels else tuple(labels.items())
+    digest = volume_digest(path, wanted, chosen, float(resolution))
+    with _importing:
+        return _load(path, digest, wanted, chosen, float(resolution), directory)
+
+
+def volume_digest(path: Path, labels: tuple | None, names: tuple | None, resolution: float) -> str:
+    """The hash of the phantom that an import gives: of the files' content and the settings."""
+    digest = hashlib.blake2b(digest_size=16)
+    settings = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
+    digest.update(json.dumps(settings).encode())
+    if path.is_dir():
+        asked = {str(label) for label, _ in labels or ()}
+        files = [f for f in volume_files(path) if vessel_name(file_stem(f)) or file_stem(f) in asked]
+    elif path.is_file():
+        files = [path]
+    else:
+        raise MeshRefusedError(f"there is no file {path}; give a NIfTI or NRRD file, or a folder of them.")
+    for one in files:
+        digest.update(one.name.encode() if path.is_dir() else b"")
+        with one.open("rb") as file:
+            while block := file.read(1 << 22):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=16)
+def _load(
+    path: Path, digest: str, labels: tuple | None, names: tuple | None, resolution: float, directory: Path
+) -> Phantom:
+    cache = PhantomCache(directory)
+    phantom = cache.read(file_stem(path), digest, None)
+    if phantom is None:
+        own: Names = dict(names) if names and isinstance(names[0], tuple) else names
+        phantom = build_volume_phantom(path, digest, dict(labels) if labels else None, own, resolution)
+        cache.write(phantom)
+    source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels}
+    return replace(phantom, source=source)
+
+
+def build_volume_phantom(path: Path, digest: str, labels: Labels, names: Names, resolution: float) -> Phantom:
+    """Builds the phantom of a volume without any cache."""
+    volume = read_labels(path, labels)
+    if not volume.named:
+        return _of_one_piece(volume, file_stem(path), digest, names, resolution)
+    lumen = LabelledLumen(volume, resolution)
+    grid, aorta, found, volumes = lumen.build()
+    own = names if names is None or isinstance(names, Mapping) else None
+    if names is not None and own is None:
+        own = ordered_names(aorta, found, list(names))
+    final = renamed(found, own)
+    least = max(LEAST_WIDTH, 1.25 * resolution)
+    tree, left_out = grow_tree(aorta, final, grid, TreeSettings(least))
+    narrowest = float(tree.root.radius.min())
+    if narrowest < least:
+        raise MeshRefusedError(
+            f"the aorta of {volume.file} narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire "
+            f"({least * 1e3:.2f} mm at this resolution); check the labels and the size of the voxels."
+        )
+    targets, shortened = propose_targets(tree)
+    if not targets:
+        raise MeshRefusedError(
+            f"{volume.file} has no branch of the aorta that is wide and long enough for a wire and a target; export "
+            "the "
+            "branches of the arch, too."
+        )
+    phantom = Phantom(file_stem(path), digest, None, tree, grid, targets, propose_entries(tree))
+    frame = volume.frame
+    report = ImportReport(
+        file=volume.file,
+        unit=volume.unit,
+        unit_reason="the file's header",
+        faces=0,
+        kind=f"labels ({volume.scheme})",
+        borders=0,
+        rotation=tuple(tuple(float(x) for x in row) for row in frame),  # type: ignore[misc]
+        offset=tuple(float(x) for x in lumen.world_offset),  # type: ignore[arg-type]
+        scale=volume.metres,
+        axes_kept=True,
+        automatic_names={found[key]: name for key, name in final.items() if name in tree},
+        way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
+        notes=(*volume.notes, *lumen.notes, *left_out, *shortened, *_volume_notes(volumes)),
+        volumes_ml={name: (round(1e6 * a, 3), round(1e6 * b, 3)) for name, (a, b) in volumes.items()},
+    )
+    for note in report.notes:
+        logger.info("%s: %s.", volume.file, note)
+    return replace(phantom, imported=report)
+
+
+def _volume_notes(volumes: Mapping[str, tuple[float, float]]) -> list[str]:
+    voxels, lumen = (sum(pair[n] for pair in volumes.values()) for n in (0, 1))
+    notes = []
+    if abs(lumen / voxels - 1) > _VOLUME_KEPT:
+        notes.append(f"the lumen holds {1e6 * lumen:.4g} ml, its voxels {1e6 * voxels:.4g}")
+    return notes
+
+
+def _of_one_piece(volume: LabelVolume, name: str, digest: str, names: Names, resolution: float) -> Phantom:
+    """A phantom of a lumen whose vessels have no names: they are found by its shape."""
+    mesh, notes = lumen_surface_of(volume)
+    facts = SurfaceFacts(
+        volume.file, volume.unit, "the file's header", len(mesh.faces), volume.metres, (*volume.notes, *notes)
+    )
+    phantom = phantom_of_surface(
+        mesh, facts, name=name, digest=digest, resolution=resolution, frame=volume.frame, names=names
+    )
+    assert phantom.imported is not None
+    return replace(phantom, imported=replace(phantom.imported, kind=f"labels ({volume.scheme})"))

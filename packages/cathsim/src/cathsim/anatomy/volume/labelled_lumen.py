@@ -1,0 +1,175 @@
+"""The lumen of labelled vessels in the patient's axes: level, distance to its wall, courses, flat ends."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.lumen import OUTSIDE, PADDING
+from cathsim.anatomy.mesh.branches import RoughVessel
+from cathsim.anatomy.volume.courses import Courses, Tip, find_courses, flat_end, narrow_places, rough_vessels
+from cathsim.anatomy.volume.family import find_family
+from cathsim.anatomy.volume.lattice import BlockLattice
+from cathsim.anatomy.volume.lumen_graph import LumenGraph
+from cathsim.anatomy.volume.reading import LabelVolume
+from cathsim.anatomy.volume.smoothing import VesselField
+from cathsim.anatomy.volume.union import FlatEnd, Union, unite
+from cathsim.anatomy.volume.wall import connected, signed_distance
+
+_BATCH = 400_000  # nodes worked on at once
+_LEAST_RADIUS, _LEAST_SPACINGS = 1.5e-3, 1.5  # m, and spacings of the lattice, to which vessels are kept open
+_AT_FACE = 2.5  # voxels between a vessel's tip and the volume's face that cuts it
+
+Array = NDArray[np.float64]
+Field = NDArray[np.float32]
+
+
+class LabelledLumen:
+    """The lumen of labelled vessels, on a lattice along the patient's axes.
+
+    Args:
+        volume: the labels.
+        resolution: m between the lattice's nodes.
+
+    Raises:
+        MeshRefusedError: the labels are noise, or no vessel hangs on the aorta.
+    """
+
+    def __init__(self, volume: LabelVolume, resolution: float) -> None:
+        self.volume = volume
+        self.notes: list[str] = []
+        box, self.family = find_family(volume.vessels, volume.names, volume.spacing)
+        self.box = box
+        self.voxels = {number: int(np.count_nonzero(box == number)) for number in self.family.order}
+        self.union: Union = unite(box, self.family, volume.spacing, volume.first, volume.shape, resolution)
+        self.notes += self.family.notes
+        # from the box's axes to the patient's
+        self.turn = volume.frame @ volume.affine[:3, :3] / volume.spacing
+        lumen = np.concatenate([_inner_points(field) for field in self.union.fields.values()]) @ self.turn.T
+        self.offset = -(lumen.min(axis=0) + lumen.max(axis=0)) / 2
+        self.lattice = BlockLattice.around(lumen + self.offset, resolution, -OUTSIDE, PADDING)
+
+    @property
+    def world_offset(self) -> Array:
+        """(3,) m that is added to points of the file's world, turned to the patient's axes."""
+        offset: Array = self.offset - self.volume.frame @ self.volume.affine[:3, 3]
+        return offset
+
+    def build(self) -> tuple[SignedDistanceGrid, RoughVessel, dict[int, str], dict[str, tuple[float, float]]]:
+        """The distance grid, the vessels' courses with names by `id()`, and volumes (m^3) in voxels and in the grid."""
+        level, which, inside = self.level()
+        rows = np.flatnonzero(inside)
+        depth = np.zeros_like(level)
+        depth[rows] = signed_distance(self.lattice, level, rows)
+        courses = self.courses(depth, which, inside)
+        self.open_narrow(courses)
+        first, ends, cut = self.flatten(courses)
+        self.notes += [f"{name} is cut off by the volume's edge" for name in cut]
+        level, which, inside = self.level()
+        distance = signed_distance(self.lattice, level)
+        aorta, names = rough_vessels(self.courses(distance, which, inside), ends, first, self.ostia())
+        lost = [name for name in self.family.names.values() if name not in names.values()]
+        self.notes += [f"{name} is left out: no way leads into it" for name in lost]
+        shape = np.array(self.lattice.shape)
+        within = (self.lattice.nodes < shape).all(axis=1)
+        grid = SignedDistanceGrid.from_nodes(
+            self.lattice.nodes[within], distance[within], self.lattice.shape, self.lattice.origin, self.lattice.spacing
+        )
+        return grid, aorta, names, self._volumes(distance, which)
+
+    def _volumes(self, distance: Field, which: NDArray[np.uint8]) -> dict[str, tuple[float, float]]:
+        """Volumes (m^3) of every vessel's voxels, and of its part of the lumen."""
+        spacing = self.lattice.spacing
+        filled = np.clip(distance / np.float32(spacing) + np.float32(0.5), 0, 1)
+        near = np.flatnonzero(filled > 0)
+        voxels = np.rint(self.to_box(self.lattice.points(self.lattice.nodes[near])) / self.volume.spacing).astype(int)
+        inside = ((voxels >= 0) & (voxels < self.box.shape)).all(axis=1)
+        labels = which[near]
+        there = self.box[tuple(voxels[inside].T)]
+        labels[inside] = np.where(there > 0, there, labels[inside])
+        held = np.bincount(labels, weights=filled[near], minlength=256) * spacing**3
+        return {
+            name: (self.voxels[number] * self.volume.voxel_volume, float(held[number]))
+            for number, name in self.family.names.items()
+        }
+
+    def to_patient(self, points: Array) -> Array:
+        """Points (..., 3) m of the box's axes in the patient's."""
+        moved: Array = points @ self.turn.T + self.offset
+        return moved
+
+    def to_box(self, points: Array) -> Array:
+        """Points (..., 3) m of the patient's axes in the box's."""
+        moved: Array = (points - self.offset) @ np.linalg.inv(self.turn).T
+        return moved
+
+    def level(self) -> tuple[Field, NDArray[np.uint8], NDArray[np.bool_]]:
+        """Level (n,) m of all nodes, the vessel of each, and which belong to the lumen."""
+        count = len(self.lattice.nodes)
+        level, which = np.empty(count, dtype=np.float32), np.empty(count, dtype=np.uint8)
+        for some in np.array_split(np.arange(count), count // _BATCH + 1):
+            level[some], which[some] = self.union.level(self.to_box(self.lattice.points(self.lattice.nodes[some])))
+        root = self.family.order[0]
+        start = int(np.argmax(np.where(which == root, level, -1.0)))
+        inside = connected(self.lattice, level, start)
+        level[(level > 0) & ~inside] *= -1
+        return level, which, inside
+
+    def ostia(self) -> dict[int, Array]:
+        """(3,) m, the middle of every vessel's take-off."""
+        return {number: self.to_patient(link.ostium.mean(axis=0)) for number, link in self.family.links.items()}
+
+    def courses(self, depth: Field, which: NDArray[np.uint8], inside: NDArray[np.bool_]) -> Courses:
+        """Where the vessels run and end."""
+        graph = LumenGraph.of(self.lattice, depth, inside)
+        return find_courses(graph, which[graph.rows], self.family, self.ostia())
+
+    def open_narrow(self, courses: Courses) -> None:
+        """Keeps vessels open where coarse voxels or closed gaps leave them narrower than a wire needs."""
+        self.union.channel = least = max(_LEAST_RADIUS, _LEAST_SPACINGS * self.lattice.spacing)
+        ostia = self.ostia()
+        for number, tip in {**courses.tips, **courses.forks}.items():
+            begin = courses.graph.nearest(ostia[number], courses.which == number)
+            places, depth = narrow_places(courses, number, begin, tip, least)
+            if len(places):
+                self.union.channels[number] = self.to_box(places)
+                self.notes.append(
+                    f"{self.family.names[number]} is kept open to {1e3 * least:.1f} mm of radius where the labels "
+                    "leave "
+                    f"{1e3 * depth:.1f}"
+                )
+
+    def flatten(self, courses: Courses) -> tuple[FlatEnd, dict[int, FlatEnd], list[str]]:
+        """Cuts all ends flat: the main course's first, the others by vessel, and which the volume's edge cuts."""
+        root = self.family.order[0]
+        faces = []
+        for axis, place, sign in self.union.faces:
+            point = np.zeros(3)
+            point[axis] = place
+            faces.append((self.to_patient(point), self.turn[:, axis] * sign))
+        reach = _AT_FACE * float(self.volume.spacing.max())
+        ostia = self.ostia()
+        below = courses.main[0]
+        tips = {below if below != root else -1: flat_end(courses, root, courses.start, courses.last, faces, reach)}
+        tips[root] = flat_end(courses, root, courses.last, courses.start, faces, reach)
+        for number, node in courses.tips.items():
+            begin = courses.graph.nearest(ostia[number], courses.which == number)
+            if begin != node:
+                tips[number] = flat_end(courses, number, node, begin, faces, reach)
+        for number, found in tips.items():
+            if not found.flat:
+                self.union.ends.setdefault(root if number == -1 else number, []).append(self._in_box(found))
+        first = tips.pop(below if below != root else -1)
+        cut = ["the aorta's lower end" if below == root else self.family.names[below]] if first.cut else []
+        cut += [self.family.names[n] if n != root else "the ascending aorta" for n, tip in tips.items() if tip.cut]
+        return first.end, {number: tip.end for number, tip in tips.items()}, cut
+
+    def _in_box(self, tip: Tip) -> FlatEnd:
+        end = tip.end
+        return FlatEnd(self.to_box(end.base), np.linalg.inv(self.turn) @ end.normal, end.beyond, end.radius)
+
+
+def _inner_points(field: VesselField) -> Array:
+    inner: Array = field.origin + np.argwhere(field.values > 0) * field.spacing
+    return inner

@@ -1,0 +1,136 @@
+"""Which label of a volume is which vessel: by the names in the file, by published numbers, or as the user says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.vessel_names import AORTA, TOTALSEGMENTATOR, vessel_name
+
+Key = tuple[int, int]  # layer and value of a label
+Labels = Mapping[int | str, str | None] | None
+
+# Labels of the AortaSeg24 challenge: zones of the aorta (Ishimaru's, as the Society for Vascular Surgery numbers them)
+# and its branches. Source: Imran et al., arXiv 2502.05330, numbered as the challenge's own evaluation does.
+AORTASEG24: dict[int, str] = {
+    **dict.fromkeys((1, 3, 5, 7, 8, 9, 10, 12, 14, 17), AORTA),
+    2: "bca",
+    4: "lcca",
+    6: "lsa",
+    11: "celiac",
+    13: "mesenteric",
+    15: "renal_right",
+    16: "renal_left",
+    18: "iliac_right",
+    19: "iliac_left",
+    20: "internal_iliac_right",
+    21: "internal_iliac_left",
+    22: "external_iliac_right",
+    23: "external_iliac_left",
+}
+# Labels of TotalSegmentator's first version that are arteries, and its greatest number.
+TOTALSEGMENTATOR_1: dict[int, str] = {7: AORTA, 51: "iliac_left", 52: "iliac_right"}
+_LAST_OF_VERSION_1 = 104
+_ARCH_ZONES = (1, 3, 5, 7)
+_FEW = 24  # labels, of which none has a known name, that may together be a lumen
+
+
+@dataclass(frozen=True)
+class LabelChoice:
+    """The labels that make the lumen."""
+
+    vessels: dict[Key, str]  # name of the vessel of each label that is used; one vessel may have several labels
+    scheme: str  # where the names come from, for the report
+    named: bool = True  # whether vessels are known by name; else the lumen is one piece, named by its shape
+    notes: tuple[str, ...] = ()
+
+
+def choose_labels(present: Mapping[Key, int], names: Mapping[Key, str], own: Labels, file: str) -> LabelChoice:
+    """Chooses the labels of vessels among those that a volume has.
+
+    Args:
+        present: voxels of each label.
+        names: of labels, as the file gives them.
+        own: the user's mapping from a label's number, or its name in the file, to a vessel's name; None leaves a label
+            out.
+        file: for messages.
+
+    Raises:
+        MeshRefusedError: no label is a vessel's, or the mapping names one that is not there.
+    """
+    if not present:
+        raise MeshRefusedError(f"{file} is empty: all its voxels are zero; export the segmentation again.")
+    if own:
+        return _own_choice(present, names, own, file)
+    if known := {key: vessel_name(names[key]) for key in present if vessel_name(names.get(key, ""))}:
+        return _checked(_without_lumina(known), "names in the file", present, file, names)
+    values = {value for _, value in present}
+    if len(present) == 1:
+        return LabelChoice(dict.fromkeys(present, AORTA), "one label", named=False)
+    for scheme, table in (
+        ("TotalSegmentator 2", TOTALSEGMENTATOR),
+        ("AortaSeg24", AORTASEG24),
+        ("TotalSegmentator 1", TOTALSEGMENTATOR_1),
+    ):
+        if _fits(scheme, values):
+            return _checked({key: table[key[1]] for key in present if key[1] in table}, scheme, present, file, names)
+    if names or len(present) > _FEW:
+        told = _listed(present, names)
+        raise MeshRefusedError(
+            f"{file} has no label that is known as the aorta ({told}); say which is which by labels={{number: 'aorta', "
+            "...}}."
+        )
+    note = f"the labels {_listed(present, names)} have no known names: their vessels are named by their shape"
+    return LabelChoice(dict.fromkeys(present, AORTA), "shape", named=False, notes=(note,))
+
+
+def _fits(scheme: str, values: set[int]) -> bool:
+    """Whether a volume's numbers are those of a published scheme."""
+    if scheme == "AortaSeg24":
+        return max(values) <= max(AORTASEG24) and sum(zone in values for zone in _ARCH_ZONES) >= 3
+    if scheme == "TotalSegmentator 2":
+        return 52 in values and (max(values) > _LAST_OF_VERSION_1 or bool(values & {54, 55, 56, 57, 58}))
+    return 7 in values and 52 not in values - set(TOTALSEGMENTATOR_1) and max(values) > max(AORTASEG24)
+
+
+def _own_choice(present: Mapping[Key, int], names: Mapping[Key, str], own: Labels, file: str) -> LabelChoice:
+    assert own is not None
+    chosen: dict[Key, str] = {}
+    for wanted, vessel in own.items():
+        keys = [key for key in present if _is(wanted, key, names)]
+        if not keys:
+            raise MeshRefusedError(f"{file} has no label {wanted!r}; it has {_listed(present, names)}.")
+        if vessel is not None:
+            chosen |= dict.fromkeys(keys, vessel_name(str(vessel)) or str(vessel))
+    others = {key: vessel_name(names.get(key, "")) for key in present if not any(_is(w, key, names) for w in own)}
+    known = {key: name for key, name in others.items() if name not in ("", *chosen.values())}
+    return _checked({**known, **chosen}, "given", present, file, names)
+
+
+def _is(wanted: int | str, key: Key, names: Mapping[Key, str]) -> bool:
+    text = str(wanted).strip()
+    return text == str(key[1]) or text.lower() == names.get(key, "").strip().lower() != ""
+
+
+def _without_lumina(known: dict[Key, str]) -> dict[Key, str]:
+    """Leaves out the lumina of a dissected aorta where the whole one has a label."""
+    if AORTA in known.values():
+        return {key: name for key, name in known.items() if not name.endswith("_lumen")}
+    return {key: AORTA if name == "true_lumen" else name for key, name in known.items() if name != "false_lumen"}
+
+
+def _checked(
+    vessels: dict[Key, str], scheme: str, present: Mapping[Key, int], file: str, names: Mapping[Key, str]
+) -> LabelChoice:
+    if AORTA not in vessels.values():
+        raise MeshRefusedError(
+            f"{file} has no label of the aorta ({_listed(present, names)}); say which it is by "
+            "labels={number: 'aorta'}, or export it too."
+        )
+    return LabelChoice(vessels, scheme, named=len(set(vessels.values())) > 1)
+
+
+def _listed(present: Mapping[Key, int], names: Mapping[Key, str]) -> str:
+    shown = [names.get(key, "") or str(key[1]) for key in sorted(present, key=lambda key: -present[key])]
+    return ", ".join(shown[:8]) + (f" and {len(shown) - 8} more" if len(shown) > 8 else "")

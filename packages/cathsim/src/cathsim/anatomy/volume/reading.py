@@ -1,0 +1,249 @@
+"""Label volumes read from a file or a folder: the part of the lattice that holds vessels, with their names."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.vessel_names import AORTA, vessel_name
+from cathsim.anatomy.volume import nifti, nrrd_file
+from cathsim.anatomy.volume.labels import Key, LabelChoice, Labels, choose_labels
+from cathsim.anatomy.volume.source import VolumeSource
+
+SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES)
+_MOST_LITRES = 5.0  # of all vessels together
+_MOST_VOXELS = 6e8  # of the box around them
+_MOST_LABEL = 65_535
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LabelVolume:
+    """Vessels on a lattice of voxels: the box around them."""
+
+    vessels: NDArray[np.uint8]  # (nx, ny, nz) number of the vessel in `names` and 1, 0 where there is none
+    names: tuple[str, ...]  # of the vessels
+    affine: Array  # (4, 4) from a voxel's indices in the box to the file's world, m
+    first: tuple[int, int, int]  # indices of the box's first voxel in the volume
+    shape: tuple[int, int, int]  # voxels of the volume
+    frame: Array  # (3, 3) rows are the patient's left, posterior and superior axis in the file's world
+    file: str
+    unit: str  # of the file's world
+    metres: float  # m per that unit
+    scheme: str  # where names come from
+    named: bool
+    notes: tuple[str, ...]
+
+    @property
+    def spacing(self) -> Array:
+        """(3,) m between voxels along the volume's axes."""
+        spacing: Array = np.linalg.norm(self.affine[:3, :3], axis=0)
+        return spacing
+
+    @property
+    def voxel_volume(self) -> float:
+        """m^3."""
+        return abs(float(np.linalg.det(self.affine[:3, :3])))
+
+
+def is_volume_path(path: str | Path) -> bool:
+    """Whether a path is that of a volume's file, or of a folder that holds some."""
+    path = Path(path).expanduser()
+    return path.name.lower().endswith(SUFFIXES) or (path.is_dir() and bool(volume_files(path)))
+
+
+def volume_files(folder: Path) -> list[Path]:
+    """Files of volumes in a folder, by name."""
+    return sorted(p for p in folder.iterdir() if p.name.lower().endswith(SUFFIXES) and not p.name.startswith("."))
+
+
+def open_volume(path: Path) -> VolumeSource:
+    """Reads a volume's header.
+
+    Raises:
+        MeshRefusedError: it is damaged, or no volume.
+    """
+    if not path.is_file():
+        raise MeshRefusedError(f"there is no file {path}; give a NIfTI or NRRD file, or a folder of them.")
+    if path.name.lower().endswith(nrrd_file.SUFFIXES):
+        return nrrd_file.open_nrrd(path)
+    return nifti.open_nifti(path)
+
+
+def read_labels(path: str | Path, labels: Labels = None) -> LabelVolume:
+    """Reads the vessels of a label volume, or of a folder with one file a vessel.
+
+    Args:
+        path: of the file or folder.
+        labels: vessel's name by label (its number, its name in the file, or the name of a file of a folder); it
+            overrules what the file says.
+
+    Raises:
+        MeshRefusedError: with the reason.
+    """
+    path = Path(path).expanduser()
+    if not path.is_dir():
+        source = open_volume(path)
+        present = _count(source)
+        choice = choose_labels(present, source.names, labels, path.name)
+        return _box([(source, choice)], path.name, present)
+    return _folder(path, labels)
+
+
+def file_stem(path: Path) -> str:
+    """A volume file's name without its endings."""
+    return re.sub(r"(\.seg)?(\.nii\.gz|\.nii|\.nrrd|\.nhdr)$", "", path.name, flags=re.IGNORECASE)
+
+
+def _folder(path: Path, labels: Labels) -> LabelVolume:
+    files = {file_stem(file): file for file in volume_files(path)}
+    if not files:
+        raise MeshRefusedError(f"{path} holds no NIfTI or NRRD file; give a folder with one file a vessel.")
+    names = {(0, number): stem for number, stem in enumerate(files, 1)}
+    if labels is None and not any(vessel_name(stem) for stem in files):
+        raise MeshRefusedError(
+            f"{path.name} has no file that is named after the aorta ({', '.join(list(files)[:8])}); name its files "
+            "after "
+            "vessels, or say which is which by labels={file: 'aorta', ...}."
+        )
+    choice = choose_labels(dict.fromkeys(names, 1), names, labels, path.name)
+    choice = LabelChoice(choice.vessels, "names of the files", named=True, notes=choice.notes)
+    parts: list[tuple[VolumeSource, LabelChoice]] = []
+    total: Counter[Key] = Counter()
+    notes = []
+    for key, vessel in choice.vessels.items():
+        source = open_volume(files[names[key]])
+        present = _count(source)
+        if not present:
+            if vessel == AORTA:
+                raise MeshRefusedError(f"{source.path.name} is empty: all its voxels are zero; export the aorta again.")
+            notes.append(f"{source.path.name} is empty")
+            continue
+        total.update(present)
+        parts.append((source, LabelChoice(dict.fromkeys(present, vessel), choice.scheme)))
+    unused = [stem for key, stem in names.items() if key not in choice.vessels and vessel_name(stem)]
+    notes += [f"{stem} is not used" for stem in unused]
+    volume = _box(parts, path.name, dict(total))
+    return LabelVolume(**{**vars(volume), "notes": volume.notes + tuple(notes), "named": len(volume.names) > 1})
+
+
+def _count(source: VolumeSource) -> dict[Key, int]:
+    """Voxels of every label that is not zero."""
+    counts: Counter[Key] = Counter()
+    for _, slab in source.slabs():
+        for layer, values in enumerate(slab):
+            for value, count in zip(*_values(values, source.path.name), strict=True):
+                counts[layer, int(value)] += int(count)
+    return {key: count for key, count in counts.items() if key[1] != 0}
+
+
+def _values(values: NDArray, file: str) -> tuple[NDArray, NDArray]:
+    """Labels in some values, and how often each is there."""
+    if values.dtype.kind == "f" and not (np.isfinite(values).all() and (values == np.rint(values)).all()):
+        raise MeshRefusedError(
+            f"{file} is no label volume: its values are no whole numbers; give the segmentation, not the image."
+        )
+    low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
+    if low < 0 or high > _MOST_LABEL:
+        raise MeshRefusedError(
+            f"{file} is no label volume: its values run from {low} to {high}; give the segmentation, not the image."
+        )
+    kind = np.uint8 if high < 256 else np.uint16
+    counts = np.bincount(values.astype(kind, copy=False).ravel(order="K"))
+    present = np.flatnonzero(counts)
+    return present, counts[present]
+
+
+def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict[Key, int]) -> LabelVolume:
+    """The part of the lattice that holds vessels, from one file or several of one lattice."""
+    first = parts[0][0]
+    names: list[str] = []
+    found: list[tuple[NDArray[np.int32], int, int]] = []  # voxels, vessel's number, voxels of its label
+    voxel = float(np.prod(first.spacing))
+    for source, choice in parts:
+        shift = _shift(source, first)
+        litres = 1e3 * voxel * sum(present.get(key, 0) for key in choice.vessels)
+        if litres > _MOST_LITRES:
+            raise MeshRefusedError(
+                f"{source.path.name} has {litres:.3g} litres labelled as vessels, an aorta with its branches has "
+                "less than "
+                f"one; it is noise or another kind of labels: say which labels are vessels by labels=."
+            )
+        for name in choice.vessels.values():
+            if name not in names:
+                names.append(name)
+        found += _collect(source, choice, names, shift)
+    low = np.min([voxels.min(axis=0) for voxels, _, _ in found], axis=0)
+    high = np.max([voxels.max(axis=0) for voxels, _, _ in found], axis=0) + 1
+    if np.prod((high - low).astype(float)) > _MOST_VOXELS:
+        raise MeshRefusedError(
+            f"the vessels of {file} spread over {np.prod((high - low).astype(float)):.2g} voxels; cut the volume to "
+            "them, "
+            "or save it with larger voxels."
+        )
+    box = np.zeros(tuple(high - low), dtype=np.uint8)
+    # where labels overlap the smaller vessel counts: an aorta's label may run on beneath its branches'
+    for voxels, number, _ in sorted(found, key=lambda item: -item[2]):
+        i, j, k = (voxels - low).T
+        box[i, j, k] = number
+    affine = first.affine.copy()
+    affine[:3, 3] += affine[:3, :3] @ low
+    affine[:3] *= first.metres
+    choice = parts[0][1]
+    corner = (int(low[0]), int(low[1]), int(low[2]))
+    notes = first.notes + choice.notes
+    return LabelVolume(
+        box, tuple(names), affine, corner, first.shape, first.frame, file, first.unit, first.metres, choice.scheme,
+        choice.named, notes,
+    )  # fmt: skip
+
+
+def _collect(
+    source: VolumeSource, choice: LabelChoice, names: list[str], shift: NDArray[np.int64]
+) -> list[tuple[NDArray[np.int32], int, int]]:
+    """Voxels of every vessel in a file."""
+    pieces: dict[int, list[NDArray[np.int32]]] = {}
+    for start, slab in source.slabs():
+        for layer, values in enumerate(slab):
+            wanted = {value: names.index(name) + 1 for (at, value), name in choice.vessels.items() if at == layer}
+            if not wanted:
+                continue
+            table = np.zeros(_MOST_LABEL + 1, dtype=np.uint8)
+            table[list(wanted)] = list(wanted.values())
+            numbers = table[values.astype(np.uint16)]
+            taken = np.argwhere(numbers)
+            which = numbers[tuple(taken.T)]
+            places = (taken + np.array([0, 0, start]) + shift).astype(np.int32)
+            for number in np.unique(which):
+                pieces.setdefault(int(number), []).append(places[which == number])
+    found = [(np.concatenate(parts), number) for number, parts in pieces.items()]
+    return [(voxels, number, len(voxels)) for voxels, number in found]
+
+
+def _shift(source: VolumeSource, first: VolumeSource) -> NDArray[np.int64]:
+    """Whole voxels from one volume's lattice to another's.
+
+    Raises:
+        MeshRefusedError: the lattices differ.
+    """
+    scaled = np.linalg.inv(np.diag([*[first.metres] * 3, 1.0]) @ first.affine) @ (
+        np.diag([*[source.metres] * 3, 1.0]) @ source.affine
+    )
+    shift = np.rint(scaled[:3, 3])
+    if (
+        source.world != first.world
+        or np.abs(scaled[:3, :3] - np.eye(3)).max() > 1e-3
+        or (np.abs(scaled[:3, 3] - shift).max() > 0.05)
+    ):
+        raise MeshRefusedError(
+            f"{source.path.name} and {first.path.name} lie on different lattices of voxels; export all vessels of one "
+            "patient over the same volume."
+        )
+    return shift.astype(np.int64)

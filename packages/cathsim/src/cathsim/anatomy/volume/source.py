@@ -1,0 +1,106 @@
+"""A volume's file before its voxels are read: axes, size, names of labels, and its values slab by slab."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.mesh.report import MeshRefusedError
+
+LARGEST = 4_000_000_000  # bytes of a volume that is read at all
+UNIT_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "micron": 1e-6, "um": 1e-6}
+_THINNEST, _THICKEST = 2e-5, 2e-2  # m, sides of a voxel
+_LEAST_SIDES = 4  # voxels along every axis
+_MOST_SHEAR = 0.05  # cosine of the angle between two of the volume's axes
+# the patient's left, posterior and superior axis in a file's world, whose axes are named by letters
+FRAMES = {"RAS": (-1.0, -1.0, 1.0), "LPS": (1.0, 1.0, 1.0), "LAS": (1.0, -1.0, 1.0)}
+
+Array = NDArray[np.float64]
+Slab = tuple[int, NDArray]  # first index along the last axis, and values (layers, nx, ny, k)
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeSource:
+    """One volume's file."""
+
+    path: Path
+    shape: tuple[int, int, int]  # voxels along the file's axes
+    affine: Array  # (4, 4) from a voxel's indices to the file's world, in the file's unit
+    world: str  # axes of the file's world: "RAS" (NIfTI), "LPS" or "LAS"
+    unit: str  # of the file's world
+    itemsize: int  # bytes of a value
+    slabs: Callable[[], Iterator[Slab]]  # reads the values, from the first slice on
+    layers: int = 1  # volumes in the file, whose labels may overlap
+    # names of labels by layer and value, as the file gives them
+    names: dict[tuple[int, int], str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_geometry(self.path, self.shape, self.affine, UNIT_METRES[self.unit])
+        size = float(np.prod(self.shape)) * self.layers * self.itemsize
+        if size > LARGEST:
+            raise MeshRefusedError(
+                f"{self.path.name} holds {size / 1e9:.1f} GB of values, at most {LARGEST / 1e9:g} GB are read; cut "
+                "it to "
+                "the chest, or save it with fewer bytes a voxel."
+            )
+
+    @property
+    def metres(self) -> float:
+        """m per unit of the file's world."""
+        return UNIT_METRES[self.unit]
+
+    @property
+    def spacing(self) -> Array:
+        """(3,) m between voxels along the file's axes."""
+        spacing: Array = np.linalg.norm(self.affine[:3, :3], axis=0) * self.metres
+        return spacing
+
+    @property
+    def frame(self) -> Array:
+        """(3, 3) rows are the patient's left, posterior and superior axis in the file's world."""
+        return np.diag(FRAMES[self.world])
+
+
+def check_geometry(path: Path, shape: tuple[int, ...], affine: Array, metres: float) -> None:
+    """Refuses a volume that is flat, or whose affine is none.
+
+    Args:
+        affine: (4, 4) from indices to a world of `metres` per unit.
+    """
+    if min(shape) < _LEAST_SIDES:
+        raise MeshRefusedError(
+            f"{path.name} has {' x '.join(map(str, shape))} voxels, expected a volume of at least {_LEAST_SIDES} along "
+            "every axis; export the whole segmentation, not a slice."
+        )
+    if affine.shape != (4, 4) or not np.isfinite(affine).all():
+        raise MeshRefusedError(
+            f"{path.name} has an affine with missing or infinite numbers; save it again with its axes."
+        )
+    spacing = np.linalg.norm(affine[:3, :3], axis=0)
+    if spacing.min() <= 0 or abs(np.linalg.det(affine[:3, :3])) < 1e-3 * np.prod(spacing):
+        raise MeshRefusedError(
+            f"{path.name} has an affine that is none: its axes {np.round(affine[:3, :3], 4).tolist()} do not span "
+            "space; "
+            "save the volume again with its axes."
+        )
+    axes = affine[:3, :3] / spacing
+    shear = float(np.abs(axes.T @ axes - np.eye(3)).max())
+    if shear > _MOST_SHEAR:
+        raise MeshRefusedError(
+            f"{path.name} has axes that are not at right angles ({np.degrees(np.arccos(shear)):.0f} degrees), as a "
+            "tilted "
+            "gantry leaves them; resample it to right angles."
+        )
+    spacing = spacing * metres
+    if not (spacing.min() >= _THINNEST and spacing.max() <= _THICKEST):
+        sides = " x ".join(f"{1e3 * side:.3g}" for side in spacing)
+        raise MeshRefusedError(
+            f"{path.name} has voxels of {sides} mm, expected {1e3 * _THINNEST:g} to {1e3 * _THICKEST:g} mm; correct "
+            "the "
+            "unit in its header, or the affine."
+        )

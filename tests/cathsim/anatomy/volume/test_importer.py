@@ -1,0 +1,192 @@
+"""Phantoms from label volumes of a generated arch, against that arch."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy import Phantom, import_anatomy, load_phantom
+from cathsim.anatomy.library import phantom_described, phantom_description
+from cathsim.anatomy.lumen_report import check_lumen
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.surface import open_ends
+from cathsim.anatomy.vessel_tree import nearest_on_branch
+from tests.cathsim.anatomy.volume.rasterised import IDS, rasterise, save_nifti, save_slicer
+
+pytest.importorskip("nibabel", reason="label volumes need nibabel")
+pytest.importorskip("nrrd", reason="label volumes need pynrrd")
+
+COARSE = 1.5e-3  # m: fast, and as fine as the walls of these arches need
+LONG_NAMES = {
+    52: "aorta",
+    54: "brachiocephalic_trunk",
+    55: "subclavian_artery_right",
+    56: "subclavian_artery_left",
+    57: "common_carotid_artery_right",
+    58: "common_carotid_artery_left",
+}
+REAL = Path(__file__).parents[5] / "shared" / "real" / "aortas"
+
+
+def oblique() -> np.ndarray:
+    a, b = 0.3, 0.2
+    first = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    return first @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+
+
+def in_patient(phantom: Phantom, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) m of an imported phantom in the axes of the volume's patient, whose origin the file keeps."""
+    assert phantom.imported is not None
+    return points - np.array(phantom.imported.offset)
+
+
+def compare(phantom: Phantom, truth: Phantom, *, centreline: float = 1e-3, volume: float = 0.03) -> None:
+    """Names, places of centrelines, wall and volume of an imported phantom against the arch it was made of."""
+    assert set(phantom.tree.names) == set(truth.tree.names)
+    for branch in truth.tree:
+        found = phantom.tree[branch.name]
+        points = in_patient(phantom, found.points)
+        if branch.parent is not None:
+            outside = 1.5 * truth.tree[branch.parent].radius_at(branch.parent_arc)
+            points = points[np.linalg.norm(points - branch.points[0], axis=1) > outside]
+        _, arc, away = nearest_on_branch(branch, points)
+        middle = (arc > (0.1 if branch.parent in (None, "aorta") else 0.3) * branch.length) & (
+            arc < 0.9 * branch.length
+        )
+        assert np.percentile(away[middle], 95) < centreline, branch.name
+        assert 0.75 * branch.length < found.length < 1.35 * branch.length, branch.name
+    vertices = in_patient(phantom, phantom.lumen_mesh.vertices)
+    ends = [np.linalg.norm(vertices - centre, axis=1) < radius + 5e-3 for centre, _, radius in open_ends(truth.tree)]
+    off = truth.grid.sample(vertices[~np.any(ends, axis=0)])
+    assert abs(off.mean()) < 2e-4
+    assert np.percentile(np.abs(off), 95) < 7e-4
+    assert phantom.lumen_mesh.volume == pytest.approx(truth.lumen_mesh.volume, rel=volume)
+
+
+@pytest.fixture(scope="module")
+def thick(tmp_path_factory: pytest.TempPathFactory, phantom: Phantom) -> Path:
+    labels, affine = rasterise(phantom)
+    return save_nifti(tmp_path_factory.mktemp("volumes") / "scan.nii.gz", labels, affine)
+
+
+@pytest.fixture(scope="module")
+def imported(thick: Path, cache: Path) -> Phantom:
+    return import_anatomy(thick, resolution=COARSE, cache_dir=cache)
+
+
+def test_thick_slices_become_the_arch_they_were_made_of(imported: Phantom, phantom: Phantom) -> None:
+    compare(imported, phantom)
+    report = imported.imported
+    assert report is not None
+    assert report.rotation == ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+    voxels, lumen = (sum(pair[n] for pair in report.volumes_ml.values()) for n in (0, 1))
+    assert lumen == pytest.approx(voxels, rel=0.03)
+    assert "TotalSegmentator 2" in report.kind
+    assert check_lumen(imported, required_radius=1e-3).valid
+
+
+def test_steps_of_slices_are_not_felt(imported: Phantom, phantom: Phantom) -> None:
+    mesh = imported.lumen_mesh
+    vertices = in_patient(imported, mesh.vertices)
+    ends = [np.linalg.norm(vertices - centre, axis=1) < radius + 5e-3 for centre, _, radius in open_ends(phantom.tree)]
+    kept = ~np.any(ends, axis=0)
+    true = -phantom.grid.gradient(vertices[kept])
+    true /= np.linalg.norm(true, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip((true * mesh.vertex_normals[kept]).sum(axis=1), -1, 1)))
+    assert np.median(angle) < 3
+    assert np.percentile(angle, 95) < 12  # a staircase of voxels has 45 to 90
+
+
+def test_an_oblique_volume_in_slicers_format(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
+    labels, affine = rasterise(phantom, turn=oblique())
+    path = save_slicer(tmp_path / "Segmentation.seg.nrrd", labels, affine, LONG_NAMES)
+    compare(import_anatomy(path, resolution=COARSE, cache_dir=cache), phantom)
+
+
+def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
+    labels, affine = rasterise(phantom, spacing=(1e-3, 1e-3, 2e-3), cut=0.02)
+    lcca, lsa = labels == IDS["lcca"], labels == IDS["lsa"]
+    # a bridge of one voxel's width between two vessels, and a gap of one slice in one
+    k = int(np.flatnonzero(lcca.any(axis=(0, 1)) & lsa.any(axis=(0, 1)))[-3])
+    a, b = np.argwhere(lcca[:, :, k]).mean(axis=0), np.argwhere(lsa[:, :, k]).mean(axis=0)
+    for share in np.linspace(0, 1, 200):
+        i, j = np.rint(a + share * (b - a)).astype(int)
+        if not labels[i, j, k]:
+            labels[i, j, k] = IDS["lcca"] if share < 0.5 else IDS["lsa"]
+    gap = int(np.quantile(np.flatnonzero((labels == IDS["rcca"]).any(axis=(0, 1))), 0.6))
+    labels[:, :, gap][labels[:, :, gap] == IDS["rcca"]] = 0
+    folder = tmp_path / "patient"
+    folder.mkdir()
+    for value, name in LONG_NAMES.items():
+        save_nifti(folder / f"{name}.nii.gz", (labels == value).astype(np.uint8), affine)
+    save_nifti(folder / "liver.nii.gz", np.zeros_like(labels), affine)
+    found = import_anatomy(folder, resolution=COARSE, cache_dir=cache)
+    assert set(found.tree.names) == set(phantom.tree.names)
+    assert found.imported is not None
+    notes = " ".join(found.imported.notes)
+    assert "in rcca is closed" in notes
+    assert "aorta's lower end is cut off by the volume's edge" in notes
+    # the way from one to the other is that through the arch, not over the bridge
+    way = found.geodesic_distance(found.targets["lsa"].position, "lcca")
+    assert way > 0.06
+    assert check_lumen(found, required_radius=1e-3).valid
+
+
+@pytest.mark.slow
+def test_one_label_for_all_is_named_by_its_shape(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
+    labels, affine = rasterise(phantom, spacing=(1.2e-3,) * 3)
+    path = save_nifti(tmp_path / "mask.nii.gz", (labels > 0).astype(np.uint8), affine)
+    found = import_anatomy(path, resolution=COARSE, cache_dir=cache)
+    assert {"aorta", "bca", "lcca", "lsa"} <= set(found.tree.names)
+    for name in ("bca", "lcca", "lsa"):
+        place = in_patient(found, found.targets[name].position[None])
+        assert nearest_on_branch(phantom.tree[name], place)[2][0] < 2e-3
+
+
+def test_survives_cache_description_and_pickling(thick: Path, imported: Phantom, cache: Path) -> None:
+    from cathsim.anatomy.volume.importer import _load
+
+    _load.cache_clear()
+    again = import_anatomy(thick, resolution=COARSE, cache_dir=cache)
+    assert again.imported == imported.imported
+    np.testing.assert_array_equal(again.grid.dense(), imported.grid.dense())
+    description = json.loads(json.dumps(phantom_description(imported)))
+    assert phantom_described(description).hash == imported.hash
+    assert pickle.loads(pickle.dumps(imported)).imported == imported.imported
+
+
+def test_load_phantom_takes_a_volume(thick: Path, imported: Phantom, cache: Path) -> None:
+    assert load_phantom(str(thick), resolution=COARSE, cache_dir=cache).hash == imported.hash
+    with pytest.raises(ValueError, match="takes no seed"):
+        load_phantom(str(thick), seed=3, cache_dir=cache)
+    with pytest.raises(MeshRefusedError, match="unit in its header"):
+        import_anatomy(thick, unit="mm", cache_dir=cache)
+
+
+def test_names_of_the_users_own(thick: Path, cache: Path) -> None:
+    found = import_anatomy(thick, names={"lcca": "left"}, resolution=2e-3, cache_dir=cache)
+    assert "left" in found.tree
+    assert "left" in found.targets
+    with pytest.raises(MeshRefusedError, match="was not found"):
+        import_anatomy(thick, names={"carotid": "left"}, resolution=2e-3, cache_dir=cache)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "expected"),
+    [("ctchest_mask.nii.gz", {"bca", "lcca", "lsa", "rsa", "rcca"}), ("totalseg", {"bca", "lcca", "lsa"})],
+)
+def test_real_labels(file: str, expected: set[str], cache: Path) -> None:
+    if not (REAL / file).exists():
+        pytest.skip(f"no real data at {REAL / file}")
+    found = import_anatomy(REAL / file, cache_dir=cache)
+    assert set(found.tree.names) == expected | {"aorta"}
+    assert expected <= set(found.targets)
+    assert found.imported is not None
+    voxels, lumen = (sum(pair[n] for pair in found.imported.volumes_ml.values()) for n in (0, 1))
+    assert lumen == pytest.approx(voxels, rel=0.03)
+    assert check_lumen(found, required_radius=1e-3).valid
