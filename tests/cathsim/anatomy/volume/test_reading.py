@@ -1,0 +1,234 @@
+"""Label volumes as they come, and those that cannot be read: one sentence each."""
+
+from __future__ import annotations
+
+import builtins
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy.importing import import_anatomy, is_anatomy_path
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.volume.labels import AORTASEG24, choose_labels
+from cathsim.anatomy.volume.reading import open_volume, read_labels
+from tests.cathsim.anatomy.volume.rasterised import save_nifti, save_slicer
+
+nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
+nrrd = pytest.importorskip("nrrd", reason="label volumes need pynrrd")
+
+AFFINE = np.diag([-0.8, 0.9, 2.0, 1.0])
+AFFINE[:3, 3] = [40.0, -30.0, 12.0]
+
+
+def tubes() -> np.ndarray:
+    """Labels of an upright vessel (52) and of one that leaves it (58)."""
+    labels = np.zeros((40, 40, 30), dtype=np.uint8)
+    labels[10:20, 10:20] = 52
+    labels[20:30, 13:17, 14:18] = 58
+    return labels
+
+
+def refused(path: Path, match: str, **arguments: Any) -> str:
+    with pytest.raises(MeshRefusedError, match=match) as caught:
+        import_anatomy(path, cache_dir=path.parent / "cache", **arguments)
+    sentence = str(caught.value)
+    assert sentence.endswith(".")
+    assert "\n" not in sentence
+    assert len(sentence) < 420
+    return sentence
+
+
+def test_a_voxels_place_is_that_of_the_affine(tmp_path: Path) -> None:
+    for unit, scale in (("mm", 1.0), ("meter", 1e-3), ("micron", 1e3)):
+        image = nibabel.Nifti1Image(tubes(), np.diag([scale] * 3 + [1.0]) @ AFFINE)
+        image.header.set_xyzt_units(unit)
+        nibabel.save(image, tmp_path / "scan.nii")
+        volume = read_labels(tmp_path / "scan.nii")
+        first = volume.affine @ [0, 0, 0, 1]
+        np.testing.assert_allclose(first[:3], 1e-3 * (AFFINE @ [10, 10, 0, 1])[:3], atol=1e-9)
+        np.testing.assert_allclose(volume.spacing, [0.8e-3, 0.9e-3, 2e-3], rtol=1e-5)
+        assert volume.names == ("aorta", "lcca")
+        assert volume.shape == (40, 40, 30)
+
+
+def test_qform_counts_where_there_is_no_sform_and_neither_is_noted(tmp_path: Path) -> None:
+    image = nibabel.Nifti1Image(tubes(), AFFINE)
+    image.set_sform(None, code=0)
+    image.set_qform(AFFINE, code=1)
+    nibabel.save(image, tmp_path / "scan.nii.gz")
+    np.testing.assert_allclose(read_labels(tmp_path / "scan.nii.gz").frame, np.diag([-1.0, -1.0, 1.0]))
+    image.set_qform(None, code=0)
+    nibabel.save(image, tmp_path / "scan.nii.gz")
+    assert "says nothing of the patient's axes" in read_labels(tmp_path / "scan.nii.gz").notes[0]
+
+
+@pytest.mark.parametrize("space", ["left-posterior-superior", "RAS"])
+@pytest.mark.parametrize("encoding", ["gzip", "raw"])
+def test_nrrd_in_either_space(tmp_path: Path, space: str, encoding: str) -> None:
+    header = {
+        "space": space,
+        "space directions": AFFINE[:3, :3].T,
+        "space origin": AFFINE[:3, 3],
+        "encoding": encoding,
+    }
+    nrrd.write(str(tmp_path / "a.nrrd"), tubes(), header)
+    volume = read_labels(tmp_path / "a.nrrd")
+    expected = np.eye(3) if space.startswith("left") else np.diag([-1.0, -1.0, 1.0])
+    np.testing.assert_allclose(volume.frame, expected)
+    np.testing.assert_array_equal(volume.vessels[:10, :10, :], 1)
+
+
+def test_segments_of_slicer_in_layers_may_overlap(tmp_path: Path) -> None:
+    labels = tubes()
+    layers = np.stack([np.where(labels > 0, 1, 0), np.where(labels == 58, 1, 0)]).astype(np.uint8)
+    header = {
+        "space": "left-posterior-superior",
+        "kinds": ["list", "domain", "domain", "domain"],
+        "space directions": np.vstack([[np.nan] * 3, AFFINE[:3, :3].T]),
+        "space origin": AFFINE[:3, 3],
+        "Segment0_Name": "Aorta",
+        "Segment0_LabelValue": "1",
+        "Segment0_Layer": "0",
+        "Segment1_Name": "Left common carotid artery",
+        "Segment1_LabelValue": "1",
+        "Segment1_Layer": "1",
+    }
+    nrrd.write(str(tmp_path / "a.seg.nrrd"), layers, header)
+    volume = read_labels(tmp_path / "a.seg.nrrd")
+    assert volume.names == ("aorta", "lcca")
+    assert np.count_nonzero(volume.vessels == 2) == np.count_nonzero(labels == 58)
+
+
+def test_names_in_the_header_of_totalsegmentator(tmp_path: Path) -> None:
+    labels = np.where(tubes() == 52, 3, np.where(tubes() == 58, 9, 0)).astype(np.uint8)
+    save_nifti(tmp_path / "a.nii.gz", labels, AFFINE, {3: "aorta", 9: "subclavian_artery_left"})
+    assert read_labels(tmp_path / "a.nii.gz").names == ("aorta", "lsa")
+    assert read_labels(tmp_path / "a.nii.gz", {9: "lcca"}).names == ("aorta", "lcca")
+    assert read_labels(tmp_path / "a.nii.gz", {"subclavian_artery_left": None}).names == ("aorta",)
+
+
+def test_zones_of_aortaseg24_are_one_aorta() -> None:
+    present = {(0, value): 100 for value in range(1, 24)}
+    choice = choose_labels(present, {}, None, "a.nii.gz")
+    assert choice.scheme == "AortaSeg24"
+    assert {choice.vessels[0, value] for value in (1, 3, 5, 7, 8, 9, 10)} == {"aorta"}
+    assert (choice.vessels[0, 2], choice.vessels[0, 4], choice.vessels[0, 6]) == ("bca", "lcca", "lsa")
+    assert AORTASEG24[19] == "iliac_left"
+
+
+def test_the_first_version_of_totalsegmentator() -> None:
+    present = {(0, value): 100 for value in (1, 5, 7, 8, 51, 52, 60, 104)}
+    choice = choose_labels(present, {}, None, "a.nii.gz")
+    assert choice.vessels == {(0, 7): "aorta", (0, 51): "iliac_left", (0, 52): "iliac_right"}
+
+
+def test_labels_without_an_aorta(tmp_path: Path) -> None:
+    path = save_nifti(tmp_path / "a.nii.gz", tubes(), AFFINE, {52: "liver", 58: "common_carotid_artery_left"})
+    assert "common_carotid_artery_left" in refused(path, "no label of the aorta")
+
+
+def test_an_empty_volume(tmp_path: Path) -> None:
+    refused(save_nifti(tmp_path / "a.nii.gz", np.zeros((20, 20, 20), np.uint8), AFFINE), "is empty")
+
+
+def test_volumes_of_four_axes(tmp_path: Path) -> None:
+    nibabel.save(nibabel.Nifti1Image(np.zeros((8, 8, 8, 3), np.uint8), AFFINE), tmp_path / "a.nii.gz")
+    refused(tmp_path / "a.nii.gz", "has 4 axes")
+    nrrd.write(str(tmp_path / "a.nrrd"), np.zeros((8, 8, 8, 3), np.uint8))
+    refused(tmp_path / "a.nrrd", "has 4 axes")
+    nibabel.save(nibabel.Nifti1Image(tubes()[..., None], AFFINE), tmp_path / "one.nii.gz")
+    assert open_volume(tmp_path / "one.nii.gz").shape == (40, 40, 30)
+
+
+@pytest.mark.parametrize("wrong", ["singular", "nan", "sheared", "huge"])
+def test_an_affine_that_is_none(tmp_path: Path, wrong: str) -> None:
+    affine = AFFINE.copy()
+    if wrong == "singular":
+        affine[:, 1] = affine[:, 0]
+    elif wrong == "sheared":
+        affine[0, 2] = 0.8
+    elif wrong == "huge":
+        affine[:3, :3] *= 100
+    header = {"space": "LPS", "space directions": affine[:3, :3].T, "space origin": affine[:3, 3]}
+    if wrong == "nan":
+        header["space origin"] = np.array([np.nan, 0, 0])
+    nrrd.write(str(tmp_path / "a.nrrd"), tubes(), header)
+    match = {"singular": "do not span", "nan": "missing or infinite", "sheared": "right angles", "huge": "voxels of"}
+    refused(tmp_path / "a.nrrd", match[wrong])
+
+
+def test_wrong_label_numbers(tmp_path: Path) -> None:
+    path = save_nifti(tmp_path / "a.nii.gz", tubes(), AFFINE)
+    refused(path, "no label 99; it has 52, 58", labels={99: "aorta"})
+    refused(path, "no label of the aorta", labels={52: "lsa"})
+    many = 60 + np.arange(40 * 40 * 30).reshape(40, 40, 30) % 33
+    refused(save_nifti(tmp_path / "b.nii.gz", many.astype(np.uint8), AFFINE), "no label that is known as the aorta")
+
+
+def test_an_image_instead_of_labels(tmp_path: Path) -> None:
+    hounsfield = np.random.default_rng(0).normal(0, 300, (20, 20, 20))
+    refused(save_nifti(tmp_path / "a.nii.gz", hounsfield.astype(np.int16), AFFINE), "no label volume")
+    refused(save_nifti(tmp_path / "b.nii.gz", hounsfield.astype(np.float32), AFFINE), "no whole numbers")
+
+
+def test_noise(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (120, 120, 60)).astype(np.uint8)
+    refused(save_nifti(tmp_path / "a.nii.gz", noise, AFFINE), "noise|no label")
+    speckles = np.where(np.random.default_rng(1).random((90, 90, 60)) < 0.05, 52, 0).astype(np.uint8)
+    speckles[3, 3, 3] = 58
+    refused(save_nifti(tmp_path / "b.nii.gz", speckles, AFFINE), "is noise")
+    large = np.full((120, 120, 60), 52, np.uint8)
+    refused(save_nifti(tmp_path / "c.nii.gz", large, np.diag([3.0, 3.0, 3.0, 1.0])), "litres")
+
+
+def test_more_than_is_read_is_refused_by_its_header(tmp_path: Path) -> None:
+    path = save_nifti(tmp_path / "a.nii", tubes(), AFFINE)
+    content = bytearray(path.read_bytes())
+    content[42:48] = np.array([2000, 2000, 2000], "<i2").tobytes()
+    path.write_bytes(content)
+    refused(path, "GB of values")
+
+
+def test_damaged_files(tmp_path: Path) -> None:
+    for name in ("a.nii.gz", "a.nii", "a.nrrd"):
+        (tmp_path / name).write_bytes(b"no volume at all")
+        refused(tmp_path / name, "no NIfTI file|no sound NRRD|damaged")
+    path = save_nifti(tmp_path / "b.nii.gz", tubes(), AFFINE)
+    path.write_bytes(path.read_bytes()[:-200])
+    refused(path, "damaged")
+    path = save_slicer(tmp_path / "b.nrrd", tubes(), AFFINE, {52: "aorta"})
+    path.write_bytes(path.read_bytes()[:-60])
+    refused(path, "damaged")
+    refused(tmp_path / "absent.nii.gz", "there is no file")
+
+
+def test_folders(tmp_path: Path) -> None:
+    folder = tmp_path / "patient"
+    folder.mkdir()
+    assert not is_anatomy_path(str(folder))
+    save_nifti(folder / "liver.nii.gz", tubes(), AFFINE)
+    assert is_anatomy_path(str(folder))
+    refused(folder, "no file that is named after the aorta")
+    save_nifti(folder / "aorta.nii.gz", np.zeros_like(tubes()), AFFINE)
+    refused(folder, "aorta.nii.gz is empty")
+    save_nifti(folder / "aorta.nii.gz", (tubes() == 52).astype(np.uint8), AFFINE)
+    save_nifti(folder / "subclavian_artery_left.nii.gz", (tubes() == 58).astype(np.uint8), np.diag([1.0, 1, 1, 1]))
+    refused(folder, "different lattices")
+    refused(folder, "no branch|no label", labels={"spleen": "aorta"})
+
+
+def test_a_reader_that_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *rest: Any, **more: Any) -> Any:
+        if name in ("nibabel", "nrrd"):
+            raise ModuleNotFoundError(name)
+        return real(name, *rest, **more)
+
+    paths = save_nifti(tmp_path / "a.nii.gz", tubes(), AFFINE), save_slicer(tmp_path / "a.nrrd", tubes(), AFFINE, {})
+    monkeypatch.setattr(builtins, "__import__", without)
+    for path in paths:
+        with pytest.raises(MeshRefusedError, match=r"install cathsim\[volumes\]"):
+            read_labels(path)
