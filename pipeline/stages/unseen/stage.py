@@ -231,6 +231,7 @@ def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) 
         evaluation_episodes=settings.validation_episodes,
         stop_after=STOP_AFTER,
         tensorboard=settings.tensorboard,
+        keep_critics=True,  # a rehearsal starts from it
     )
 
 

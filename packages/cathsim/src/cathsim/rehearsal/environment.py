@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.devices.choice import chosen_wire
@@ -14,6 +16,7 @@ from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.registration.description import chosen
 from cathsim.rehearsal.perturbation import Perturbation, copy_of
+from cathsim.wire_placement import laid_starts
 
 
 class NavigateCopiesEnv(NavigateManyEnv):
@@ -65,6 +68,19 @@ class NavigateCopiesEnv(NavigateManyEnv):
             )
         self._kept: dict[int, Phantom] = {}  # so that the walls of a copy are made once
         super().__init__([int(seed) for seed in copies], targets, (guidewire,), resolution=resolution, **arguments)
+
+    def laid_starts(self, case: int, seed: int = 0) -> np.ndarray:
+        """States of a case with the wire laid along the way to its target (`cathsim.wire_placement.laid_starts`).
+
+        Args:
+            seed: of the turns while it is drawn back, and of the leads.
+
+        Returns:
+            As `reset(options={"start": row})` takes them, the case last. Shape (k, n).
+        """
+        self.reset(seed=seed, options={"case": case})
+        states = laid_starts(self.current, np.random.default_rng((seed, case)))
+        return np.concatenate((states, np.full((len(states), 1), float(case))), axis=1)
 
     def _build(self, case: int) -> NavigateEnv:
         copy, target, wire = self.describe(case)

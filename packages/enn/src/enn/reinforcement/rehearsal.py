@@ -1,0 +1,145 @@
+"""Rehearsal: a policy is trained in perturbed copies of one anatomy, and put to the test in other copies.
+
+The environment is any whose `reset` takes ``options={"case": k}`` and which tells how many `cases` it has, such as
+``gymnasium.make("cathsim:cathsim/NavigateCopies-v0", …)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from enn.policy import Policy
+from enn.reinforcement.training import DESK_SAC, Progress, Training, TrainingResult, TrainingSettings
+
+Environment = gymnasium.Env[Any, Any]
+
+TEST_SEED = 0  # of the first episode of `play_cases`; the k-th has the k-th after it
+
+# The actor and the critics are as wide as those for many anatomies, whose weights it may start from.
+REHEARSAL = replace(
+    DESK_SAC,
+    keys=("roadmap", "history"),
+    hidden=(256, 256),
+    batch_size=256,
+    gradient_steps=0.5,
+    n_envs=16,
+    decisions=12_000,
+    buffer_size=12_000,
+    demonstrations_in_replay=0.0,
+    reset_bank_share=0.5,
+    reset_bank_capacity=64,
+    evaluate_every=3_000,
+    evaluation_episodes=16,
+    stop_after=2,
+    keep_critics=True,
+)
+
+
+@dataclass(frozen=True)
+class CaseOutcomes:
+    """How a policy did in some cases, an episode each."""
+
+    success: NDArray[np.bool_]  # whether the target was reached. Shape (n,).
+    steps: NDArray[np.int64]  # shape (n,)
+    forces: NDArray[np.float64]  # contact force of every step of all episodes, N
+
+    @property
+    def force_p95(self) -> float:
+        """95th percentile of the force over all steps, N."""
+        return float(np.percentile(self.forces, 95))
+
+
+def rehearse(
+    make_env: Callable[[], Environment],
+    *,
+    make_validation_env: Callable[[], Environment] | None = None,
+    policy: Policy | None = None,
+    settings: TrainingSettings = REHEARSAL,
+    starts: Sequence[NDArray[Any]] = (),
+    folder: Path | str | None = None,
+    seed: int = 0,
+    metadata: dict[str, Any] | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> TrainingResult:
+    """Trains in the cases of an environment, from a policy or from nothing.
+
+    Args:
+        make_env: makes an environment of the training.
+        make_validation_env: makes one of the cases that choose the best policy; None: `make_env`.
+        policy: with critics, to start from; its network and action repeat replace those of the settings.
+        settings: of the training; the number of cases is filled in.
+        starts: states to start from beside the usual start, the case last: an array a case. Shapes (k, n).
+        folder: where it can go on after an interruption; None: only in memory.
+
+    Raises:
+        ValueError: the policy has no critics, or sees or does something else than the environment.
+    """
+    env = make_env()
+    cases = cases_of(env)
+    env.close()
+    changed = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
+    if policy is not None:
+        changed = replace(changed.with_network(policy.network), action_repeat=policy.action_repeat)
+    training = Training(
+        changed,
+        make_env,
+        folder,
+        seed=seed,
+        metadata=metadata,
+        starts=starts,
+        make_validation_env=make_validation_env,
+        initial=policy,
+    )
+    return training.run(progress)
+
+
+def play_cases(
+    policy: Policy,
+    env: Environment,
+    *,
+    deterministic: bool = True,
+    seed: int = TEST_SEED,
+    report: Callable[[int, int], None] | None = None,
+) -> CaseOutcomes:
+    """Plays one episode in every case of an environment.
+
+    Args:
+        seed: of the first episode.
+        report: takes the episodes played and how many succeeded, after each.
+
+    Raises:
+        ValueError: the environment has no cases.
+    """
+    success, steps, forces = [], [], []
+    for case in range(cases_of(env)):
+        controller = policy.controller(deterministic, seed=seed + case)
+        observation, info = env.reset(seed=seed + case, options={"case": case})
+        ended, count = False, 0
+        while not ended:
+            observation, _, terminated, truncated, info = env.step(controller(observation, info))
+            forces.append(float(info["force"]))
+            ended, count = terminated or truncated, count + 1
+        success.append(bool(terminated))
+        steps.append(count)
+        if report is not None:
+            report(case + 1, sum(success))
+    return CaseOutcomes(np.array(success), np.array(steps), np.array(forces))
+
+
+def cases_of(env: Environment) -> int:
+    """How many cases an environment has.
+
+    Raises:
+        ValueError: it has none.
+    """
+    cases = getattr(env.unwrapped, "cases", None)
+    if not isinstance(cases, int):
+        raise ValueError(f"a rehearsal needs an environment with cases, such as cathsim/NavigateCopies-v0, got {env}")
+    return cases

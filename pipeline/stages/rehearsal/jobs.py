@@ -1,0 +1,231 @@
+"""Jobs of the stage rehearsal: the training in copies of a scan, and logged episodes in other copies.
+
+The stage's folder draws as::
+
+    starts.npz                                     wires laid along the way in the training's copies
+    seed<k>/{policy.pt, training.csv, training.json}
+    {before,after}/<scan or copies>/<copy>/NNN.mcap
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.jobs.worker import Report
+from pipeline.recording.trials import MODES, Origin, controllers, run_trials
+from pipeline.seeds import held_out_seeds
+from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.unseen.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING, ROADMAP_KEYS
+from pipeline.store.atomic_files import write_arrays
+from pipeline.store.errors import stopping_the_stage
+from pipeline.task import TASK, Task
+
+if TYPE_CHECKING:
+    from cathsim import Phantom
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+
+STARTS, POLICY = "starts.npz", "policy.pt"
+SCAN, COPIES = "scan", "copies"  # sets of tests
+# Seeds of copies; 0 is the scan. Those of the tests are met nowhere else.
+VALIDATION, TEST = 1_000_001, 2_000_001
+_COPIES_A_SEED = 1_000  # of a run
+PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record")
+_ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
+_LAID = 0.1  # of the training's job
+
+
+@dataclass(frozen=True)
+class RehearsalJob:
+    """A rehearsal.
+
+    Attributes:
+        task: with the length of the wire filled in.
+        target: its name, or a point in m.
+        start: the policy to start from; None: from nothing.
+        tested: for tests, the row of the table; None: for the training.
+        copies: of a test: seeds.
+    """
+
+    folder: Path
+    origin: Origin
+    settings: RehearsalSettings
+    task: Task
+    target: str | tuple[float, float, float]
+    start: Path | None = None
+    policy: Path | None = None
+    tested: str | None = None
+    copies: tuple[int, ...] = ()
+
+    @property
+    def own_folder(self) -> Path:
+        """Of the training."""
+        return self.folder / f"seed{self.origin.training_seed}"
+
+
+def load_anatomy(settings: RehearsalSettings) -> Phantom:
+    """The anatomy of the settings, from the cache where it was built before.
+
+    Raises:
+        ValueError: there is none such, or the file cannot be imported.
+    """
+    from cathsim.anatomy import import_mesh, load_phantom
+
+    if settings.file is None:
+        return load_phantom(settings.phantom or "type_1", seed=settings.phantom_seed)
+    if settings.unit is None and settings.names is None:
+        return load_phantom(settings.file)
+    return import_mesh(settings.file, unit=settings.unit, names=settings.names)
+
+
+def fitted_task(task: Task, phantom: Phantom, target: Any) -> Task:
+    """The task with a wire that reaches the target, where its length is left open."""
+    from cathsim.arena import RESERVE
+
+    needed = phantom.way_length(target) + RESERVE + _ROOM
+    if task.wire_length_mm or needed <= task.guidewire().length:
+        return task
+    return replace(task, wire_length_mm=10.0 * math.ceil(100.0 * needed))
+
+
+def copies_environment(job: RehearsalJob, copies: Sequence[int], *, training: bool = False) -> NavigateCopiesEnv:
+    """An environment over copies; that of a training has the shaped reward and its physics."""
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+    from cathsim.rehearsal.perturbation import Perturbation
+
+    settings = job.settings
+    perturbation = Perturbation(
+        walls=settings.walls_mm / 1e3,
+        shift=settings.shift_mm / 1e3,
+        turn=math.radians(settings.turn_deg),
+        stiffness=settings.stiffness_pct / 100,
+        friction=settings.friction_pct / 100,
+        breathing=settings.breathing_mm / 1e3,
+        period=settings.breath_s,
+    )
+    shaped: dict[str, Any] = {"force_penalty": settings.force_penalty, "path_penalty": settings.path_penalty}
+    return NavigateCopiesEnv(
+        load_anatomy(settings),
+        (job.target,),
+        copies=tuple(copies),
+        perturbation=perturbation,
+        accuracy=settings.accuracy if training else "accurate",
+        observation=ROADMAP_KEYS,
+        reward=REWARD_OF_TRAINING if training else REWARD_OF_EVALUATION,
+        **(shaped if training else {}),
+        **job.task.devices(),
+        **job.task.rules(),
+    )
+
+
+def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
+    """Lays starts and trains, each only where it lacks.
+
+    Returns:
+        Time and decisions.
+    """
+    from enn.policy import Policy
+    from enn.reinforcement.checkpoint import CheckpointError
+    from enn.reinforcement.rehearsal import REHEARSAL, rehearse
+    from enn.reinforcement.training import DESK_PPO
+
+    settings, seed = job.settings, job.origin.training_seed
+    begun = time.process_time()
+    first = 1 + _COPIES_A_SEED * seed
+    copies = (0, *range(first, first + settings.copies))
+    starts = _laid_starts(job, copies, report)
+    preset = replace(DESK_PPO, keys=ROADMAP_KEYS, reset_bank_share=0.5)
+    if settings.algorithm == "sac":
+        preset = replace(REHEARSAL, gradient_steps=settings.gradient_steps, buffer_size=max(settings.decisions, 1000))
+    training = replace(
+        preset,
+        hidden=(settings.hidden, settings.hidden),
+        learning_rate=settings.learning_rate,
+        decisions=settings.decisions,
+        n_envs=settings.environments,
+        threads=settings.threads or 2,
+        evaluate_every=max(settings.decisions // 4, 1),
+        evaluation_episodes=settings.validation_copies + 1,
+        device=report.device,
+    )
+    with stopping_the_stage(CheckpointError, ValueError):
+        result = rehearse(
+            partial(copies_environment, job, copies, training=True),
+            make_validation_env=partial(
+                copies_environment, job, (0, *range(VALIDATION, VALIDATION + settings.validation_copies))
+            ),
+            policy=None if job.start is None else Policy.load(job.start, report.device),
+            settings=training,
+            starts=starts,
+            folder=job.own_folder,
+            seed=seed,
+            metadata={**job.origin.configuration("training"), TASK: asdict(job.task)},
+            progress=lambda p: report(
+                _LAID + (1 - _LAID) * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"
+            ),
+        )
+    return {
+        "cpu_s": round(time.process_time() - begun, 1),
+        "training_wall_s": round(result.timings["wall_s"], 1),
+        "decisions": int(result.timings["decisions"]),
+    }
+
+
+def _laid_starts(job: RehearsalJob, copies: Sequence[int], report: Report) -> list[np.ndarray]:
+    path = job.folder / STARTS
+    if not path.is_file():
+        environment = copies_environment(job, copies, training=True)
+        arrays = {}
+        for case, copy in enumerate(copies):
+            report(_LAID * case / len(copies), f"starts in copy {copy}")
+            arrays[str(case)] = environment.laid_starts(case, job.origin.training_seed)
+        environment.close()
+        write_arrays(path, arrays)
+    with np.load(path) as kept:
+        return [states for name in kept.files if len(states := kept[name])]
+
+
+def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
+    """Logs an episode in each copy of a test, or several on the scan, whose log is not there yet.
+
+    Returns:
+        Success of each episode, its steps, and for each the contact forces of its steps, N.
+    """
+    from enn.policy import Policy
+    from pipeline.episodes import EpisodeReader
+
+    assert job.policy is not None
+    environment = copies_environment(job, job.copies)
+    policy = Policy.load(job.policy)
+    kind = SCAN if job.copies == (0,) else COPIES
+    logs, success = [], []
+    for case, copy in enumerate(job.copies):
+        environment.reset(seed=0, options={"case": case})
+        folder = job.folder / str(job.tested) / kind / str(copy)
+        count = job.settings.scan_episodes if copy == 0 else 1
+        seeds = held_out_seeds(job.origin.training_seed, count if copy == 0 else 1 + copy - TEST)[-count:]
+        metrics = run_trials(
+            environment.current,
+            controllers(policy, MODES[0]),
+            folder,
+            seeds=seeds,
+            mode=MODES[0],
+            origin=replace(job.origin, row=str(job.tested), further={"test_set": kind, "copy": copy}),
+        )
+        success += [one.success for one in metrics]
+        logs += [folder / f"{number:03d}.mcap" for number in range(count)]
+        report((case + 1) / len(job.copies), f"{sum(success)}/{len(success)}")
+    environment.close()
+    forces = []
+    for log in logs:
+        with EpisodeReader(log) as episode:
+            arrays = episode.load_arrays(pictures=False)
+        forces.append(np.linalg.norm(arrays["resultant_force"][1:], axis=1).tolist())
+    return {"success": [bool(one) for one in success], "forces": forces, "logs": [str(log) for log in logs]}

@@ -1,0 +1,181 @@
+"""The rehearsal stage: a policy is trained in perturbed copies of a patient's scan, and tested in other copies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.jobs.gpu_memory import policy_gb
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.recording.trials import Origin
+from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.stages import Stage, StageContext
+from pipeline.stages.rehearsal.jobs import (
+    COPIES,
+    POLICY,
+    PRELOAD,
+    SCAN,
+    TEST,
+    RehearsalJob,
+    fitted_task,
+    load_anatomy,
+    play,
+    train,
+)
+from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.unseen.task import ROADMAP
+from pipeline.stages.unseen.trials import policy_folder
+from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import hash_file
+from pipeline.task import Task, require_feeder, require_known_task
+
+BEFORE, AFTER = "before", "after"
+TRAINING = "training"
+_PARTS = 2  # of the tests in copies, beside each other
+_SECONDS = {"decision": 15e-3, "test": 1.0}  # guesses
+
+
+def check_rehearsal(settings: RehearsalSettings) -> None:
+    """Refuses unknown wires and actions of the tip's motors."""
+    require_known_task(settings.task)
+    require_feeder(settings.task, "rehearsal")
+
+
+def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
+    """Imports the scan, tests the policy to start from, rehearses, and tests again."""
+    try:
+        phantom = load_anatomy(settings)
+        x = settings.point_mm
+        target: Any = settings.target or "lcca" if x is None else tuple(float(value) / 1e3 for value in x)
+        phantom.target(target)
+        task = fitted_task(settings.task, phantom, target)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+    start = starting_policy(settings, context.run_path, context.seed)
+    jobs = plan(settings, context, task, target, start)
+    label = f"rehearsal in {phantom.name}"
+    outcomes = run_jobs(
+        context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD, device=settings.device
+    )
+    rows = {
+        f"{phantom.name}/{tested} {kind}": row(outcomes, tested, kind)
+        for tested in _rows(start)
+        for kind in (SCAN, COPIES)
+    }
+    cost = outcomes[TRAINING] | {"starts_from": "nothing" if start is None else "a policy"}
+    write_results(context.path, {"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}})
+    write_figures(context.path, [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)])
+
+
+def generalist(run_path: Path, seed: int) -> Path | None:
+    """The roadmap policy of the stage unseen in the same run, if it was trained."""
+    for name in ("unseen", f"unseen@seed={seed}"):
+        file = policy_folder(run_path / name, ROADMAP, seed) / POLICY
+        if file.is_file():
+            return file
+    return None
+
+
+def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int) -> Path | None:
+    """The policy that a rehearsal starts from; None: nothing."""
+    if settings.fresh:
+        return None
+    return Path(settings.policy) if settings.policy is not None else generalist(run_path, seed)
+
+
+def plan(settings: RehearsalSettings, context: StageContext, task: Task, target: Any, start: Path | None) -> list[Job]:
+    """The jobs: tests before, the training, tests after."""
+    job = RehearsalJob(
+        context.path, Origin("rehearsal", AFTER, context.seed, context.budget), settings, task, target, start
+    )
+    jobs = [] if start is None else _tests(job, BEFORE, start, ())
+    weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
+    jobs.insert(0, Job(TRAINING, train, job, weight=weight, gpu_gb=memory))
+    return [*jobs, *_tests(job, AFTER, job.own_folder / POLICY, (TRAINING,))]
+
+
+def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...]) -> list[Job]:
+    copies = range(TEST, TEST + job.settings.test_copies)
+    sets = {f"{tested}/{SCAN}": (0,)} | {
+        f"{tested}/{COPIES}{part}": tuple(copies[part::_PARTS]) for part in range(min(_PARTS, len(copies)))
+    }
+    return [
+        Job(
+            key,
+            play,
+            replace(job, policy=policy, tested=tested, copies=those),
+            after=after,
+            weight=_SECONDS["test"] * (len(those) if those != (0,) else job.settings.scan_episodes),
+        )
+        for key, those in sets.items()
+    ]
+
+
+def _rows(start: Path | None) -> tuple[str, ...]:
+    return (AFTER,) if start is None else (BEFORE, AFTER)
+
+
+def _outcomes_of(outcomes: dict[str, Any], tested: str, kind: str) -> list[dict[str, Any]]:
+    return [outcome for key, outcome in outcomes.items() if key.startswith(f"{tested}/{kind}")]
+
+
+def row(outcomes: dict[str, Any], tested: str, kind: str) -> dict[str, Any]:
+    """A row of the table: success with Wilson's 95 % interval, forces over all steps, length."""
+    from cathsim.metrics.intervals import wilson_interval
+
+    parts = _outcomes_of(outcomes, tested, kind)
+    success = [one for part in parts for one in part["success"]]
+    episodes = [forces for part in parts for forces in part["forces"]]
+    forces = np.concatenate(episodes)
+    low, high = wilson_interval(sum(success), len(success))
+    return {
+        "success_pct": 100.0 * float(np.mean(success)),
+        "interval_pct": f"{100 * low:.0f} to {100 * high:.0f}",
+        "force_n": float(forces.mean()),
+        "force_p95_n": float(np.percentile(forces, 95)),
+        "force_max_n": float(forces.max()),
+        "episode_length_steps": float(np.mean([len(one) for one in episodes])),
+        "n": len(success),
+    }
+
+
+def picture(outcomes: dict[str, Any], tested: str, phantom: Any, target: Any, folder: Path) -> Figure:
+    """Draws the tip's paths and the forces in the copies of a test."""
+    from pipeline.episodes import EpisodeReader
+    from pipeline.report.plots.episodes import draw_task
+
+    logs: Sequence[str] = [log for part in _outcomes_of(outcomes, tested, COPIES) for log in part["logs"]]
+    episodes = []
+    for log in logs:
+        with EpisodeReader(log) as episode:
+            episodes.append(episode.load_arrays(pictures=False))
+    file = f"{tested}.png"
+    draw_task(phantom, target, episodes, folder / file)
+    reached = sum(sum(part["success"]) for part in _outcomes_of(outcomes, tested, COPIES))
+    caption = f"{reached} of {len(logs)} copies reached; the lumen is the scan's."
+    return Figure(f"{phantom.name}, {tested} the rehearsal", caption, file)
+
+
+def _generalist_hash(run_path: Path) -> dict[str, str]:
+    file = generalist(run_path, 0)
+    return {} if file is None else {"generalist": hash_file(file)}
+
+
+STAGE = Stage(
+    settings=RehearsalSettings,
+    run=run_rehearsal,
+    writes=(
+        "starts.npz",
+        "seed<k>/{policy.pt, training.csv, training.json}",
+        "{before,after}/<test set>/<copy>/NNN.mcap",
+        "{before,after}.png",
+        "results.json",
+    ),
+    check=check_rehearsal,
+    further_inputs=_generalist_hash,
+    place=10,
+)

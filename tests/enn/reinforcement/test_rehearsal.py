@@ -1,0 +1,84 @@
+"""Rehearsal over the cases of a toy environment: it learns, starts from a policy, plays every case."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from enn.reinforcement.rehearsal import REHEARSAL, cases_of, play_cases, rehearse
+from tests.enn.conftest import PointEnv
+from tests.enn.reinforcement.small_training import SMALL
+
+FROM_NOTHING = dataclasses.replace(SMALL, keys=("place",), gradient_steps=1.0, reset_bank_share=0.5, keep_critics=True)
+
+
+class WindyEnv(PointEnv):
+    """The point drifts by what its case says."""
+
+    cases = 3
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.case, self.wind = 0, np.zeros(2)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        options = dict(options or {})
+        start = options.get("start")
+        self.case = int(start[-1] if start is not None else options.get("case", 0))
+        self.wind = np.array([(0.0, 0.0), (0.01, 0.0), (0.0, 0.01)][self.case])
+        observation, info = super().reset(seed=seed, options=None if start is None else {"start": start[:-1]})
+        return observation, info | {"case": self.case}
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = super().step(action)
+        self.place = self.place + self.wind
+        return observation, reward, terminated, truncated, info | {"case": self.case}
+
+    def start_state(self) -> np.ndarray:
+        return np.append(self.place, float(self.case))
+
+    def state(self) -> dict[str, Any]:
+        return super().state() | {"case": self.case}
+
+    def restore(self, state: dict[str, Any]) -> Any:
+        self.case = state["case"]
+        return super().restore(state)
+
+
+def test_it_learns_in_all_cases_and_then_starts_from_that() -> None:
+    starts = [np.array([[0.2, 0.2, float(case)], [-0.3, 0.1, float(case)]]) for case in range(3)]
+    first = rehearse(WindyEnv, settings=FROM_NOTHING, starts=starts, seed=3)
+    outcome = play_cases(first.policy, WindyEnv(), seed=7)
+    assert outcome.success.sum() >= 2
+    assert outcome.success.shape == outcome.steps.shape == (3,)
+    assert len(outcome.forces) == outcome.steps.sum()
+    assert outcome.force_p95 == pytest.approx(np.percentile(outcome.forces, 95))
+    # the network of the policy wins over that of the settings
+    settings = dataclasses.replace(FROM_NOTHING, hidden=(8,), decisions=96, evaluate_every=96)
+    second = rehearse(WindyEnv, settings=settings, policy=first.policy, seed=4)
+    assert second.policy.network.hidden == (32, 32)
+    assert play_cases(second.policy, WindyEnv(), seed=7).success.sum() >= 2
+
+
+def test_the_same_seed_plays_the_same_episodes_and_reports_them() -> None:
+    policy = rehearse(WindyEnv, settings=dataclasses.replace(FROM_NOTHING, decisions=96), seed=0).policy
+    seen: list[tuple[int, int]] = []
+    one = play_cases(policy, WindyEnv(), seed=1, report=lambda *told: seen.append(told))
+    two = play_cases(policy, WindyEnv(), seed=1)
+    np.testing.assert_array_equal(one.forces, two.forces)
+    assert [done for done, _ in seen] == [1, 2, 3]
+    assert seen[-1][1] == one.success.sum()
+
+
+def test_an_environment_without_cases_is_refused() -> None:
+    with pytest.raises(ValueError, match="a rehearsal needs an environment with cases"):
+        cases_of(PointEnv())
+
+
+def test_the_preset_keeps_what_a_later_rehearsal_needs() -> None:
+    assert REHEARSAL.keep_critics
+    assert REHEARSAL.demonstrations_in_replay == 0.0
+    assert REHEARSAL.keys == ("roadmap", "history")

@@ -1,0 +1,197 @@
+"""The stage rehearsal: from a scan to a tested policy, from nothing and from a policy, and what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cathsim import load_phantom
+from enn.policy import Policy
+from pipeline.episodes import EpisodeReader
+from pipeline.jobs.worker import Report
+from pipeline.recording.trials import Origin
+from pipeline.stages.rehearsal.jobs import (
+    TEST,
+    VALIDATION,
+    RehearsalJob,
+    copies_environment,
+    fitted_task,
+    load_anatomy,
+    play,
+    train,
+)
+from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.rehearsal.stage import generalist, plan, row, run_rehearsal, starting_policy
+from pipeline.store.errors import ConfigurationError, StageError
+from pipeline.task import Task
+from tests.pipeline.stages.small_expert import context
+
+TINY: dict[str, Any] = {
+    "copies": 1,
+    "validation_copies": 1,
+    "test_copies": 2,
+    "scan_episodes": 1,
+    "decisions": 48,
+    "environments": 4,
+    "hidden": 16,
+    "accuracy": "fast",
+    "task": Task(start_rotation_deg=180.0, max_steps=12),
+}
+
+
+@pytest.fixture(autouse=True)
+def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+
+
+def job_of(folder: Path, **changed: Any) -> RehearsalJob:
+    settings = RehearsalSettings(**TINY | changed)
+    return RehearsalJob(folder, Origin("rehearsal", "after", 0, "smoke"), settings, settings.task, "bca")
+
+
+@pytest.mark.parametrize(
+    "changed", [{}, {"algorithm": "ppo"}, {"catheter": "vertebral"}], ids=["sac", "ppo", "catheter"]
+)
+def test_it_trains_in_copies_and_logs_its_tests(tmp_path: Path, changed: dict[str, Any]) -> None:
+    job = job_of(tmp_path, **changed)
+    cost = train(job, Report())
+    assert cost["decisions"] >= 48
+    policy = Policy.load(job.own_folder / "policy.pt")
+    assert policy.critics
+    assert policy.action_space.shape == ((4,) if "catheter" in changed else (2,))
+    with np.load(tmp_path / "starts.npz") as starts:
+        assert {int(states[0, -1]) for states in starts.values() if len(states)} == {0, 1}
+    tested = dataclasses.replace(job, policy=job.own_folder / "policy.pt", tested="after", copies=(TEST, TEST + 1))
+    outcome = play(tested, Report())
+    assert len(outcome["success"]) == 2
+    with EpisodeReader(tmp_path / "after/copies" / str(TEST) / "000.mcap") as log:
+        assert log.info.phantom == f"type_1_copy{TEST}"
+        assert log.info.configuration["copy"] == TEST
+        assert len(outcome["forces"][0]) == log.last_step
+    before = (tmp_path / "after/copies" / str(TEST) / "000.mcap").stat().st_mtime_ns
+    assert play(tested, Report()) == outcome  # nothing is played again
+    assert (tmp_path / "after/copies" / str(TEST) / "000.mcap").stat().st_mtime_ns == before
+
+
+def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(tmp_path: Path) -> None:
+    first = job_of(tmp_path / "first")
+    train(first, Report())
+    start = first.own_folder / "policy.pt"
+    longer = dataclasses.replace(job_of(tmp_path / "second", decisions=80), start=start)
+
+    class Stopping(Report):
+        def __call__(self, fraction: float, text: str = "") -> None:
+            if fraction > 0.5:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(longer, Stopping())
+    assert (longer.own_folder / "checkpoint/index.json").is_file()
+    train(longer, Report())
+    record = json.loads((longer.own_folder / "training.json").read_text())
+    assert record["settings"]["hidden"] == [16, 16]
+    acting = tmp_path / "acting.pt"
+    Policy.load(start).save(acting)
+    with pytest.raises(StageError, match="has no critics"):
+        train(dataclasses.replace(job_of(tmp_path / "third"), start=acting), Report())
+
+
+def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
+    settings = RehearsalSettings(**TINY | {"target": "bca", "workers": 1, "test_copies": 1})
+    run_rehearsal(settings, context(tmp_path, "rehearsal"))
+    results = json.loads((tmp_path / "rehearsal/results.json").read_text())
+    assert set(results["rehearsal"]) == {"type_1/after scan", "type_1/after copies"}
+    assert results["rehearsal_cost"]["type_1"]["starts_from"] == "nothing"
+    assert (tmp_path / "rehearsal/after.png").stat().st_size > 10_000
+
+
+def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> None:
+    settings = RehearsalSettings(**TINY | {"copies": 16, "validation_copies": 23, "test_copies": 30})
+    jobs = {job.key: job for job in plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", Path("p.pt"))}
+    tested = [copy for key in jobs if "copies" in key for copy in jobs[key].given.copies]
+    assert len(tested) == 60  # before and after
+    assert min(tested) >= TEST > VALIDATION + 1000 > 500 * 1000 + 16  # training seeds have 1,000 each
+    assert {jobs[key].after for key in jobs if key.startswith("before")} == {()}
+    assert {jobs[key].after for key in jobs if key.startswith("after")} == {("training",)}
+
+
+def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
+    job = job_of(tmp_path, force_penalty=0.7, walls_mm=0.5, breathing_mm=0.0)
+    training, tests = copies_environment(job, (0, 1), training=True), copies_environment(job, (0, 1))
+    assert (training.current.task.force_penalty, tests.current.task.force_penalty) == (0.7, 0.0)
+    assert training.simulation.numerics.timestep == 2 * tests.simulation.numerics.timestep
+    assert training.perturbation.walls == 0.5e-3
+    assert training.perturbation.friction == 0.3
+
+
+def test_the_wire_becomes_as_long_as_the_way_asks_for() -> None:
+    phantom = load_phantom("type_1")
+    far = fitted_task(Task(), phantom, "lsa_end")
+    assert far.wire_length_mm > 1e3 * phantom.way_length("lsa_end")
+    assert fitted_task(Task(wire_length_mm=280.0), phantom, "lsa_end").wire_length_mm == 280.0
+
+
+def test_the_anatomy_is_a_file_a_name_or_a_seed() -> None:
+    assert load_anatomy(RehearsalSettings()).name == "type_1"
+    assert load_anatomy(RehearsalSettings(phantom="bovine")).name == "bovine"
+    with pytest.raises(ValueError, match="needs a seed"):
+        load_anatomy(RehearsalSettings(phantom="random"))
+
+
+def test_the_generalist_of_the_run_is_what_it_starts_from(tmp_path: Path) -> None:
+    assert starting_policy(RehearsalSettings(), tmp_path, 0) is None
+    file = tmp_path / "unseen/roadmap/seed0/policy.pt"
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"x")
+    assert generalist(tmp_path, 0) == starting_policy(RehearsalSettings(), tmp_path, 0) == file
+    assert starting_policy(RehearsalSettings(fresh=True), tmp_path, 0) is None
+    assert starting_policy(RehearsalSettings(policy=str(file)), tmp_path / "other", 0) == file
+
+
+def test_a_row_pools_the_forces_of_all_steps() -> None:
+    parts = {
+        "after/copies0": {"success": [True], "forces": [[0.0, 1.0]]},
+        "after/copies1": {"success": [False], "forces": [[2.0]]},
+    }
+    cells = row(parts | {"after/scan": {"success": [True], "forces": [[9.0]]}}, "after", "copies")
+    assert cells["success_pct"] == 50.0
+    assert cells["force_n"] == 1.0
+    assert cells["force_max_n"] == 2.0
+    assert cells["episode_length_steps"] == 1.5
+    assert cells["n"] == 2
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"file": "missing.stl"}, "phantom.file=missing.stl is no file"),
+        ({"policy": "missing.pt"}, "stage.policy=missing.pt is no file"),
+        ({"unit": "mm"}, "belong to a file"),
+        ({"target": "bca", "point_mm": [0.0, 0.0, 0.0]}, "stage.point_mm is the target"),
+        ({"policy": __file__, "fresh": True}, "stage.fresh=true starts from nothing"),
+        ({"file": __file__, "phantom": "type_1"}, "phantom.file brings the anatomy"),
+        ({"walls_mm": 50.0}, "stage.walls_mm must be 20"),
+    ],
+)
+def test_bad_settings_are_one_sentence(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        RehearsalSettings(**values)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"target": "aorta"}, "unknown target 'aorta'"),
+        ({"point_mm": [500.0, 0.0, 0.0]}, "outside|inside"),
+        ({"phantom": "type_9"}, "unknown phantom 'type_9'"),
+        ({"file": __file__}, "unknown phantom|cannot|mesh"),
+    ],
+)
+def test_an_anatomy_or_target_that_is_not_there(tmp_path: Path, values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        run_rehearsal(RehearsalSettings(**TINY | values), context(tmp_path, "rehearsal"))
