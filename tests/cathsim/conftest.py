@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cathsim import ACCURACY, GUIDEWIRES, NavigateEnv, Phantom, Simulation, load_phantom
+from cathsim.anatomy.entry import Entry
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.phantom import Entry
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 from cathsim.contact import hulls as hulls_module
 from cathsim.contact.hull_vessel import hull_vessel

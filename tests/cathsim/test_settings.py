@@ -36,7 +36,7 @@ RECORDS = {
         "anatomy.measurement.sections:Sections",
     ),
     *("lattice.node_blocks:NodeBlocks", "lattice.node_set:NodeSet"),
-    *("anatomy.phantom:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
+    *("anatomy.entry:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
     *("anatomy.volume.courses:Courses", "anatomy.volume.courses:Tip"),
     *("anatomy.volume.family:Family", "anatomy.volume.family:Link"),

@@ -89,7 +89,9 @@ def test_reset_forgets_how_deep_the_wire_was(make_simulation: MakeSimulation) ->
 
 
 def test_unknown_entry_names_the_known_ones(make_simulation: MakeSimulation) -> None:
-    with pytest.raises(ValueError, match="no entry 'radial'; there are descending, ascending"):
+    with pytest.raises(
+        ValueError, match="unknown entry 'radial' in phantom 'type_1'; choose from descending, ascending"
+    ):
         make_simulation(entry="radial")
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import PHANTOMS, ArchParameters, Phantom, VesselTree, library, load_phantom
+from cathsim.anatomy.entry import Entry
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.phantom import Entry, locate_end_targets, locate_targets
+from cathsim.anatomy.phantom import locate_end_targets, locate_targets
 from cathsim.anatomy.phantom_cache import PhantomCache
 
 ENDS = {"rcca_end", "rsa_end", "lcca_end", "lsa_end"}

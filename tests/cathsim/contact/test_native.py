@@ -147,6 +147,35 @@ def test_vessels_of_one_process_do_not_mix() -> None:
     assert outermost[0] == outermost[2]
 
 
+@pytest.mark.parametrize(
+    ("place", "part"),
+    [
+        ((0.0005, 0.0, -0.020), "sheath"),
+        ((-0.0058, 0.0, 0.020), "vessel"),
+        ((-0.0058, 0.0, -0.020), "vessel"),
+        ((0.0158, 0.0, -0.020), "vessel"),  # behind the sheath's end, where the vessel has turned back beside it
+    ],
+)
+def test_wall_beside_the_sheath_is_the_vessels(place: tuple[float, float, float], part: str) -> None:
+    """A U of two tubes side by side: the wire comes in at the middle of one and lies at the wall of the other."""
+
+    def distance(p: np.ndarray) -> np.ndarray:
+        return 0.006 - np.minimum(np.hypot(p[:, 0], p[:, 1]), np.hypot(p[:, 0] - 0.010, p[:, 1]))
+
+    vessel = sampled(distance, -0.030, 0.030, 0.001, sheath_radius=0.75e-3, sheath_amid=True)
+    spec = mujoco.MjSpec()
+    vessel.add_to(spec)
+    link = spec.worldbody.add_body(name="link", pos=place)
+    link.add_freejoint()
+    link.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.4e-3, 2e-3, 0], contype=0, conaffinity=1)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon > 0
+    walls = {int(geom) for geom in data.contact.geom.ravel()} - {model.ngeom - 1}
+    assert {model.geom(wall).name for wall in walls} == {part}
+
+
 def test_released_numbers_are_used_again() -> None:
     """There can be 4096 vessels at once, and any number one after the other."""
     numbers = set()

@@ -193,7 +193,7 @@ def test_an_invalid_state_ends_the_episode_and_the_next_is_sound(make_env: MakeE
         ({"phantom": "aorta"}, "unknown phantom 'aorta'; choose from type_1, "),
         ({"phantom": "random"}, "phantom 'random' needs a seed"),
         ({"target": "coronary"}, "unknown target 'coronary' in phantom 'type_1'; choose from bca, "),
-        ({"entry": "radial"}, "no entry 'radial'; there are descending, ascending"),
+        ({"entry": "radial"}, "unknown entry 'radial' in phantom 'type_1'; choose from descending, ascending"),
         ({"wire": "steel"}, "unknown guidewire 'steel'; there are default, "),
         ({"accuracy": "exact"}, "unknown accuracy 'exact'; there are reference, "),
         ({"actions": "tip"}, "unknown actions 'tip'; there are feeder, tip_motors"),

@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
+from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.blood.flow import BloodFlow, blood_flow
 from cathsim.contact.breathing import Breathing
@@ -127,7 +128,9 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             PLY), or a `Phantom`.
         target: "bca" (the default), "lcca", "lsa", or another of the phantom's targets: "rcca", "rsa", and 10 mm before
             the open ends "rcca_end", "rsa_end", "lcca_end", "lsa_end"; or a point in the lumen, (3,) m, world frame.
-        entry: "descending" (femoral access) or "ascending".
+        entry: "descending" (femoral access), "ascending", the open end of a branch, such as "lsa_end" (from the left
+            arm); or a point in the lumen, (3,) m, world frame, where the sheath ends, along the centreline towards the
+            target.
         wire: a preset's name, the path of a YAML file or a `Guidewire`; for far targets a longer one,
             load_guidewire("default").scaled(0.36). None: a catheter alone.
         catheter: None, or a preset's name ("vertebral", "simmons2_6f"), the path of a YAML file or a `Catheter`.
@@ -163,7 +166,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         phantom: str | Phantom = "type_1",
         target: TargetLike | None = None,
         *,
-        entry: str = "descending",
+        entry: EntryLike = "descending",
         wire: str | Guidewire | None = "default",
         catheter: str | Catheter | None = None,
         torsion: str = "elastic",
@@ -197,7 +200,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             chosen_catheter(catheter),
             chosen("accuracy", accuracy, Accuracy, preset),
             torsion=torsion,
-            entry=entry,
+            entry=entry_name(entry, asked.target),
             contact=contact if isinstance(contact, str) else chosen("contact", contact, Decomposition, decomposition),
             tip_motors=actions == "tip_motors",
             blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),

@@ -18,6 +18,7 @@ import mujoco
 import trimesh
 
 from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
+from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.arena import model_spec
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, decomposition
@@ -38,7 +39,7 @@ def export_mjcf(
     wire: Guidewire,
     contact: str | Decomposition = "hulls",
     *,
-    entry: str = "descending",
+    entry: EntryLike = "descending",
     numerics: Accuracy = EXPORT_NUMERICS,
 ) -> Path:
     """Writes a model of a wire in a phantom that MuJoCo opens and steps by itself (tried: 3.3.7 and 4.0.0).
@@ -71,7 +72,9 @@ def export_mjcf(
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / MODEL).is_file())):
         raise ValueError(f"{folder} is there and is no earlier export: name a new or an empty folder")
-    vessel = dataclasses.replace(hull_vessel(phantom, entry, decomposition(contact)), sheath_length=wire.length + 0.02)
+    vessel = dataclasses.replace(
+        hull_vessel(phantom, entry_name(entry), decomposition(contact)), sheath_length=wire.length + 0.02
+    )
     spec = model_spec(vessel, wire, numerics)
     spec.delete(spec.geom(GEOM_NAME))
     spec.nuser_geom = 0

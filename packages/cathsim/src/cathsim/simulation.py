@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from cathsim.anatomy import Phantom
+from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.arena import max_insertion
 from cathsim.blood.drag import Drag
 from cathsim.blood.field import blood_field
@@ -50,10 +51,8 @@ def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS
     Raises:
         ValueError: the phantom has no such entry.
     """
-    if entry not in phantom.entries:
-        raise ValueError(f"phantom {phantom.name} has no entry '{entry}'; there are {', '.join(phantom.entries)}")
-    gate = phantom.entries[entry]
-    return Vessel(phantom.grid, gate.position, gate.direction, sheath_radius)
+    gate = phantom.entry(entry)
+    return Vessel(phantom.grid, gate.position, gate.direction, sheath_radius, sheath_amid=gate.amid)
 
 
 class Simulation:
@@ -63,7 +62,7 @@ class Simulation:
     arrays that this class returns always have the size of the whole wire.
 
     Args:
-        entry: name of the phantom's entry.
+        entry: as of `Phantom.entry`: a name, or a point (3,) m in the lumen where the sheath ends.
         contact: "sdf", the signed-distance grid; "hulls", convex hulls of the wall, or how finely it is cut into them.
         tip_motors: with motors in the tip's joints.
         blood: that flows past the wire; None: there is none.
@@ -83,7 +82,7 @@ class Simulation:
         wire: Guidewire,
         numerics: Accuracy,
         *,
-        entry: str = "descending",
+        entry: EntryLike = "descending",
         contact: str | Decomposition = "sdf",
         tip_motors: bool = False,
         blood: BloodFlow | None = None,
@@ -96,7 +95,7 @@ class Simulation:
             raise ValueError(f"a vessel breathes with contact 'sdf', got {contact!r}: leave one of them out")
         self.breathing = breathing
         numerics = dividing(numerics, pace.interval)
-        self.phantom, self.wire, self.numerics, self.entry, self.pace = phantom, wire, numerics, entry, pace
+        self.phantom, self.wire, self.numerics, self.entry, self.pace = phantom, wire, numerics, entry_name(entry), pace
         self._most_lead = max(LEAD_ADVANCE, 1.5 * pace.translation), max(LEAD_ROTATION, 1.5 * pace.rotation)
         self.wall_stiffness = None if wall_stiffness is None else checked_wall_stiffness(wall_stiffness, numerics)
         self.contact, self._measured = contact, measure_penetration

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from cathsim.anatomy.entry import locate_entries
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
 from cathsim.anatomy.generator.recipe import (
     RANDOM,
@@ -25,7 +26,7 @@ from cathsim.anatomy.generator.recipe import (
 )
 from cathsim.anatomy.importing import import_again, import_anatomy, import_digest, is_anatomy_path
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.phantom import Phantom, locate_entries, locate_targets
+from cathsim.anatomy.phantom import Phantom, locate_targets
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
 NAMED: dict[str, ArchParameters] = {

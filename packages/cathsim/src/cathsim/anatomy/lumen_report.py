@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.cross_section import wall_distances
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.entry import ENTRY_DEPTH
 from cathsim.anatomy.geodesic import centreline_path
-from cathsim.anatomy.phantom import ENTRY_DEPTH, Phantom
+from cathsim.anatomy.phantom import Phantom
 from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
 

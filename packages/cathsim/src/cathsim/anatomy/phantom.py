@@ -12,6 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
+from cathsim.anatomy.entry import (
+    END_SUFFIX,
+    Entry,
+    EntryLike,
+    end_entry,
+    end_names,
+    entry_name,
+    point_entry,
+    read_point,
+)
 from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import geodesic_field, graph_distance
 from cathsim.anatomy.point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
@@ -24,9 +34,7 @@ if TYPE_CHECKING:
 
 # Distance beyond the ostium (for rsa and rcca: beyond the bifurcation of the trunk), m.
 TARGET_DISTANCE = {"bca": 0.030, "lcca": 0.040, "lsa": 0.040, "rcca": 0.020, "rsa": 0.020}
-ENTRY_DEPTH = 2e-3  # m: entries lie this far inside the aorta's open ends
 END_DISTANCE = 0.010  # m from a branch's open end to the target there
-END_SUFFIX = "_end"  # the target at the open end of a branch is called after it: "lcca_end"
 END_CLEARANCE = 5e-3  # m between a target and the open end of its branch
 
 
@@ -56,15 +64,6 @@ class Target:
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """A place where the guidewire comes in, just inside an open end of the aorta."""
-
-    name: str  # "descending" (femoral access) or "ascending"
-    position: NDArray[np.float64]  # (3,) m, world frame
-    direction: NDArray[np.float64]  # (3,) unit vector along the centreline into the lumen
-
-
-@dataclass(frozen=True, eq=False)
 class Phantom:
     """One anatomy, ready for simulation."""
 
@@ -75,7 +74,7 @@ class Phantom:
     grid: SignedDistanceGrid  # signed distance to the wall, positive inside
     # places to reach, by name; those at the open ends of branches are added where they are missing
     targets: dict[str, Target]
-    entries: dict[str, Entry]  # places to come in, by name
+    entries: dict[str, Entry]  # the aorta's ends, by name; `entry` knows more places to come in
     imported: ImportReport | None = None  # the account of the import, for a phantom from a mesh
     # what it was imported with, for a phantom from a mesh: path, unit, names
     source: Mapping[str, Any] | None = field(default=None, repr=False)
@@ -129,16 +128,33 @@ class Phantom:
             raise ValueError(f"unknown target {place!r} in phantom {self.name!r}; choose from {known}.")
         return self.targets[place]
 
-    def entry(self, name: str = "descending") -> Entry:
-        """The entry of a name.
+    def entry(self, wanted: EntryLike = "descending") -> Entry:
+        """The entry of a name, or at a point in the lumen.
+
+        Args:
+            wanted: one of `entries`; the open end of a branch, such as "lsa_end"; a point (3,) m where the sheath ends,
+                or its text of `entry_name`. The sheath of a point lies along the centreline, towards the heart, or
+                towards the target that the text names.
 
         Raises:
-            ValueError: for an unknown name, listing the valid ones.
+            ValueError: an unknown name, listing the valid ones; a point outside the lumen, or beside a wall that the
+                sheath would point at.
         """
-        if name not in self.entries:
-            known = ", ".join(self.entries)
-            raise ValueError(f"unknown entry {name!r} in phantom {self.name!r}; choose from {known}.")
-        return self.entries[name]
+        name = entry_name(wanted)
+        if name in self.entries:
+            return self.entries[name]
+        ends = end_names(self.tree)
+        if name in ends:
+            return end_entry(name, self.tree)
+        place = read_point(name)
+        if place is None:
+            known = ", ".join((*self.entries, *ends))
+            raise ValueError(
+                f"unknown entry {name!r} in phantom {self.name!r}; choose from {known}, or give a point in m."
+            )
+        goal = None if place[1] is None else self.target(place[1])
+        along = None if goal is None else (goal.branch, goal.arc)
+        return point_entry(name, place[0], self.tree, self.grid, self.name, along)
 
     def geodesic_field(self, target: TargetLike) -> LatticeField:
         """In-lumen distance to a target on the grid's lattice; read from the cache or computed at first use.
@@ -167,7 +183,7 @@ class Phantom:
         """
         return self.geodesic_field(target).sample(points)
 
-    def way_length(self, target: TargetLike, entry: str = "descending") -> float:
+    def way_length(self, target: TargetLike, entry: EntryLike = "descending") -> float:
         """Arc length (m) from an entry to a target along the centrelines, and from there to the target itself."""
         place, start = self.target(target), self.entry(entry).position
         nearest = [int(np.argmin(((branch.points - start) ** 2).sum(axis=1))) for branch in self.tree]
@@ -230,13 +246,3 @@ def locate_end_targets(tree: VesselTree) -> dict[str, Target]:
             name = branch.name + END_SUFFIX
             targets[name] = Target(name, branch.name, branch.point_at(arc), arc)
     return targets
-
-
-def locate_entries(tree: VesselTree) -> dict[str, Entry]:
-    """Entries "descending" and "ascending" at the first and at the last end of the aorta."""
-    aorta = tree.root
-    end = aorta.length - ENTRY_DEPTH
-    return {
-        "descending": Entry("descending", aorta.point_at(ENTRY_DEPTH), aorta.tangent_at(ENTRY_DEPTH)),
-        "ascending": Entry("ascending", aorta.point_at(end), -aorta.tangent_at(end)),
-    }

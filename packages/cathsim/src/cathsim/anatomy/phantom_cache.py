@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
+from cathsim.anatomy.entry import Entry
 from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import MARGIN
 from cathsim.anatomy.mesh.report import ImportReport
-from cathsim.anatomy.phantom import Entry, Phantom, Target
+from cathsim.anatomy.phantom import Phantom, Target
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 from cathsim.lattice.node_blocks import EDGE, NodeBlocks
 

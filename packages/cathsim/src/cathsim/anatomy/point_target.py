@@ -46,15 +46,15 @@ def target_name(target: str | Point) -> str:
     return "point_{:.1f}_{:.1f}_{:.1f}_mm".format(*(1e3 * coordinate for coordinate in target))
 
 
-def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str) -> None:
-    """Raises ValueError for a point outside the lumen, with the nearest place inside it."""
+def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str, what: str = "target") -> None:
+    """Raises ValueError for a point outside the lumen, with the nearest place inside it; `what` the point is."""
     if (grid.bounds[0] <= point).all() and (point <= grid.bounds[1]).all() and grid.sample(point) > 0:
         return
     inside = grid.coordinates(grid.inside())
     away = np.linalg.norm(inside - point, axis=1)
     nearest = inside[np.argmin(away)]
     raise ValueError(
-        f"the target {_written(point)} lies outside the lumen of {phantom}: the nearest place inside is "
+        f"the {what} {_written(point)} lies outside the lumen of {phantom}: the nearest place inside is "
         f"{_written(nearest)}, {away.min() * 1e3:.3g} mm away; coordinates are in metres, in the world frame"
     )
 

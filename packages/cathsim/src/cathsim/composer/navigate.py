@@ -12,6 +12,7 @@ from dm_control.composer.observation.observable import Generic
 from dm_env import specs
 
 from cathsim.anatomy import Phantom, load_phantom
+from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena
 from cathsim.composer.parts import model_parts
@@ -37,7 +38,7 @@ class NavigateTask(composer.Task):
     120 mm of a Simmons 2 pushed with its wire, 2 mm from the "reference" preset, and 9 mm with 2.5 ms).
 
     Args:
-        entry: name of the phantom's entry.
+        entry: as of `NavigateEnv`.
         tip_motors: 21 actions instead of two.
         catheter: in which the wire lies: four actions; without a wire, the catheter alone.
         torsion: with a catheter, "elastic" or "rigid".
@@ -52,7 +53,7 @@ class NavigateTask(composer.Task):
         wire: Guidewire | None,
         task: NavigationTask,
         *,
-        entry: str = "descending",
+        entry: EntryLike = "descending",
         tip_motors: bool = False,
         catheter: Catheter | None = None,
         torsion: str = "elastic",
@@ -65,7 +66,8 @@ class NavigateTask(composer.Task):
         pair = device_pair(wire, catheter, torsion)
         if pair is not None and tip_motors:
             raise ValueError("two devices are simulated without tip motors: leave out the catheter for them")
-        vessel = vessel_of(phantom, entry, pair.sheath_radius) if pair else vessel_of(phantom, entry)
+        gate = entry_name(entry, task.target)
+        vessel = vessel_of(phantom, gate, pair.sheath_radius) if pair else vessel_of(phantom, gate)
         self.devices = TwoDevices(vessel, pair, numerics) if pair else None
         chain = self.devices.chain if self.devices else wire
         assert chain is not None
@@ -238,7 +240,7 @@ def load(
     target: TargetLike | None = None,
     *,
     seed: int | None = None,
-    entry: str = "descending",
+    entry: EntryLike = "descending",
     wire: str | Guidewire | None = "default",
     catheter: str | Catheter | None = None,
     torsion: str = "elastic",

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from cathsim.anatomy import Phantom
+from cathsim.anatomy.entry import read_point
 from cathsim.anatomy.surface import open_ends
 from cathsim.contact.hulls import Decomposition, Hull, wall_hulls
 from cathsim.contact.sdf import GEOM_NAME, SHEATH_NAME, Vessel
@@ -104,10 +105,12 @@ def hull_vessel(phantom: Phantom, entry: str, settings: Decomposition) -> HullVe
     """The vessel of a phantom with convex hulls for a wall and a sheath at one of its entries.
 
     Raises:
-        ValueError: the phantom has no such entry.
+        ValueError: the phantom has no such entry, or it is a point amid the lumen.
         ImportError: CoACD is needed and not installed.
     """
     gate, grid = phantom.entry(entry), phantom.grid
+    if read_point(entry) is not None:
+        raise ValueError("contact='hulls' needs an entry at an open end, whose sheath no wall crosses: name one")
     hulls = wall_hulls(phantom, settings)
     inset = 1.5 * max(settings.lattice, grid.spacing)  # so far inside the caps the wall is cut open
     openings = tuple(

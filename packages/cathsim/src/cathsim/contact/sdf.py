@@ -31,6 +31,7 @@ class Vessel:
     direction: np.ndarray  # unit vector into the vessel. Shape (3,).
     sheath_radius: float = SHEATH_RADIUS  # inner radius of the sheath, m; 0 for no sheath
     sheath_overlap: float = 6.0e-3  # how far the bore reaches past `entry`, m
+    sheath_amid: bool = False  # whether the sheath lies amid the lumen and its bore holds what is in it
     number: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -48,6 +49,7 @@ class Vessel:
             address(direction),
             float(self.sheath_radius),
             float(self.sheath_overlap),
+            int(self.sheath_amid),
         )
         if number < 0:
             raise RuntimeError("4096 vessels are in use at once, the most there can be: release environments first")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
+from cathsim.anatomy.entry import EntryLike
 from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, max_insertion, model_spec
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.breathing import Breathing, let_walls_slide
@@ -87,7 +88,7 @@ class DualSimulation(Simulation):
         pair: DevicePair,
         numerics: Accuracy,
         *,
-        entry: str = "descending",
+        entry: EntryLike = "descending",
         contact: str = "sdf",
         tip_motors: bool = False,
         blood: BloodFlow | None = None,

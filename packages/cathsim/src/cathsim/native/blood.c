@@ -138,8 +138,8 @@ static void link_drag(const Drag* drag, const Moment* moment, const mjModel* m, 
   const double half = m->geom_size[3 * geom + 1], *centre = d->geom_xpos + 3 * geom, *frame = d->geom_xmat + 9 * geom;
   const double axis[3] = {frame[2], frame[5], frame[8]};
   for (int k = 0; k < 6; k++) load[k] = 0;
-  const int sheathed = v && v->sheath_radius > 0;
-  if (sheathed && vessel_sheath_coordinate(v, centre) < -half) return;
+  const int sheathed = v && vessel_sheathed(v, centre, half);
+  if (sheathed && vessel_sheath_coordinate(v, centre) < -half && vessel_in_sheath(v, centre)) return;
   const int wanted = (int)ceil(2 * half / drag->spacing - 1e-6);
   const int parts = wanted < 1 ? 1 : wanted < MAX_PARTS ? wanted : MAX_PARTS;
   const double part = 2 * half / parts;
@@ -148,7 +148,7 @@ static void link_drag(const Drag* drag, const Moment* moment, const mjModel* m, 
     const double at = part * (i + 0.5) - half;
     double p[3], flow[3], moving[3], relative[3], force[3];
     for (int k = 0; k < 3; k++) p[k] = centre[k] + at * axis[k];
-    if (sheathed && vessel_sheath_coordinate(v, p) < 0) continue;
+    if (sheathed && vessel_in_sheath(v, p)) continue;
     if (m->nuserdata >= VESSEL_MOTION) { /* the blood moves with its vessel */
       double in_vessel[3];
       for (int k = 0; k < 3; k++) in_vessel[k] = p[k] - d->userdata[VESSEL_DISPLACEMENT + k];

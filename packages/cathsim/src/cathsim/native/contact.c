@@ -68,9 +68,11 @@ static int capsule_vessel(const mjModel* m, mjData* d, mjPreContact* con, int g1
   const double axis[3] = {frame[2], frame[5], frame[8]};
   const double limit = radius + margin, reach = limit + 0.1 * v->spacing;
 
-  const int sheathed = v->sheath_radius > 0;
+  const int sheathed = vessel_sheathed(v, centre, half);
+  if (part == VESSEL_SHEATH && !sheathed) return 0;
   const double sheath_centre = sheathed ? vessel_sheath_coordinate(v, centre) : 1;
-  if (sheathed && (part == VESSEL_SHEATH ? sheath_centre > half : sheath_centre < -half)) return 0;
+  if (sheathed && (part == VESSEL_SHEATH ? sheath_centre > half : sheath_centre < -half && vessel_in_sheath(v, centre)))
+    return 0;
   const double sheath_slope =
       axis[0] * v->direction[0] + axis[1] * v->direction[1] + axis[2] * v->direction[2];
 
@@ -92,7 +94,13 @@ static int capsule_vessel(const mjModel* m, mjData* d, mjPreContact* con, int g1
       continue;
     /* each part of the vessel has the contacts on its side of the entry */
     const double along = half * (2.0 * i / (NSAMPLES - 1) - 1);
-    if (sheathed && (sheath_centre + along * sheath_slope < 0) != (part == VESSEL_SHEATH)) continue;
+    int in_sheath = sheathed && sheath_centre + along * sheath_slope < 0;
+    if (in_sheath && v->sheath_amid) {
+      double p[3];
+      sample_point(centre, axis, half, i, p);
+      in_sheath = vessel_in_sheath(v, p);
+    }
+    if (in_sheath != (part == VESSEL_SHEATH)) continue;
     if (first < 0 || distance[i] < distance[first]) {
       second = first;
       first = i;

@@ -34,12 +34,13 @@ double cathsim_penetration(const Simulation* s, int samples) {
   for (int g = s->first_geom; g <= s->last_geom; g++) {
     const double radius = m->geom_size[3 * g], half = m->geom_size[3 * g + 1];
     const double *centre = d->geom_xpos + 3 * g, *frame = d->geom_xmat + 9 * g;
-    if (v->sheath_radius > 0 && vessel_sheath_coordinate(v, centre) < -half) continue;
+    const int sheathed = vessel_sheathed(v, centre, half);
+    if (sheathed && vessel_sheath_coordinate(v, centre) < -half && vessel_in_sheath(v, centre)) continue;
     if (vessel_distance(v, centre) > radius + half - deepest) continue;
     for (int i = 0; i < samples; i++) {
       const double at = half * (2.0 * (i + 1) / samples - 1);
       const double p[3] = {centre[0] + at * frame[2], centre[1] + at * frame[5], centre[2] + at * frame[8]};
-      if (v->sheath_radius > 0 && vessel_sheath_coordinate(v, p) < 0) continue;
+      if (sheathed && vessel_in_sheath(v, p)) continue;
       const double depth = radius - vessel_distance(v, p);
       if (depth > deepest) deepest = depth;
     }

@@ -6,6 +6,11 @@
 #include <string.h>
 
 #define MAX_VESSELS 4096
+/* Further behind the sheath's end than an open end of the vessel, and further from its bore than a link is long, a
+ * place lies in the vessel, not in the sheath: m. */
+#define BESIDE_BEHIND 3e-3
+#define BESIDE_APART 8e-3
+#define BORE_MARGIN 1e-3 /* amid the lumen, a wire so far out of the bore is still held by it: m */
 
 /* Slots are written once under the lock and read without it: a geom only carries a number that registration returned. */
 static Vessel* vessels[MAX_VESSELS];
@@ -13,7 +18,7 @@ static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 
 /* Returns the vessel's number, -1 when the table is full or memory is short. The grid must outlive the registration. */
 int cathsim_vessel_register(const Lattice* distance, const double origin[3], double spacing, const double entry[3],
-                            const double direction[3], double sheath_radius, double sheath_overlap) {
+                            const double direction[3], double sheath_radius, double sheath_overlap, int sheath_amid) {
   Vessel* v = malloc(sizeof(Vessel));
   if (!v) return -1;
   v->distance = *distance;
@@ -24,6 +29,7 @@ int cathsim_vessel_register(const Lattice* distance, const double origin[3], dou
   memcpy(v->direction, direction, sizeof v->direction);
   v->sheath_radius = sheath_radius;
   v->sheath_overlap = sheath_overlap;
+  v->sheath_amid = sheath_amid;
 
   int number = -1;
   pthread_mutex_lock(&lock);
@@ -70,6 +76,27 @@ double vessel_sheath_coordinate(const Vessel* v, const double p[3]) {
          (p[2] - v->entry[2]) * v->direction[2];
 }
 
+/* Whether p is further from the sheath's axis than its bore and a margin (m). */
+static int outside_bore(const Vessel* v, const double p[3], double margin) {
+  const double s = vessel_sheath_coordinate(v, p), reach = v->sheath_radius + margin;
+  double rho2 = 0;
+  for (int i = 0; i < 3; i++) {
+    const double radial = p[i] - v->entry[i] - s * v->direction[i];
+    rho2 += radial * radial;
+  }
+  return rho2 > reach * reach;
+}
+
+int vessel_sheathed(const Vessel* v, const double p[3], double half) {
+  if (v->sheath_radius <= 0) return 0;
+  if (v->sheath_amid) return !outside_bore(v, p, BORE_MARGIN + half);
+  return vessel_sheath_coordinate(v, p) > -BESIDE_BEHIND || !outside_bore(v, p, BESIDE_APART);
+}
+
+int vessel_in_sheath(const Vessel* v, const double p[3]) {
+  return vessel_sheath_coordinate(v, p) < 0 && !(v->sheath_amid && outside_bore(v, p, BORE_MARGIN));
+}
+
 /* Distance to the wall of the sheath's bore; -HUGE_VAL where the sheath cannot matter. */
 static double sheath_distance(const Vessel* v, const double p[3], double gradient[3]) {
   if (v->sheath_radius <= 0) return -HUGE_VAL;
@@ -92,6 +119,7 @@ static double sheath_distance(const Vessel* v, const double p[3], double gradien
 static inline double clamp(double x, double low, double high) { return x > low ? (x < high ? x : high) : low; }
 
 double vessel_distance(const Vessel* v, const double p[3]) {
+  if (v->sheath_amid && vessel_in_sheath(v, p)) return sheath_distance(v, p, NULL);
   int index[3];
   double t[3];
   for (int i = 0; i < 3; i++) {
@@ -105,6 +133,7 @@ double vessel_distance(const Vessel* v, const double p[3]) {
 }
 
 double vessel_distance_gradient(const Vessel* v, const double p[3], double gradient[3]) {
+  if (v->sheath_amid && vessel_in_sheath(v, p)) return sheath_distance(v, p, gradient);
   int index[3];
   double w[3][3], dw[3][3];
   for (int i = 0; i < 3; i++) {

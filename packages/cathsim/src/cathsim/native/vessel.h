@@ -19,6 +19,7 @@ typedef struct {
   double direction[3];   /* unit vector into the vessel */
   double sheath_radius;  /* inner radius, m; 0: no sheath */
   double sheath_overlap; /* how far the sheath's bore reaches past `entry`, m */
+  int sheath_amid;       /* whether the sheath lies amid the lumen: its bore holds what is in it */
 } Vessel;
 
 /* The vessel that a geom stands for, or NULL; `part` may be NULL. */
@@ -38,5 +39,12 @@ double vessel_distance_gradient(const Vessel* v, const double p[3], double gradi
 
 /* Coordinate of p along the sheath's axis, m: negative inside the sheath. */
 double vessel_sheath_coordinate(const Vessel* v, const double p[3]);
+
+/* Whether the sheath matters to a link of a half length (m) about p: there is one, and the link does not lie far beside
+ * it, where the vessel has turned back. */
+int vessel_sheathed(const Vessel* v, const double p[3], double half);
+
+/* Whether p, near a sheath, lies in it: behind its end, and amid the lumen within its bore. */
+int vessel_in_sheath(const Vessel* v, const double p[3]);
 
 #endif

@@ -168,7 +168,8 @@ class View:
 def _seen(simulation: Simulation, points: np.ndarray) -> np.ndarray:
     """Those of a device's nodes (n, 3) m that do not lie deep in the sheath."""
     along = (points - simulation.vessel.entry) @ simulation.vessel.direction
-    return points[along > -SHOWN_SHEATH]
+    seen = np.flatnonzero(along > -SHOWN_SHEATH)
+    return points[: seen[-1] + 1] if len(seen) else points[:0]
 
 
 def _wall_model(phantom: Phantom, width: int, height: int) -> mujoco.MjModel:

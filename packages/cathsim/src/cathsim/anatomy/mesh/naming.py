@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
+from cathsim.anatomy.entry import ENTRY_DEPTH, Entry
 from cathsim.anatomy.mesh.branches import RoughVessel, continued
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.phantom import END_CLEARANCE, ENTRY_DEPTH, TARGET_DISTANCE, Entry, Target
+from cathsim.anatomy.phantom import END_CLEARANCE, TARGET_DISTANCE, Target
 from cathsim.anatomy.vessel_tree import VesselTree
 
 ARCH_YAW = 0.75  # rad between the arch's plane and the coronal plane
