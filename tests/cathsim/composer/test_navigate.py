@@ -226,7 +226,7 @@ def test_an_invalid_state_ends_the_episode(make_composer: MakeComposer) -> None:
         ({"target": "coronary"}, "unknown target 'coronary'"),
         ({"wire": "steel"}, "unknown guidewire 'steel'"),
         ({"actions": "tip"}, "unknown actions 'tip'; there are feeder, tip_motors"),
-        ({"entry": "radial"}, "no entry 'radial'"),
+        ({"entry": "radial"}, "unknown entry 'radial'"),
         ({"colour": "red"}, "the environment has no argument colour"),
     ],
     ids=str,
