@@ -21,6 +21,7 @@ from cathsim.fluoroscopy.materials import (
     steel_wire,
     wire_material,
 )
+from cathsim.fluoroscopy.patient.ct_body import CTBody, ct_body, ct_scene
 from cathsim.fluoroscopy.projector import VIEWS, Projector
 from cathsim.fluoroscopy.radiograph import Radiograph, expose_depth, radiograph
 from cathsim.fluoroscopy.renderer import FluoroscopyRenderer
@@ -34,6 +35,7 @@ __all__ = [
     "WATER_BATH",
     "BiplaneFluoroscope",
     "Box",
+    "CTBody",
     "Detector",
     "DetectorDistortion",
     "DeviceRenderer",
@@ -52,6 +54,8 @@ __all__ = [
     "catheter_material",
     "clinical_pair",
     "coil_tipped_wire",
+    "ct_body",
+    "ct_scene",
     "expose",
     "expose_depth",
     "guide3d_pair",

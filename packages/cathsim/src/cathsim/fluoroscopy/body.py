@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
+from pydantic import InstanceOf
 
 from cathsim.fluoroscopy.projector import Array, Projector
 from cathsim.validation import Coordinate, Length, Listed, Unit, settings
@@ -59,7 +60,17 @@ class Box:
         return np.maximum(leave - np.maximum(enter, 0.0), 0.0).reshape(directions.shape[:-1])
 
 
-Solid = Ellipsoid | Box
+class MeasuredBody:
+    """A body that was measured rather than put together, as a CT: `chord` gives optical depths."""
+
+    attenuation = 1.0
+
+    def chord(self, source: Array, directions: Array) -> Array:
+        """Optical depth (...) of rays from a source (3,) m, from the phantom's centre, along (..., 3) unit vectors."""
+        raise NotImplementedError
+
+
+Solid = Ellipsoid | Box | InstanceOf[MeasuredBody]
 
 
 def _spine() -> tuple[Ellipsoid, ...]:

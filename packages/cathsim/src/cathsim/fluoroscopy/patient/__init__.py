@@ -1,0 +1,1 @@
+"""A patient's CT as the surroundings of the vessels."""
