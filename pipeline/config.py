@@ -38,7 +38,7 @@ class OwnPhantom:
 
     name: FolderName | None = None  # of the learning stages' only anatomy
     mesh: PathText | None = None  # STL, OBJ or PLY
-    file: PathText | None = None  # of the stage rehearsal: any that cathsim imports
+    file: PathText | None = None  # any that cathsim imports: surface, label volume, folder
     unit: str | None = None  # m, cm, mm or inch; detected when left out
     names: BranchNames = None
 

@@ -17,7 +17,7 @@ from pipeline.settings.kinds import UNIQUE, BranchNames, FolderNames, PathText, 
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import hash_file
+from pipeline.store.provenance import hash_anatomy
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom, SignedDistanceGrid
@@ -38,7 +38,8 @@ class PhantomsSettings:
     resolution_mm: Annotated[float, Ge(0.1), Le(COARSEST_RESOLUTION_MM)] = 1.0  # spacing of the signed distance grid
     wall_thickness_mm: Annotated[float, Ge(0.1), Le(10)] = 1.5
     picture: bool = True
-    mesh: PathText | None = None  # surface file of an anatomy of one's own, which is then the only one
+    mesh: PathText | None = None  # file of an anatomy of one's own, which is then the only one: as cathsim imports it
+    file: PathText | None = None  # the same; a file goes before a mesh
     unit: str | None = None  # of that file
     names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
     mesh_sha256: str | None = None  # filled in: the results depend on the file, not on its path
@@ -46,12 +47,15 @@ class PhantomsSettings:
     def __post_init__(self) -> None:
         """Checks that there is something to build, and reads the mesh."""
         self.mesh_sha256 = None
+        name = "mesh" if self.file is None else "file"
+        self.mesh = self.mesh if self.file is None else self.file
         if self.mesh is not None:
-            if not Path(self.mesh).is_file():
+            if not Path(self.mesh).exists():
                 raise ConfigurationError(
-                    f"phantom.mesh={self.mesh} is no file: give the path of an STL, OBJ or PLY file"
+                    f"phantom.{name}={self.mesh} is no file: give the path of a surface (STL, OBJ, PLY), of a label "
+                    "volume (NIfTI, NRRD), or of a folder with one volume a vessel"
                 )
-            self.mesh_sha256 = hash_file(Path(self.mesh))
+            self.mesh_sha256 = hash_anatomy(Path(self.mesh))
         elif self.unit is not None or self.names is not None:
             raise ConfigurationError("phantom.unit and phantom.names belong to a mesh: give phantom.mesh=PATH too")
         elif not self.phantoms and not self.random_seeds:
@@ -125,12 +129,12 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
 
 
 def _build(anatomy: Anatomy, settings: PhantomsSettings) -> Phantom:
-    from cathsim.anatomy import import_mesh, load_phantom
+    from cathsim.anatomy import import_anatomy, load_phantom
 
     resolution = settings.resolution_mm / _MM
     if anatomy.mesh is None:
         return load_phantom(anatomy.phantom, seed=anatomy.seed, resolution=resolution)
-    return import_mesh(anatomy.mesh, unit=settings.unit, names=settings.names, resolution=resolution)
+    return import_anatomy(anatomy.mesh, unit=settings.unit, names=settings.names, resolution=resolution)
 
 
 def _write_grid(grid: SignedDistanceGrid, path: Path) -> None:
@@ -147,7 +151,8 @@ def _write_grid(grid: SignedDistanceGrid, path: Path) -> None:
 
 
 def _folder_name(mesh: Path) -> str:
-    return re.sub(r"[^A-Za-z0-9_.+-]", "_", mesh.stem).lstrip(".") or "mesh"
+    stem = re.sub(r"(\.seg)?(\.nii\.gz|\.[A-Za-z]+)$", "", mesh.name)
+    return re.sub(r"[^A-Za-z0-9_.+-]", "_", stem).lstrip(".") or "mesh"
 
 
 def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, picture: bool) -> None:

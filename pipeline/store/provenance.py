@@ -32,6 +32,16 @@ def hash_file(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def hash_anatomy(path: Path) -> str:
+    """SHA-256 of a file's content, or of the names and contents of a folder's files, in hex."""
+    if path.is_file():
+        return hash_file(path)
+    digest = hashlib.sha256()
+    for one in sorted(p for p in path.iterdir() if p.is_file()):
+        digest.update(f"{one.name}\0{hash_file(one)}\0".encode())
+    return digest.hexdigest()
+
+
 @functools.cache
 def git_state() -> dict[str, Any]:
     """Names the commit the code stands at.

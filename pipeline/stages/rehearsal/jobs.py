@@ -76,13 +76,13 @@ def load_anatomy(settings: RehearsalSettings) -> Phantom:
     Raises:
         ValueError: there is none such, or the file cannot be imported.
     """
-    from cathsim.anatomy import import_mesh, load_phantom
+    from cathsim.anatomy import import_anatomy, load_phantom
 
     if settings.file is None:
         return load_phantom(settings.phantom or "type_1", seed=settings.phantom_seed)
     if settings.unit is None and settings.names is None:
         return load_phantom(settings.file)
-    return import_mesh(settings.file, unit=settings.unit, names=settings.names)
+    return import_anatomy(settings.file, unit=settings.unit, names=settings.names)
 
 
 def fitted_task(task: Task, phantom: Phantom, target: Any) -> Task:

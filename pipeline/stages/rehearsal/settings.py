@@ -24,7 +24,7 @@ from pipeline.settings.kinds import (
     one_of,
 )
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import hash_file
+from pipeline.store.provenance import hash_anatomy
 from pipeline.task import DeviceSettings
 
 _Millimetres = Annotated[float, Ge(0), Le(20)]
@@ -88,8 +88,8 @@ class RehearsalSettings(DeviceSettings):
 
 
 def _digest(setting: str, path: str | None, advice: str) -> str | None:
-    if path is None or Path(path).is_dir():
+    if path is None:
         return None
-    if not Path(path).is_file():
+    if not Path(path).exists():
         raise ConfigurationError(f"{setting}={path} is no file: {advice}")
-    return hash_file(Path(path))
+    return hash_anatomy(Path(path))

@@ -12,6 +12,7 @@ from cathsim.anatomy import load_phantom
 from pipeline.launch import main
 from pipeline.stages.phantoms import PhantomsSettings
 from pipeline.store.errors import ConfigurationError
+from tests.cathsim.anatomy.volume.rasterised import rasterise, save_nifti
 
 
 @pytest.fixture
@@ -41,6 +42,29 @@ def test_a_mesh_is_built_once(arch: Path, tmp_path: Path):
     written = manifest.stat().st_mtime_ns
     assert main(arguments) == 0
     assert manifest.stat().st_mtime_ns == written
+
+
+def test_a_label_volume_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("nibabel", reason="label volumes need nibabel")
+    monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path / "cache"))
+    labels, affine = rasterise(load_phantom("type_1", resolution=2e-3), spacing=(1.5e-3, 1.5e-3, 2.5e-3))
+    path = save_nifti(tmp_path / "scan.nii.gz", labels, affine)
+    arguments = ["stage=phantoms", f"phantom.file={path}", "stage.resolution_mm=2.0", "stage.picture=false"]
+    assert main([*arguments, f"runs_dir={tmp_path / 'runs'}"]) == 0
+    folder = tmp_path / "runs" / "desk" / "phantoms" / "scan"
+    account = json.loads((folder / "import.json").read_text())
+    assert account["volumes_ml"]["aorta"][0] == pytest.approx(account["volumes_ml"]["aorta"][1], rel=0.03)
+    assert {"bca", "lcca", "lsa"} <= set(json.loads((folder / "targets.json").read_text())["targets"])
+
+
+def test_a_folder_counts_by_its_files(tmp_path: Path):
+    folder = tmp_path / "patient"
+    folder.mkdir()
+    (folder / "aorta.nii.gz").write_bytes(b"one")
+    digest = PhantomsSettings(file=str(folder)).mesh_sha256
+    (folder / "aorta.nii.gz").write_bytes(b"two")
+    assert digest is not None
+    assert digest != PhantomsSettings(file=str(folder)).mesh_sha256
 
 
 def test_the_files_content_counts(tmp_path: Path):
