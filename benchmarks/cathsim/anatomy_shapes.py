@@ -102,7 +102,7 @@ def main() -> None:
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--arches", type=int, default=500)
     parser.add_argument("--setting", default="random")
-    parser.add_argument("--resolution", type=float, default=2e-3, help="of the generated arches, m")
+    parser.add_argument("--resolution", type=float, default=1.5e-3, help="of the generated arches, m")
     parser.add_argument("--output", type=Path, help="picture to write")
     chosen = parser.parse_args()
     start = time.process_time()

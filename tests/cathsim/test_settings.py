@@ -87,7 +87,7 @@ ZERO = {
     "Aneurysm": {"distance", "angle"},
     "ArchParameters": {
         *("arch_skew", "ascending_lean", "arch_tilt", "out_of_plane", "tortuosity", "branch_tortuosity"),
-        *("bca_takeoff", "lcca_takeoff", "lsa_takeoff", "winding_seed"),
+        *("apex_ratio", "bca_takeoff", "lcca_takeoff", "lsa_takeoff", "winding_seed"),
     },
     "BloodFlow": {"peak_velocity", "descending_share", "phase"},
     "Breathing": {"amplitude", "direction"},
@@ -116,7 +116,9 @@ ZERO = {
     "ArchVarietyTask": _OF_TASK,
     "Perturbation": {"walls", "shift", "turn", "stiffness", "friction", "breathing"},
     "Uncertainty": {"stiffness", "insertion", "rotation", "registration", "lumen", "friction", "curve"},
+    "ScanArch": {"seed"},
     "VarietyArch": {"seed"},
+    "WallRelief": {"coarse", "fine"},
     "XRayScene": {"surroundings", "wall", "wall_thickness", "filling", "scatter"},
     "Section": {"layers"},
 }

@@ -18,15 +18,15 @@ from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
 from cathsim.anatomy.generator.recipe import (
     RANDOM,
     Recipe,
+    build_grid,
     build_tree,
     draw_recipe,
-    fillet_radius,
     recipe_content,
     recipe_of,
 )
+from cathsim.anatomy.generator.scan_arch import ScanArch
 from cathsim.anatomy.importing import import_again, import_anatomy, import_digest, is_anatomy_path
-from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.phantom import Phantom, locate_targets
+from cathsim.anatomy.phantom import Phantom, locate_targets, target_share
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
 NAMED: dict[str, ArchParameters] = {
@@ -86,8 +86,9 @@ def load_phantom(
 
     Args:
         name: one of PHANTOMS; one of RANDOM, which need a seed: "random", "random_wide" (rare shapes as often as common
-            ones), "arch_variety" (six branching types) or "arch_variety_IV" (one of them); the path of a mesh (STL,
-            OBJ, PLY); or with `parameters` any name of your own.
+            ones), "random_scan" (as scans show them: of any size, cut, not round, rough), "arch_variety" (six branching
+            types) or "arch_variety_IV" (one of them); the path of a mesh (STL, OBJ, PLY); or with `parameters` any name
+            of your own.
         seed: of the random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
@@ -150,7 +151,7 @@ def phantom_described(description: Mapping[str, Any]) -> Phantom:
     name, resolution = description["name"], description["resolution"]
     if "mesh" in description:
         return _described_import(description)
-    if "parameters" in description or "variety" in description:
+    if any(key in description for key in ("parameters", "variety", "scan")):
         phantom = _load_arch(name, recipe_of(description), resolution)
     else:
         phantom = _load_arch(name, _parameters_of(name, None), resolution)
@@ -181,14 +182,14 @@ def phantom_hash(parameters: Recipe, resolution: float) -> str:
 def build_phantom(name: str, parameters: Recipe, *, resolution: float = 1e-3) -> Phantom:
     """Builds a phantom without any cache, at a resolution in m; its geodesic fields are computed at first use."""
     tree = build_tree(parameters)
-    grid = build_lumen(tree, resolution=resolution, fillet_radius=fillet_radius(parameters))
+    grid = build_grid(parameters, tree, resolution)
     return Phantom(
         name=name,
         hash=phantom_hash(parameters, resolution),
         parameters=parameters,
         tree=tree,
         grid=grid,
-        targets=locate_targets(tree),
+        targets=locate_targets(tree, target_share(tree) if isinstance(parameters, ScanArch) else 1.0),
         entries=locate_entries(tree),
     )
 

@@ -220,16 +220,30 @@ class Phantom:
         return row
 
 
-def locate_targets(tree: VesselTree) -> dict[str, Target]:
-    """Targets of an aortic arch on the centrelines, at TARGET_DISTANCE; none where a branch is missing or too short."""
+def locate_targets(tree: VesselTree, share: float = 1.0) -> dict[str, Target]:
+    """Targets of an aortic arch on the centrelines, at TARGET_DISTANCE; none where a branch is missing or too short.
+
+    Args:
+        share: of TARGET_DISTANCE, for small arches.
+    """
     targets = {}
     for name, distance in TARGET_DISTANCE.items():
         if name in tree:
-            arc = tree.ostium_arc(name) + distance
+            arc = tree.ostium_arc(name) + share * distance
             clearance = END_CLEARANCE if tree[name].open_end else 0.0
             if arc + clearance <= tree[name].length:
                 targets[name] = Target(name, name, tree[name].point_at(arc), arc)
     return targets
+
+
+def target_share(tree: VesselTree) -> float:
+    """Share of TARGET_DISTANCE at which every target of the arch fits into its branch; at most 1."""
+    free = [
+        (tree[name].length - tree.ostium_arc(name) - (END_CLEARANCE if tree[name].open_end else 0.0)) / distance
+        for name, distance in TARGET_DISTANCE.items()
+        if name in tree
+    ]
+    return float(min(1.0, 0.999 * min(free, default=1.0)))
 
 
 def locate_end_targets(tree: VesselTree) -> dict[str, Target]:

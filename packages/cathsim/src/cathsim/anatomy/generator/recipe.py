@@ -1,4 +1,4 @@
-"""What a generated arch is made from: the measures of one, or type and seed of one of the arch variety."""
+"""What a generated arch is made from: its measures, or the seed of an arch of the variety or as of a scan."""
 
 from __future__ import annotations
 
@@ -8,25 +8,32 @@ from typing import Any
 
 import numpy as np
 
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
 from cathsim.anatomy.generator.random_arch import sample_parameters
+from cathsim.anatomy.generator.scan_arch import ScanArch, build_scan_arch, drawn_relief
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
 from cathsim.anatomy.generator.variety.variety_arch import VarietyArch, build_variety_arch, drawn_type
+from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.vessel_tree import VesselTree
+from cathsim.anatomy.wall_relief import raise_relief
 
 GENERATOR_VERSION = 6  # raise it whenever the same measures give another geometry
 VARIETY_VERSION = 1  # the same for the arch variety
-VARIETY_FILLET = 2.5e-3  # m, rounding of its ostia
-VARIETY = "arch_variety"
+SCAN_VERSION = 1  # ... and for arches as scans show them
+FILLET = 2.5e-3  # m, rounding of the ostia where no measure says it
+SCAN, VARIETY = "random_scan", "arch_variety"
 _OF_TYPE = {f"{VARIETY}_{arch_type}": arch_type for arch_type in ARCH_TYPES}
-RANDOM = ("random", "random_wide", VARIETY, *_OF_TYPE)  # names that need a seed
+RANDOM = ("random", "random_wide", SCAN, VARIETY, *_OF_TYPE)  # names that need a seed
 
-Recipe = ArchParameters | VarietyArch
+Recipe = ArchParameters | VarietyArch | ScanArch
 
 
 def draw_recipe(name: str, seed: int) -> Recipe:
     """The arch of a name of RANDOM and a seed."""
+    if name == SCAN:
+        return ScanArch(seed)
     if name == VARIETY:
         return VarietyArch(drawn_type(seed), seed)
     if name in _OF_TYPE:
@@ -40,12 +47,20 @@ def build_tree(recipe: Recipe) -> VesselTree:
     Raises:
         ValueError: the measures cannot be joined to an arch.
     """
-    return build_variety_arch(recipe) if isinstance(recipe, VarietyArch) else build_arch(recipe)
+    if isinstance(recipe, VarietyArch):
+        return build_variety_arch(recipe)
+    return build_scan_arch(recipe) if isinstance(recipe, ScanArch) else build_arch(recipe)
 
 
-def fillet_radius(recipe: Recipe) -> float:
-    """Rounding of the ostia, m."""
-    return VARIETY_FILLET if isinstance(recipe, VarietyArch) else recipe.fillet_radius
+def build_grid(recipe: Recipe, tree: VesselTree, resolution: float) -> SignedDistanceGrid:
+    """The lumen of a recipe's tree as a distance grid, at a resolution in m.
+
+    Raises:
+        ValueError: the resolution is too coarse or too fine.
+    """
+    fillet = recipe.fillet_radius if isinstance(recipe, ArchParameters) else FILLET
+    grid = build_lumen(tree, resolution=resolution, fillet_radius=fillet)
+    return raise_relief(grid, tree, *drawn_relief(recipe)) if isinstance(recipe, ScanArch) else grid
 
 
 def recipe_content(recipe: Recipe) -> dict[str, Any]:
@@ -53,6 +68,8 @@ def recipe_content(recipe: Recipe) -> dict[str, Any]:
     values = dataclasses.asdict(recipe)
     if isinstance(recipe, VarietyArch):
         return {"variety_generator": VARIETY_VERSION, "variety": values}
+    if isinstance(recipe, ScanArch):
+        return {"scan_generator": SCAN_VERSION, "generator": GENERATOR_VERSION, "scan": values}
     return {"generator": GENERATOR_VERSION, "parameters": values}
 
 
@@ -60,6 +77,8 @@ def recipe_of(content: Mapping[str, Any]) -> Recipe:
     """The recipe of a content, whatever the generators' versions."""
     if "variety" in content:
         return VarietyArch(**content["variety"])
+    if "scan" in content:
+        return ScanArch(**content["scan"])
     measures = dict(content["parameters"])
     if measures.get("aneurysm") is not None:
         measures["aneurysm"] = Aneurysm(**measures["aneurysm"])

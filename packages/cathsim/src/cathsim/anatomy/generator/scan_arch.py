@@ -1,0 +1,119 @@
+"""Random arches as scans show them: of any size, cut where a scan ends, narrow in places, with walls not quite round.
+
+The ranges are those of `random_wide`, widened to where measured aortas lie; `docs/results/real_aortas.md` says which.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.generator.aortic_arch import build_arch
+from cathsim.anatomy.generator.arch_parameters import ArchParameters, draw_parameters
+from cathsim.anatomy.generator.random_arch import BOVINE_SHARE, WIDE, separation
+from cathsim.anatomy.vessel_tree import Branch, VesselTree
+from cathsim.anatomy.wall_relief import WallRelief
+from cathsim.validation import Seed, settings
+
+LEAST_WALL = 1.2e-3  # m between the lumens of vessels that do not meet
+CHILDREN = 0.3  # share of arches smaller than an adult's
+ADULT, CHILD = (0.85, 1.15), (0.36, 0.85)  # sizes, as factors on the generated arch
+_BRANCHES_GROW = 0.7  # exponent of the size in the branches' diameters: a child's are less small than its aorta
+_LEAST_ROOT, _LEAST_DESCENDING = 0.012, 0.060  # m of aorta, at size 1, that a cut leaves beyond first and last branch
+_NARROWEST = 2.2e-3  # m of radius
+_LEAST_BRANCH = 0.047  # m of a branch that ends there beyond its ostium, at size 1
+_ATTEMPTS = 200
+RANGES: dict[str, tuple[float, float]] = {
+    **WIDE,
+    "apex_ratio": (0.0, 3.8),
+    "bca_takeoff": (0.0, 1.25),
+    "lcca_takeoff": (0.0, 1.35),
+    "arch_skew": (-0.3, 0.3),
+    "lsa_takeoff": (0.0, 1.0),
+    "arch_width": (0.055, 0.090),
+    "bca_lcca_gap": (0.0005, 0.014),
+    "lcca_lsa_gap": (0.002, 0.022),
+    "branch_tortuosity": (0.0, 0.007),
+    "carotid_length": (0.060, 0.100),
+    "subclavian_length": (0.045, 0.085),
+}
+
+Array = NDArray[np.float64]
+
+
+@settings
+class ScanArch:
+    """The arch of a seed, as a scan might show it."""
+
+    seed: Seed = 0
+
+
+def build_scan_arch(arch: ScanArch) -> VesselTree:
+    """Builds the vessel tree, centred on the origin; its branches are those of `build_arch`."""
+    rng = np.random.default_rng([arch.seed, 19])
+    for _ in range(_ATTEMPTS):
+        try:
+            tree = _seen(build_arch(_drawn_measures(rng)), rng)
+        except ValueError:
+            continue
+        if separation(tree) >= LEAST_WALL:
+            low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in tree], axis=0)
+            high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
+            return tree.translated(-(low + high) / 2)
+    raise RuntimeError(f"no valid arch in {_ATTEMPTS} draws; the ranges do not fit together.")
+
+
+def drawn_relief(arch: ScanArch) -> tuple[WallRelief, np.random.Generator]:
+    """The relief of the arch's wall, and the generator of its draw."""
+    rng = np.random.default_rng([arch.seed, 20])
+    relief = WallRelief(
+        coarse=float(1e-4 + 1.2e-3 * rng.random() ** 2),
+        coarse_length=float(rng.uniform(0.016, 0.026)),
+        fine=float(rng.uniform(3e-5, 3e-4)),
+        fine_length=float(rng.uniform(5e-3, 9e-3)),
+    )
+    return relief, rng
+
+
+def _drawn_measures(rng: np.random.Generator) -> ArchParameters:
+    drawn: dict[str, Any] = {name: float(rng.uniform(low, high)) for name, (low, high) in RANGES.items()}
+    if rng.random() < BOVINE_SHARE:
+        drawn |= {"bovine": True, "bca_diameter": float(rng.uniform(0.0145, 0.0185))}
+    return replace(draw_parameters(rng), **drawn)
+
+
+def _seen(tree: VesselTree, rng: np.random.Generator) -> VesselTree:
+    """The tree at another size, its aorta narrower in places and cut at both ends."""
+    child = rng.random() < CHILDREN
+    size = float(rng.uniform(*(CHILD if child else ADULT)))
+    aorta = tree.root
+    leaving = [branch.parent_arc for branch in tree if branch.parent == aorta.name and branch.name != "sac"]
+    narrow = float(rng.uniform(0.0, 0.55 if child else 0.3))
+    place = min(leaving) - float(rng.uniform(-0.010, 0.020))
+    width = float(rng.uniform(0.012, 0.035))
+    waves = _waves(aorta.arc, float(rng.uniform(0.0, 0.05)), rng)
+    radius = aorta.radius * (1 - narrow * np.exp(-(((aorta.arc - place) / width) ** 2))) * (1 + waves)
+    first = rng.random() ** 2 * max(min(leaving) - _LEAST_DESCENDING, 0.0)
+    last = aorta.length - float(rng.uniform(0.0, max(aorta.length - max(leaving) - _LEAST_ROOT, 0.0)))
+    kept = (aorta.arc >= first) & (aorta.arc <= last)
+    cut = float(aorta.arc[kept][0])
+    branches = [Branch(aorta.name, size * aorta.points[kept], size * radius[kept])]
+    for branch in tree.branches[1:]:
+        along = size * (branch.parent_arc - (cut if branch.parent == aorta.name else 0.0))
+        thick = size if branch.name == "sac" else size**_BRANCHES_GROW
+        end = branch.length
+        if branch.open_end and branch.name in ("lcca", "lsa"):
+            end = max((1 - 0.6 * rng.random()) * end, tree.ostium_arc(branch.name) + _LEAST_BRANCH)
+        kept = branch.arc <= end
+        points, radii = size * branch.points[kept], np.maximum(thick * branch.radius[kept], _NARROWEST)
+        branches.append(Branch(branch.name, points, radii, branch.parent, along, branch.open_end))
+    return VesselTree(tuple(branches))
+
+
+def _waves(arc: Array, height: float, rng: np.random.Generator) -> Array:
+    """Relative changes of a radius along a vessel, over 40 and 70 mm."""
+    phases = rng.uniform(0, 2 * np.pi, 2)
+    return height * (np.sin(2 * np.pi * arc / 0.040 + phases[0]) + np.sin(2 * np.pi * arc / 0.070 + phases[1])) / 2
