@@ -2,8 +2,8 @@
 
     python benchmarks/cathsim/anatomy_shapes.py PATH ... [--arches N] [--setting random] [--output shapes.png]
 
-Every PATH is a file that imports (or a folder of such files); what does not import is named and left out. N arches of
-a setting ("random", "random_wide", "random_scan") are built at --resolution and measured with the same code. The table
+Every PATH is an anatomy that imports, or a folder of such; what does not import is named and left out. N arches of a
+setting ("random", "random_wide", "random_scan") are built at --resolution and measured with the same code. The table
 has a row a measure: the setting's percentiles 1, 50 and 99, then each aorta's value, marked * where it lies outside.
 The last line is one JSON object {"aortas", "arches", "outside": {measure: [names]}, "outside_pct", "seconds"}.
 """
@@ -23,18 +23,17 @@ import numpy as np
 
 from cathsim.anatomy import load_phantom
 from cathsim.anatomy.generator.recipe import draw_recipe
+from cathsim.anatomy.importing import is_anatomy_path
 from cathsim.anatomy.library import build_phantom
 from cathsim.anatomy.measurement.shape import measure_shape
 
-ENDINGS = (".stl", ".obj", ".ply", ".glb", ".vtp", ".nii.gz", ".nii", ".nrrd")
 
-
-def files_of(paths: list[Path]) -> list[Path]:
-    """The files among paths and in folders."""
+def anatomies_of(paths: list[Path]) -> list[Path]:
+    """The anatomies among paths: files, folders of one vessel a file, and what stands in other folders."""
     found: list[Path] = []
     for path in paths:
-        inside = sorted(path.iterdir()) if path.is_dir() else [path]
-        found += [one for one in inside if one.name.lower().endswith(ENDINGS)]
+        inside = sorted(path.iterdir()) if path.is_dir() and not is_anatomy_path(str(path)) else [path]
+        found += [one for one in inside if is_anatomy_path(str(one))]
     return found
 
 
@@ -106,7 +105,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="picture to write")
     chosen = parser.parse_args()
     start = time.process_time()
-    real = real_shapes(files_of(chosen.paths))
+    real = real_shapes(anatomies_of(chosen.paths))
     generated = generated_shapes(chosen.setting, chosen.arches, chosen.resolution)
     print(f"{'measure':<28}{'p1':>9}{'p50':>9}{'p99':>9}" + "".join(f"{name[:13]:>15}" for name in real))
     outside: dict[str, list[str]] = {}

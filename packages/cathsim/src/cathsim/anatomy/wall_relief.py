@@ -8,14 +8,17 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
+from cathsim.anatomy.cross_section import plane_coordinates
 from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid
+from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import VesselTree
 from cathsim.validation import Unit, settings
 
 _REACH = 4e-3  # m from the wall beyond which the distance is left as it is
 _LARGE = 0.010  # m of radius from which on the coarse relief has its full height
 _MOST = 0.22  # of the local radius, by which the wall is moved at most
-_LEAST = 2.1e-3  # m of radius that the relief leaves
+_FLAT = 5e-3  # m of vessel before an opening over which the relief fades
+_LEAST = 2.15e-3  # m of radius that the relief leaves
 _SAMPLES = 2000  # places at which the height of a drawn relief is measured
 
 Array = NDArray[np.float64]
@@ -62,11 +65,21 @@ def raise_relief(
     height = relief.coarse * np.minimum(local / _LARGE, 1.0) * waves[0](foot) + relief.fine * waves[1](foot)
     inwards = np.minimum(_MOST * local, np.maximum(local - _LEAST, 0.0))
     height = np.clip(height, -inwards, _MOST * local)
-    fade = np.clip(2 - 2 * np.abs(distance) / _REACH, 0.0, 1.0)
+    fade = np.clip(2 - 2 * np.abs(distance) / _REACH, 0.0, 1.0) * _away_from_ends(tree, foot)
     values = values.astype(np.float64)
     values[near] += fade * height
     values = np.maximum(values, OUTSIDE)
     return SignedDistanceGrid.from_nodes(indices, values, grid.shape, grid.origin, grid.spacing, outside=OUTSIDE)
+
+
+def _away_from_ends(tree: VesselTree, points: Array) -> Array:
+    """0 at the flat openings of a tree to 1 from _FLAT (m) inside them on: openings stay flat and where they are."""
+    share = np.ones(len(points))
+    for centre, normal, radius in open_ends(tree):
+        height, aside = plane_coordinates(points, centre, normal)
+        here = (aside < 1.5 * radius) & (np.abs(height) < _FLAT)
+        share[here] = np.minimum(share[here], np.clip(-height[here] / _FLAT, 0.0, 1.0))
+    return share
 
 
 class _Waves:

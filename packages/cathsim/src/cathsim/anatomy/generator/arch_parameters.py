@@ -41,7 +41,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "descending_diameter": (0.017, 0.032),
     "arch_width": (0.055, 0.090),
     "ascending_height": (0.055, 0.110),
-    "descending_height": (0.090, 0.170),
+    "descending_height": (0.090, 0.270),
     "arch_skew": (-0.6, 0.6),
     "ascending_lean": (-0.1, 0.5),
     "arch_yaw": (0.2, 1.2),
@@ -60,7 +60,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "lcca_lsa_gap": (0.002, 0.022),
     "trunk_length": (0.035, 0.045),
     "carotid_length": (0.060, 0.110),
-    "subclavian_length": (0.045, 0.090),
+    "subclavian_length": (0.045, 0.110),
     "fillet_radius": (0.0015, 0.004),
 }
 

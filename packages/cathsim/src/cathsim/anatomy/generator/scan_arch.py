@@ -21,8 +21,10 @@ from cathsim.validation import Seed, settings
 LEAST_WALL = 1.2e-3  # m between the lumens of vessels that do not meet
 CHILDREN = 0.3  # share of arches smaller than an adult's
 ADULT, CHILD = (0.85, 1.15), (0.36, 0.85)  # sizes, as factors on the generated arch
+LONG_SHARE = 0.2  # of scans that show the aorta down to the diaphragm
+SHORT, LONG = (0.095, 0.150), (0.150, 0.265)  # m of height of the arch over the descending end
 _BRANCHES_GROW = 0.7  # exponent of the size in the branches' diameters: a child's are less small than its aorta
-_LEAST_ROOT, _LEAST_DESCENDING = 0.012, 0.060  # m of aorta, at size 1, that a cut leaves beyond first and last branch
+_LEAST_ROOT, _LEAST_DESCENDING = 0.020, 0.060  # m of aorta, at size 1, that a cut leaves beyond first and last branch
 _NARROWEST = 2.2e-3  # m of radius
 _LEAST_BRANCH = 0.047  # m of a branch that ends there beyond its ostium, at size 1
 _ATTEMPTS = 200
@@ -38,7 +40,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "lcca_lsa_gap": (0.002, 0.022),
     "branch_tortuosity": (0.0, 0.007),
     "carotid_length": (0.060, 0.100),
-    "subclavian_length": (0.045, 0.085),
+    "subclavian_length": (0.045, 0.105),
 }
 
 Array = NDArray[np.float64]
@@ -72,7 +74,7 @@ def drawn_relief(arch: ScanArch) -> tuple[WallRelief, np.random.Generator]:
     relief = WallRelief(
         coarse=float(1e-4 + 1.2e-3 * rng.random() ** 2),
         coarse_length=float(rng.uniform(0.016, 0.026)),
-        fine=float(rng.uniform(3e-5, 3e-4)),
+        fine=float(rng.uniform(3e-5, 4e-4)),
         fine_length=float(rng.uniform(5e-3, 9e-3)),
     )
     return relief, rng
@@ -82,6 +84,7 @@ def _drawn_measures(rng: np.random.Generator) -> ArchParameters:
     drawn: dict[str, Any] = {name: float(rng.uniform(low, high)) for name, (low, high) in RANGES.items()}
     if rng.random() < BOVINE_SHARE:
         drawn |= {"bovine": True, "bca_diameter": float(rng.uniform(0.0145, 0.0185))}
+    drawn["descending_height"] = float(rng.uniform(*(LONG if rng.random() < LONG_SHARE else SHORT)))
     return replace(draw_parameters(rng), **drawn)
 
 
