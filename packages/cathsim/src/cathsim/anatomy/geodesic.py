@@ -34,12 +34,15 @@ def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> LatticeField:
     band = NodeSet.where(grid.blocks, lambda values: -values < MARGIN + grid.spacing)
     inside = band.values > 0
     axes = [grid.origin[k] + np.arange(grid.shape[k]) * grid.spacing - target[k] for k in range(3)]
-    x, y, z = (np.square(axis)[band.indices[:, k]] for k, axis in enumerate(axes))
-    straight = np.sqrt(x + y + z)
-    distance = np.where(inside & (straight < seed), straight, np.inf)
+    distance = np.zeros(len(band))
+    for k, axis in enumerate(axes):
+        distance += np.square(axis)[band.indices[:, k]]
+    np.sqrt(distance, out=distance)
+    distance[~(inside & (distance < seed))] = np.inf
     _march(distance, band, inside, grid.spacing)
     farthest = float(distance[np.isfinite(distance)].max())
     field = distance.astype(np.float32)
+    del distance
     _continue_outwards(field, band, grid.spacing)
     field[~np.isfinite(field)] = farthest
     return LatticeField(band.spread(field, farthest), grid.origin, grid.spacing)

@@ -129,9 +129,12 @@ class BloodField:
         origin = low - REACH
         size = np.ceil((high + REACH - origin) / NODE_SPACING).astype(int) + 1
         axes = [origin[k] + NODE_SPACING * np.arange(size[k]) for k in range(3)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        near = np.flatnonzero(self.phantom.grid.sample(points) > -REACH)
-        points = points[near]
+        layers: list[tuple[NDArray[np.int64], Array]] = []
+        for x in axes[0]:  # one after the other: all points of a large box at once are much memory
+            points = np.stack(np.meshgrid([x], axes[1], axes[2], indexing="ij"), axis=-1).reshape(-1, 3)
+            chosen = np.flatnonzero(self.phantom.grid.sample(points) > -REACH)
+            layers.append((chosen + len(layers) * len(points), points[chosen]))
+        near, points = (np.concatenate(parts) for parts in zip(*layers, strict=True))
         node = np.full(len(near), -1, np.int32)
         lies_at = {}  # distance from each branch's axis over its radius
         owner = np.full(len(near), -1)

@@ -20,7 +20,7 @@ STRIDES = np.array([SIDE * SIDE, SIDE, 1])
 AROUND = tuple(offset for offset in product((-1, 0, 1), repeat=3) if any(offset))  # to the 26 neighbours
 
 _OWN = slice(1, EDGE + 1)
-_BATCH = 2**20  # nodes placed at once
+_BATCH = 2**20  # nodes handled at once, so that memory stays bounded
 _LARGEST = 2**31  # nodes along an axis
 
 Shape = tuple[int, int, int]
@@ -210,11 +210,11 @@ class NodeBlocks:
 
     def own_indices(self, chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Indices (n, 3) of nodes chosen among `own` (blocks - 1, 8, 8, 8), block by block."""
-        block, within = np.divmod(np.flatnonzero(chosen), EDGE**3)
-        indices = self.places.astype(np.int32)[block]
-        for axis, part in enumerate(np.unravel_index(within, (EDGE,) * 3)):
-            indices[:, axis] += part
-        return indices
+        places, pieces = self.places.astype(np.int32), [np.zeros((0, 3), dtype=np.int32)]
+        for first in range(0, len(places), _BATCH // EDGE**3):
+            found = np.argwhere(chosen[first : first + _BATCH // EDGE**3])
+            pieces.append(places[first + found[:, 0]] + found[:, 1:].astype(np.int32))
+        return np.concatenate(pieces)
 
     def mapped(self, change: Callable[[NDArray], NDArray]) -> NodeBlocks:
         """The same lattice with every value changed alike by a function of arrays."""
@@ -254,8 +254,11 @@ class NodeBlocks:
         return np.ascontiguousarray(joined[: self.shape[kept[0]], : self.shape[kept[1]]])
 
     def at(self, indices: NDArray[np.integer]) -> NDArray:
-        """Values (...,) at nodes (..., 3)."""
-        found: NDArray = self.nodes.reshape(-1)[self.positions(indices)]
+        """Values (n,) at nodes (n, 3)."""
+        flat, found = self.nodes.reshape(-1), np.empty(len(indices), dtype=self.nodes.dtype)
+        for first in range(0, len(indices), _BATCH):
+            batch = slice(first, first + _BATCH)
+            found[batch] = flat[self.positions(indices[batch])]
         return found
 
     def interpolated(self, index: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cathsim.lattice.node_blocks import STRIDES, NodeBlocks
 
+_BATCH = 2**20  # nodes handled at once, so that memory stays bounded
 FACES = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))  # to the 6 neighbours across a face
 
 
@@ -27,7 +28,11 @@ class NodeSet:
         """The nodes at which a condition on arrays of values holds."""
         indices, values = blocks.where(condition)
         numbers = NodeBlocks.from_nodes(indices, np.arange(len(indices), dtype=np.int32), blocks.shape, -1)
-        return cls(indices, values, numbers, numbers.positions(indices))
+        positions = np.empty(len(indices), dtype=np.int64)
+        for first in range(0, len(indices), _BATCH):
+            batch = slice(first, first + _BATCH)
+            positions[batch] = numbers.positions(indices[batch])
+        return cls(indices, values, numbers, positions)
 
     def __len__(self) -> int:
         return len(self.indices)
