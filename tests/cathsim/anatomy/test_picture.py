@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cathsim.anatomy.picture import VIEWS, draw_phantom
+from cathsim.anatomy.picture import VIEWS, draw_phantom, render_lumen
 
 
 def test_the_picture_shows_the_vessel_from_every_side(phantom, tmp_path):
@@ -22,3 +22,10 @@ def test_the_picture_shows_the_vessel_from_every_side(phantom, tmp_path):
     rows, columns = np.asarray(figure.axes[0].images[0].get_array()).shape[:2]
     assert abs(silhouettes[0] * rows * columns * 4e-6 / shadow - 1) < 0.05
     assert silhouettes[0] != silhouettes[2]
+
+
+def test_a_lumen_is_rendered_alone(phantom):
+    image = render_lumen(phantom, 25.0, 0.05, 0.08, 1e-3)
+    assert image.shape == (160, 100, 3)
+    assert (image[0, 0] == 1).all()  # white beside the vessel
+    assert image.min() < 0.5

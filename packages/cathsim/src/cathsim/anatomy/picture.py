@@ -76,6 +76,18 @@ def draw_phantom(phantom: Phantom, path: Path | None = None, *, pixel: float = 5
     return figure
 
 
+def render_lumen(phantom: Phantom, turn: float, half_width: float, half_height: float, pixel: float) -> Array:
+    """The shaded lumen from one side, bottom row first, (rows, columns, 3) in 0 to 1.
+
+    Args:
+        turn: of the view about the superior axis from straight in front, towards the patient's left, degrees.
+        half_width, half_height: of the picture about the lumen's middle, m.
+        pixel: m per picture element.
+    """
+    right, toward = _camera(turn)
+    return _render(phantom.grid, phantom.bounds.mean(axis=0), right, toward, half_width, half_height, pixel)
+
+
 def _camera(turn: float) -> tuple[Array, Array]:
     """Unit vectors to the picture's right and towards the viewer."""
     angle = math.radians(turn)
