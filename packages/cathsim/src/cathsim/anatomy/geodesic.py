@@ -31,7 +31,10 @@ def geodesic_field(grid: SignedDistanceGrid, target: ArrayLike) -> LatticeField:
     if depth <= 0:
         raise ValueError(f"a geodesic target must lie inside the lumen, got {target.tolist()} m, {-depth:g} m outside.")
     seed = max(min(_SEED_RADIUS, 0.8 * depth), 1.01 * grid.spacing)
-    band = NodeSet.where(grid.blocks, lambda values: -values < MARGIN + grid.spacing)
+    clamp = grid.blocks.constant
+    band = NodeSet.where(
+        grid.blocks, lambda values: (-values < MARGIN + grid.spacing) & ((values > clamp) | (values > 0))
+    )
     inside = band.values > 0
     axes = [grid.origin[k] + np.arange(grid.shape[k]) * grid.spacing - target[k] for k in range(3)]
     distance = np.zeros(len(band))
