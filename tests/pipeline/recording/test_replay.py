@@ -79,6 +79,14 @@ def test_a_coarser_physics_is_replayed_as_it_was(tmp_path: Path) -> None:
     assert len(replay(record(tmp_path / "fast.mcap", pictures=False, accuracy="fast"))) == 25
 
 
+@pytest.mark.parametrize("entry", ["lsa_end", (0.0436, 0.0266, -0.032)])
+def test_an_entry_of_ones_own_is_replayed(tmp_path: Path, entry: str | tuple[float, float, float]) -> None:
+    log = record(tmp_path / "entry.mcap", pictures=False, entry=entry)
+    with EpisodeReader(log) as reader:
+        tips = reader.load_arrays()["tip"]
+    np.testing.assert_array_equal(replay(log).tips, tips)
+
+
 def test_what_does_not_repeat_is_refused(log: Path, tmp_path: Path) -> None:
     other = record(tmp_path / "robot.mcap", pictures=False, drive="robot")
     with pytest.raises(
