@@ -24,6 +24,8 @@ _FULL = 0.8  # of the usual depth, at which a vessel has its full width
 _LOOK_BACK = (2.0, 6e-3)  # radii and m of the way before the tip that say what is usual
 _HALF_SECTION = 0.5  # of the section's area, where a rounded end is cut flat
 _STEEP = 0.77  # cosine of the angle to the volume's face up to which an end there is left as the face cuts it
+_LEAST_CUT = 0.2  # cosine of the angle from which on a face counts as cutting a vessel rather than touching its side
+_LOOK_BACK_NODES = 40  # of a way before its tip, whose greatest depth is the vessel's width there
 _STEP = 1e-3  # m along ways
 
 Array = NDArray[np.float64]
@@ -117,32 +119,34 @@ def _farthest(away: Array) -> int:
     return int(np.argmax(np.where(np.isfinite(away), away, -1.0)))
 
 
-def flat_end(
-    courses: Courses, number: int, tip: int, begin: int, faces: list[tuple[Array, Array]], reach: float
-) -> Tip:
+def flat_end(courses: Courses, number: int, tip: int, begin: int, faces: list[tuple[Array, Array, float]]) -> Tip:
     """The flat end of a vessel at its tip.
 
     Args:
         begin: node from which the vessel is followed.
-        faces: points and outward normals of the volume's faces.
-        reach: m between a tip and a face that cuts it.
+        faces: points and outward normals of the volume's faces, and how near (m) a tip lies to one that cuts it.
     """
     graph = courses.graph
     mine = courses.nodes_of(*courses.main) if number in courses.main else courses.nodes_of(number)
     way = _way_within(graph, begin, tip, mine)
+    face = next(((at, n) for at, n, reach in faces if (at - graph.points[tip]) @ n < reach), None)
+    if face is not None:
+        # the way to the furthest corner of a section that a face cuts runs aslant: its middle is meant
+        wide = 2.5 * float(graph.depth[way[-_LOOK_BACK_NODES:]].max())
+        middle = _section_middle(graph.points[mine], graph.points[tip], *face, wide, 2 * graph.spacing)
+        way = _way_within(graph, begin, graph.nearest(middle - 2 * graph.spacing * face[1], mine), mine)
     points, depth = graph.points[way], graph.depth[way]
     from_end = arc_length(points[::-1])[::-1]
     index = _full_width(from_end, depth)
     radius = float(np.median(depth[(from_end >= from_end[index]) & (from_end <= from_end[index] + 2 * depth[index])]))
     direction = _direction(points[: index + 1], 2.5 * radius)
     base = points[index]
-    cut = next((f for f in faces if (f[0] - points[-1]) @ f[1] < reach and direction @ f[1] > 0.2), None)
-    if cut is not None:
-        place, normal = cut
+    if face is not None and direction @ face[1] > _LEAST_CUT:
+        place, normal = face
         steepness = float(direction @ normal)
         to_face = float((place - base) @ normal) / steepness
         if steepness >= _STEEP:
-            return Tip(tip, FlatEnd(base, direction, max(to_face, 1e-4), radius), True, True)
+            return Tip(tip, FlatEnd(middle, normal, 1e-4, radius), True, True)
         # a plane across the vessel whose whole section lies before the face
         back = to_face - radius * float(np.sqrt(1 - steepness**2)) / steepness
         if back < 0:
@@ -173,6 +177,24 @@ def _half_section(points: Array, base: Array, normal: Array, radius: float, spac
         if count < _HALF_SECTION * full:
             return float(beyond + spacing)
     return 3 * radius
+
+
+def _section_middle(points: Array, tip: Array, place: Array, normal: Array, reach: float, thick: float) -> Array:
+    """Middle (3,) m of a lumen's section about a tip: of its points (n, 3) m within `thick` of a plane."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    height = (points - place) @ normal
+    near = points[(np.abs(height) <= thick) & (np.linalg.norm(points - tip, axis=1) <= reach)]
+    middle = tip
+    if len(near):  # a plane may cut the aorta twice: what hangs together with the tip counts
+        pairs = cKDTree(near).query_pairs(0.9 * thick, output_type="ndarray")
+        graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(near),) * 2)
+        _, part = connected_components(graph, directed=False)
+        middle = near[part == part[np.argmin(((near - tip) ** 2).sum(axis=1))]].mean(axis=0)
+    onto: Array = middle - float((middle - place) @ normal) * normal
+    return onto
 
 
 def _direction(points: Array, length: float) -> Array:
@@ -222,7 +244,9 @@ def rough_vessels(
         points = np.concatenate([head + lead[:, None] * (points[0] - head), points])
         return points, np.concatenate([np.full(len(lead), depth[0]), depth])
 
-    points, depth = followed(root, courses.start, courses.last, head=first.centre, tail=ends[root].centre)
+    mine = courses.nodes_of(*courses.main)
+    lower, upper = (graph.nearest(_before(end), mine) for end in (first, ends[root]))
+    points, depth = followed(root, lower, upper, head=first.centre, tail=ends[root].centre)
     aorta = RoughVessel(points, depth, root)
     names[id(aorta)] = AORTA
     # a course from the groin on is the aorta's as a whole
@@ -240,7 +264,7 @@ def rough_vessels(
         # the first way led to the vessel's rounded tip; it now ends in its flat end
         flat = ends.get(number)
         if flat is not None:
-            end = graph.nearest(flat.centre - min(0.5 * flat.radius, 2e-3) * flat.normal, mine)
+            end = graph.nearest(_before(flat), mine)
         at_fork = courses.forks.get(link.parent) is not None and _leaves_end(courses, number, ostia)
         foot = (
             len(parent.points) - 1 if at_fork else int(np.argmin(np.linalg.norm(parent.points - ostia[number], axis=1)))
@@ -256,6 +280,12 @@ def rough_vessels(
     for vessel in made.values():
         vessel.children.sort(key=lambda child: child.start)
     return aorta, names
+
+
+def _before(end: FlatEnd) -> Array:
+    """A place (3,) m in the middle of a vessel right before its flat end."""
+    place: Array = end.centre - min(0.5 * end.radius, 3e-3) * end.normal
+    return place
 
 
 def _leaves_end(courses: Courses, number: int, ostia: dict[int, Array]) -> bool:

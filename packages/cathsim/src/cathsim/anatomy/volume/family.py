@@ -14,14 +14,16 @@ from cathsim.anatomy.vessel_names import AORTA
 # Where a vessel can leave, the usual place first; others leave whatever they touch most.
 PARENTS: dict[str, tuple[str, ...]] = {
     "bca": (AORTA,),
-    "lcca": (AORTA, "bca"),
-    "lsa": (AORTA,),
-    "rsa": ("bca", AORTA),
-    "rcca": ("bca", "rsa", AORTA),
+    "lcca": ("carotid_trunk", AORTA, "bca"),
+    "lsa": ("subclavian_trunk", AORTA),
+    "rsa": ("subclavian_trunk", "bca", AORTA),
+    "rcca": ("carotid_trunk", "bca", "rsa", AORTA),
     "vertebral_left": ("lsa", AORTA),
     "vertebral_right": ("rsa", "bca"),
 }
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
+_MOUTH = 0.5  # of a take-off's area, from which on a contact beside it is a part of the mouth and no bridge
+_SISTERS = 1.2  # of the sum of both take-offs' radii, within which they are one place
 _CLUSTER = 4e-3  # m: contacts nearer to each other than this are one
 _LONGEST_GAP = 6e-3  # m between a vessel and its parent, or two parts of one, that is closed
 _SPECK = 0.02  # of a vessel: a part of this size is noise
@@ -39,6 +41,7 @@ class Link:
     """Where a vessel leaves its parent."""
 
     parent: int  # number of the parent
+    beside: int  # number of the vessel whose label it touches there, the parent's or its sister's
     ostium: Array  # (n, 3) m, contacts there, in the lattice's axes
     radius: float  # m, of a circle of the contacts' area
 
@@ -86,21 +89,24 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
             touching, closed = _contacts(box, spacing), True
         else:
             break
+    _raise_sisters(links, names)
     for number in waiting:
         box[box == number] = 0
         notes.append(f"{names[number - 1]} touches no other vessel and is left out")
     false = []
-    for (a, b), (places, _) in touching.items():
+    for (a, b), (places, areas) in touching.items():
         if a in waiting or b in waiting:
             continue
-        link = links[a] if a in links and links[a].parent == b else links.get(b)
-        if link is not None and link.parent in (a, b):
+        link = links[a] if a in links and links[a].beside == b else links.get(b)
+        if link is not None and link.beside in (a, b):
             places = places[_distance(places, link.ostium) > _CLUSTER]
         elif a in links and b in links and links[a].parent == links[b].parent != root:
             # the ridge where a trunk parts in two is no bridge
             for one in (links[a], links[b]):
                 if len(places):
                     places = places[_distance(places, one.ostium) > one.radius + _CLUSTER]
+        elif any(_is_mouth(places, areas, links[n]) for n in (a, b) if n in links):
+            continue
         if len(places):
             false.append((a, b, places))
     kept = {number: names[number - 1] for number in order}
@@ -235,10 +241,39 @@ def _parent(
     return max(wide, key=lambda other: wide[other]) if wide else None
 
 
+def _is_mouth(places: Array, areas: Array, link: Link) -> bool:
+    """Whether a contact with another vessel than the parent is too wide, and too near to the take-off, for a bridge."""
+    wide = float(areas.sum()) > _MOUTH * np.pi * link.radius**2
+    return wide and float(_distance(places, link.ostium).min()) < _CLUSTER
+
+
+def _raise_sisters(links: dict[int, Link], names: Sequence[str]) -> None:
+    """Makes a vessel that leaves its sister right at the sister's own take-off a daughter of their trunk.
+
+    The label of one of a trunk's two daughters often holds the place where they part.
+    """
+    for number, link in links.items():
+        sister = links.get(link.parent)
+        usual = PARENTS.get(names[number - 1], ())
+        if (
+            sister is None
+            or names[link.parent - 1] not in PARENTS
+            or names[sister.parent - 1] not in usual[: _rank(usual, names[link.parent - 1])]
+        ):
+            continue
+        gap = float(np.linalg.norm(link.ostium.mean(axis=0) - sister.ostium.mean(axis=0)))
+        if gap < _SISTERS * (link.radius + sister.radius):
+            link.parent = sister.parent
+
+
+def _rank(usual: Sequence[str], name: str) -> int:
+    return usual.index(name) if name in usual else len(usual)
+
+
 def _link(number: int, parent: int, touching: dict[tuple[int, int], tuple[Array, Array]]) -> Link:
     places, areas = touching[min(number, parent), max(number, parent)]
     cluster = _main_cluster(places, areas)
-    return Link(parent, places[cluster], float(np.sqrt(max(areas[cluster].sum(), 1e-6) / np.pi)))
+    return Link(parent, parent, places[cluster], float(np.sqrt(max(areas[cluster].sum(), 1e-6) / np.pi)))
 
 
 def _main_cluster(places: Array, areas: Array) -> NDArray[np.bool_]:

@@ -19,7 +19,7 @@ from cathsim.anatomy.volume.wall import connected, signed_distance
 
 _BATCH = 400_000  # nodes worked on at once
 _LEAST_RADIUS, _LEAST_SPACINGS = 1.5e-3, 1.5  # m, and spacings of the lattice, to which vessels are kept open
-_AT_FACE = 2.5  # voxels between a vessel's tip and the volume's face that cuts it
+_AT_FACE = 1.5  # spacings, and a voxel, between a vessel's tip and the volume's face that cuts it
 
 Array = NDArray[np.float64]
 Field = NDArray[np.float32]
@@ -147,16 +147,16 @@ class LabelledLumen:
         for axis, place, sign in self.union.faces:
             point = np.zeros(3)
             point[axis] = place
-            faces.append((self.to_patient(point), self.turn[:, axis] * sign))
-        reach = _AT_FACE * float(self.volume.spacing.max())
+            near = float(self.volume.spacing[axis]) + _AT_FACE * self.lattice.spacing
+            faces.append((self.to_patient(point), self.turn[:, axis] * sign, near))
         ostia = self.ostia()
         below = courses.main[0]
-        tips = {below if below != root else -1: flat_end(courses, root, courses.start, courses.last, faces, reach)}
-        tips[root] = flat_end(courses, root, courses.last, courses.start, faces, reach)
+        tips = {below if below != root else -1: flat_end(courses, root, courses.start, courses.last, faces)}
+        tips[root] = flat_end(courses, root, courses.last, courses.start, faces)
         for number, node in courses.tips.items():
             begin = courses.graph.nearest(ostia[number], courses.which == number)
             if begin != node:
-                tips[number] = flat_end(courses, number, node, begin, faces, reach)
+                tips[number] = flat_end(courses, number, node, begin, faces)
         for number, found in tips.items():
             if not found.flat:
                 self.union.ends.setdefault(root if number == -1 else number, []).append(self._in_box(found))

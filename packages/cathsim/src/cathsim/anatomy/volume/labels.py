@@ -46,6 +46,15 @@ class LabelChoice:
     notes: tuple[str, ...] = ()
 
 
+def label_name(text: str) -> str:
+    """The project's name of a vessel that a label calls `text`; empty where it is none of the known arteries.
+
+    The common trunks of both carotid and of both subclavian arteries are told from single ones by the word.
+    """
+    name = vessel_name(text)
+    return f"{name}_trunk" if name in ("carotid", "subclavian") and "trunk" in text.lower() else name
+
+
 def choose_labels(present: Mapping[Key, int], names: Mapping[Key, str], own: Labels, file: str) -> LabelChoice:
     """Chooses the labels of vessels among those that a volume has.
 
@@ -63,7 +72,7 @@ def choose_labels(present: Mapping[Key, int], names: Mapping[Key, str], own: Lab
         raise MeshRefusedError(f"{file} is empty: all its voxels are zero; export the segmentation again.")
     if own:
         return _own_choice(present, names, own, file)
-    if known := {key: vessel_name(names[key]) for key in present if vessel_name(names.get(key, ""))}:
+    if known := {key: label_name(names[key]) for key in present if label_name(names.get(key, ""))}:
         return _checked(_without_lumina(known), "names in the file", present, file, names)
     values = {value for _, value in present}
     if len(present) == 1:
@@ -102,8 +111,8 @@ def _own_choice(present: Mapping[Key, int], names: Mapping[Key, str], own: Label
         if not keys:
             raise MeshRefusedError(f"{file} has no label {wanted!r}; it has {_listed(present, names)}.")
         if vessel is not None:
-            chosen |= dict.fromkeys(keys, vessel_name(str(vessel)) or str(vessel))
-    others = {key: vessel_name(names.get(key, "")) for key in present if not any(_is(w, key, names) for w in own)}
+            chosen |= dict.fromkeys(keys, label_name(str(vessel)) or str(vessel))
+    others = {key: label_name(names.get(key, "")) for key in present if not any(_is(w, key, names) for w in own)}
     known = {key: name for key, name in others.items() if name not in ("", *chosen.values())}
     return _checked({**known, **chosen}, "given", present, file, names)
 

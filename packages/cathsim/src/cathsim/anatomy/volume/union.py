@@ -125,7 +125,7 @@ def unite(
         if number in family.links:
             link = family.links[number]
             reach = float(np.clip(link.radius, *_INTO_PARENT))
-            parent = box == link.parent
+            parent = box == link.beside
             _reach_into(mask, parent, link.ostium, reach, spacing)
             if widened := _open_take_off(mask, box, number, link, spacing):
                 family.notes.append(f"the take-off of {family.names[number]} {widened}")
@@ -185,7 +185,7 @@ def _open_take_off(mask: NDArray[np.bool_], box: Box, number: int, link: Link, s
     points = (np.stack(np.meshgrid(*[np.arange(s.start, s.stop) for s in window], indexing="ij"), -1)) * spacing - start
     along = np.clip(points @ (end - start) / float((end - start) @ (end - start)), 0.0, 1.0)
     tube = np.linalg.norm(points - along[..., None] * (end - start), axis=-1) <= 0.95 * radius
-    free = (box[window] == 0) | (box[window] == link.parent)
+    free = (box[window] == 0) | (box[window] == link.beside)
     mask[window] |= tube & free
     return f"has {1e3 * link.radius:.1f} mm of radius in the labels, it is widened to {1e3 * radius:.1f}"
 
