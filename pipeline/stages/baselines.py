@@ -12,6 +12,7 @@ from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.expert_episodes import require_demonstrations
+from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.learning.path_following import ROW, PathJob, follow
 from pipeline.stages.learning.plan import (
     THESIS,
@@ -70,7 +71,8 @@ def training_settings(settings: BaselinesSettings, algorithm: str, observation: 
     if settings.variant == THESIS:
         preset = thesis_baseline(algorithm, observation)
     decisions = settings.ppo_decisions if ppo else settings.decisions
-    return preset.sized(decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard)
+    sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard)
+    return with_hyperparameters(sized, settings.training)
 
 
 def path_followers(settings: BaselinesSettings, context: StageContext) -> list[Job]:

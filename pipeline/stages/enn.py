@@ -9,6 +9,7 @@ from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
 from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.learning.plan import (
     THESIS,
     check_learning,
@@ -85,11 +86,14 @@ def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob
 
 
 def training_settings(settings: EnnSettings, keys: tuple[str, ...] = ()) -> TrainingSettings:
-    """SAC of the variant with the stage's budget; `keys` are the observations that the thesis's network sees."""
-    from enn.reinforcement import DESK_SAC, THESIS_SAC
+    """SAC or PPO of the variant with the stage's budget; `keys` are the observations that the thesis's network sees."""
+    from enn.reinforcement import DESK_PPO, DESK_SAC
+    from enn.reinforcement.training_settings import THESIS_PPO, THESIS_SAC
 
-    preset = THESIS_SAC if settings.variant == THESIS else DESK_SAC
-    return preset.sized(settings.decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard, keys=keys)
+    desk, thesis = (DESK_SAC, THESIS_SAC) if settings.algorithm == "sac" else (DESK_PPO, THESIS_PPO)
+    preset = thesis if settings.variant == THESIS else desk
+    sized = preset.sized(settings.decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard, keys=keys)
+    return with_hyperparameters(sized, settings.training)
 
 
 def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -72,7 +72,7 @@ class Trial:
 def check_expert(settings: ExpertSettings) -> None:
     """Refuses unknown phantoms, targets and wires with a ConfigurationError that lists the valid names."""
     require_known_phantoms(settings.phantoms)
-    require_known_targets(settings.targets)
+    require_known_targets(settings.targets, settings.phantoms)
     require_known_task(settings.task)
     require_feeder(settings.task, "expert")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -90,20 +91,37 @@ def check_phantoms(settings: PhantomsSettings) -> None:
 
 
 def require_known_phantoms(names: list[str], *, hint: str = "") -> None:
-    """Refuses unknown names with a `ConfigurationError` that lists the valid ones, followed by a hint."""
-    from cathsim.anatomy import PHANTOMS
+    """Refuses unknown names with a `ConfigurationError` that lists the valid ones, followed by a hint.
 
-    unknown = [name for name in names if name not in PHANTOMS]
+    Names of random arches hold their seeds: random_7.
+    """
+    from cathsim.anatomy import PHANTOMS
+    from cathsim.anatomy.library import seed_in_name
+
+    unknown = [name for name in names if name not in PHANTOMS and seed_in_name(name)[1] is None]
     if unknown:
         raise ConfigurationError(
-            f"unknown phantom {', '.join(map(repr, unknown))}: choose from {', '.join(PHANTOMS)}{hint}"
+            f"unknown phantom {', '.join(map(repr, unknown))}: choose from {', '.join(PHANTOMS)}, random_7{hint}"
         )
 
 
-def require_known_targets(names: list[str]) -> None:
-    """Refuses names that are no target's with a ConfigurationError that lists the valid ones."""
+def require_known_targets(names: list[str], phantoms: Sequence[str] = ()) -> None:
+    """Refuses names that are no target's with a ConfigurationError that lists the valid ones.
+
+    Args:
+        phantoms: in which they are to be; then any target of theirs is taken, and any point as `target_name` writes it:
+            point_27.0_-2.0_70.0_mm. Without, only those that stages navigate to everywhere.
+    """
     unknown = [name for name in names if name not in TARGETS]
-    if unknown:
+    for phantom in phantoms if unknown else ():
+        from cathsim import load_phantom
+
+        try:
+            for name in unknown:
+                load_phantom(phantom).target(name)
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+    if unknown and not phantoms:
         raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
 
 

@@ -46,7 +46,7 @@ def check_learning(settings: LearningSettings) -> None:
         ConfigurationError: listing the valid names.
     """
     require_known_phantoms(settings.phantoms)
-    require_known_targets(settings.targets)
+    require_known_targets(settings.targets, settings.phantoms)
     require_known_task(settings.task)
 
 

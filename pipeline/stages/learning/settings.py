@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Annotated
+from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Le
 
@@ -60,6 +60,7 @@ class LearningSettings(DeviceSettings):
     encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
+    training: dict[str, Any] = field(default_factory=dict)  # hyper-parameters: fields of enn's TrainingSettings
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
@@ -93,6 +94,7 @@ class EnnSettings(LearningSettings):
     """Settings of the Expert Navigation Network and its ablation."""
 
     name: str = "enn"
+    algorithm: Annotated[str, one_of("sac", "ppo")] = "sac"
     expert: FolderName = "I+V+M"  # modality set of the row that later stages learn from
     modalities: FolderNames = field(default_factory=list)  # the ablation's other rows
     ablation_phantoms: FolderNames = field(default_factory=list)  # where those are trained

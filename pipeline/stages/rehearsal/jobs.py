@@ -22,6 +22,7 @@ import numpy as np
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import MODES, Origin, controllers, run_trials
 from pipeline.seeds import held_out_seeds
+from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.unseen.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING, ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
@@ -80,8 +81,6 @@ def load_anatomy(settings: RehearsalSettings) -> Phantom:
 
     if settings.file is None:
         return load_phantom(settings.phantom or "type_1", seed=settings.phantom_seed)
-    if settings.unit is None and settings.names is None:
-        return load_phantom(settings.file)
     return import_anatomy(settings.file, unit=settings.unit, names=settings.names)
 
 
@@ -143,11 +142,10 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     starts = _laid_starts(job, copies, report)
     preset = replace(DESK_PPO, keys=ROADMAP_KEYS, reset_bank_share=0.5)
     if settings.algorithm == "sac":
-        preset = replace(REHEARSAL, gradient_steps=settings.gradient_steps, buffer_size=max(settings.decisions, 1000))
+        preset = replace(REHEARSAL, buffer_size=max(settings.decisions, 1000))
     training = replace(
         preset,
         hidden=(settings.hidden, settings.hidden),
-        learning_rate=settings.learning_rate,
         decisions=settings.decisions,
         n_envs=settings.environments,
         threads=settings.threads or 2,
@@ -155,6 +153,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         evaluation_episodes=settings.validation_copies + 1,
         device=report.device,
     )
+    training = with_hyperparameters(training, settings.training)
     with stopping_the_stage(CheckpointError, ValueError):
         result = rehearse(
             partial(copies_environment, job, copies, training=True),

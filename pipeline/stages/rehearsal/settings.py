@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Ge, Le, Len
 
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
@@ -61,8 +61,7 @@ class RehearsalSettings(DeviceSettings):
     decisions: Decisions = 12_000
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
-    learning_rate: Annotated[float, Gt(0), Le(1)] = 1e-3
-    gradient_steps: Annotated[float, Gt(0), Le(100)] = 0.5  # updates a decision
+    training: dict[str, Any] = field(default_factory=dict)  # hyper-parameters: fields of enn's TrainingSettings
     force_penalty: Weight = 0.1  # of the training's reward, a newton and step
     path_penalty: Weight = 40.0  # a metre of the tip's way
     accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # tests are accurate

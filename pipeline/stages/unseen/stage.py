@@ -20,6 +20,7 @@ from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, DemonstrationsJob, record_demonstrations
 from pipeline.stages.unseen.held_out import misregistered, test_sets
@@ -213,7 +214,7 @@ def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) 
     """
     from enn.reinforcement.training import DESK_SAC
 
-    return replace(
+    training = replace(
         DESK_SAC,
         keys=ROADMAP_KEYS,
         hidden=(settings.hidden, settings.hidden),
@@ -233,6 +234,7 @@ def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) 
         tensorboard=settings.tensorboard,
         keep_critics=True,  # a rehearsal starts from it
     )
+    return with_hyperparameters(training, settings.training)
 
 
 STAGE = Stage(

@@ -218,3 +218,11 @@ def test_arches_of_the_variety_are_cached_and_described_like_random_ones(cache):
     assert library.phantom_described(described).hash == phantom.hash
     with pytest.raises(ValueError, match="'arch_variety' needs a seed"):
         load_phantom("arch_variety", cache_dir=cache)
+
+
+def test_the_name_of_a_random_arch_holds_its_seed(cache):
+    arch = load_phantom("random_wide_7", resolution=2.5e-3, cache_dir=cache)
+    assert arch is load_phantom("random_wide", seed=7, resolution=2.5e-3, cache_dir=cache)
+    assert arch.name == "random_wide_7"
+    with pytest.raises(ValueError, match="unknown phantom 'random_x'"):
+        load_phantom("random_x", cache_dir=cache)

@@ -76,7 +76,7 @@ def test_keys_of_a_sweep_leave_one_of_each(place: StageContext) -> None:
     ("changed", "sentence"),
     [
         ({"modality": "Q"}, "unknown modality set 'Q'; there are I, V, M"),
-        ({"target": "aorta"}, "unknown target 'aorta': choose from bca, lcca, lsa"),
+        ({"target": "aorta"}, "unknown target 'aorta' in phantom 'type_1'; choose from bca, "),
         ({"phantom": "type_9"}, "unknown phantom 'type_9': choose from type_1"),
         ({"task": Task(wire="rope")}, "unknown wire 'rope': choose from default"),
     ],

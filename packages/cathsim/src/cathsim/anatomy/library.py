@@ -71,6 +71,7 @@ NAMED: dict[str, ArchParameters] = {
 }
 PHANTOMS: tuple[str, ...] = tuple(NAMED)
 
+_DIGITS = 16  # of a seed in a name, fewer than
 _loading = threading.Lock()
 
 
@@ -87,8 +88,8 @@ def load_phantom(
     Args:
         name: one of PHANTOMS; one of RANDOM, which need a seed: "random", "random_wide" (rare shapes as often as common
             ones), "random_scan" (as scans show them: of any size, cut, not round, rough), "arch_variety" (six branching
-            types) or "arch_variety_IV" (one of them); the path of a mesh (STL, OBJ, PLY); or with `parameters` any name
-            of your own.
+            types) or "arch_variety_IV" (one of them), or have it in their name, "random_7"; the path of a mesh (STL,
+            OBJ, PLY); or with `parameters` any name of your own.
         seed: of the random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
@@ -103,6 +104,8 @@ def load_phantom(
     if parameters is None:
         if is_anatomy_path(name):
             return _import(name, seed, resolution, cache_dir)
+        if seed is None:
+            name, seed = seed_in_name(name)
         parameters = _parameters_of(name, seed)
         if name in RANDOM:
             name = f"{name}_{seed}"
@@ -198,6 +201,12 @@ def _import(path: str, seed: int | None, resolution: float, cache_dir: Path | No
     if seed is not None:
         raise ValueError(f"a phantom from a file takes no seed, got {seed!r}; only 'random' does.")
     return import_anatomy(path, resolution=resolution, cache_dir=cache_dir)
+
+
+def seed_in_name(name: str) -> tuple[str, int | None]:
+    """A random arch's kind and seed from the name that it gets, "random_7"; any other name as it is, without a seed."""
+    kind, _, number = name.rpartition("_")
+    return (kind, int(number)) if kind in RANDOM and number.isdecimal() and len(number) < _DIGITS else (name, None)
 
 
 def _parameters_of(name: str, seed: int | None) -> Recipe:

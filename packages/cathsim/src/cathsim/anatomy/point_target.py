@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from weakref import WeakValueDictionary
@@ -16,18 +17,22 @@ Point = tuple[float, float, float]  # m, world frame
 TargetLike = str | Sequence[float] | NDArray[np.floating]
 
 _FARTHEST = 10.0  # m: a coordinate beyond was meant in another unit
+_POINT = re.compile(r"point_(-?[0-9.]+)_(-?[0-9.]+)_(-?[0-9.]+)_mm")
 _DEEP = 1e-3  # m: a point this far inside the wall is well within the lumen
 _KEPT = 4  # geodesic fields of points that are kept while nobody uses them, 3 to 50 MB each
 
 
 def as_target(target: object) -> str | Point:
-    """A target's name as it is, or three coordinates as floats.
+    """A target's name as it is, or three coordinates as floats; a point's name (`target_name`) is that point.
 
     Raises:
         ValueError: it is neither a name nor three finite numbers.
     """
     if isinstance(target, str):
-        return target
+        named = _POINT.fullmatch(target)
+        if named is None:
+            return target
+        target = [1e-3 * float(millimetres) for millimetres in named.groups()]
     try:
         x, y, z = (float(coordinate) for coordinate in target)  # type: ignore[attr-defined]
     except (TypeError, ValueError):

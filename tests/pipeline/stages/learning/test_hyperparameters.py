@@ -1,0 +1,49 @@
+"""Hyper-parameters from the command line: taken, and refused in one sentence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from enn.reinforcement import DESK_PPO, DESK_SAC
+from pipeline.stages.baselines import training_settings as of_baselines
+from pipeline.stages.enn import training_settings as of_enn
+from pipeline.stages.learning.hyperparameters import with_hyperparameters
+from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings
+from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.stages.unseen.stage import training_settings as of_unseen
+from pipeline.store.errors import ConfigurationError
+
+PLACE = {"phantoms": ["type_1"], "targets": ["bca"]}
+CHANGES = {"learning_rate": 3e-4, "n_envs": 4, "hidden": [32, 32]}
+
+
+def test_every_learning_stage_takes_them() -> None:
+    made = [
+        of_baselines(BaselinesSettings(**PLACE, training=CHANGES), "ppo", "internal"),
+        of_enn(EnnSettings(**PLACE, training=CHANGES)),
+        of_enn(EnnSettings(**PLACE, training=CHANGES, algorithm="ppo")),
+        of_unseen(UnseenSettings(training=CHANGES), 4, 1000),
+    ]
+    assert [one.algorithm for one in made] == ["ppo", "sac", "ppo", "sac"]
+    for training in made:
+        assert (training.learning_rate, training.n_envs, training.hidden) == (3e-4, 4, (32, 32))
+
+
+def test_without_any_nothing_changes() -> None:
+    assert with_hyperparameters(DESK_SAC, {}) is DESK_SAC
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "message"),
+    [
+        (DESK_SAC, {"lerning_rate": 1e-3}, "stage.training has no 'lerning_rate': choose from .*learning_rate"),
+        (DESK_SAC, {"decisions": 5}, "stage.training has no 'decisions'"),
+        (DESK_SAC, {"gamma": 2.0}, "stage.training: .*gamma"),
+        (DESK_PPO, {"tau": 0.1}, "stage.training: ppo does not use tau"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(preset: Any, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        with_hyperparameters(preset, changes)
