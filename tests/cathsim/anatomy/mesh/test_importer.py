@@ -173,7 +173,7 @@ def test_it_is_cached_with_its_report(plain: tuple[Path, Phantom], cache: Path, 
     assert again.hash == found.hash
     assert np.array_equal(again.grid.values, found.grid.values)
     assert again.parameters is None
-    with pytest.raises(ValueError, match="a phantom from a mesh takes no seed, got 3"):
+    with pytest.raises(ValueError, match="a phantom from a file takes no seed, got 3"):
         load_phantom(str(path), seed=3)
 
 
