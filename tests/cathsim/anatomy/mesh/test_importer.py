@@ -83,7 +83,8 @@ DISGUISES = {
 def imported(request: pytest.FixtureRequest, phantom: Phantom, cache: Path) -> tuple[Disguise, Phantom]:
     disguise = DISGUISES[request.param]
     path = disguise.write(phantom, cache / f"arch_{list(DISGUISES).index(request.param)}.stl")
-    return disguise, import_mesh(path, resolution=COARSE, cache_dir=cache)
+    unit = "inch" if disguise.unit == "inch" else None
+    return disguise, import_mesh(path, unit=unit, resolution=COARSE, cache_dir=cache)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +98,8 @@ def test_a_disguised_phantom_comes_back(imported: tuple[Disguise, Phantom], phan
     report = found.imported
     assert report is not None
     assert report.unit == disguise.unit
-    assert report.unit_reason.startswith("detected: its widest vessel is then ")
+    # as small in centimetres as a child's: an inch must be given
+    assert report.unit_reason.startswith("given" if disguise.unit == "inch" else "detected: its widest vessel is then ")
     assert set(found.tree.names) == BRANCHES
     assert found.tree["rcca"].parent == found.tree["rsa"].parent == "bca"
     assert report.axes_kept == np.array_equal(disguise.rotation, np.eye(3))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import MeshRefusedError
+from cathsim.anatomy.mesh.arches.arch_naming import name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel
-from cathsim.anatomy.mesh.naming import name_vessels, ordered_names, propose_targets, renamed, world_rotation
+from cathsim.anatomy.mesh.naming import ordered_names, propose_targets, renamed, world_rotation
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 

@@ -10,7 +10,7 @@ import pytest
 from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.vessel_tree import nearest_on_branch
-from tests.cathsim.anatomy.generator.drawn_arch import arch_mesh, arch_tree
+from tests.cathsim.anatomy.generator.drawn_arch import BOW, LIMB, arch_mesh, arch_tree
 
 REAL = Path(__file__).resolve().parents[5] / "shared" / "real" / "aortas"
 COARSE = 2e-3
@@ -40,12 +40,27 @@ def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
     assert check_lumen(found).problems == ()
 
 
-def test_a_stenosis_is_refused(tmp_path: Path):
+def test_a_stenosis_that_a_wire_can_pass_is_kept(tmp_path: Path):
     mesh = arch_mesh(0.03, narrowed=1.6e-3)
     mesh.apply_scale(1000)
     mesh.export(tmp_path / "narrow.stl")
-    with pytest.raises(MeshRefusedError, match=r"narrows to less than 2\.0 mm of width between two parts of it"):
-        import_mesh(tmp_path / "narrow.stl", resolution=COARSE, cache_dir=tmp_path)
+    found = import_mesh(tmp_path / "narrow.stl", resolution=COARSE, cache_dir=tmp_path)
+    assert found.imported is not None
+    assert "distances every 1 mm: the aorta is narrow" in found.imported.notes
+    assert 1.2e-3 < found.tree.root.radius.min() < 2.5e-3
+    assert check_lumen(found, required_radius=1e-3).problems == ()
+
+
+def test_a_closed_aorta_is_refused(tmp_path: Path):
+    mesh = arch_mesh(0.03)
+    points = mesh.vertices.copy()
+    tied = (np.abs(points[:, 2] + LIMB / 2) < 3e-3) & (points[:, 0] > 0)
+    points[tied, :2] = [BOW, 0.0] + 0.02 * (points[tied, :2] - [BOW, 0.0])
+    mesh.vertices = points
+    mesh.apply_scale(1000)
+    mesh.export(tmp_path / "closed.stl")
+    with pytest.raises(MeshRefusedError, match=r"narrow|parts|cannot be followed"):
+        import_mesh(tmp_path / "closed.stl", resolution=COARSE, cache_dir=tmp_path)
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="../shared/real/aortas is not there")

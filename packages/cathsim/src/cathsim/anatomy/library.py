@@ -135,7 +135,8 @@ def phantom_description(phantom: Phantom) -> dict[str, Any]:
     """
     description = {"name": phantom.name, "hash": phantom.hash, "resolution": phantom.grid.spacing}
     if phantom.source is not None:
-        return {**description, "mesh": dict(phantom.source)}
+        mesh = dict(phantom.source)
+        return {**description, "resolution": mesh.pop("resolution", phantom.grid.spacing), "mesh": mesh}
     parameters = phantom.parameters
     if parameters is None or phantom_hash(parameters, phantom.grid.spacing) != phantom.hash:
         raise ValueError(

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import arc_length
 
 _SAME_FORK = 6e-3  # m: forks nearer to each other than this are one
+_APART = 0.9  # of the wider's radius between two ways: where they have been nearer, they run in one lumen
+_OWN_TAKE_OFF = 1.3  # of the wider's radius above the aorta's wall: where two lumens part below, each has its own
+_SHORT_TRUNK = 0.4  # of its radius: a trunk that parts so near to the aorta is none
 _ONE_LUMEN = 0.8  # of the wider's radius: ways nearer to each other than this run in one lumen
 
 Array = NDArray[np.float64]
@@ -142,7 +145,78 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
             families.append([number])
     aorta = assemble([main], 0, None, [(family, min(leaves[n] for n in family)) for family in families])
     _join_common_origins(aorta)
+    _part_short_trunks(aorta)
+    _move_forks(aorta)
     return aorta
+
+
+def _move_forks(vessel: RoughVessel) -> None:
+    """Lets trunks go on to where the lumens that they part into are apart; ways to them keep to their sides before."""
+    for child in vessel.children:
+        _move_forks(child)
+    daughters = sorted((child for child in vessel.children if child.from_fork), key=lambda child: -child.radius)
+    if len(daughters) < 2:
+        return
+    arcs = [arc_length(daughter.points) for daughter in daughters]
+    step = 0.5e-3
+    first = [min((c.start for c in d.children if not c.from_fork), default=d.length) for d in daughters]
+    most = min(0.6 * min(arc[-1] for arc in arcs), *first)
+    at = np.arange(step, most, step)
+    along = [
+        np.stack([np.interp(at, arc, d.points[:, k]) for k in range(3)], axis=1)
+        for arc, d in zip(arcs, daughters, strict=True)
+    ]
+    depth = [np.interp(at, arc, d.depth) for arc, d in zip(arcs, daughters, strict=True)]
+    gaps = np.min(
+        [
+            np.linalg.norm(a - along[0], axis=1) / np.maximum(d, depth[0])
+            for a, d in zip(along[1:], depth[1:], strict=True)
+        ],
+        axis=0,
+    )
+    apart = np.flatnonzero(gaps > _APART)
+    count = int(apart[0]) if len(apart) else 0
+    if count < 2:
+        return
+    vessel.points = np.concatenate([vessel.points, np.mean(along, axis=0)[:count]])
+    vessel.depth = np.concatenate([vessel.depth, np.max(depth, axis=0)[:count]])
+    length = vessel.length
+    for daughter, arc in zip(daughters, arcs, strict=True):
+        cut = int(np.searchsorted(arc, at[count - 1]))
+        daughter.points = np.concatenate([vessel.points[-1:], daughter.points[cut:]])
+        daughter.depth = np.concatenate([vessel.depth[-1:], daughter.depth[cut:]])
+        for child in daughter.children:
+            child.start = max(child.start - float(arc[cut]), 0.0)
+        daughter.start = length
+
+
+def _part_short_trunks(aorta: RoughVessel) -> None:
+    """Makes the daughters of a trunk that parts right above the aorta's wall branches of the aorta."""
+    children = []
+    for trunk in aorta.children:
+        daughters = [child for child in trunk.children if child.from_fork]
+        if not daughters or len(daughters) < len(trunk.children) or not _part_at_once(daughters, trunk, aorta):
+            children.append(trunk)
+            continue
+        for daughter in daughters:
+            daughter.points = np.concatenate([trunk.points, daughter.points[1:]])
+            daughter.depth = np.concatenate([trunk.depth, daughter.depth[1:]])
+            for child in daughter.children:
+                child.start += trunk.length
+            daughter.start, daughter.from_fork = trunk.start, False
+            children.append(daughter)
+    aorta.children = sorted(children, key=lambda child: child.start)
+
+
+def _part_at_once(daughters: Sequence[RoughVessel], trunk: RoughVessel, aorta: RoughVessel) -> bool:
+    """Whether all lumens that a trunk parts into are apart from each other right above the aorta's wall."""
+    radius = float(trunk.depth[_leaving(trunk, aorta)])
+    widest = max(daughters, key=lambda daughter: daughter.radius)
+    for daughter in daughters:
+        apart = next((point for point in daughter.points if _beside(widest, point) > 0), None)
+        if daughter is not widest and (apart is None or _beside(aorta, apart) > _SHORT_TRUNK * radius):
+            return False
+    return True
 
 
 def _join_common_origins(aorta: RoughVessel) -> None:
@@ -178,7 +252,7 @@ def _take_off_by_itself(narrow: RoughVessel, wide: RoughVessel, aorta: RoughVess
     if here is None:
         return False
     place = narrow.points[here]
-    if _beside(aorta, place) > wide.depth[_leaving(wide, aorta)]:
+    if _beside(aorta, place) > _OWN_TAKE_OFF * wide.depth[_leaving(wide, aorta)]:
         return False
     foot = int(np.argmin(np.linalg.norm(aorta.points - place, axis=1)))
     share = np.linspace(0.0, 1.0, max(int(np.linalg.norm(place - aorta.points[foot]) / 1e-3), 2), endpoint=False)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
 MOST_SECONDS = 120.0  # s of processor time; whole arches take 4 to 40
-MOST_BYTES = 4e9
-VOXEL_BYTES = 100  # of every voxel of the lattice, all steps' arrays together at their peak
+MOST_BYTES = 1.5e9
+VOXEL_BYTES = 25  # of every voxel of the lattice, all steps' arrays together at their peak
 SAMPLE_BYTES = 200  # of every point on the surface, its place in the search tree included
 
 

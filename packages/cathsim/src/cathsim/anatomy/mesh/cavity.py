@@ -25,6 +25,7 @@ _PART_SHARE = 0.05  # ... if it has this share of its volume
 _WALL_SHARE = 0.4  # of an enclosed room's radius: if a tunnel's is larger, that room is the tunnel's wall
 _GROWN = 3  # voxels by which a tunnel is grown up to its wall
 _LEAST_RADIUS = 2.5  # voxels, of the widest ball in a lumen
+_FINE_ROOM = 4_000_000  # voxels of a room's box up to which its widest ball is measured on all of them
 _DIRECTIONS = tuple(
     step for step in product(range(-2, 3), repeat=3) if math.gcd(*step) == 1
 )  # 98, about even over the sphere
@@ -89,15 +90,11 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = Tr
     """
     from scipy.ndimage import binary_dilation, label
 
-    low, high = samples.points.min(axis=0), samples.points.max(axis=0)
-    origin = low - _MARGIN * spacing
-    nx, ny, nz = (int(n) for n in np.ceil((high - low) / spacing).astype(int) + 2 * _MARGIN + 1)
-    wall = np.zeros((nx, ny, nz), dtype=bool)
-    i, j, k = np.rint((samples.points - origin) / spacing).astype(np.int64).T
-    wall[i, j, k] = True
+    wall, origin = _drawn(samples, spacing)
+    diagonal = float(np.linalg.norm(np.ptp(samples.points, axis=0)))
     labels, _ = label(~wall)
     outside = labels == labels[0, 0, 0]
-    span = _LEAST_SPAN * float(np.linalg.norm(high - low)) / spacing
+    span = _LEAST_SPAN * diagonal / spacing
     enclosed = _rooms(~wall & ~outside, span)
     tunnels = _rooms(binary_dilation(_enclosed_voxels(wall) & outside, iterations=_GROWN, mask=outside), span)
     deep = [room for room in enclosed if _is_lumen(room, span)]
@@ -120,6 +117,29 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = Tr
             f"the lumen falls into {len(rivals)} parts that do not hang together; join them, or give one of them."
         )
     return Cavity(chosen.whole(wall.shape), wall, origin, spacing, kind, chosen.radius * spacing)
+
+
+def enclosed_by(samples: SurfaceSamples, spacing: float) -> Cavity | None:
+    """All that a surface encloses, whatever its shape; None where that is nothing."""
+    from scipy.ndimage import distance_transform_edt, label
+
+    wall, origin = _drawn(samples, spacing)
+    labels, _ = label(~wall)
+    inside = (labels != labels[0, 0, 0]) & ~wall
+    if not inside.any():
+        return None
+    return Cavity(inside, wall, origin, spacing, "closed lumen", float(distance_transform_edt(inside).max()) * spacing)
+
+
+def _drawn(samples: SurfaceSamples, spacing: float) -> tuple[Mask, Array]:
+    """The voxels that a surface passes through, and the middle (3,) of voxel (0, 0, 0)."""
+    low, high = samples.points.min(axis=0), samples.points.max(axis=0)
+    origin = low - _MARGIN * spacing
+    nx, ny, nz = (int(n) for n in np.ceil((high - low) / spacing).astype(int) + 2 * _MARGIN + 1)
+    wall = np.zeros((nx, ny, nz), dtype=bool)
+    i, j, k = np.rint((samples.points - origin) / spacing).astype(np.int64).T
+    wall[i, j, k] = True
+    return wall, origin
 
 
 def largest_part(mask: Mask, structure: NDArray[Any] | None = None) -> Mask:
@@ -145,7 +165,8 @@ def _rooms(mask: Mask, span: float) -> list[_Room]:
         extent = float(np.linalg.norm([s.stop - s.start for s in box]))
         if extent >= _PART_SPAN * span:
             part = labels[box] == number
-            radius = float(distance_transform_edt(np.pad(part, 1)).max())
+            step = 1 if part.size < _FINE_ROOM else 2  # the widest ball is large there
+            radius = step * float(distance_transform_edt(np.pad(part[::step, ::step, ::step], 1)).max())
             found.append(_Room(part, box, radius, extent))
     return sorted(found, key=lambda room: -room.radius)
 

@@ -13,12 +13,15 @@ from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.lumen import OUTSIDE, PADDING
 from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import VesselEnd
+from cathsim.anatomy.mesh.lattice import short_distance
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 
-_EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them
+EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them
 _SWEPT = 1.8  # radii before a flat end over which the lumen is filled across the vessel
 _CLEARLY = 0.8  # voxels by which a triangle's two sides must differ in their distance to the lumen
 _LOOSE = 1.8  # voxels: nearer to a triangle than this a point is in or out as that triangle says
+_SEEN = 4  # voxels from the lumen up to which distances are told apart
+_THIN = 7e-4  # m between the points on the surface to which far distances are measured
 _FACING = 2.0  # voxels between the lumen's voxels and the triangles that bound it, at most
 
 Array = NDArray[np.float64]
@@ -83,9 +86,9 @@ def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: S
     Returns:
         Samples of triangles whose normals point into the lumen.
     """
-    from scipy.ndimage import binary_dilation, distance_transform_edt
+    from scipy.ndimage import binary_dilation
 
-    away = distance_transform_edt(~inside).astype(np.float32)
+    away = _away(inside)
     near = samples.chosen(cavity.holds(away <= _FACING, samples.points))
     normals = near.normals[near.face]
     step = 1.2 * cavity.spacing
@@ -109,6 +112,12 @@ def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: S
         pieces.append(_patches(gap_points, cavity, away, inside))
     whole = sample_surface(np.concatenate(pieces), 0.7 * cavity.spacing)
     return whole.chosen(cavity.holds(away <= _FACING + 1, whole.points))
+
+
+def _away(inside: Mask) -> NDArray[np.float32]:
+    """Distance (nx, ny, nz) in voxels to the lumen's voxels, up to a few; beyond, more than those."""
+    distance: NDArray[np.float32] = np.sqrt(short_distance(inside, _SEEN).astype(np.float32))
+    return np.minimum(distance, _SEEN + 1, out=distance)
 
 
 def _look(away: NDArray[np.float32], cavity: Cavity, points: Array) -> Array:
@@ -148,6 +157,8 @@ def distance_grid(
     rotation: Array,
     offset: Array,
     resolution: float,
+    reach: float = -OUTSIDE,
+    exact_within: float = EXACT,
 ) -> SignedDistanceGrid:
     """Signed distance grid of a lumen, in a turned frame: positive inside, clamped far outside, with padding.
 
@@ -158,24 +169,23 @@ def distance_grid(
         rotation: (3, 3) from the surface's frame to the grid's.
         offset: (3,) m, added after the rotation.
         resolution: m between the grid's points.
+        reach: m outside the lumen up to which distances are measured.
+        exact_within: m from the wall within which distances are to triangles, not to points on them.
     """
-    from scipy.ndimage import distance_transform_edt
+    from scipy.spatial import cKDTree
 
     lumen = (cavity.origin + np.argwhere(inside) * cavity.spacing) @ rotation.T + offset
     low, high = lumen.min(axis=0) - cavity.spacing, lumen.max(axis=0) + cavity.spacing
     origin = np.floor(low / resolution - PADDING) * resolution
     shape = np.ceil((high - origin) / resolution).astype(int) + PADDING + 1
-    # Far from the lumen the distance is the clamp: those points are left out.
-    rough = np.zeros(shape, dtype=bool)
-    rough[tuple(np.rint((lumen - origin) / resolution).astype(int).T)] = True
-    far = distance_transform_edt(~rough) * resolution
-    chosen = np.argwhere(far < -OUTSIDE + 2 * resolution)
+    chosen = _near_nodes(lumen, origin, shape, resolution, reach)
     points = (origin + chosen * resolution - offset) @ rotation
-    distance, _ = surface.tree.query(points)
     # A voxel next to the lumen and far from what bounds it belongs to a loose sheet in it, which is no wall.
-    away = distance_transform_edt(~inside).astype(np.float32)
+    away = _away(inside)
     sign = np.where(cavity.holds(away <= _LOOSE, points), 1.0, -1.0)
-    close = np.flatnonzero(distance < _EXACT)
+    thinned = surface.points[np.unique(np.floor(surface.points / _THIN).astype(np.int64), axis=0, return_index=True)[1]]
+    distance, _ = cKDTree(thinned).query(points)
+    close = np.flatnonzero(distance < exact_within + _THIN)
     exact, place, face = surface.nearest(points[close])
     distance[close] = exact
     side = np.einsum("ij,ij->i", points[close] - place, surface.normals[face])
@@ -187,9 +197,50 @@ def distance_grid(
         height, aside = plane_coordinates(points, end.centre, end.normal)
         beside = (np.abs(height) < 1.5 * end.radius) & (aside < 1.4 * end.radius)
         distance[beside] = np.minimum(distance[beside], -height[beside])
-    values = np.full(shape, OUTSIDE, dtype=np.float32)
-    values[tuple(chosen.T)] = np.maximum(distance, OUTSIDE)
     # Where flat ends meet the wall single points may come out on the wrong side: only what hangs together is lumen.
-    positive = values > 0
-    values[positive & ~largest_part(positive)] *= -1
-    return SignedDistanceGrid(values, origin, resolution)
+    positive = np.flatnonzero(distance > 0)
+    loose = positive[~_largest_component(chosen[positive], shape)]
+    distance[loose] *= -1
+    near = distance > -reach
+    nx, ny, nz = (int(n) for n in shape)
+    return SignedDistanceGrid.from_nodes(chosen[near], distance[near], (nx, ny, nz), origin, resolution, outside=-reach)
+
+
+def _largest_component(nodes: NDArray[np.int64], shape: NDArray[np.int64]) -> Mask:
+    """Which of some lattice points (n, 3), in C order, belong to the largest part that hangs together by faces."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    strides = np.array([shape[1] * shape[2], shape[2], 1])
+    keys = nodes @ strides
+    order = np.argsort(keys)
+    keys = keys[order]
+    first, second = [], []
+    for stride in strides:  # the lattice has a border of other nodes, so that no neighbour is beyond it
+        place = np.minimum(np.searchsorted(keys, keys + stride), len(keys) - 1)
+        here = np.flatnonzero(keys[place] == keys + stride)
+        first.append(here)
+        second.append(place[here])
+    i, j = np.concatenate(first), np.concatenate(second)
+    graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(len(keys), len(keys)))
+    _, labels = connected_components(graph, directed=False)
+    chosen = np.zeros(len(nodes), dtype=bool)
+    if len(labels):
+        chosen[order] = labels == np.argmax(np.bincount(labels))
+    return chosen
+
+
+def _near_nodes(
+    lumen: Array, origin: Array, shape: NDArray[np.int64], resolution: float, reach: float
+) -> NDArray[np.int64]:
+    """Lattice points (n, 3) within reach (m) of the lumen's voxels (m, 3) m, found on a coarse lattice."""
+    from scipy.ndimage import distance_transform_edt
+
+    step = max(round(2e-3 / resolution), 1)
+    rough = np.zeros(-(-shape // step), dtype=bool)
+    rough[tuple(np.floor((lumen - origin) / (step * resolution)).astype(int).T)] = True
+    near = distance_transform_edt(~rough) * step * resolution < reach + step * resolution
+    cells = np.argwhere(near) * step
+    within = np.stack(np.meshgrid(*[np.arange(step)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    nodes: NDArray[np.int64] = (cells[:, None] + within).reshape(-1, 3)
+    return nodes[(nodes < shape).all(axis=1)]

@@ -13,6 +13,7 @@ from cathsim.anatomy.mesh.cavity import Cavity
 
 _RAYS = 48
 _SURROUNDED = 0.94  # share of rays across the vessel that must meet its wall
+_LOOSELY = (0.8, 0.65)  # shares that do where no place has that: a rim aslant, a torn wall
 _REACH = 2.2  # radii within which they must
 _PLATEAU = 0.75  # of the largest depth a little further in, at which a vessel counts as having its full width
 _CLOSING = 0.4  # of the usual reach: where the wall comes nearer than this, it closes the vessel
@@ -21,6 +22,12 @@ _CENTRING = 6  # steps to the middle of the first plane
 _LONGEST = 6  # radii that an end is followed
 _BEYOND = 1.75  # radii from the middle of an end to where its way leads: further off the sweep left its vessel
 _STARTS = (1.5, 2.0, 2.5, 3.0, 1.2)  # depths before the tip of a short vessel at which the sweep begins, in this order
+_AT_OPENING = 1.4  # radii, and two voxels, from the end of a way to the middle of the opening that it leads to
+_PLAINLY = 0.6  # share of rays that must meet a wall where an end is cut without any sweep
+_NEAR = 1.2  # as _BEYOND: as near as this no better end is looked for
+_CLEARLY_NEARER = 2e-3  # m
+_FURTHER = (2.0, 2.5, 1.5, 3.0, 1.0)  # of its full width's radii before the tip at which the sweep begins anew ...
+_STILL_WIDE = 0.7  # ... where the way is still so many of them deep
 _SHORT_BEYOND = 1.5  # radii, as _BEYOND, for those
 _FAR_BEYOND = 2.5  # radii beyond which an end that was found otherwise is none, either
 
@@ -45,22 +52,91 @@ def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) 
         way: (n, 3) m along the vessel's middle, to somewhere at its end.
         depth: (n,) m, distance to the wall along it.
     """
+    for share in (_SURROUNDED, *_LOOSELY):
+        end = _find_end(cavity, wall, way, depth, share)
+        if end is not None:
+            return end
+    return _plain_end(cavity, wall, way, depth)
+
+
+def _plain_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
+    """A cut across the way where the vessel still has its full width, if walls stand around most of it there."""
+    from_end = arc_length(way[::-1])[::-1]
+    start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
+    radius = float(depth[start])
+    near = np.flatnonzero((from_end <= 6 * radius) & (from_end >= 0.5 * radius) & (depth >= _STILL_WIDE * radius))
+    step = cavity.spacing
+    travel = np.arange(step, _REACH * radius, 0.5 * step)
+    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
+    for index in near[::-1]:
+        inner = smoothed(resampled(way[: index + 1], step), radius / 2) if index >= 3 else way[: index + 1]
+        if len(inner) < 4:
+            break
+        normal = _direction(inner, radius)
+        first, second = (v[0] for v in across_frames(normal[None]))
+        rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
+        struck = cavity.holds(wall, inner[-1] + travel[None, :, None] * rays[:, None, :])
+        met = struck.max(axis=1)
+        if met.mean() >= _PLAINLY:
+            reach = float(np.percentile(travel[np.argmax(struck[met], axis=1)], 90))
+            return VesselEnd(inner[-1], normal, max(reach, 2 * step), resampled(inner, step))
+    return None
+
+
+def _find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array, surrounded: float) -> VesselEnd | None:
     from_end = arc_length(way[::-1])[::-1]
     start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
     radius = float(depth[start])
     # The way bends to its corner a little before that.
     start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
     first = max(start - 4, min(start, 2))
-    end = _followed(cavity, wall, way, first + int(np.argmax(depth[first : start + 1])), radius)
+    end = _followed(cavity, wall, way, first + int(np.argmax(depth[first : start + 1])), radius, surrounded)
+    if end is not None and _gap(end, way[-1]) <= _NEAR:
+        return end
+    # Where the vessel bends sharply before it ends, the sweep left it: begin further on.
+    for ratio in _FURTHER:
+        start = int(np.flatnonzero(from_end >= ratio * radius)[-1]) if (from_end >= ratio * radius).any() else 0
+        if depth[start] >= _STILL_WIDE * radius:
+            later = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
+            if later is not None and _gap(later, way[-1]) <= _SHORT_BEYOND and _further(later, end, way[-1]):
+                return later
     if end is not None and _gap(end, way[-1]) <= _BEYOND:
         return end
     # A short vessel reaches its full width nowhere before it opens into a wider one, and the sweep began in that one.
     for ratio in _STARTS:
         start = int(np.flatnonzero(from_end >= ratio * depth)[-1]) if (from_end >= ratio * depth).any() else 0
-        short = _followed(cavity, wall, way, start, float(depth[start]))
+        short = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
         if short is not None and _gap(short, way[-1]) <= _SHORT_BEYOND:
             return short
     return end if end is not None and _gap(end, way[-1]) <= _FAR_BEYOND else None
+
+
+def end_at_opening(cavity: Cavity, way: Array, depth: Array, openings: Array) -> VesselEnd | None:
+    """The end of a vessel at an opening of the surface next to where its way leads; None where there is none.
+
+    Args:
+        way: (n, 3) m along the vessel's middle, to somewhere at its end.
+        depth: (n,) m, distance to the wall along it.
+        openings: (k, 3) m, middles of the surface's openings.
+    """
+    from_end = arc_length(way[::-1])[::-1]
+    start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
+    radius = float(depth[start])
+    away = np.linalg.norm(openings - way[-1], axis=1)
+    if len(away) == 0 or away.min() > _AT_OPENING * radius + 2 * cavity.spacing:
+        return None
+    opening = openings[int(np.argmin(away))]
+    inner = smoothed(resampled(way[: max(start, 3) + 1], cavity.spacing), radius / 2)
+    onward = opening - inner[-1]
+    length = float(np.linalg.norm(onward))
+    along = _direction(inner, 1.5 * radius)
+    if length > 3 * cavity.spacing and onward @ along > 0.5 * length:
+        along = onward / length
+    centre = opening - 1.5 * cavity.spacing * along
+    if not cavity.holds(cavity.inside, centre):
+        return None
+    track = resampled(np.concatenate([inner, centre[None]]), cavity.spacing)
+    return VesselEnd(centre, along, max(1.2 * radius, 2 * cavity.spacing), track)
 
 
 def severs(end: VesselEnd, way: Array) -> bool:
@@ -77,15 +153,25 @@ def severs(end: VesselEnd, way: Array) -> bool:
     return False
 
 
+def _further(end: VesselEnd, other: VesselEnd | None, tip: Array) -> bool:
+    """Whether an end lies clearly nearer to where its way leads than another one of the same vessel."""
+    if other is None or _gap(other, tip) > _BEYOND:
+        return True
+    here, there = (float(np.linalg.norm(one.centre - tip)) for one in (end, other))
+    return here < there - _CLEARLY_NEARER and float(end.normal @ other.normal) > 0.5
+
+
 def _gap(end: VesselEnd, place: Array) -> float:
     return float(np.linalg.norm(end.centre - place)) / end.radius
 
 
-def _followed(cavity: Cavity, wall: NDArray[np.bool_], way: Array, start: int, radius: float) -> VesselEnd | None:
+def _followed(
+    cavity: Cavity, wall: NDArray[np.bool_], way: Array, start: int, radius: float, surrounded: float
+) -> VesselEnd | None:
     """The end of the vessel in which a place of a way lies, None where its wall does not surround it there."""
     step = 0.5 * cavity.spacing
     inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
-    centres, normal, reach = _sweep(cavity, wall, inner[-1], _direction(inner, 1.5 * radius), radius, step)
+    centres, normal, reach = _sweep(cavity, wall, inner[-1], _direction(inner, 1.5 * radius), radius, step, surrounded)
     if len(centres) < 3:
         return None
     track = resampled(np.concatenate([inner[:-1], np.array(centres)]), 2 * step)
@@ -114,7 +200,13 @@ def _direction(points: Array, length: float) -> Array:
 
 
 def _sweep(
-    cavity: Cavity, wall: NDArray[np.bool_], middle: Array, normal: Array, radius: float, step: float
+    cavity: Cavity,
+    wall: NDArray[np.bool_],
+    middle: Array,
+    normal: Array,
+    radius: float,
+    step: float,
+    surrounded: float,
 ) -> tuple[list[Array], Array, float]:
     """Goes along a vessel as long as its wall surrounds it: middles (3,) m, last direction, radius m about the last."""
     angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
@@ -140,7 +232,7 @@ def _sweep(
         middle = middle + across(middle)[2]
     for _ in range(int(_LONGEST * radius / step)):
         reach, met, shift = across(middle)
-        if cavity.holds(wall, middle) or met.mean() < _SURROUNDED:
+        if cavity.holds(wall, middle) or met.mean() < surrounded:
             break
         # The wall's voxels are thickened by one, which counts in a narrow vessel.
         if reaches and np.nanmin(reach) + thick < _CLOSING * (np.median(reaches[-back:]) + thick):

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,25 +14,28 @@ from pathlib import Path
 import numpy as np
 
 from cathsim.anatomy.mesh.budget import Budget
+from cathsim.anatomy.mesh.lattice import lattice_spacing
 from cathsim.anatomy.mesh.openings import close_openings
+from cathsim.anatomy.mesh.parts.union import unite
+from cathsim.anatomy.mesh.parts.vessel_parts import Part, folder_files, read_parts
 from cathsim.anatomy.mesh.reading import (
+    FORMATS,
     UNITS,
     Size,
-    Triangles,
     check_unit,
     clean_triangles,
     detect_unit,
     measure_size,
-    read_triangles,
 )
 from cathsim.anatomy.mesh.report import MeshRefusedError, draw_refusal
 from cathsim.anatomy.mesh.surface_import import Names, SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
-IMPORT_VERSION = 3  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 4  # raise it whenever the same file gives another phantom
 FINEST, COARSEST = 5e-4, 2.5e-3  # m, resolutions
 
+_MEASURED = 4  # parts whose width is measured for the unit
 _importing = threading.Lock()
 
 
@@ -47,10 +50,10 @@ def import_mesh(
     """Makes a phantom of the surface of a lumen, or of a thick-walled model of one; cached by content.
 
     Args:
-        path: an STL, OBJ or PLY file.
+        path: an STL, OBJ, PLY, VTP or GLB file, or a folder with one such file for each vessel, named after it.
         unit: "m", "cm", "mm" or "inch"; detected from the vessels' width where it is left out.
         names: names of your own: a mapping from automatic names, or a list for the aorta's branches from the heart on.
-        resolution: m between lattice points of the distance grid.
+        resolution: m between lattice points of the distance grid; half of it for a child's vessels.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
 
     Returns:
@@ -78,11 +81,13 @@ def mesh_digest(path: Path, unit: str | None, names: tuple | None, resolution: f
     digest = hashlib.blake2b(digest_size=16)
     settings = {"importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution}
     digest.update(json.dumps(settings).encode())
-    if not path.is_file():
-        raise MeshRefusedError(f"there is no file {path}; give the path of an STL, OBJ or PLY file.")
-    with path.open("rb") as file:
-        while block := file.read(1 << 22):
-            digest.update(block)
+    if not path.exists():
+        raise MeshRefusedError(f"there is no file {path}; give the path of an {FORMATS} file.")
+    for one in folder_files(path) if path.is_dir() else [path]:
+        digest.update(one.name.encode() if path.is_dir() else b"")
+        with one.open("rb") as file:
+            while block := file.read(1 << 22):
+                digest.update(block)
     return digest.hexdigest()
 
 
@@ -96,47 +101,69 @@ def _load(
         picture = directory / "refused" / f"{path.stem}-{digest[:12]}.png"
         phantom = _build(path, digest, unit, names, resolution, picture)
         cache.write(phantom)
-    return replace(phantom, source={"path": str(path.resolve()), "unit": unit, "names": names})
+    return replace(
+        phantom, source={"path": str(path.resolve()), "unit": unit, "names": names, "resolution": resolution}
+    )
 
 
 def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, picture: Path) -> Phantom:
     own: Names = dict(names) if names and isinstance(names[0], tuple) else names
-    raw = read_triangles(path)
+    parts, faces, notes = read_parts(path)
     chosen, reason = unit, "given"
-    unsure: tuple[str, ...] = ()
     try:
+        size = _measured(parts)
         if chosen is None:
-            chosen, reason, unsure = detect_unit(_measured(raw))
-        facts = SurfaceFacts(path.name, chosen, reason, len(raw.faces), UNITS[chosen], unsure)
+            chosen, reason, unsure = detect_unit(size)
+            notes += unsure
+        scale = UNITS[chosen]
+        mesh, label_of = parts[0].mesh.scaled(scale), None
+        if len(parts) > 1:
+            parts = [Part(part.name, part.mesh.scaled(scale)) for part in parts]
+            sides = np.ptp([bound for part in parts for bound in part.mesh.bounds], axis=0)
+            budget = Budget()
+            spacing = lattice_spacing(size.width * scale, sides, resolution, budget, chosen)
+            mesh, label_of, united = unite(parts, spacing, budget)
+            notes += united
         return phantom_of_surface(
-            raw.scaled(facts.scale),
-            facts,
+            mesh,
+            SurfaceFacts(path.name, chosen, reason, faces, scale, notes, size.width * scale),
             name=path.stem,
             digest=digest,
             resolution=resolution,
+            label_of=label_of,
             names=own,
             picture=picture,
         )
     except MeshRefusedError as error:
         shown = error.picture
         if shown is None:
-            surface = raw.corners.mean(axis=1)
+            surface = np.concatenate([part.mesh.corners.mean(axis=1) for part in parts])
             shown = draw_refusal(surface, np.zeros((0, 3)), f"{path.name}: {error.reason}", picture)
-        reason = error.reason if unit is None else _with_unit_hint(error.reason, raw, unit)
+        reason = error.reason if unit is None else _with_unit_hint(error.reason, parts, unit)
         raise MeshRefusedError(reason, shown) from None
 
 
-def _measured(raw: Triangles) -> Size:
-    mesh, _ = clean_triangles(raw)
-    if len(mesh.faces) < 4:
-        raise MeshRefusedError("the file holds no surface; its faces have no area.")
-    return measure_size(close_openings(mesh)[0], Budget())
+def _measured(parts: Sequence[Part]) -> Size:
+    """The size of the whole, and the width of the widest of its longest parts, in the file's unit."""
+    bounds = np.array([bound for part in parts for bound in part.mesh.bounds])
+    width, refusal = 0.0, None
+    for part in sorted(parts, key=lambda part: -part.mesh.extent)[:_MEASURED]:
+        mesh, _ = clean_triangles(part.mesh)
+        try:
+            if len(mesh.faces) < 4:
+                raise MeshRefusedError("the file holds no surface; its faces have no area.")
+            width = max(width, measure_size(close_openings(mesh)[0], Budget()).width)
+        except MeshRefusedError as error:
+            refusal = error
+    if width == 0.0 and refusal is not None:
+        raise refusal
+    return Size(width, float(np.ptp(bounds, axis=0).max()))
 
 
-def _with_unit_hint(reason: str, raw: Triangles, unit: str) -> str:
+def _with_unit_hint(reason: str, parts: Sequence[Part], unit: str) -> str:
     """A refusal under a given unit, with the unit that would fit where another does."""
     try:
-        size = _measured(raw)
+        size = _measured(parts)
     except MeshRefusedError:  # there is nothing to measure: the reason says what there is to say
         return reason
     hint = size.hint(unit)

@@ -7,24 +7,26 @@ trunk forks into by which of them runs up.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.entry import ENTRY_DEPTH, Entry
-from cathsim.anatomy.mesh.branches import RoughVessel, continued
+from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.phantom import END_CLEARANCE, TARGET_DISTANCE, Target
 from cathsim.anatomy.vessel_tree import VesselTree
 
 ARCH_YAW = 0.75  # rad between the arch's plane and the coronal plane
 SNAP_UP, SNAP_LEFT = math.radians(20), math.radians(30)  # nearer to a file's axis than this the axis is meant
-SUPRA_AORTIC = ("bca", "lcca", "lsa")
 OTHER_DISTANCE = 0.030  # m beyond the ostium, in branches that the named phantoms do not have
 ENTRY_CHORD = 0.010  # m of centreline that give an entry its direction: a cut end is often flared or aslant
+_SPREAD_WEIGHT = 1.5  # of the ends' spread to one side, against the direction from limb to limb
+_BELOW_ARCH = 30e-3  # m, and 2.5 radii: how far below the arch's top a last branch to head and arms may leave the aorta
+_SIDES_APART = 10e-3  # m between the ends of both sides from which on labels show where left is
+_WIDE_SPREAD = 20e-3  # m, deviation of the ends from their middle that shows the side well
 _LEAST = 3e-3  # m beyond the ostium: nearer than this a place is no target
 
 Array = NDArray[np.float64]
@@ -44,11 +46,15 @@ def ascending_score(aorta: RoughVessel, first_radius: float, last_radius: float)
     return score
 
 
-def world_rotation(aorta: RoughVessel) -> tuple[Array, bool]:
+def world_rotation(aorta: RoughVessel, leftward: Array | None = None) -> tuple[Array, bool]:
     """Rotation from the file's frame to the patient's, as far as the vessels show it.
 
-    Up is where the limbs of the arch run; the arch's plane is taken to lie 43 degrees from the coronal one, ascending
+    Up is where the limbs of the arch run. To the left lies the side to which the branches' ends spread, away from the
+    ascending limb; where they hardly do, the arch's plane is taken to lie 43 degrees from the coronal one, ascending
     limb to the right and to the front. Where that comes near to the file's axes, those are meant.
+
+    Args:
+        leftward: (3,) from vessels that labels name as those of the right side to those of the left one, any length.
 
     Returns:
         Rotation (3, 3) whose rows are left, posterior and superior, and whether it only exchanges axes.
@@ -62,103 +68,56 @@ def world_rotation(aorta: RoughVessel) -> tuple[Array, bool]:
     across = points[0] - points[-1]
     across = _unit(across - (across @ up) * up)
     left = math.cos(ARCH_YAW) * across - math.sin(ARCH_YAW) * np.cross(up, across)
+    left = _unit(left + _SPREAD_WEIGHT * _spread(arch_branches(aorta, up), up, left))
+    if leftward is not None and np.linalg.norm(leftward - (leftward @ up) * up) > _SIDES_APART:
+        left = _unit(leftward - (leftward @ up) * up)
     snapped = False
     if snapped_up:
         left, snapped = _snap(left, SNAP_LEFT, avoid=up)
     return np.stack([left, np.cross(up, left), up]), snapped
 
 
-def name_vessels(aorta: RoughVessel) -> tuple[dict[int, str], tuple[str, ...]]:
-    """Names vessels, by their `id()`, and notes what could be otherwise; the aorta is in the patient's frame."""
-    names = {id(aorta): "aorta"}
-    notes = []
-    candidates = sorted(aorta.children, key=lambda child: -child.radius)
-    upward = [c for c in candidates if c.tip[2] > c.points[0][2]] or candidates
-    chosen: tuple[str, ...] = SUPRA_AORTIC
-    arch = sorted(upward[:3], key=lambda child: -child.start)
-    if len(arch) == 2:
-        carotid = _left_carotid(*arch)
-        chosen = ("bca", "lcca") if carotid is None else ("bca", "lsa")
-        why = "there is no third" if carotid is None else "the first looks like the common trunk of BCA and LCCA"
-        notes.append(f"the arch has two branches, called {chosen[0]} and {chosen[1]}: {why}")
-        if carotid is not None:
-            names[id(carotid)] = "lcca"
-            rest = [c for c in arch[0].children if c.from_fork and c is not carotid]
-            if carotid.from_fork and len(rest) == 1:
-                continued(arch[0], rest[0])
-    elif len(arch) == 1:
-        chosen = ("bca",)
-        notes.append("the arch has one branch, called bca")
-    for name, vessel in zip(chosen, arch, strict=True):
-        names[id(vessel)] = name
-        if name == "bca":
-            _name_trunk(vessel, names)
-    number = 1
-    queue = [aorta]
-    while queue:
-        vessel = queue.pop(0)
-        for child in vessel.children:
-            if id(child) not in names:
-                names[id(child)] = f"branch_{number}"
-                number += 1
-            queue.append(child)
-    return names, tuple(notes)
+def _spread(branches: list[RoughVessel], up: Array, left: Array) -> Array:
+    """Horizontal direction (3,) in which branches' ends spread most, on the side of `left`; short where they do not."""
+    tips = np.array([tip for branch in branches for tip in _tips(branch)])
+    if len(tips) < 2:
+        return np.zeros(3)
+    flat = tips - np.outer(tips @ up, up)
+    flat -= flat.mean(axis=0)
+    _, size, axes = np.linalg.svd(flat, full_matrices=False)
+    spread = float(np.hypot(size[0], 0) - size[1]) / math.sqrt(len(tips))
+    direction: Array = axes[0] * np.sign(axes[0] @ left) * min(spread / _WIDE_SPREAD, 1.0)
+    return direction
 
 
-def _left_carotid(trunk: RoughVessel, last: RoughVessel) -> RoughVessel | None:
-    """The daughter of a trunk that is the left carotid: of three the leftmost, of two one that ends by the LSA."""
-    daughters = [d for d in trunk.children if len(d.ends) == 1]
-    if not daughters:
-        return None
-    leftmost = max(daughters, key=lambda d: d.tip[0])
-    if len(trunk.ends) > 2:  # more than the two arteries of the right side
-        return leftmost
-    others = [d.tip for d in trunk.children if d is not leftmost]
-    if trunk.end is not None:
-        others.append(trunk.tip)
-    near = min(float(np.linalg.norm(leftmost.tip - tip)) for tip in others)
-    return leftmost if float(np.linalg.norm(leftmost.tip - last.tip)) < near else None
+def _tips(vessel: RoughVessel) -> list[Array]:
+    own = [] if vessel.end is None else [vessel.points[-1]]
+    return own + [tip for child in vessel.children for tip in _tips(child)]
 
 
-def _name_trunk(trunk: RoughVessel, names: dict[int, str]) -> None:
-    """Names the subclavian and the carotid artery of the right side."""
-    pair = sorted((c for c in trunk.children if len(c.ends) == 1 and id(c) not in names), key=lambda c: -c.radius)[:2]
-    if len(pair) == 2:
-        pair.sort(key=_rise)
-        names[id(pair[0])], names[id(pair[1])] = "rsa", "rcca"
-    elif len(pair) == 1 and trunk.end is not None:
-        names[id(pair[0])] = "rcca" if _rise(pair[0]) > _rise(trunk) else "rsa"
-
-
-def _rise(vessel: RoughVessel) -> float:
-    """How steeply a vessel runs up from its start to its end."""
-    return float(_unit(vessel.points[-1] - vessel.points[0])[2])
-
-
-def labelled_names(
-    aorta: RoughVessel, label_of: Callable[[Array], Sequence[str]]
-) -> tuple[dict[int, str], tuple[str, ...]]:
-    """Names vessels, by their `id()`, by the labels at their places, and notes what labels do not say.
+def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVessel]:
+    """Branches of the aorta that run to head and arms: they leave it at the arch and end above it.
 
     Args:
-        label_of: names ("" where there is none) at points (n, 3) m of the aorta's frame.
+        up: (3,) unit vector towards the head; z where it is left out.
     """
-    names = {id(aorta): "aorta"}
-    notes = []
-    number = 1
-    queue = [aorta]
-    while queue:
-        vessel = queue.pop(0)
-        for child in vessel.children:
-            there = Counter(label for label in label_of(child.points[child.outside :]) if label not in ("", "aorta"))
-            name = next((label for label, _ in there.most_common() if label not in names.values()), "")
-            if not name:
-                name = f"branch_{number}"
-                number += 1
-                notes.append(f"the labels do not name one vessel, called {name}")
-            names[id(child)] = name
-            queue.append(child)
-    return names, tuple(notes)
+    up = np.array([0.0, 0.0, 1.0]) if up is None else up
+    height = aorta.points @ up
+    arc = arc_length(aorta.points)
+    top = int(np.argmax(height))
+    found = []
+    for child in aorta.children:
+        at = int(np.argmin(np.abs(arc - child.start)))
+        radius = float(aorta.depth[at])
+        highest = max(float(tip @ up) for tip in _tips(child)) if _tips(child) else float(child.tip @ up)
+        if highest < max(height[at] + 0.7 * radius, height[top] - radius):
+            continue
+        below = float(height[top] - height[at])
+        limb = float(height[top] - (height[-1] if at > top else height[0]))
+        if below > (0.75 * limb if at > top else 2.5 * radius + _BELOW_ARCH):
+            continue  # a coronary artery, or one of the descending aorta
+        found.append(child)
+    return found or [child for child in aorta.children if (child.tip - child.points[0]) @ up > 0]
 
 
 def renamed(names: dict[int, str], own: Mapping[str, str] | None) -> dict[int, str]:

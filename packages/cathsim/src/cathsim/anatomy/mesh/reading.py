@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import find_cavity
+from cathsim.anatomy.mesh.parts.vtp import read_vtp
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.mesh.samples import sample_surface
 
-SUFFIXES = (".stl", ".obj", ".ply")
+SCENES = (".glb", ".gltf")
+SUFFIXES = (".stl", ".obj", ".ply", ".vtp", *SCENES)
+FORMATS = "STL, OBJ, PLY, VTP or GLB"
 MOST_BYTES = 2_000_000_000  # about forty million faces of a binary STL
 MOST_FACES = 400_000  # above this a mesh is thinned out
 _STRAY, _MOST_STRAY = 0.5, 10.0  # % of vertices at either side, and how many times further than the others they may lie
@@ -22,8 +25,13 @@ _WELD = 1e-5  # of the largest extent: vertices nearer than this are one
 _CLUSTERS = 500  # cells along the largest extent when a mesh is thinned out
 
 UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
-_WIDTH, _EXTENT = 0.028, 0.22  # m: an aorta's widest place, and an arch's largest extent
-_EXTENT_WEIGHT = 0.25  # extents differ more: some models reach down to the groin
+_WIDTHS = (0.009, 0.036)  # m, of an aorta at its widest place: a newborn's ... an adult's
+_EXTENTS = (0.06, 0.45)  # m, of a model: a newborn's arch ... from the groin to the neck
+_USUAL = 0.024  # m wide
+_EXTENT_WEIGHT, _USUAL_WEIGHT = 0.25, 0.05
+_RARE = {"inch": 0.3}  # scans and their models come in metric units: a child's in centimetres is no adult's in inches
+_STOUT = 0.5  # of its extent: a vessel is less wide
+_STOUT_WEIGHT = 4.0
 _WORST = 1.1  # score beyond which no unit makes an aorta of the surface
 _CLOSE = 0.35  # scores nearer to each other than this leave a choice
 _VOXELS = 130  # along the largest extent
@@ -59,22 +67,28 @@ class Triangles:
         """The same triangles in another unit, by the factor of an old unit in new ones."""
         return Triangles(self.vertices * factor, self.faces)
 
+    def compact(self) -> Triangles:
+        """The same triangles without vertices that none uses."""
+        used, faces = np.unique(self.faces, return_inverse=True)
+        return Triangles(self.vertices[used], faces.reshape(-1, 3))
 
-def is_mesh_path(name: str) -> bool:
-    """Whether a phantom's name is a path to a mesh: it ends like one."""
-    return name.lower().endswith(SUFFIXES)
+    def welded(self) -> Triangles:
+        """The same triangles with one vertex for all that lie within a hundred-thousandth of the extent."""
+        return _cluster(self, _WELD * self.extent)
 
 
-def read_triangles(path: Path) -> Triangles:
-    """Reads the triangles of an STL, OBJ or PLY file, as they are, in the file's unit.
+def is_mesh_path(name: str | Path) -> bool:
+    """Whether a phantom's name is a path to a surface: it ends like one, or is a folder that holds such files."""
+    path = Path(name)
+    if path.is_dir():
+        return any(file.suffix.lower() in SUFFIXES for file in path.iterdir())
+    return path.name.lower().endswith(SUFFIXES)
 
-    Raises:
-        MeshRefusedError: for a file that is missing, empty, too large or no such mesh.
-    """
-    import trimesh
 
+def check_file(path: Path) -> None:
+    """Raises `MeshRefusedError` for a file that is missing, empty, too large or of another kind."""
     if not path.is_file():
-        raise MeshRefusedError(f"there is no file {path}; give the path of an STL, OBJ or PLY file.")
+        raise MeshRefusedError(f"there is no file {path}; give the path of an {FORMATS} file.")
     if path.suffix.lower() not in SUFFIXES:
         raise MeshRefusedError(f"{path.name} is none of {', '.join(SUFFIXES)}; convert it to one of them.")
     size = path.stat().st_size
@@ -84,14 +98,47 @@ def read_triangles(path: Path) -> Triangles:
         raise MeshRefusedError(
             f"{path.name} has {size / 1e9:.1f} GB, at most {MOST_BYTES / 1e9:.0f} GB are read; simplify it first."
         )
-    expected = f"expected a triangle mesh in {path.suffix[1:].upper()} format; export it again"
+
+
+def read_triangles(path: Path) -> Triangles:
+    """Reads the triangles of a file as they are, in the file's unit.
+
+    Raises:
+        MeshRefusedError: for a file that is missing, empty, too large or no such mesh.
+    """
+    check_file(path)
+    if path.suffix.lower() == ".vtp":
+        try:
+            vertices, faces = read_vtp(path)
+        except Exception as error:  # XML, base64 and zlib raise what they like on damaged files
+            reason = str(error) if isinstance(error, ValueError) else "it is damaged"
+            raise MeshRefusedError(
+                f"{path.name} cannot be read as a mesh: {reason}; export it again as XML PolyData."
+            ) from error
+        return checked_triangles(vertices, faces, path)
+    import trimesh
+
     try:
         loaded = trimesh.load(path, force="mesh", process=False)
     except Exception as error:
-        # The readers of three formats raise what they like on damaged files.
-        raise MeshRefusedError(f"{path.name} cannot be read as a mesh: {expected}.") from error
+        # The readers of several formats raise what they like on damaged files.
+        raise MeshRefusedError(f"{path.name} cannot be read as a mesh: {_expected(path)}.") from error
     vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
     faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
+    return checked_triangles(vertices, faces, path)
+
+
+def _expected(path: Path) -> str:
+    return f"expected a triangle mesh in {path.suffix[1:].upper()} format; export it again"
+
+
+def checked_triangles(vertices: Array, faces: Indices, path: Path) -> Triangles:
+    """Triangles of a file, without those of infinite coordinates and vertices that no triangle uses.
+
+    Raises:
+        MeshRefusedError: there is no surface, or vertices lie far off.
+    """
+    expected = _expected(path)
     if faces.ndim != 2 or faces.shape[-1] != 3 or len(faces) < 4 or vertices.ndim != 2:
         raise MeshRefusedError(f"{path.name} holds no surface ({len(faces)} triangles): {expected}.")
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -100,16 +147,15 @@ def read_triangles(path: Path) -> Triangles:
     faces = faces[finite[faces].min(axis=1)]
     if len(faces) < 4 or np.ptp(vertices[faces].reshape(-1, 3), axis=0).max() <= 0:
         raise MeshRefusedError(f"{path.name} holds no surface with finite coordinates: {expected}.")
-    used, faces = np.unique(faces, return_inverse=True)
-    vertices = vertices[used]
-    low, high = np.percentile(vertices, [_STRAY, 100 - _STRAY], axis=0)
-    most, usual = np.ptp(vertices, axis=0).max(), (high - low).max()
+    mesh = Triangles(vertices, faces).compact()
+    low, high = np.percentile(mesh.vertices, [_STRAY, 100 - _STRAY], axis=0)
+    most, usual = np.ptp(mesh.vertices, axis=0).max(), (high - low).max()
     if most > _MOST_STRAY * usual:
         raise MeshRefusedError(
             f"{path.name} has stray vertices: most lie within {usual:.3g}, all within {most:.3g} of its unit; remove "
             "those far off."
         )
-    return Triangles(vertices, faces.reshape(-1, 3))
+    return mesh
 
 
 def clean_triangles(mesh: Triangles, *, most_faces: int = MOST_FACES) -> tuple[Triangles, tuple[str, ...]]:
@@ -164,10 +210,11 @@ class Size:
     extent: float
 
     def score(self, unit: str) -> float:
-        """How far it is from an aorta in a unit; 0: it has an aorta's width and extent."""
-        metres = UNITS[unit]
-        width, extent = self.width * metres / _WIDTH, self.extent * metres / _EXTENT
-        return math.log(width) ** 2 + _EXTENT_WEIGHT * math.log(extent) ** 2
+        """How far it is from an aorta in a unit; near 0: it has an aorta's width and extent."""
+        width, extent = self.width * UNITS[unit], self.extent * UNITS[unit]
+        score = _beyond(width, _WIDTHS) + _EXTENT_WEIGHT * _beyond(extent, _EXTENTS) + _RARE.get(unit, 0.0)
+        stout = max(math.log(width / extent / _STOUT), 0.0)
+        return score + _USUAL_WEIGHT * math.log(width / _USUAL) ** 2 + _STOUT_WEIGHT * stout**2
 
     def in_order(self) -> list[str]:
         """The units, the one that fits best first."""
@@ -184,6 +231,12 @@ class Size:
         if best == unit or self.score(best) > _WORST or self.score(unit) - self.score(best) < _CLOSE:
             return ""
         return f"in {unit} {self.in_words(unit)}; {best} would fit ({self.width * UNITS[best] * 1e3:.3g} mm wide)"
+
+
+def _beyond(length: float, usual: tuple[float, float]) -> float:
+    """How far a length is from a range, as the square of a logarithm."""
+    low, high = usual
+    return math.log(min(max(length, low), high) / length) ** 2
 
 
 def measure_size(mesh: Triangles, budget: Budget) -> Size:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import LumenPaths, Voxels
+from cathsim.anatomy.mesh.arches.arch_naming import LabelOf, labelled_names, labelled_sides, name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels, turned
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity, largest_part
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity
-from cathsim.anatomy.mesh.ends import VesselEnd, find_end, severs
+from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, severs
+from cathsim.anatomy.mesh.lattice import lattice_spacing
 from cathsim.anatomy.mesh.naming import (
     ascending_score,
-    labelled_names,
-    name_vessels,
     ordered_names,
     propose_entries,
     propose_targets,
@@ -27,7 +27,7 @@ from cathsim.anatomy.mesh.naming import (
     world_rotation,
 )
 from cathsim.anatomy.mesh.openings import close_openings
-from cathsim.anatomy.mesh.reading import Size, Triangles, clean_triangles
+from cathsim.anatomy.mesh.reading import Size, Triangles, clean_triangles, measure_size
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, draw_refusal
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
@@ -36,13 +36,16 @@ from cathsim.anatomy.phantom import Phantom
 logger = logging.getLogger(__name__)
 
 LEAST_WIDTH = 1e-3  # m: a lumen of a smaller radius is too narrow for a wire to be steered in
+_PASSABLE = 6e-4  # m: the aorta of a smaller radius lets no wire pass
+_CHILD = 16e-3  # m of width, of the widest place: narrower aortas get a grid of half the distance
+_FINEST_GRID = 5e-4  # m
 _TORN_OFF = 0.03  # of the lumen: a part of this size that no coarse voxel joins to the rest is no speck
 _AT_OPENING = 3.0  # coarse voxels between the middle of an opening and the lumen's nearest one
+_SHORT_OF = 4e-3  # m before an opening at which an end that was found otherwise may lie
 _SAMPLES = 0.7  # voxels between points on the surface
 
 Names = Mapping[str, str] | Sequence[str] | None
 Array = NDArray[np.float64]
-LabelOf = Callable[[Array], Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ class SurfaceFacts:
     faces: int = 0  # triangles in the file
     scale: float = 1.0  # m per unit of the file
     notes: tuple[str, ...] = ()  # what was done before
+    width: float = 0.0  # m, of the widest ball in the lumen; measured where it is left out
 
 
 def phantom_of_surface(
@@ -75,7 +79,7 @@ def phantom_of_surface(
         mesh: triangles, m, in any order and orientation; borders are closed.
         facts: of the source, for the report.
         name, digest: of the phantom.
-        resolution: m between lattice points of the distance grid.
+        resolution: m between lattice points of the distance grid; half of it for a child's vessels.
         frame: (3, 3) rows are the patient's left, posterior and superior axis in the surface's frame; estimated from
             the vessels where it is left out.
         label_of: names ("" where there is none) of the vessels at points (n, 3) m of the surface's frame; where it is
@@ -122,10 +126,12 @@ class SurfaceImport:
         mesh, openings, put_back = close_openings(mesh)
         if put_back:
             notes += (f"{put_back} missing triangles put back",)
-        spacing = self.resolution / 2
         sides = np.ptp(mesh.bounds, axis=0)
-        size = " x ".join(f"{1e3 * side:.4g}" for side in sides)
-        self.budget.check_lattice(float(np.prod(sides / spacing)), spacing, f"{size} mm in {self.facts.unit}")
+        width = self.facts.width or measure_size(mesh, self.budget).width
+        if width < _CHILD and self.resolution / 2 >= _FINEST_GRID:
+            self.resolution /= 2
+            notes += (f"distances every {1e3 * self.resolution:g} mm: its vessels are a child's",)
+        spacing = lattice_spacing(width, sides, self.resolution, self.budget, self.facts.unit)
         self.samples = sample_surface(mesh.corners, _SAMPLES * spacing, self.budget)
         self.budget.check_time("finding the lumen")
         self.cavity = cavity = find_cavity(self.samples, spacing)
@@ -142,7 +148,8 @@ class SurfaceImport:
         aorta, ends = _find_vessels(cavity, inside, ends)
 
         if self.frame is None:
-            rotation, kept = world_rotation(aorta)
+            leftward = None if self.label_of is None else labelled_sides(aorta, self.label_of)
+            rotation, kept = world_rotation(aorta, leftward)
         else:
             rotation = np.asarray(self.frame, dtype=np.float64)
             kept = bool(np.isclose(np.abs(rotation).max(axis=1), 1.0).all())
@@ -150,35 +157,43 @@ class SurfaceImport:
         offset = -(lumen.min(axis=0) + lumen.max(axis=0)) / 2
         if not kept and self.frame is None:
             notes += ("the file's axes are not the patient's: the pose is estimated from the vessels",)
-        self.budget.check_time("measuring distances to its wall")
-        grid = distance_grid(
-            surface, cavity, inside, ends, rotation=rotation, offset=offset, resolution=self.resolution
-        )
-        self.budget.check_time("drawing its centrelines")
         aorta = turned(aorta, rotation, offset)
-        automatic, named = name_vessels(aorta)
-        if self.label_of is not None:
+        if self.label_of is None:
+            automatic, named = name_vessels(aorta, sides_known=self.frame is not None)
+        else:
             label_of = self.label_of
             automatic, named = labelled_names(aorta, lambda points: label_of((points - offset) @ rotation))
         own = self.names if self.names is None or isinstance(self.names, Mapping) else None
         if self.names is not None and own is None:
             own = ordered_names(aorta, automatic, list(self.names))
         final = renamed(automatic, own)
-        least = max(LEAST_WIDTH, 1.25 * self.resolution)
-        tree, left_out = grow_tree(aorta, final, grid, TreeSettings(least))
-        thinnest = int(np.argmin(tree.root.radius))
-        narrowest = float(tree.root.radius[thinnest])
+        while True:
+            self.budget.check_time("measuring distances to its wall")
+            grid = distance_grid(
+                surface, cavity, inside, ends, rotation=rotation, offset=offset, resolution=self.resolution
+            )
+            self.budget.check_time("drawing its centrelines")
+            least = max(LEAST_WIDTH, 1.25 * self.resolution)
+            tree, left_out = grow_tree(aorta, final, grid, TreeSettings(least))
+            thinnest = int(np.argmin(tree.root.radius))
+            narrowest = float(tree.root.radius[thinnest])
+            if narrowest >= least or self.resolution / 2 < _FINEST_GRID:
+                break
+            self.resolution /= 2
+            notes += (f"distances every {1e3 * self.resolution:g} mm: the aorta is narrow",)
         if narrowest < least and grid.sample(tree.root.points[thinnest]) <= 0:
             place = (tree.root.points[thinnest] - offset) @ rotation / scale
             raise MeshRefusedError(
                 f"the aorta cannot be followed at ({', '.join(f'{x:.4g}' for x in place)}) of the file: its surface is "
                 "torn, doubled or badly closed there; repair it, or cut the mesh to the arch and its branches."
             )
-        if narrowest < least:
+        if narrowest < _PASSABLE:
             raise MeshRefusedError(
-                f"the aorta narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire ({least * 1e3:.2f} mm "
-                f"at this resolution); check the unit, here {self.facts.unit}."
+                f"the aorta narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire "
+                f"({_PASSABLE * 1e3:.1f} mm); check the unit, here {self.facts.unit}."
             )
+        if narrowest < least:
+            notes += (f"the aorta narrows to {narrowest * 1e3:.1f} mm of radius",)
         targets, shortened = propose_targets(tree)
         if not targets:
             raise MeshRefusedError("no branch of this vessel is wide and long enough for a wire and a target.")
@@ -235,15 +250,23 @@ def _find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[
     ways = paths.ways(voxels[0], voxels[1:])
     longest = max(ways, key=len)
     wall = binary_dilation(cavity.wall)
-    found: list[VesselEnd] = []
+    found: list[tuple[VesselEnd, Voxels]] = []
     lost = 0
     for way in [longest[::-1], *ways]:
-        end = find_end(cavity, wall, paths.points(way), paths.depth[tuple(way.T)])
+        points, depth = paths.points(way), paths.depth[tuple(way.T)]
+        end = find_end(cavity, wall, points, depth)
+        open_end = end_at_opening(cavity, points, depth, openings)
+        if open_end is not None and (end is None or (end.centre - open_end.centre) @ open_end.normal < -_SHORT_OF):
+            end = open_end
         if end is None:
             lost += 1
-        elif not any(_same(end, other) for other in found):
-            found.append(end)
-    ends = [end for end in found if not any(severs(end, paths.points(way)) for way in ways)]
+        elif not any(_same(end, other) for other, _ in found):
+            found.append((end, way))
+    ends = [
+        end
+        for end, own in found
+        if not any(severs(end, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
+    ]
     lost += len(found) - len(ends)
     if lost > len(voxels) // 2:
         raise MeshRefusedError(
@@ -256,6 +279,11 @@ def _find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[
             "a vessel without a side branch offers no target."
         )
     return ends, (f"{lost} of {len(voxels)} ends of vessels left out: the wall does not surround them",) if lost else ()
+
+
+def _leads_elsewhere(way: Voxels, own: Voxels) -> bool:
+    """Whether a way has other ends than the one that an end was found along."""
+    return not (np.array_equal(way[0], own[0]) and np.array_equal(way[-1], own[-1]))
 
 
 def _voxels_at(paths: LumenPaths, places: Array) -> Voxels:

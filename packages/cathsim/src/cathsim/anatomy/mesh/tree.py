@@ -18,7 +18,8 @@ STEP = 1e-3  # m between centreline points
 _ROUNDS = 10
 _RAYS = 24
 _SIDE = 1.3  # median radii beyond which a ray is taken to look into another vessel
-_FORK = 0.9  # radii by which a fork lies before the place where the ways part
+_FORK = 1.3  # radii by which a fork lies before the place where the ways part
+_AT_ONCE = 8e-3  # m along the aorta within which two vessels' origins keep their order
 _END_SETBACK = 3e-3  # m from a flat end at which radii are still measured
 
 Array = NDArray[np.float64]
@@ -48,7 +49,8 @@ def grow_tree(
     while queue:
         vessel, parent = queue.pop(0)
         name = names[id(vessel)]
-        branch, note = _branch(vessel, name, parent, grid, settings)
+        before = [b.parent_arc for b in branches if b.parent == "aorta" and parent is root]
+        branch, note = _branch(vessel, name, parent, grid, settings, min(before, default=np.inf))
         if note:
             notes.append(note)
         if branch is None:
@@ -70,7 +72,7 @@ def _main(aorta: RoughVessel, grid: SignedDistanceGrid) -> Branch:
 
 
 def _branch(
-    vessel: RoughVessel, name: str, parent: Branch, grid: SignedDistanceGrid, settings: TreeSettings
+    vessel: RoughVessel, name: str, parent: Branch, grid: SignedDistanceGrid, settings: TreeSettings, most: float
 ) -> tuple[Branch | None, str]:
     raw = smoothed(resampled(vessel.points, STEP), 1.5e-3)
     if vessel.from_fork:
@@ -87,6 +89,8 @@ def _branch(
             return None, f"{name} left out: it does not stand out of {parent.name}"
         first = int(beyond[0])
         start_arc, origin = _origin(raw, first, parent)
+        if most < start_arc < most + _AT_ONCE:  # beside a vessel that leaves before it
+            start_arc, origin = most, parent.point_at(most)
         raw = resampled(np.concatenate([origin[None], raw[first:]]), STEP)
         _, at, distance = nearest_on_branch(parent, raw)
         outside = int(np.flatnonzero(distance > parent.radius_at(at))[0])

@@ -1,0 +1,1 @@
+"""Which vessel of an arch is which."""

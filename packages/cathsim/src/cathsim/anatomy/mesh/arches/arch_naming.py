@@ -1,0 +1,177 @@
+"""Names of all vessels of an aorta: by the branching type that fits best, or by labels of their places."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.mesh.arches.arch_types import CAROTID_TRUNK, MIRRORED, SUBCLAVIAN_TRUNK, Reading, read_arch
+from cathsim.anatomy.mesh.arches.subtrees import RIGHT, Subtree, rebuilt, subtree
+from cathsim.anatomy.mesh.branches import RoughVessel
+from cathsim.anatomy.mesh.naming import arch_branches
+from cathsim.anatomy.vessel_names import AORTA
+
+_RIGHT_SIDE, _LEFT_SIDE = ("bca", "rsa", "rcca"), ("lcca", "lsa")
+_ALIKE = 0.6  # of score between an arch and its mirror image: below, neither looks more usual
+_CLEAR = 0.7  # of score between the likeliest reading and the next: below, the names are noted as unsure
+
+Array = NDArray[np.float64]
+LabelOf = Callable[[Array], Sequence[str]]
+NamesAndNotes = tuple[dict[int, str], tuple[str, ...]]
+
+
+def name_vessels(aorta: RoughVessel, *, sides_known: bool = False) -> NamesAndNotes:
+    """Names vessels, by their `id()`, and notes what could be otherwise; the aorta is in the patient's frame.
+
+    The vessels of the aorta are changed: a trunk ends where vessels of other names part.
+
+    Args:
+        sides_known: left and right are known, so that a mirror image is none.
+    """
+    names = {id(aorta): AORTA}
+    notes: list[str] = []
+    parts = {id(child): subtree(child) for child in arch_branches(aorta)}
+    readings = read_arch(list(parts.values()), sides_known=sides_known)
+    if readings:
+        best = readings[0]
+        _give_names(aorta, parts, dict(best.names), names)
+        notes += _doubts(readings, list(parts.values()))
+    _number_others(aorta, names)
+    return names, tuple(notes)
+
+
+def labelled_names(aorta: RoughVessel, label_of: LabelOf) -> NamesAndNotes:
+    """Names vessels, by their `id()`, by the labels at their places, and notes what labels do not say.
+
+    Args:
+        label_of: names ("" where there is none) at points (n, 3) m of the aorta's frame.
+    """
+    names = {id(aorta): AORTA}
+    notes: list[str] = []
+    parts = {id(child): subtree(child) for child in aorta.children}
+    votes: list[tuple[int, str, Subtree]] = []
+    for part in parts.values():
+        for one in (part, *part.inner):
+            labels = Counter(label for label in label_of(one.points) if label not in ("", AORTA))
+            votes += [(count, label, one) for label, count in labels.items() if count >= 0.5 * labels.total()]
+    given: dict[Subtree, str] = {}
+    for _, label, one in sorted(votes, key=lambda vote: -vote[0]):
+        trunk = any(other in one.inner for other in given) or any(one in other.inner for other in given)
+        if label not in given.values() and not trunk and not (label == "bca" and _forks_into_labels(one, votes)):
+            given[one] = label
+    _give_names(aorta, parts, given, names)
+    unnamed = _number_others(aorta, names)
+    if is_mirrored(aorta):
+        notes.append(
+            "by its labels the file is mirrored, or its arch lies in front: left and right are those of the labels"
+        )
+    if unnamed:
+        notes.append(f"the labels do not name {', '.join(unnamed)}")
+    return names, tuple(notes)
+
+
+def labelled_sides(aorta: RoughVessel, label_of: LabelOf) -> Array | None:
+    """From the ends of the right side's vessels, by their labels, to the left one's, (3,) m; None without both."""
+    ends: dict[bool, list[Array]] = {True: [], False: []}
+    for child in aorta.children:
+        for leaf in subtree(child).leaves:
+            labels = Counter(label for label in label_of(leaf.points) if label not in ("", AORTA))
+            name = labels.most_common(1)[0][0] if labels else ""
+            if name in _RIGHT_SIDE or name.endswith("_right"):
+                ends[False].append(leaf.points[-1])
+            elif name in _LEFT_SIDE or name.endswith("_left"):
+                ends[True].append(leaf.points[-1])
+    if not (ends[True] and ends[False]):
+        return None
+    leftward: Array = np.mean(ends[True], axis=0) - np.mean(ends[False], axis=0)
+    return leftward
+
+
+def is_mirrored(aorta: RoughVessel) -> bool:
+    """Whether labels and shape contradict each other: the descending aorta lies in front; patient's frame."""
+    across = aorta.points[0] - aorta.points[-1]
+    return bool(across[1] < -0.3 * np.linalg.norm(across[:2]))
+
+
+def _forks_into_labels(trunk: Subtree, votes: Sequence[tuple[int, str, Subtree]]) -> bool:
+    inner = {label for _, label, one in votes if one in trunk.inner}
+    return len(inner & {"rsa", "rcca", "lcca"}) > 1
+
+
+def _give_names(
+    aorta: RoughVessel, parts: Mapping[int, Subtree], given: Mapping[Subtree, str], names: dict[int, str]
+) -> None:
+    """Makes vessels of the aorta's branches so that each named part is one, and names them and their trunks."""
+    children = []
+    for child in aorta.children:
+        part = parts.get(id(child))
+        if part is None:
+            children.append(child)
+            continue
+        own = {one: name for one, name in given.items() if one is part or one in part.inner}
+        vessel, named = rebuilt(part, own)
+        children.append(vessel)
+        for found, within in named:
+            name = _trunk_name({own[one] for one in within})
+            if name not in names.values():
+                names[id(found)] = name
+    aorta.children = children
+
+
+def _trunk_name(names: set[str]) -> str:
+    if len(names) == 1:
+        return "bca" if names == {RIGHT} else next(iter(names))
+    return {frozenset({"rcca", "lcca"}): CAROTID_TRUNK, frozenset({"rsa", "lsa"}): SUBCLAVIAN_TRUNK}.get(
+        frozenset(names), "bca"
+    )
+
+
+def _number_others(aorta: RoughVessel, names: dict[int, str]) -> list[str]:
+    number = 1
+    queue, given = [aorta], []
+    while queue:
+        vessel = queue.pop(0)
+        for child in vessel.children:
+            if id(child) not in names:
+                names[id(child)] = f"branch_{number}"
+                given.append(names[id(child)])
+                number += 1
+            queue.append(child)
+    return given
+
+
+def _doubts(readings: Sequence[Reading], parts: Iterable[Subtree]) -> list[str]:
+    """Notes on what the names suppose."""
+    best = readings[0]
+    notes = []
+    of_aorta = [name for _, name in best.names]
+    given = dict(best.names)
+    for part in parts:
+        within = {given[one] for one in (part, *part.inner) if one in given}
+        if "lcca" in within and within & {"rsa", RIGHT}:
+            notes.append("the first branch of the arch looks like the common trunk of BCA and LCCA")
+    missing = [name for name in ("lcca", "lsa") if name not in of_aorta]
+    if missing:
+        notes.append(f"{', '.join(missing)} not found: the arch has too few branches")
+    if best.mirrored:
+        notes.append(
+            "the arch is the mirror image of a usual one: a right-sided arch or a mirrored file; its vessels are named "
+            "as those of a usual one"
+        )
+    image = next((r for r in readings if r.mirrored != best.mirrored and _ends(r) != _ends(best)), None)
+    if image is not None and image.mirrored and best.score - image.score < MIRRORED + _ALIKE:
+        notes.append("left and right cannot be told by its shape: a mirrored file would look as usual")
+    other = next((r for r in readings if _ends(r) != _ends(best)), None)
+    if other is not None and best.score - other.score < _CLEAR:
+        notes.append(
+            f"the names are unsure: {best.in_words} is taken, {other.in_words} could be meant; look at the picture "
+            "and give names to be sure"
+        )
+    return notes
+
+
+def _ends(reading: Reading) -> dict[int | None, str]:
+    return {part.main_leaf.vessel.end: "bca" if name == RIGHT else name for part, name in reading.names}

@@ -1,0 +1,1 @@
+"""Surfaces that come in parts."""

@@ -1,0 +1,130 @@
+"""Vessels of arches of every branching type get their names, from any side, mirrored, and cut short."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cathsim.anatomy import VesselTree
+from cathsim.anatomy.generator.aortic_arch import build_arch
+from cathsim.anatomy.generator.random_arch import sample_parameters
+from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
+from cathsim.anatomy.generator.variety.variety_arch import VarietyArch, build_variety_arch
+from cathsim.anatomy.mesh.arches.arch_naming import labelled_names, labelled_sides, name_vessels
+from cathsim.anatomy.mesh.branches import RoughVessel, turned
+from cathsim.anatomy.mesh.naming import world_rotation
+
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+Array = np.ndarray
+
+
+def rough_vessels(tree: VesselTree, frame: Array, shorter: float = np.inf) -> dict[str, RoughVessel]:
+    """The vessels of a tree as an import finds them, before they have names; ends are numbered.
+
+    Args:
+        frame: (3, 3) turns or mirrors them.
+        shorter: m beyond its ostium after which a branch of the aorta ends, with all that leaves it further on.
+    """
+    made: dict[str, RoughVessel] = {}
+    for number, branch in enumerate(tree):
+        if branch.parent is not None and branch.parent not in made:
+            continue
+        count = len(branch.points)
+        if branch.parent is not None and np.isfinite(shorter):
+            if branch.parent != tree.root.name:
+                continue
+            count = max(int(np.searchsorted(branch.arc, tree.ostium_arc(branch.name) + shorter)), 5)
+        parent = tree[branch.parent] if branch.parent else None
+        fork = parent is not None and not parent.open_end and branch.parent_arc > parent.length - 2e-3
+        depth = branch.radius[:count].copy()
+        if parent is not None and not fork:
+            depth[0] = parent.radius_at(branch.parent_arc)
+        end = number if branch.open_end or np.isfinite(shorter) else None
+        vessel = RoughVessel(branch.points[:count] @ frame.T, depth, end, start=branch.parent_arc, from_fork=fork)
+        if branch.parent is not None:
+            made[branch.parent].children.append(vessel)
+            made[branch.parent].children.sort(key=lambda child: child.start)
+        made[branch.name] = vessel
+    return made
+
+
+def found_names(aorta: RoughVessel) -> tuple[dict[int | None, str], set[str], tuple[str, ...]]:
+    """The name at every end, the names of trunks, and the notes."""
+    rotation, _ = world_rotation(aorta)
+    aorta = turned(aorta, rotation, np.zeros(3))
+    names, notes = name_vessels(aorta)
+    ends: dict[int | None, str] = {}
+    trunks = set()
+    queue = [aorta]
+    while queue:
+        vessel = queue.pop()
+        if vessel.end is None:
+            trunks.add(names[id(vessel)])
+        else:
+            ends[vessel.end] = names[id(vessel)]
+        queue += vessel.children
+    return ends, trunks, notes
+
+
+@pytest.mark.parametrize("frame", ["as it is", "turned", "mirrored"])
+@pytest.mark.parametrize("arch_type", ARCH_TYPES)
+def test_every_type_is_named(arch_type: str, frame: str):
+    tree = build_variety_arch(VarietyArch(arch_type=arch_type, seed=1))
+    turn = {
+        "as it is": np.eye(3),
+        "mirrored": MIRROR,
+        "turned": Rotation.from_euler("xyz", [2.1, 0.4, -1.3]).as_matrix(),
+    }
+    made = rough_vessels(tree, turn[frame])
+    ends, trunks, notes = found_names(made["aorta"])
+    truth = {vessel.end: name for name, vessel in made.items() if vessel.end is not None}
+    if (arch_type, frame) == ("VI", "mirrored"):  # both sides leave the aorta alike
+        assert any("left and right cannot be told by its shape" in note for note in notes)
+        return
+    assert ends == truth
+    assert trunks == {name for name, vessel in made.items() if vessel.end is None}
+    if frame == "mirrored":
+        assert any("mirror" in note for note in notes)
+
+
+def test_random_arches_are_named():
+    wrong = []
+    for seed in range(24):
+        parameters = sample_parameters(np.random.default_rng(seed), wide=seed % 2 == 1)
+        made = rough_vessels(build_arch(parameters), Rotation.random(random_state=seed).as_matrix())
+        ends, _, _ = found_names(made["aorta"])
+        truth = {vessel.end: name for name, vessel in made.items() if vessel.end is not None}
+        if ends != truth:
+            wrong.append(seed)
+    assert wrong == []
+
+
+def test_branches_that_are_cut_short_are_named_by_their_order():
+    for seed in range(12):
+        parameters = sample_parameters(np.random.default_rng(seed))
+        tree = build_arch(parameters)
+        if tree["lcca"].parent != "aorta":
+            continue
+        made = rough_vessels(tree, np.eye(3), shorter=0.02)
+        ends, _, _ = found_names(made["aorta"])
+        assert {made[name].end: name for name in ("aorta", "bca", "lcca", "lsa")}.items() <= ends.items(), seed
+
+
+def test_labels_name_vessels_and_show_the_sides():
+    tree = build_variety_arch(VarietyArch(arch_type="I", seed=2))
+    made = rough_vessels(tree, MIRROR)
+    places = [(branch.name, branch.points @ MIRROR.T) for branch in tree]
+
+    def label_of(points: Array) -> list[str]:
+        away = np.stack([np.linalg.norm(p[None] - points[:, None], axis=2).min(axis=1) for _, p in places])
+        return [places[int(k)][0] for k in np.argmin(away, axis=0)]
+
+    leftward = labelled_sides(made["aorta"], label_of)
+    assert leftward is not None
+    assert leftward[0] < -0.02
+    rotation, _ = world_rotation(made["aorta"], leftward)
+    aorta = turned(made["aorta"], rotation, np.zeros(3))
+    names, notes = labelled_names(aorta, lambda points: label_of(points @ rotation))
+    assert set(names.values()) == set(made)
+    assert any("the file is mirrored" in note for note in notes)
