@@ -70,6 +70,7 @@ def draw(path: Path, generated: dict[str, np.ndarray], real: dict[str, dict[str,
     """A panel a measure: histogram of the generated arches with its middle 98 %, a line for each real aorta."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     columns = 5
     rows = -(-len(generated) // columns)
@@ -81,17 +82,17 @@ def draw(path: Path, generated: dict[str, np.ndarray], real: dict[str, dict[str,
         low, _, high = percentiles(values)
         panel.hist(values[np.isfinite(values)], bins=24, color="0.8")
         panel.axvspan(low, high, color="C0", alpha=0.12)
-        for (label, shape), colour in zip(real.items(), colours, strict=True):
+        for shape, colour in zip(real.values(), colours, strict=True):
             if math.isfinite(shape[name]):
-                panel.axvline(shape[name], color=colour, linewidth=1.8, label=label)
+                panel.axvline(shape[name], color=colour, linewidth=1.8)
         panel.set_title(name, fontsize=8)
         panel.tick_params(labelsize=7)
         panel.set_yticks([])
     for panel in panels[len(generated) :]:
         panel.set_axis_off()
-    for label, colour in zip(real, colours, strict=True):
-        panels[-1].plot([], [], color=colour, label=label)
-    panels[-1].legend(fontsize=7, loc="center")
+    handles = [Line2D([], [], color=colour, label=label) for label, colour in zip(real, colours, strict=True)]
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8)
     figure.savefig(path)
 
 
