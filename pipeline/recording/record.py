@@ -146,6 +146,8 @@ def describe_episode(
         operator: who steers, e.g. "sampling_expert".
         configuration: kept beside that of task and wire.
     """
+    from cathsim.robot.pace import PACES
+
     return EpisodeInfo(
         phantom=environment.phantom.name,
         phantom_hash=environment.phantom.hash,
@@ -159,6 +161,7 @@ def describe_episode(
             "image_size": environment.fluoroscope.shape[0],
             **_devices_of(environment.simulation),
             "numerics": asdict(environment.simulation.numerics),
+            **({} if environment.simulation.pace == PACES["usual"] else {"pace": asdict(environment.simulation.pace)}),
             **({} if environment.biplane is None else {"cameras": environment.biplane.fluoroscope.to_json()}),
             **(configuration or {}),
         },

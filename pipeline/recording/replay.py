@@ -142,6 +142,7 @@ def _environment(
     """The environment that an episode was recorded in, with another observation and reward."""
     from cathsim import NavigateEnv, NavigationTask
     from cathsim.presets import Accuracy
+    from cathsim.robot.pace import Pace
 
     fields = {field.name for field in dataclasses.fields(NavigationTask)}
     with checked_values(info, "task"):
@@ -150,6 +151,8 @@ def _environment(
     numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
     with checked_values(info, "time stepping"):
         accuracy = Accuracy(**numerics) if numerics else "accurate"
+    with checked_values(info, "pace"):
+        pace = Pace(**info.configuration.get("pace", {}))
     with checked_values(info, "phantom, entry or camera"):
         return NavigateEnv(
             info.phantom,
@@ -157,6 +160,7 @@ def _environment(
             entry=info.entry,
             **recorded_devices(info),
             accuracy=accuracy,
+            pace=pace,
             actions="feeder" if actions == 2 or info.has_catheter else "tip_motors",
             observation=tuple(observation) or ("tip",),
             image_size=image_size,

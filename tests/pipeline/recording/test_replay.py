@@ -79,6 +79,13 @@ def test_a_coarser_physics_is_replayed_as_it_was(tmp_path: Path) -> None:
     assert len(replay(record(tmp_path / "fast.mcap", pictures=False, accuracy="fast"))) == 25
 
 
+def test_a_pace_is_replayed_as_it_was(tmp_path: Path) -> None:
+    log = record(tmp_path / "pace.mcap", pictures=False, pace="arch_variety")
+    with EpisodeReader(log) as reader:
+        assert reader.info.control_dt == pytest.approx(1 / 7.5)
+    assert len(replay(log)) == 25
+
+
 @pytest.mark.parametrize("entry", ["lsa_end", (0.0436, 0.0266, -0.032)])
 def test_an_entry_of_ones_own_is_replayed(tmp_path: Path, entry: str | tuple[float, float, float]) -> None:
     log = record(tmp_path / "entry.mcap", pictures=False, entry=entry)
