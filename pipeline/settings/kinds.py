@@ -117,4 +117,12 @@ def _branch_names(value: Any) -> Any:
     return value
 
 
+def _hyperparameters(value: Any) -> Any:
+    """Accepts None, or a mapping from names to values."""
+    if value is not None and not (isinstance(value, dict) and all(isinstance(name, str) for name in value)):
+        raise ValueError(f"must be a mapping such as {{learning_rate: 3e-4}}, got {shown(value)}")
+    return value
+
+
+Hyperparameters = Annotated[Any, AfterValidator(_hyperparameters)]  # fields of enn's TrainingSettings
 BranchNames = Annotated[Any, AfterValidator(_branch_names)]  # of a mesh's branches

@@ -24,11 +24,11 @@ _ELSEWHERE = (
 )
 
 
-def with_hyperparameters(training: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:
+def with_hyperparameters(training: TrainingSettings, changes: Mapping[str, Any] | None) -> TrainingSettings:
     """A training with some of its settings changed.
 
     Args:
-        changes: field of `TrainingSettings` to value; a list is taken as a tuple.
+        changes: field of `TrainingSettings` to value; a list is taken as a tuple. None: nothing changes.
 
     Raises:
         ConfigurationError: there is no such field, or it cannot have that value.

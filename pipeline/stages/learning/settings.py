@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Annotated, Any
+from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
@@ -20,6 +20,7 @@ from pipeline.settings.kinds import (
     EpisodesOrNone,
     FolderName,
     FolderNames,
+    Hyperparameters,
     Processes,
     RisingEpisodes,
     SomeFolderNames,
@@ -60,7 +61,7 @@ class LearningSettings(DeviceSettings):
     encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
-    training: dict[str, Any] = field(default_factory=dict)  # hyper-parameters: fields of enn's TrainingSettings
+    training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from annotated_types import Ge, Le, Len
 
@@ -16,6 +16,7 @@ from pipeline.settings.kinds import (
     Device,
     Episodes,
     FolderName,
+    Hyperparameters,
     PathText,
     Processes,
     Seed,
@@ -61,7 +62,7 @@ class RehearsalSettings(DeviceSettings):
     decisions: Decisions = 12_000
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
-    training: dict[str, Any] = field(default_factory=dict)  # hyper-parameters: fields of enn's TrainingSettings
+    training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
     force_penalty: Weight = 0.1  # of the training's reward, a newton and step
     path_penalty: Weight = 40.0  # a metre of the tip's way
     accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # tests are accurate

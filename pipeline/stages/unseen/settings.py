@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Annotated, Any
+from typing import Annotated
 
 from annotated_types import Ge, Le
 
@@ -16,6 +16,7 @@ from pipeline.settings.kinds import (
     Device,
     Episodes,
     FolderNames,
+    Hyperparameters,
     PathText,
     Processes,
     SomeFolderNames,
@@ -38,7 +39,7 @@ class UnseenSettings:
     decisions: Decisions = 16_000  # of the roadmap policy's training
     curve_decisions: Decisions = 8_000  # of each of the curve's policies, the one on `anatomies` arches among them
     hidden: Units = 256  # units of each of their two layers
-    training: dict[str, Any] = field(default_factory=dict)  # their hyper-parameters: fields of enn's TrainingSettings
+    training: Hyperparameters = None  # their hyper-parameters: fields of enn's TrainingSettings
     validation_anatomies: Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
     validation_episodes: Episodes = 48  # in them
     image: bool = True  # also the policy that observes images and the wire's true mask

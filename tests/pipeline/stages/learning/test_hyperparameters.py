@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from hydra import compose, initialize_config_dir
 
 from enn.reinforcement import DESK_PPO, DESK_SAC
+from pipeline.config import CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.stages.baselines import training_settings as of_baselines
 from pipeline.stages.enn import training_settings as of_enn
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
@@ -32,7 +34,18 @@ def test_every_learning_stage_takes_them() -> None:
 
 
 def test_without_any_nothing_changes() -> None:
-    assert with_hyperparameters(DESK_SAC, {}) is DESK_SAC
+    assert with_hyperparameters(DESK_SAC, None) is with_hyperparameters(DESK_SAC, {}) is DESK_SAC
+    with pytest.raises(ConfigurationError, match=r"stage\.training must be a mapping"):
+        EnnSettings(**PLACE, training=[1])
+
+
+@pytest.mark.parametrize("stage", ["baselines", "enn", "unseen", "rehearsal"])
+def test_the_command_line_takes_them(stage: str) -> None:
+    words = [f"stage={stage}", "stage.training={learning_rate: 3e-4, hidden: [32, 32]}"]
+    register_schemas([stage])
+    with initialize_config_dir(str(CONFIG_DIRECTORY), version_base=None):
+        config = run_config(compose("config", overrides=words))
+    assert config.stage.training == {"learning_rate": 3e-4, "hidden": [32, 32]}
 
 
 @pytest.mark.parametrize(
