@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cathsim.anatomy import VesselTree
+from cathsim.anatomy import Branch, VesselTree
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.random_arch import sample_parameters
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
@@ -98,6 +98,35 @@ def test_random_arches_are_named():
         if ends != truth:
             wrong.append(seed)
     assert wrong == []
+
+
+def with_more_vessels(tree: VesselTree) -> VesselTree:
+    """An arch on which coronary, intercostal, visceral and vertebral arteries hang."""
+    aorta, arm = tree.root, tree["lsa"]
+    more = {
+        "coronary": (aorta, aorta.length - 0.012, (0.8, -0.5, -0.1), 1.8e-3),
+        "celiac": (aorta, 0.02, (0.1, -1.0, -0.4), 3.0e-3),
+        "renal": (aorta, 0.012, (-1.0, 0.1, -0.2), 2.8e-3),
+        "intercostal": (aorta, 0.07, (0.5, 0.8, 0.3), 1.2e-3),
+        "vertebral_left": (arm, min(tree.ostium_arc("lsa") + 0.03, 0.7 * arm.length), (0.0, 0.2, 1.0), 1.8e-3),
+        "vertebral_right": (tree["rsa"], 0.5 * tree["rsa"].length, (0.0, 0.2, 1.0), 1.8e-3),
+    }
+    branches = list(tree)
+    for name, (parent, arc, direction, radius) in more.items():
+        unit = np.array(direction) / np.linalg.norm(direction)
+        along = np.linspace(0, 0.035 + float(parent.radius_at(arc)), 30)
+        points = parent.point_at(arc) + along[:, None] * unit
+        branches.append(Branch(name, points, np.full(30, radius), parent.name, arc))
+    return VesselTree(tuple(branches))
+
+
+def test_more_vessels_do_not_shift_names():
+    for seed in range(6):
+        tree = with_more_vessels(build_arch(sample_parameters(np.random.default_rng(seed))))
+        made = rough_vessels(tree, np.eye(3))
+        ends, _, _ = found_names(made["aorta"])
+        for name in ("rsa", "rcca", "lcca", "lsa"):
+            assert ends[made[name].end] == name, (seed, name)
 
 
 def test_branches_that_are_cut_short_are_named_by_their_order():

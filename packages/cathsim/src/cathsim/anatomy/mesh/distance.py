@@ -15,6 +15,7 @@ from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import VesselEnd
 from cathsim.anatomy.mesh.lattice import short_distance
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
+from cathsim.presets import WIRE_RADIUS
 
 EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them
 _SWEPT = 1.8  # radii before a flat end over which the lumen is filled across the vessel
@@ -22,6 +23,7 @@ _CLEARLY = 0.8  # voxels by which a triangle's two sides must differ in their di
 _LOOSE = 1.8  # voxels: nearer to a triangle than this a point is in or out as that triangle says
 _SEEN = 4  # voxels from the lumen up to which distances are told apart
 _THIN = 7e-4  # m between the points on the surface to which far distances are measured
+_SHUT = 0.95  # of a wire's radius: distance to the wall in rooms that no wire gets into
 _FACING = 2.0  # voxels between the lumen's voxels and the triangles that bound it, at most
 
 Array = NDArray[np.float64]
@@ -201,6 +203,10 @@ def distance_grid(
     positive = np.flatnonzero(distance > 0)
     loose = positive[~_largest_component(chosen[positive], shape)]
     distance[loose] *= -1
+    # What lies beyond a passage that no wire passes is no room for one, either.
+    open_ = np.flatnonzero(distance > WIRE_RADIUS)
+    shut = open_[~_largest_component(chosen[open_], shape)]
+    distance[shut] = _SHUT * WIRE_RADIUS
     near = distance > -reach
     nx, ny, nz = (int(n) for n in shape)
     return SignedDistanceGrid.from_nodes(chosen[near], distance[near], (nx, ny, nz), origin, resolution, outside=-reach)

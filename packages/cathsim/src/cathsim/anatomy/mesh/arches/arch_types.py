@@ -86,7 +86,7 @@ def read_arch(parts: Sequence[Subtree], *, sides_known: bool) -> list[Reading]:
             loss = sum(_weight(part, chosen) for part in dropped)
             for order in _orders(chosen):
                 for names in _assignments(order, groups):
-                    fit = _fit(names) - _against(order, groups) - against - loss
+                    fit = _fit(names) - _against(order, groups) - _left_over(order, names) - against - loss
                     for mirrored in (False,) if sides_known else (False, True):
                         side = _sides(names, order, groups, -1.0 if mirrored else 1.0)
                         found.append(Reading(fit + side - MIRRORED * mirrored, names, mirrored))
@@ -171,6 +171,14 @@ def _against(order: Sequence[Subtree], groups: Sequence[tuple[str, ...]]) -> flo
     for first, second in pairwise(order):
         loss += 0.5 * max(math.tanh((second.vessel.start - first.vessel.start) / 4e-3), 0.0)
     return loss
+
+
+def _left_over(order: Sequence[Subtree], names: Sequence[tuple[Subtree, str]]) -> float:
+    """What speaks against leaving out ends within the branches that are named."""
+    named = [part for part, _ in names]
+    taken = {id(leaf) for part in named for leaf in part.leaves}
+    left = [leaf for part in order for leaf in part.leaves if id(leaf) not in taken]
+    return sum(_weight(leaf, [part.main_leaf for part in named]) for leaf in left)
 
 
 def _weight(part: Subtree, chosen: Sequence[Subtree]) -> float:
