@@ -69,7 +69,10 @@ class LabelledLumen:
         level, which, inside = self.level()
         distance = signed_distance(self.lattice, level)
         aorta, names = rough_vessels(self.courses(distance, which, inside), ends, first, self.ostia())
-        lost = [name for name in self.family.names.values() if name not in names.values()]
+        main = [self.family.names[number] for number in courses.main]
+        if len(main) > 1:
+            self.notes.append(f"the aorta's course begins in {main[0]}, by which a wire comes in")
+        lost = [name for name in self.family.names.values() if name not in names.values() and name not in main]
         self.notes += [f"{name} is left out: no way leads into it" for name in lost]
         shape = np.array(self.lattice.shape)
         within = (self.lattice.nodes < shape).all(axis=1)
