@@ -15,7 +15,7 @@ from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
-from tests.cathsim.anatomy.volume.rasterised import IDS, rasterise, save_nifti, save_slicer
+from cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti, save_slicer
 
 pytest.importorskip("nibabel", reason="label volumes need nibabel")
 pytest.importorskip("nrrd", reason="label volumes need pynrrd")

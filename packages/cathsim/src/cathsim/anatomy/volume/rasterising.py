@@ -1,4 +1,4 @@
-"""Label volumes of generated arches: what a segmentation of a known lumen looks like on coarse, oblique voxels."""
+"""Label volumes of phantoms: what a segmentation of a known lumen looks like on coarse, oblique voxels."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy import Phantom
+from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.vessel_names import TOTALSEGMENTATOR
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 
-IDS = {"aorta": 52, "bca": 54, "rsa": 55, "lsa": 56, "rcca": 57, "lcca": 58}
+IDS = {name: number for number, name in TOTALSEGMENTATOR.items()}
 THICK = (0.7e-3, 0.7e-3, 2.5e-3)  # m
 _MARGIN = 4e-3  # m around the lumen
 _FORK = 3e-3  # m by which daughters go before their trunk beyond its end
