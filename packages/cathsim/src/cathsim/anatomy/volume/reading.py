@@ -18,7 +18,8 @@ from cathsim.anatomy.volume.source import VolumeSource
 
 SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES)
 _MOST_LITRES = 5.0  # of all vessels together
-_MOST_VOXELS = 6e8  # of the box around them
+_MOST_VOXELS = 2.5e8  # of the box around them
+_MOST_TAKEN = 60_000_000  # voxels of vessels
 _MOST_LABEL = 65_535
 
 Array = NDArray[np.float64]
@@ -175,6 +176,13 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
                 f"{source.path.name} has {litres:.3g} litres labelled as vessels, an aorta with its branches has "
                 "less than "
                 f"one; it is noise or another kind of labels: say which labels are vessels by labels=."
+            )
+        taken = sum(present.get(key, 0) for key in choice.vessels)
+        if taken > _MOST_TAKEN:
+            raise MeshRefusedError(
+                f"{source.path.name} has {taken:,} voxels labelled as vessels, at most {_MOST_TAKEN:,} are taken; it "
+                "is "
+                "noise, or its voxels are finer than any wire needs: save it with larger ones."
             )
         for name in choice.vessels.values():
             if name not in names:
