@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import MODES, Origin, controllers, run_trials
+from pipeline.recording.trials import Origin, controllers, run_trials
 from pipeline.seeds import held_out_seeds
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.settings import RehearsalSettings
@@ -212,10 +212,10 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
         seeds = held_out_seeds(job.origin.training_seed, count if copy == 0 else 1 + copy - TEST)[-count:]
         metrics = run_trials(
             environment.current,
-            controllers(policy, MODES[0]),
+            controllers(policy, job.settings.mode),
             folder,
             seeds=seeds,
-            mode=MODES[0],
+            mode=job.settings.mode,
             origin=replace(job.origin, row=str(job.tested), further={"test_set": kind, "copy": copy}),
         )
         success += [one.success for one in metrics]

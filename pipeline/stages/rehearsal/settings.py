@@ -58,6 +58,7 @@ class RehearsalSettings(DeviceSettings):
     validation_copies: Count = 15  # that choose the best policy, beside the scan
     test_copies: Annotated[int, Ge(1), Le(1000)] = 30
     scan_episodes: Episodes = 10  # on the scan itself
+    mode: Annotated[str, one_of("stochastic", "deterministic")] = "stochastic"  # of the tests' actions
     algorithm: Annotated[str, one_of("sac", "ppo")] = "sac"
     decisions: Decisions = 12_000
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training

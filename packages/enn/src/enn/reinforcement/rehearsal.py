@@ -20,6 +20,9 @@ from enn.reinforcement.training import DESK_SAC, Progress, Training, TrainingRes
 
 Environment = gymnasium.Env[Any, Any]
 
+# From a policy: learning with the full rate and from a nearly empty replay buffer forgets it within a few hundred
+# decisions.
+SLOWER, FIRST = 0.2, 0.4  # share of the learning rate; share of the decisions that it only acts
 TEST_SEED = 0  # of the first episode of `play_cases`; the k-th has the k-th after it
 
 # The actor and the critics are as wide as those for many anatomies, whose weights it may start from.
@@ -73,7 +76,8 @@ def rehearse(
     Args:
         make_env: makes an environment of the training.
         make_validation_env: makes one of the cases that choose the best policy; None: `make_env`.
-        policy: with critics, to start from; its network and action repeat replace those of the settings.
+        policy: with critics, to start from; its network and action repeat replace those of the settings. It learns at a
+            fifth of their rate, and only acts for the first two fifths of the decisions.
         settings: of the training; the number of cases is filled in.
         starts: states to start from beside the usual start, the case last: an array a case. Shapes (k, n).
         folder: where it can go on after an interruption; None: only in memory.
@@ -86,7 +90,12 @@ def rehearse(
     env.close()
     changed = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
     if policy is not None:
-        changed = replace(changed.with_network(policy.network), action_repeat=policy.action_repeat)
+        changed = replace(
+            changed.with_network(policy.network),
+            action_repeat=policy.action_repeat,
+            learning_rate=SLOWER * changed.learning_rate,
+            learning_starts=max(changed.learning_starts, round(FIRST * changed.decisions)),
+        )
     training = Training(
         changed,
         make_env,
