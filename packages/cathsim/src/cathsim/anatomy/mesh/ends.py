@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,16 +45,19 @@ class VesselEnd:
     way: Array  # (n, 3) m, the way from the vessel's inside to the centre, at even steps
 
 
-def find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
+def find_end(
+    cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array, others: Sequence[VesselEnd] = ()
+) -> VesselEnd | None:
     """Follows a vessel to its end; None where its wall surrounds it nowhere.
 
     Args:
         wall: (nx, ny, nz) the wall's voxels, thickened so that no ray slips through.
         way: (n, 3) m along the vessel's middle, to somewhere at its end.
         depth: (n,) m, distance to the wall along it.
+        others: ends of other vessels, which are none of this one's.
     """
     for share in (_SURROUNDED, *_LOOSELY):
-        end = _find_end(cavity, wall, way, depth, share)
+        end = _find_end(cavity, wall, way, depth, share, others)
         if end is not None:
             return end
     return _plain_end(cavity, wall, way, depth)
@@ -83,7 +87,14 @@ def _plain_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array
     return None
 
 
-def _find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array, surrounded: float) -> VesselEnd | None:
+def _find_end(
+    cavity: Cavity,
+    wall: NDArray[np.bool_],
+    way: Array,
+    depth: Array,
+    surrounded: float,
+    others: Sequence[VesselEnd],
+) -> VesselEnd | None:
     from_end = arc_length(way[::-1])[::-1]
     start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
     radius = float(depth[start])
@@ -91,37 +102,44 @@ def _find_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array,
     start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
     first = max(start - 4, min(start, 2))
     end = _followed(cavity, wall, way, first + int(np.argmax(depth[first : start + 1])), radius, surrounded)
-    if end is not None and _gap(end, way[-1]) <= _NEAR:
+    if end is not None and _misses(end, way[-1], others) <= _NEAR:
         return end
     # Where the vessel bends sharply before it ends, the sweep left it: begin further on.
     for ratio in _FURTHER:
         start = int(np.flatnonzero(from_end >= ratio * radius)[-1]) if (from_end >= ratio * radius).any() else 0
         if depth[start] >= _STILL_WIDE * radius:
             later = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
-            if later is not None and _gap(later, way[-1]) <= _SHORT_BEYOND and _further(later, end, way[-1]):
+            if later is not None and _misses(later, way[-1], others) <= _SHORT_BEYOND and _further(later, end, way[-1]):
                 return later
-    if end is not None and _gap(end, way[-1]) <= _BEYOND:
+    if end is not None and _misses(end, way[-1], others) <= _BEYOND:
         return end
     # A short vessel reaches its full width nowhere before it opens into a wider one, and the sweep began in that one.
     for ratio in _STARTS:
         start = int(np.flatnonzero(from_end >= ratio * depth)[-1]) if (from_end >= ratio * depth).any() else 0
         short = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
-        if short is not None and _gap(short, way[-1]) <= _SHORT_BEYOND:
+        if short is not None and _misses(short, way[-1], others) <= _SHORT_BEYOND:
             return short
-    return end if end is not None and _gap(end, way[-1]) <= _FAR_BEYOND else None
+    return end if end is not None and _misses(end, way[-1], others) <= _FAR_BEYOND else None
 
 
-def end_at_opening(cavity: Cavity, way: Array, depth: Array, openings: Array) -> VesselEnd | None:
+def end_at_opening(
+    cavity: Cavity, way: Array, depth: Array, openings: Array, *, flared: bool = False
+) -> VesselEnd | None:
     """The end of a vessel at an opening of the surface next to where its way leads; None where there is none.
 
     Args:
         way: (n, 3) m along the vessel's middle, to somewhere at its end.
         depth: (n,) m, distance to the wall along it.
         openings: (k, 3) m, middles of the surface's openings.
+        flared: the vessel is short, and widens all the way to the one that it leaves.
     """
     from_end = arc_length(way[::-1])[::-1]
     start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
     radius = float(depth[start])
+    if flared:  # its full width is that of the wider vessel that it leaves
+        near = (from_end >= 4 * cavity.spacing) & (from_end <= 12 * cavity.spacing)
+        radius = float(np.median(depth[near])) if near.any() else radius
+        start = int(np.flatnonzero(from_end >= 2 * radius)[-1]) if (from_end >= 2 * radius).any() else 0
     away = np.linalg.norm(openings - way[-1], axis=1)
     if len(away) == 0 or away.min() > _AT_OPENING * radius + 2 * cavity.spacing:
         return None
@@ -132,8 +150,9 @@ def end_at_opening(cavity: Cavity, way: Array, depth: Array, openings: Array) ->
     along = _direction(inner, 1.5 * radius)
     if length > 3 * cavity.spacing and onward @ along > 0.5 * length:
         along = onward / length
-    centre = opening - 1.5 * cavity.spacing * along
-    if not cavity.holds(cavity.inside, centre):
+    centres = [opening - back * cavity.spacing * along for back in (1.5, 2.5, 3.5)]
+    centre = next((place for place in centres if cavity.holds(cavity.inside, place)), None)
+    if centre is None:
         return None
     track = resampled(np.concatenate([inner, centre[None]]), cavity.spacing)
     return VesselEnd(centre, along, max(1.2 * radius, 2 * cavity.spacing), track)
@@ -151,6 +170,17 @@ def severs(end: VesselEnd, way: Array) -> bool:
         if max(_gap(end, point) for point in (beyond[0], beyond[-1])) > _BEYOND:
             return True
     return False
+
+
+def same_end(end: VesselEnd, other: VesselEnd) -> bool:
+    """Whether two ends are one."""
+    gap = float(np.linalg.norm(end.centre - other.centre))
+    return gap < 0.9 * max(end.radius, other.radius) and float(end.normal @ other.normal) > 0.3
+
+
+def _misses(end: VesselEnd, tip: Array, others: Sequence[VesselEnd]) -> float:
+    """How far an end lies from where its way leads, in radii; infinite for another vessel's."""
+    return float("inf") if any(same_end(end, other) for other in others) else _gap(end, tip)
 
 
 def _further(end: VesselEnd, other: VesselEnd | None, tip: Array) -> bool:

@@ -32,7 +32,7 @@ from cathsim.anatomy.mesh.surface_import import Names, SurfaceFacts, phantom_of_
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
-IMPORT_VERSION = 5  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 6  # raise it whenever the same file gives another phantom
 FINEST, COARSEST = 5e-4, 2.5e-3  # m, resolutions
 
 _MEASURED = 4  # parts whose width is measured for the unit

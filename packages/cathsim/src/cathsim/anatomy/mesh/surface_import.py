@@ -16,7 +16,7 @@ from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels, turned
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity, largest_part
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity
-from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, severs
+from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, same_end, severs
 from cathsim.anatomy.mesh.lattice import lattice_spacing
 from cathsim.anatomy.mesh.naming import (
     ascending_score,
@@ -42,6 +42,8 @@ _FINEST_GRID = 5e-4  # m
 _TORN_OFF = 0.03  # of the lumen: a part of this size that no coarse voxel joins to the rest is no speck
 _AT_OPENING = 3.0  # coarse voxels between the middle of an opening and the lumen's nearest one
 _SHORT_OF = 4e-3  # m before an opening at which an end that was found otherwise may lie
+_BESIDE = 1.6  # radii from the middle of an end: a way that leads further off leads elsewhere
+_NARROWER = 0.7  # of a wide vessel's radius: the end of a short one beside it is not wider
 _SAMPLES = 0.7  # voxels between points on the surface
 
 Names = Mapping[str, str] | Sequence[str] | None
@@ -255,12 +257,19 @@ def _find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[
     for way in [longest[::-1], *ways]:
         points, depth = paths.points(way), paths.depth[tuple(way.T)]
         end = find_end(cavity, wall, points, depth)
-        open_end = end_at_opening(cavity, points, depth, openings)
-        if open_end is not None and (end is None or (end.centre - open_end.centre) @ open_end.normal < -_SHORT_OF):
-            end = open_end
+        if end is not None and (others := [o for o, _ in found if same_end(end, o) and _is_beside(o, points[-1])]):
+            # A short vessel beside a wide one: what was found is that one's end.
+            end = end_at_opening(cavity, points, depth, openings, flared=True)
+            end = end or find_end(cavity, wall, points, depth, others)
+            if end is not None and end.radius > _NARROWER * others[0].radius:
+                end = None
+        else:
+            open_end = end_at_opening(cavity, points, depth, openings)
+            if open_end is not None and (end is None or (end.centre - open_end.centre) @ open_end.normal < -_SHORT_OF):
+                end = open_end
         if end is None:
             lost += 1
-        elif not any(_same(end, other) for other, _ in found):
+        elif not any(same_end(end, other) for other, _ in found):
             found.append((end, way))
     ends = [
         end
@@ -298,9 +307,9 @@ def _voxels_at(paths: LumenPaths, places: Array) -> Voxels:
     return at[np.argsort(-paths.depth[tuple(at.T)], kind="stable")]
 
 
-def _same(end: VesselEnd, other: VesselEnd) -> bool:
-    gap = float(np.linalg.norm(end.centre - other.centre))
-    return gap < 0.9 * max(end.radius, other.radius) and float(end.normal @ other.normal) > 0.3
+def _is_beside(end: VesselEnd, tip: Array) -> bool:
+    """Whether a way's last point lies beside the vessel that an end closes."""
+    return bool(np.linalg.norm(tip - end.centre) > _BESIDE * end.radius)
 
 
 def _find_vessels(
