@@ -1,4 +1,4 @@
-"""Every range of seeds that the pipeline uses: of random arches, and of the resets that episodes begin with.
+"""Every range of seeds that the pipeline uses: of random arches, of copies of an anatomy, and of episodes' resets.
 
 Ranges of one table never meet, whatever run seed is allowed, so nothing is tested on what it learnt from or was chosen
 by. A range belongs to one purpose. Most are cut into equal parts, one for each run seed or training seed.
@@ -75,6 +75,12 @@ EPISODES = {
     "test": SeedRange(5_000_000_000, 1_000, _TRAININGS, "test episodes"),
 }
 RETIRED_EPISODES = (range(1_000_000, 2_000_000),)
+
+ANATOMY_COPIES = {  # of an anatomy, as cathsim.rehearsal draws them; 0 is the anatomy itself
+    "training": SeedRange(1, 1_000, _TRAININGS, "copies to train in"),
+    "validation": SeedRange(1_000_001, 1_000, 1, "validation copies"),
+    "test": SeedRange(2_000_001, 1_000, 1, "test copies"),
+}
 
 _ROUND, _COURSE = 10_000, 1_000  # seeds of a round of a navigator's advised episodes, of a course in it
 _UNSEEN_ROUND = 100_000  # ... of a round of an image policy's
@@ -169,6 +175,21 @@ def unseen_episode_seeds(run_seed: int, number: int, count: int) -> range:
 def arch_demonstration_seed(run_seed: int) -> int:
     """Seed of the start of demonstrations in random arches; each is played in an arch of its own."""
     return EPISODES["unseen, demonstrations"].part(run_seed, 1)[0]
+
+
+def training_copies(training_seed: int, count: int) -> range:
+    """Seeds of the perturbed copies of an anatomy that a rehearsal trains in."""
+    return ANATOMY_COPIES["training"].part(training_seed, count)
+
+
+def validation_copies(count: int) -> range:
+    """Seeds of the perturbed copies that choose a rehearsal's best policy."""
+    return ANATOMY_COPIES["validation"].part(0, count)
+
+
+def held_out_copies(count: int) -> range:
+    """Seeds of the perturbed copies in which rehearsals are tested, the same for every run."""
+    return ANATOMY_COPIES["test"].part(0, count)
 
 
 def fit_seed(seed: int, number: int) -> int:

@@ -1,4 +1,4 @@
-"""Import of a mesh, and whether the sampling expert finds its way in it.
+"""Import of an anatomy from files, and whether the sampling expert finds its way in it.
 
     python benchmarks/cathsim/mesh_import.py PATH [--quick] [--unit mm] [--seeds N] [--targets bca,lcca]
 
@@ -26,7 +26,7 @@ import numpy as np
 
 from benchmarks.cathsim.expert import episode
 from cathsim import load_guidewire
-from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
+from cathsim.anatomy import MeshRefusedError, Phantom, import_anatomy
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.guidewire import Guidewire
 
@@ -42,7 +42,7 @@ def wire_for(phantom: Phantom, targets: list[str]) -> Guidewire:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("path", type=Path, help="STL, OBJ or PLY")
+    parser.add_argument("path", type=Path, help="a surface, a label volume, or a folder of them")
     parser.add_argument("--quick", action="store_true", help="one seed, under 30 s beside the import")
     parser.add_argument("--unit", default=None)
     parser.add_argument("--seeds", type=int, default=5)
@@ -52,7 +52,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as directory:
         cpu = time.process_time()
         try:
-            phantom = import_mesh(arguments.path, unit=arguments.unit, cache_dir=Path(directory))
+            phantom = import_anatomy(arguments.path, unit=arguments.unit, cache_dir=Path(directory))
         except MeshRefusedError as error:
             sys.exit(f"refused: {error.reason}")
         build_s, build_cpu_s = time.perf_counter() - began, time.process_time() - cpu

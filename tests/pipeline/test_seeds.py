@@ -18,7 +18,8 @@ _SMALL = 100  # numbers from here on begin or divide a range; a module may well 
 
 
 @pytest.mark.parametrize(
-    ("table", "retired"), [(seeds.ARCHES, seeds.RETIRED_ARCHES), (seeds.EPISODES, seeds.RETIRED_EPISODES)]
+    ("table", "retired"),
+    [(seeds.ARCHES, seeds.RETIRED_ARCHES), (seeds.EPISODES, seeds.RETIRED_EPISODES), (seeds.ANATOMY_COPIES, ())],
 )
 def test_ranges_are_disjoint_for_every_seed(table: dict[str, seeds.SeedRange], retired: tuple[range, ...]) -> None:
     every = {name: one.all for name, one in table.items()}
@@ -44,6 +45,12 @@ def test_what_functions_give_lies_in_their_range() -> None:
     }
     for name, several in given.items():
         assert all(set(one) <= set(seeds.ARCHES[name].all) for one in several)
+    copies = {
+        "training": seeds.training_copies(training, 1_000),
+        "validation": seeds.validation_copies(1_000),
+        "test": seeds.held_out_copies(1_000),
+    }
+    assert all(set(one) <= set(seeds.ANATOMY_COPIES[name].all) for name, one in copies.items())
     episodes = {
         "sampling expert": [seeds.demonstration_seeds(training, 1_000)],
         "expert": [seeds.expert_seeds(training, 1_000)],

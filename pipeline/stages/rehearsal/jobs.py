@@ -21,7 +21,7 @@ import numpy as np
 
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin, controllers, run_trials
-from pipeline.seeds import held_out_seeds
+from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, training_copies, validation_copies
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.unseen.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING, ROADMAP_KEYS
@@ -35,9 +35,6 @@ if TYPE_CHECKING:
 
 STARTS, POLICY = "starts.npz", "policy.pt"
 SCAN, COPIES = "scan", "copies"  # sets of tests
-# Seeds of copies; 0 is the scan. Those of the tests are met nowhere else.
-VALIDATION, TEST = 1_000_001, 2_000_001
-_COPIES_A_SEED = 1_000  # of a run
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record")
 _ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
 _LAID = 0.1  # of the training's job
@@ -137,8 +134,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
 
     settings, seed = job.settings, job.origin.training_seed
     begun = time.process_time()
-    first = 1 + _COPIES_A_SEED * seed
-    copies = (0, *range(first, first + settings.copies))
+    copies = (0, *training_copies(seed, settings.copies))
     starts = _laid_starts(job, copies, report)
     preset = replace(DESK_PPO, keys=ROADMAP_KEYS, reset_bank_share=0.5)
     if settings.algorithm == "sac":
@@ -157,9 +153,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     with stopping_the_stage(CheckpointError, ValueError):
         result = rehearse(
             partial(copies_environment, job, copies, training=True),
-            make_validation_env=partial(
-                copies_environment, job, (0, *range(VALIDATION, VALIDATION + settings.validation_copies))
-            ),
+            make_validation_env=partial(copies_environment, job, (0, *validation_copies(settings.validation_copies))),
             policy=None if job.start is None else Policy.load(job.start, report.device),
             settings=training,
             starts=starts,
@@ -209,7 +203,8 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
         environment.reset(seed=0, options={"case": case})
         folder = job.folder / str(job.tested) / kind / str(copy)
         count = job.settings.scan_episodes if copy == 0 else 1
-        seeds = held_out_seeds(job.origin.training_seed, count if copy == 0 else 1 + copy - TEST)[-count:]
+        begun = 0 if copy == 0 else copy - ANATOMY_COPIES["test"].first
+        seeds = held_out_seeds(job.origin.training_seed, begun + count)[begun:]
         metrics = run_trials(
             environment.current,
             controllers(policy, job.settings.mode),

@@ -13,13 +13,13 @@ from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
 from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.rehearsal.jobs import (
     COPIES,
     POLICY,
     PRELOAD,
     SCAN,
-    TEST,
     RehearsalJob,
     fitted_task,
     load_anatomy,
@@ -99,7 +99,7 @@ def plan(settings: RehearsalSettings, context: StageContext, task: Task, target:
 
 
 def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...]) -> list[Job]:
-    copies = range(TEST, TEST + job.settings.test_copies)
+    copies = held_out_copies(job.settings.test_copies)
     sets = {f"{tested}/{SCAN}": (0,)} | {
         f"{tested}/{COPIES}{part}": tuple(copies[part::_PARTS]) for part in range(min(_PARTS, len(copies)))
     }

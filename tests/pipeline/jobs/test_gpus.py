@@ -153,6 +153,7 @@ def test_other_words_are_refused(device: str) -> None:
 def test_every_stage_with_networks_has_a_device_that_changes_no_results() -> None:
     wanted = {
         "baselines", "enn", "imitation", "force", "unseen", "shape", "segmentation", "splineformer", "navigation",
+        "rehearsal",
     }  # fmt: skip
     there = {name for name, kind in SETTINGS.items() if "device" in {field.name for field in dataclasses.fields(kind)}}
     assert there == wanted

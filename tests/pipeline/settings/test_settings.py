@@ -31,12 +31,13 @@ ZERO_IS_LEGAL = {
     "path_penalty", "random_seeds", "perception_arches", "perception_epochs", "registration_noise_mm", "spell_chance",
     "split_seed", "start_jitter_mm",
     "start_rotation_deg", "test_arches", "test_images", "threads", "updates", "validation_noise_px", "wire_length_mm",
-    "workers",
+    "workers", "walls_mm", "shift_mm", "turn_deg", "stiffness_pct", "friction_pct", "breathing_mm", "phantom_seed",
+    "force_penalty",
 }  # fmt: skip
 ZERO_IS_REFUSED_THERE = {("unseen", "epochs"), ("navigation", "epochs")}
 # Texts that are no names: paths, which may lie anywhere, and what is filled in.
 NOT_NAMES = {"mesh", "unit", "root", "image_root", "calibration", "pretrained", "mesh_sha256", "root_sha256",
-             "catheter"}  # fmt: skip
+             "catheter", "file", "file_sha256", "policy", "policy_sha256"}  # fmt: skip
 BAD_NAMES = ("../elsewhere", "/etc", "a/b", "..", "a b", "", "a" * 300, "a\\b")
 
 

@@ -15,9 +15,8 @@ from enn.policy import Policy
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
+from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.jobs import (
-    TEST,
-    VALIDATION,
     RehearsalJob,
     copies_environment,
     fitted_task,
@@ -31,6 +30,7 @@ from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
 
+FIRST = ANATOMY_COPIES["test"].first
 TINY: dict[str, Any] = {
     "copies": 1,
     "validation_copies": 1,
@@ -66,16 +66,16 @@ def test_it_trains_in_copies_and_logs_its_tests(tmp_path: Path, changed: dict[st
     assert policy.action_space.shape == ((4,) if "catheter" in changed else (2,))
     with np.load(tmp_path / "starts.npz") as starts:
         assert {int(states[0, -1]) for states in starts.values() if len(states)} == {0, 1}
-    tested = dataclasses.replace(job, policy=job.own_folder / "policy.pt", tested="after", copies=(TEST, TEST + 1))
+    tested = dataclasses.replace(job, policy=job.own_folder / "policy.pt", tested="after", copies=(FIRST, FIRST + 1))
     outcome = play(tested, Report())
     assert len(outcome["success"]) == 2
-    with EpisodeReader(tmp_path / "after/copies" / str(TEST) / "000.mcap") as log:
-        assert log.info.phantom == f"type_1_copy{TEST}"
-        assert log.info.configuration["copy"] == TEST
+    with EpisodeReader(tmp_path / "after/copies" / str(FIRST) / "000.mcap") as log:
+        assert log.info.phantom == f"type_1_copy{FIRST}"
+        assert log.info.configuration["copy"] == FIRST
         assert len(outcome["forces"][0]) == log.last_step
-    before = (tmp_path / "after/copies" / str(TEST) / "000.mcap").stat().st_mtime_ns
+    before = (tmp_path / "after/copies" / str(FIRST) / "000.mcap").stat().st_mtime_ns
     assert play(tested, Report()) == outcome  # nothing is played again
-    assert (tmp_path / "after/copies" / str(TEST) / "000.mcap").stat().st_mtime_ns == before
+    assert (tmp_path / "after/copies" / str(FIRST) / "000.mcap").stat().st_mtime_ns == before
 
 
 def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> N
     jobs = {job.key: job for job in plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", Path("p.pt"))}
     tested = [copy for key in jobs if "copies" in key for copy in jobs[key].given.copies]
     assert len(tested) == 60  # before and after
-    assert min(tested) >= TEST > VALIDATION + 1000 > 500 * 1000 + 16  # training seeds have 1,000 each
+    assert set(tested) <= set(ANATOMY_COPIES["test"].all)
     assert {jobs[key].after for key in jobs if key.startswith("before")} == {()}
     assert {jobs[key].after for key in jobs if key.startswith("after")} == {("training",)}
 
