@@ -9,6 +9,7 @@ from typing import Any
 from cathsim.anatomy.mesh.importer import import_mesh, mesh_digest
 from cathsim.anatomy.mesh.reading import is_mesh_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.mesh.request import names_of
 from cathsim.anatomy.mesh.surface_import import Names
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.volume.importer import import_volume, volume_digest
@@ -72,7 +73,7 @@ def import_again(source: Mapping[str, Any], resolution: float) -> Phantom:
         source["path"],
         unit=source["unit"],
         labels=dict(labels) if labels else None,
-        names=dict(names) if names and not isinstance(names[0], str) else names,
+        names=names_of(names),
         resolution=resolution,
     )
 

@@ -8,47 +8,8 @@
 
 #include "lattice.h"
 
-typedef struct {
-  double value;
-  int32_t node;
-} Entry;
-
-typedef struct {
-  Entry* entries;
-  int64_t count, capacity;
-} Heap;
-
-static int push(Heap* h, double value, int32_t node) {
-  if (h->count == h->capacity) {
-    int64_t capacity = h->capacity ? 2 * h->capacity : 4096;
-    Entry* grown = realloc(h->entries, capacity * sizeof(Entry));
-    if (!grown) return 0;
-    h->entries = grown;
-    h->capacity = capacity;
-  }
-  int64_t i = h->count++;
-  while (i > 0 && h->entries[(i - 1) / 2].value > value) {
-    h->entries[i] = h->entries[(i - 1) / 2];
-    i = (i - 1) / 2;
-  }
-  h->entries[i] = (Entry){value, node};
-  return 1;
-}
-
-static Entry pop(Heap* h) {
-  Entry top = h->entries[0], last = h->entries[--h->count];
-  int64_t i = 0;
-  for (;;) {
-    int64_t child = 2 * i + 1;
-    if (child >= h->count) break;
-    if (child + 1 < h->count && h->entries[child + 1].value < h->entries[child].value) child++;
-    if (h->entries[child].value >= last.value) break;
-    h->entries[i] = h->entries[child];
-    i = child;
-  }
-  if (h->count > 0) h->entries[i] = last;
-  return top;
-}
+#define BEFORE(a, b) ((a).value < (b).value)
+#include "heap.h"
 
 typedef struct {
   const NodeSet* set;
@@ -115,7 +76,7 @@ int cathsim_march(const NodeSet* set, const uint8_t* inside, double spacing, uin
   Heap heap = {0};
   int failed = 0;
   for (int32_t node = 0; node < set->count && !failed; node++)
-    if (inside[node] && isfinite(distance[node])) failed = !push(&heap, distance[node], node);
+    if (inside[node] && isfinite(distance[node])) failed = !push(&heap, (Entry){distance[node], node});
   while (heap.count > 0 && !failed) {
     const Entry top = pop(&heap);
     if (accepted[top.node] || top.value > distance[top.node]) continue;
@@ -127,7 +88,7 @@ int cathsim_march(const NodeSet* set, const uint8_t* inside, double spacing, uin
         const double value = solve(&march, node);
         if (value < distance[node]) {
           distance[node] = value;
-          if (!push(&heap, value, node)) failed = 1;
+          if (!push(&heap, (Entry){value, node})) failed = 1;
         }
       }
     }

@@ -7,50 +7,10 @@
 
 enum { MOVES = 26 };
 
-typedef struct {
-  double estimate; /* of the whole way through the node */
-  int32_t node;
-} Entry;
-
-typedef struct {
-  Entry* entries;
-  int64_t count, capacity;
-} Heap;
-
-/* Among equal estimates the lower number goes first: the way found does not depend on the heap. */
-static int before(Entry a, Entry b) { return a.estimate < b.estimate || (a.estimate == b.estimate && a.node < b.node); }
-
-static int push(Heap* h, Entry entry) {
-  if (h->count == h->capacity) {
-    const int64_t capacity = h->capacity ? 2 * h->capacity : 4096;
-    Entry* grown = realloc(h->entries, capacity * sizeof(Entry));
-    if (!grown) return 0;
-    h->entries = grown;
-    h->capacity = capacity;
-  }
-  int64_t i = h->count++;
-  while (i > 0 && before(entry, h->entries[(i - 1) / 2])) {
-    h->entries[i] = h->entries[(i - 1) / 2];
-    i = (i - 1) / 2;
-  }
-  h->entries[i] = entry;
-  return 1;
-}
-
-static Entry pop(Heap* h) {
-  const Entry top = h->entries[0], last = h->entries[--h->count];
-  int64_t i = 0;
-  for (;;) {
-    int64_t child = 2 * i + 1;
-    if (child >= h->count) break;
-    if (child + 1 < h->count && before(h->entries[child + 1], h->entries[child])) child++;
-    if (!before(h->entries[child], last)) break;
-    h->entries[i] = h->entries[child];
-    i = child;
-  }
-  if (h->count > 0) h->entries[i] = last;
-  return top;
-}
+/* The value is an estimate of the whole way through the node. Among equal ones the lower number goes first: the way
+ * found does not depend on the heap. */
+#define BEFORE(a, b) ((a).value < (b).value || ((a).value == (b).value && (a).node < (b).node))
+#include "heap.h"
 
 /* Cheapest way from node `begin` to `goal`.
  *

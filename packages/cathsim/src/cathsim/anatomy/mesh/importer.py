@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,15 +24,13 @@ from cathsim.anatomy.mesh.reading import (
     measure_size,
 )
 from cathsim.anatomy.mesh.report import MeshRefusedError, draw_refusal
+from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, content_digest, hashable_names, names_of
 from cathsim.anatomy.mesh.surface_import import Names, SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
 IMPORT_VERSION = 6  # raise it whenever the same file gives another phantom
-FINEST, COARSEST = 5e-4, 2.5e-3  # m, resolutions
-
 _MEASURED = 4  # parts whose width is measured for the unit
-_importing = threading.Lock()
 
 
 def import_mesh(
@@ -65,30 +59,20 @@ def import_mesh(
         ValueError: for an impossible resolution.
     """
     check_unit(unit)
-    if not (isinstance(resolution, int | float) and math.isfinite(resolution) and FINEST <= resolution <= COARSEST):
-        raise ValueError(f"resolution must lie in [{FINEST:g}, {COARSEST:g}] m for a mesh, got {resolution!r}.")
+    resolution = check_resolution(resolution, "mesh")
     path = Path(path).expanduser()
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
-    chosen: tuple | None = None if not names else tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
-    with _importing:
-        return _load(
-            path, mesh_digest(path, unit, chosen, float(resolution)), unit, chosen, float(resolution), directory
-        )
+    chosen = hashable_names(names)
+    with ONE_AT_A_TIME:
+        return _load(path, mesh_digest(path, unit, chosen, resolution), unit, chosen, resolution, directory)
 
 
 def mesh_digest(path: Path, unit: str | None, names: tuple | None, resolution: float) -> str:
     """The hash of the phantom that an import gives: of the file's content and the settings."""
-    digest = hashlib.blake2b(digest_size=16)
-    settings = {"importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution}
-    digest.update(json.dumps(settings).encode())
     if not path.exists():
         raise MeshRefusedError(f"there is no file {path}; give the path of an {FORMATS} file.")
-    for one in folder_files(path) if path.is_dir() else [path]:
-        digest.update(one.name.encode() if path.is_dir() else b"")
-        with one.open("rb") as file:
-            while block := file.read(1 << 22):
-                digest.update(block)
-    return digest.hexdigest()
+    settings = {"importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution}
+    return content_digest(settings, folder_files(path) if path.is_dir() else [path], in_folder=path.is_dir())
 
 
 @lru_cache(maxsize=16)
@@ -107,7 +91,6 @@ def _load(
 
 
 def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, picture: Path) -> Phantom:
-    own: Names = dict(names) if names and isinstance(names[0], tuple) else names
     parts, faces, notes = read_parts(path)
     chosen, reason = unit, "given"
     try:
@@ -131,7 +114,7 @@ def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resol
             digest=digest,
             resolution=resolution,
             label_of=label_of,
-            names=own,
+            names=names_of(names),
             picture=picture,
         )
     except MeshRefusedError as error:

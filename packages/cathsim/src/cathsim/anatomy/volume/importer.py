@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
-import math
-import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from cathsim.anatomy.mesh.importer import COARSEST, FINEST
 from cathsim.anatomy.mesh.naming import ordered_names, propose_entries, propose_targets, renamed
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
+from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, content_digest, hashable_names, names_of
 from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, Names, SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
 from cathsim.anatomy.phantom import Phantom
@@ -30,8 +26,6 @@ logger = logging.getLogger(__name__)
 VOLUME_VERSION = 1  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
 _LEAST_ML = 1.0  # of a vessel whose volume is compared
-
-_importing = threading.Lock()
 
 
 def import_volume(
@@ -61,22 +55,18 @@ def import_volume(
         MeshRefusedError: a ValueError with the reason.
         ValueError: for an impossible resolution.
     """
-    if not (isinstance(resolution, int | float) and math.isfinite(resolution) and FINEST <= resolution <= COARSEST):
-        raise ValueError(f"resolution must lie in [{FINEST:g}, {COARSEST:g}] m for a volume, got {resolution!r}.")
+    resolution = check_resolution(resolution, "volume")
     path = Path(path).expanduser()
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
-    chosen: tuple | None = None if not names else tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
+    chosen = hashable_names(names)
     wanted = None if not labels else tuple(labels.items())
-    digest = volume_digest(path, wanted, chosen, float(resolution))
-    with _importing:
-        return _load(path, digest, wanted, chosen, float(resolution), directory)
+    with ONE_AT_A_TIME:
+        digest = volume_digest(path, wanted, chosen, resolution)
+        return _load(path, digest, wanted, chosen, resolution, directory)
 
 
 def volume_digest(path: Path, labels: tuple | None, names: tuple | None, resolution: float) -> str:
     """The hash of the phantom that an import gives: of the files' content and the settings."""
-    digest = hashlib.blake2b(digest_size=16)
-    settings = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
-    digest.update(json.dumps(settings).encode())
     if path.is_dir():
         asked = {str(label) for label, _ in labels or ()}
         files = [f for f in volume_files(path) if vessel_name(file_stem(f)) or file_stem(f) in asked]
@@ -84,12 +74,8 @@ def volume_digest(path: Path, labels: tuple | None, names: tuple | None, resolut
         files = [path]
     else:
         raise MeshRefusedError(f"there is no file {path}; give a NIfTI or NRRD file, or a folder of them.")
-    for one in files:
-        digest.update(one.name.encode() if path.is_dir() else b"")
-        with one.open("rb") as file:
-            while block := file.read(1 << 22):
-                digest.update(block)
-    return digest.hexdigest()
+    settings = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
+    return content_digest(settings, files, in_folder=path.is_dir())
 
 
 @lru_cache(maxsize=16)
@@ -99,8 +85,7 @@ def _load(
     cache = PhantomCache(directory)
     phantom = cache.read(file_stem(path), digest, None)
     if phantom is None:
-        own: Names = dict(names) if names and isinstance(names[0], tuple) else names
-        phantom = build_volume_phantom(path, digest, dict(labels) if labels else None, own, resolution)
+        phantom = build_volume_phantom(path, digest, dict(labels) if labels else None, names_of(names), resolution)
         cache.write(phantom)
     source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels}
     return replace(phantom, source=source)
@@ -129,8 +114,7 @@ def build_volume_phantom(path: Path, digest: str, labels: Labels, names: Names, 
     if not targets:
         raise MeshRefusedError(
             f"{volume.file} has no branch of the aorta that is wide and long enough for a wire and a target; export "
-            "the "
-            "branches of the arch, too."
+            "the branches of the arch, too."
         )
     phantom = Phantom(file_stem(path), digest, None, tree, grid, targets, propose_entries(tree))
     frame = volume.frame

@@ -101,6 +101,5 @@ def check_geometry(path: Path, shape: tuple[int, ...], affine: Array, metres: fl
         sides = " x ".join(f"{1e3 * side:.3g}" for side in spacing)
         raise MeshRefusedError(
             f"{path.name} has voxels of {sides} mm, expected {1e3 * _THINNEST:g} to {1e3 * _THICKEST:g} mm; correct "
-            "the "
-            "unit in its header, or the affine."
+            "the unit in its header, or the affine."
         )
