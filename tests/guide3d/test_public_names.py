@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-PACKAGES = ("guide3d", "guide3d.calibration", "guide3d.dataset", "guide3d.reconstruction")
+PACKAGES = ("guide3d", "guide3d.calibration", "guide3d.dataset", "guide3d.dicom", "guide3d.reconstruction")
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -20,7 +20,8 @@ def cameras_in(folder: Path) -> tuple[Camera, Camera] | None:
     """Cameras A (detector 16710) and B (16709) of a folder, or of its sub-folder "calibration".
 
     Args:
-        folder: with *16710*.txt and *16709*.txt (world unit cm), or .yaml.
+        folder: with *16710*.txt and *16709*.txt (world unit cm), or .yaml; or with camera_a.* and camera_b.* of
+            another rig, as `python -m guide3d.dicom` writes them.
 
     Returns:
         Both; None where there is neither.
@@ -32,13 +33,18 @@ def cameras_in(folder: Path) -> tuple[Camera, Camera] | None:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is missing: expected a folder with camera files")
     for place in (folder / "calibration", folder):
-        files = {view: _only(place, detector, _CAMERA_ENDINGS) for view, detector in DETECTOR.items()}
+        files = {
+            view: _only(place, detector, _CAMERA_ENDINGS) or _only(place, f"camera_{view}", _CAMERA_ENDINGS)
+            for view, detector in DETECTOR.items()
+        }
         found = {view: file for view, file in files.items() if file is not None}
         if len(found) == 1:
-            missing = next(view for view in DETECTOR if view not in found)
+            ((view, file),) = found.items()
+            missing = "b" if view == "a" else "a"
+            wanted = f"*{DETECTOR[missing]}*" if DETECTOR[view] in file.name else f"camera_{missing}"
             raise FileNotFoundError(
-                f"{place} holds {next(iter(found.values())).name} only: the file of camera {missing.upper()}, "
-                f"*{DETECTOR[missing]}*.txt or .yaml, is missing"
+                f"{place} holds {file.name} only: the file of camera {missing.upper()}, {wanted}.txt or .yaml, "
+                "is missing"
             )
         if found:
             a, b = (
@@ -90,9 +96,10 @@ def distortions_of_sheets(folder: Path) -> tuple[Distortion, Distortion] | None:
     return a, b
 
 
-def _only(folder: Path, detector: str, endings: tuple[str, ...]) -> Path | None:
-    files = [file for ending in endings for file in sorted(folder.glob(f"*{detector}*.{ending}"))]
+def _only(folder: Path, name: str, endings: tuple[str, ...]) -> Path | None:
+    files = [file for ending in endings for file in sorted(folder.glob(f"*{name}*.{ending}"))]
     if len(files) > 1:
         names = ", ".join(file.name for file in files)
-        raise ValueError(f"{folder} holds several files of detector {detector} ({names}): keep the one that is meant")
+        what = f"detector {name}" if name in DETECTOR.values() else name
+        raise ValueError(f"{folder} holds several files of {what} ({names}): keep the one that is meant")
     return files[0] if files else None

@@ -1,0 +1,345 @@
+"""X-ray runs: pixels, grey values, times and geometry as written; damaged and foreign files; no word of the patient."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import sys
+import traceback
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pydicom = pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed")
+
+from pydicom.data import get_testdata_file  # noqa: E402
+from pydicom.pixels import apply_voi, apply_windowing  # noqa: E402
+from pydicom.uid import JPEGLosslessSV1, RLELossless  # noqa: E402
+
+from guide3d.dicom.xray_run import read_xray  # noqa: E402
+from tests.guide3d.dicom.lossless_jpeg import encode_lossless  # noqa: E402
+from tests.guide3d.dicom.written_xray import (  # noqa: E402
+    ENHANCED_XA,
+    PATIENT,
+    RF,
+    enhanced_groups,
+    frames_of,
+    item,
+    write,
+    xray_dataset,
+)
+
+LOSSLESS = importlib.util.find_spec("libjpeg") is not None
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+@pytest.mark.parametrize("count", [1, 3])
+def test_frames_come_back_as_stored(bits: int, count: int, tmp_path: Path) -> None:
+    frames = frames_of(count, 23, 33, bits)
+    changed = {"NumberOfFrames": None} if count == 1 else {}
+    run = read_xray(write(xray_dataset(frames, bits, **changed), tmp_path / "run.dcm"))
+    assert np.array_equal(run.frames, frames)
+    assert run.frames.dtype == frames.dtype
+    # without a window the whole range is shown, 0 black
+    assert np.array_equal(run.images(), np.rint(frames * (255 / (2**bits - 1))).astype(np.uint8))
+    assert len(run) == count
+
+
+def test_bits_above_the_stored_ones_are_left_out(tmp_path: Path) -> None:
+    frames = frames_of(2, bits=10)
+    with_overlay = frames | np.uint16(0x8000)
+    run = read_xray(write(xray_dataset(with_overlay, 10), tmp_path / "run.dcm"))
+    assert np.array_equal(run.frames, frames)
+
+
+@pytest.mark.parametrize(
+    "window",
+    [
+        {"WindowCenter": "500", "WindowWidth": "300"},
+        {"WindowCenter": "500", "WindowWidth": "1"},
+        {"WindowCenter": ["400", "9"], "WindowWidth": ["800", "3"]},
+        {"WindowCenter": "500", "WindowWidth": "300", "VOILUTFunction": "LINEAR_EXACT"},
+        {"WindowCenter": "500", "WindowWidth": "300", "VOILUTFunction": "SIGMOID"},
+    ],
+)
+@pytest.mark.parametrize("inverse", [False, True])
+def test_windows_are_those_of_pydicom(window: dict[str, Any], inverse: bool, tmp_path: Path) -> None:
+    frames = frames_of(2, bits=10)
+    kind = "MONOCHROME1" if inverse else "MONOCHROME2"
+    dataset = xray_dataset(frames, 10, PhotometricInterpretation=kind, **window)
+    run = read_xray(write(dataset, tmp_path / "run.dcm"))
+    expected = apply_windowing(frames, dataset) / 1023
+    assert np.array_equal(run.images(), np.rint(255 * (1 - expected if inverse else expected)).astype(np.uint8))
+
+
+def test_a_table_of_grey_values_goes_before_the_window(tmp_path: Path) -> None:
+    table = np.linspace(0, 4095, 600).astype(np.uint16)
+    dataset = xray_dataset(frames_of(1, bits=10), 10, WindowCenter="9", WindowWidth="2")
+    dataset.VOILUTSequence = [item(LUTDescriptor=[600, 100, 12], LUTData=table.tobytes())]
+    run = read_xray(write(dataset, tmp_path / "run.dcm"))
+    expected = apply_voi(frames_of(1, bits=10), dataset) / 4095
+    assert np.array_equal(run.images(), np.rint(255 * expected).astype(np.uint8))
+    assert run.images().min() == 0
+
+
+@pytest.mark.parametrize(
+    ("timing", "expected"),
+    [
+        ({"FrameTime": "66.5"}, [0.0, 66.5, 133.0]),
+        ({"FrameTimeVector": ["0", "60", "80"]}, [0.0, 60.0, 140.0]),
+        ({"CineRate": "25"}, [0.0, 40.0, 80.0]),
+        ({"RecommendedDisplayFrameRate": "10"}, [0.0, 100.0, 200.0]),
+        ({}, None),
+    ],
+)
+def test_times(timing: dict[str, Any], expected: list[float] | None, tmp_path: Path) -> None:
+    run = read_xray(write(xray_dataset(frames_of(3), **timing), tmp_path / "run.dcm"))
+    assert (run.times_ms is None) if expected is None else np.allclose(run.times_ms, expected)
+
+
+def test_geometry_of_a_run_that_stands_still(tmp_path: Path) -> None:
+    more = {
+        "FieldOfViewShape": "ROUND",
+        "FieldOfViewDimensions": ["229"],
+        "TableHeight": "110",
+        "PatientOrientation": ["L", "F"],
+        "DetectorPrimaryAngle": "1.5",
+    }
+    run = read_xray(write(xray_dataset(frames_of(3), **more), tmp_path / "run.dcm"))
+    assert (run.primary_deg == 30).all()
+    assert (run.secondary_deg == -20).all()
+    assert (run.source_detector_mm == 1100).all()
+    assert (run.source_isocentre_mm == 750).all()
+    assert (run.pixel_mm == [0.2, 0.4]).all()  # x, y; DICOM has rows first
+    assert (run.field_of_view_mm, run.field_of_view_shape) == ((229.0,), "ROUND")
+    assert run.table_mm.shape == (3, 3)
+    assert (run.table_mm[:, 0] == 110).all()
+    assert run.orientation == ("L", "F")
+    assert run.beam_tilt_deg == 1.5
+    assert not run.moves
+    assert not run.warnings
+
+
+def test_one_increment_is_a_step_and_one_a_frame_are_offsets(tmp_path: Path) -> None:
+    turning = {"PositionerPrimaryAngleIncrement": "1.5", "PositionerSecondaryAngleIncrement": ["0", "2", "5"],
+               "TableLateralIncrement": ["0", "1", "4"]}  # fmt: skip
+    run = read_xray(write(xray_dataset(frames_of(3), **turning), tmp_path / "run.dcm"))
+    assert np.allclose(run.primary_deg, [30, 31.5, 33])
+    assert np.allclose(run.secondary_deg, [-20, -18, -15])
+    assert np.allclose(run.table_mm[:, 2], [0, 1, 4])
+    assert run.moves
+    dataset = xray_dataset(frames_of(3), PositionerPrimaryAngleIncrement=["1", "2"])
+    wrong = write(dataset, tmp_path / "wrong.dcm")
+    with pytest.raises(ValueError, match=r"PositionerPrimaryAngleIncrement should have one value or one .* found 2"):
+        read_xray(wrong)
+
+
+def test_distances_and_spacing_follow_from_what_else_is_there(tmp_path: Path) -> None:
+    less = {
+        "DistanceSourceToPatient": None,
+        "EstimatedRadiographicMagnificationFactor": "1.5",
+        "ImagerPixelSpacing": None,
+        "FieldOfViewDimensions": ["160", "120"],
+        "BurnedInAnnotation": "YES",
+    }
+    run = read_xray(write(xray_dataset(frames_of(1, 24, 32), **less), tmp_path / "run.dcm"))
+    assert np.allclose(run.source_isocentre_mm, 1100 / 1.5)
+    assert np.allclose(run.pixel_mm, 5.0)
+    assert [word in " ".join(run.warnings) for word in ("magnification", "field of view", "name the patient")] == 3 * [
+        True
+    ]
+
+
+def test_enhanced_runs_say_it_frame_by_frame(tmp_path: Path) -> None:
+    frames = frames_of(3)
+    dataset = xray_dataset(frames, kind=ENHANCED_XA, **enhanced_groups([0.0, 10.0, 20.0]))
+    run = read_xray(write(dataset, tmp_path / "run.dcm"))
+    assert np.allclose(run.primary_deg, [0, 10, 20])
+    assert np.allclose(run.secondary_deg, 0)
+    assert np.allclose(run.source_detector_mm, 1100)
+    assert np.allclose(run.source_isocentre_mm, 750)
+    assert np.allclose(run.pixel_mm, 0.3)
+    assert np.allclose(run.table_mm, [5, 1, 2])
+    assert run.times_ms is not None
+    assert np.allclose(run.times_ms, [0, 50, 100])
+    assert run.moves
+    for k in range(3):  # each frame has its own window
+        window = {"WindowCenter": 100 + 20 * k, "WindowWidth": 100, "BitsStored": 8, "PixelRepresentation": 0}
+        shown = apply_windowing(frames[k], item(PhotometricInterpretation="MONOCHROME2", **window))
+        assert np.array_equal(run.image(k), np.rint(shown).astype(np.uint8))
+
+
+def test_run_length_coding_is_read(tmp_path: Path) -> None:
+    frames = frames_of(2, bits=10)
+    dataset = xray_dataset(frames, 10)
+    dataset.compress(RLELossless)
+    assert np.array_equal(read_xray(write(dataset, tmp_path / "run.dcm")).frames, frames)
+
+
+def lossless_file(path: Path, frames: np.ndarray, bits: int) -> Path:
+    dataset = xray_dataset(frames, bits)
+    dataset.PixelData = pydicom.encaps.encapsulate([encode_lossless(frame, bits) for frame in frames])
+    dataset["PixelData"].VR = "OB"
+    dataset["PixelData"].is_undefined_length = True
+    dataset.file_meta.TransferSyntaxUID = JPEGLosslessSV1
+    return write(dataset, path)
+
+
+@pytest.mark.skipif(not LOSSLESS, reason="the extra guide3d[lossless] is not installed")
+@pytest.mark.parametrize("bits", [8, 12])
+def test_lossless_jpeg_is_read(bits: int, tmp_path: Path) -> None:
+    frames = frames_of(2, 40, 56, bits)
+    assert np.array_equal(read_xray(lossless_file(tmp_path / "run.dcm", frames, bits)).frames, frames)
+
+
+@pytest.mark.skipif(LOSSLESS, reason="the extra guide3d[lossless] is installed")
+def test_lossless_jpeg_without_its_decoder_says_what_to_install(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"JPEG lossless.*pip install 'endonav-guide3d\[lossless\]'"):
+        read_xray(lossless_file(tmp_path / "run.dcm", frames_of(2), 8))
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"kind": "1.2.840.10008.5.1.4.1.1.2"}, "expected an X-ray run .* found CT Image Storage"),
+        ({"kind": "1.2.840.10008.5.1.4.1.1.12.3"}, "found X-Ray Angiographic Bi-Plane Image Storage"),
+        ({"kind": "1.2.3.4"}, "found a file of another kind"),
+        ({"SamplesPerPixel": 3}, "grey pictures, found colour"),
+        ({"PhotometricInterpretation": "PALETTE COLOR"}, "grey pictures, found colour"),
+        ({"PixelRepresentation": 1}, "unsigned pixels .* signed"),
+        ({"HighBit": 6}, "unsigned pixels .* the highest 6"),
+        ({"BitsStored": None}, "does not say their size and bits"),
+        ({"Rows": 25}, "damaged or truncated"),
+        ({"NumberOfFrames": 30}, "damaged or truncated"),
+        ({"Rows": 60000}, "up to 8192 px"),
+        ({"WindowCenter": "7", "WindowWidth": "0"}, "at least one grey level"),
+    ],
+)
+def test_files_of_another_kind_are_one_sentence(changed: dict[str, Any], said: str, tmp_path: Path) -> None:
+    path = write(xray_dataset(frames_of(3), **changed), tmp_path / "run.dcm")
+    with pytest.raises(ValueError, match=said) as raised:
+        read_xray(path)
+    assert "\n" not in str(raised.value)
+    assert str(path) in str(raised.value)
+
+
+def test_fluoroscopy_is_read_without_angles(tmp_path: Path) -> None:
+    none = dict.fromkeys(("PositionerPrimaryAngle", "PositionerSecondaryAngle"))
+    run = read_xray(write(xray_dataset(frames_of(2), kind=RF, **none), tmp_path / "run.dcm"))
+    assert np.isnan(run.primary_deg).all()
+    assert not run.moves
+
+
+def test_no_pixels_and_no_dicom(tmp_path: Path) -> None:
+    dataset = xray_dataset(frames_of(2))
+    del dataset.PixelData
+    with pytest.raises(ValueError, match="found a DICOM file without pixel data"):
+        read_xray(write(dataset, tmp_path / "run.dcm"))
+    (tmp_path / "picture.dcm").write_bytes(b"\x89PNG" + bytes(500))
+    for name, said in (("picture.dcm", "found something else"), ("none.dcm", "is missing"), ("", "is missing")):
+        with pytest.raises((ValueError, FileNotFoundError), match=said):
+            read_xray(tmp_path / name)
+
+
+def test_without_pydicom_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(xray_dataset(frames_of(2)), tmp_path / "run.dcm")
+    monkeypatch.setitem(sys.modules, "pydicom", None)
+    with pytest.raises(ImportError, match=r"pip install 'endonav-guide3d\[dicom\]'"):
+        read_xray(path)
+
+
+def test_damaged_files_are_refused_or_read_and_never_quote_the_patient(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    dataset = xray_dataset(frames_of(3, 16, 16), FrameTime="66.5", StudyDate="19440607")
+    whole = write(dataset, tmp_path / "whole.dcm").read_bytes()
+    generator = np.random.default_rng(0)
+    cases = [whole[:length] for length in generator.integers(0, len(whole) - 1, 60).tolist()]
+    for bit in generator.integers(0, 8 * (len(whole) - 3 * 256), 150).tolist():
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        cases.append(bytes(damaged))
+    sentences, shown = [], []
+    with caplog.at_level(logging.DEBUG):
+        for case in cases:
+            (tmp_path / "run.dcm").write_bytes(case)
+            try:
+                shown.append(repr(read_xray(tmp_path / "run.dcm")))
+            except ValueError as error:
+                sentences.append(str(error))
+                shown.append(traceback.format_exc())  # with the errors that it hides, were they not hidden
+    assert len(sentences) > 60
+    assert not [said for said in sentences if "\n" in said]
+    out = capfd.readouterr()
+    everything = "\n".join([*shown, caplog.text, out.out, out.err])
+    assert not [secret for secret in (*PATIENT.values(), "Doe", "Jonathan", "774411") if secret in everything]
+
+
+def test_a_name_where_a_number_belongs_is_not_quoted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for keyword in ("PositionerPrimaryAngle", "DistanceSourceToDetector", "NumberOfFrames", "WindowCenter"):
+        dataset = xray_dataset(frames_of(3), WindowCenter="111111", WindowWidth="100", FrameTime="5")
+        path = write(dataset, tmp_path / "run.dcm")
+        tag = pydicom.tag.Tag(keyword)
+        raw = path.read_bytes()
+        at = raw.index(tag.group.to_bytes(2, "little") + tag.element.to_bytes(2, "little"))
+        length = int.from_bytes(raw[at + 6 : at + 8], "little")
+        raw = raw[: at + 8] + b"Jonathan"[:length].ljust(length) + raw[at + 8 + length :]
+        path.write_bytes(raw)
+        with caplog.at_level(logging.DEBUG), pytest.raises(ValueError, match=keyword) as raised:
+            read_xray(path)
+        out = capfd.readouterr()
+        assert "Jo" not in str(raised.value) + caplog.text + out.out + out.err
+
+
+def test_what_is_read_holds_no_attribute_of_the_patient(tmp_path: Path) -> None:
+    from guide3d.dicom.header import Header
+
+    path = write(xray_dataset(frames_of(1)), tmp_path / "run.dcm")
+    assert "PatientName" in pydicom.dcmread(path)
+    assert not [element.keyword for element in Header(path).dataset if element.tag.group == 0x0010]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("CT_small.dcm", "found CT Image Storage"),
+        ("MR_small.dcm", "found MR Image Storage"),
+        ("MR_truncated.dcm", "found MR Image Storage|damaged"),
+        ("rtplan.dcm", "found RT Plan Storage"),
+        ("ExplVR_BigEnd.dcm", "found Ultrasound Image Storage"),
+        ("SC_rgb_jpeg_gdcm.dcm", "found Secondary Capture Image Storage"),
+        ("no_meta.dcm", "found something else"),
+        ("DICOMDIR", "found Media Storage Directory Storage"),
+        ("waveform_ecg.dcm", "found 12-lead ECG Waveform Storage"),
+        ("README.txt", "found something else"),
+    ],
+)
+def test_files_of_pydicom_are_refused_by_name(name: str, said: str) -> None:
+    path = get_testdata_file(name, download=False)
+    if path is None:
+        pytest.skip(f"pydicom is installed without {name}")
+    with pytest.raises(ValueError, match=said):
+        read_xray(path)
+
+
+@pytest.mark.parametrize("name", ["MR_small.dcm", "MR_small_RLE.dcm", "MR_small_bigendian.dcm", "SC_rgb_jpeg_gdcm.dcm"])
+def test_pixels_of_pydicoms_files_are_decoded_as_an_x_ray_run(name: str, tmp_path: Path) -> None:
+    source = get_testdata_file(name, download=False)
+    if source is None:
+        pytest.skip(f"pydicom is installed without {name}")
+    dataset = pydicom.dcmread(source)
+    dataset.SOPClassUID = "1.2.840.10008.5.1.4.1.1.12.1"
+    dataset.file_meta.MediaStorageSOPClassUID = dataset.SOPClassUID
+    if dataset.SamplesPerPixel == 3:
+        pydicom.dcmwrite(tmp_path / "run.dcm", dataset)
+        with pytest.raises(ValueError, match="found colour"):
+            read_xray(tmp_path / "run.dcm")
+        return
+    dataset.PixelRepresentation = 0  # its values are positive
+    pydicom.dcmwrite(tmp_path / "run.dcm", dataset)
+    run = read_xray(tmp_path / "run.dcm")
+    assert np.array_equal(run.frames[0], pydicom.dcmread(source).pixel_array)
