@@ -17,12 +17,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from guide3d.calibration.cube_calibration import calibrate_folder
 from guide3d.calibration.report import figures
 from guide3d.calibration.synthetic_xray import SyntheticDetector, cube_points_mm, draw_cube, draw_sheet
 from guide3d.geometry.camera import Camera
+from guide3d.image_file import write_png
 
 
 def draw_folder(folder: Path, seed: int = 0) -> None:
@@ -39,8 +39,8 @@ def draw_folder(folder: Path, seed: int = 0) -> None:
         R = np.array([x, np.cross(z, x), z])
         K = np.array([[focal, 9.0, 500.0], [0.0, 0.995 * focal, 530.0], [0.0, 0.0, 1.0]])
         camera = Camera(K, R, -R @ (points.mean(axis=0) - distance * z), 1024, 1024)
-        Image.fromarray(draw_sheet(detector, rng, irregular=0.1)[0]).save(folder / f"undistort_{name}.png")
-        Image.fromarray(draw_cube(detector, camera, points, rng, marked)[0]).save(folder / f"drawn_{name}.png")
+        write_png(draw_sheet(detector, rng, irregular=0.1)[0], folder / f"undistort_{name}.png")
+        write_png(draw_cube(detector, camera, points, rng, marked)[0], folder / f"drawn_{name}.png")
     rows = "\n".join(",".join(f"{value:g}" for value in row) for row in points / 10)
     (folder / "framespec_cm.csv").write_text(f"x,y,z\n{rows}\n")
     (folder / "marks.ref").write_text("".join(f"{bead + 1} {kind}\n" for kind, bead in marked.items()))

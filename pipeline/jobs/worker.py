@@ -151,6 +151,8 @@ def work(
     meter = CostMeter()
     if "torch" in sys.modules:  # preloaded
         sys.modules["torch"].set_num_threads(1)
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(1)
     try:
         with noted(*notes):
             result = run(given, report)

@@ -15,6 +15,9 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
+from guide3d.image_filters import blurred, closed, laplacian, largest_around
+from guide3d.opencv import cv2
+
 logger = logging.getLogger(__name__)
 
 _RADII_PX = (3.5, 22.0)  # of beads looked for
@@ -127,16 +130,25 @@ def attenuation(image: np.ndarray) -> Attenuation:
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < 64:
         raise ValueError(f"expected a grey image (h, w) of at least 64 x 64 pixels, found shape {image.shape}")
-    grey = ndimage.gaussian_filter(image.astype(float), 0.7)
+    grey = blurred(image.astype(float), 0.7)
     full = np.percentile(grey, 99)
-    filled = ndimage.grey_closing(grey[::2, ::2], 25)  # beads filled up
-    lit = ndimage.binary_opening(filled > 0.15 * full, iterations=3)
+    filled = closed(np.ascontiguousarray(grey[::2, ::2]), 25)  # beads filled up
+    lit = _opened(filled > 0.15 * full)
     field = np.kron(lit, np.ones((2, 2), bool))[: image.shape[0], : image.shape[1]]
     logarithm = np.log(np.maximum(grey, 0.0) + 0.02 * max(full, 1.0))
-    coarse = ndimage.median_filter(logarithm[::4, ::4], 15)  # beads of up to 20 px radius vanish in it
-    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]] / 4.0
-    background = ndimage.map_coordinates(coarse, [rows, columns], order=1, mode="nearest")
+    # beads of up to 20 px radius vanish in it; OpenCV has wide medians of whole numbers only
+    coarse = ndimage.median_filter(logarithm[::4, ::4], 15)
+    scale, way = np.array([[0.25, 0.0, 0.0], [0.0, 0.25, 0.0]]), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    size = image.shape[1], image.shape[0]
+    background = cv2.warpAffine(coarse, scale, size, flags=way, borderMode=cv2.BORDER_REPLICATE)
     return Attenuation(np.where(field, background - logarithm, 0.0), field)
+
+
+def _opened(lit: np.ndarray) -> np.ndarray:
+    """The parts (h, w) of a lit field that are wider than 6 px; what lies outside the image is dark."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    worn = cv2.erode(lit.astype(np.uint8), cross, iterations=3, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(cv2.dilate(worn, cross, iterations=3), dtype=bool)
 
 
 def _candidates(light: Attenuation, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -146,9 +158,10 @@ def _candidates(light: Attenuation, radii: np.ndarray) -> tuple[np.ndarray, np.n
     # (at half the resolution, which is plenty for a start)
     h, w = (side // 2 for side in dark.shape)
     half = dark[: 2 * h, : 2 * w].reshape(h, 2, w, 2).mean(axis=(1, 3))
-    stack = np.stack([-(r**2) / 8 * ndimage.gaussian_laplace(half, r / np.sqrt(8)) for r in radii])
+    half = half.astype(np.float32)
+    stack = np.stack([-(r**2) / 8 * laplacian(half, r / np.sqrt(8)) for r in radii])
     best = stack.max(axis=0)
-    peak = (best == ndimage.maximum_filter(best, 5)) & field[: 2 * h : 2, : 2 * w : 2]
+    peak = (best == largest_around(best, 5)) & field[: 2 * h : 2, : 2 * w : 2]
     strong = np.sort(best[peak])[::-1]
     if not len(strong):
         return np.empty((0, 2)), np.empty(0)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from guide3d.geometry.camera import UNITS_MM
+from guide3d.image_file import ImageError, read_grey_levels
 
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _SHEET = "undistort"
@@ -77,13 +77,10 @@ def read_grey(path: str | Path) -> np.ndarray:
     if not path.is_file():
         raise FileNotFoundError(f"image {path} is missing")
     try:
-        with Image.open(path) as image:
-            image.load()
-            grey = image if image.mode in ("L", "I", "F") or image.mode.startswith("I;16") else image.convert("L")
-            values = np.asarray(grey, float)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        values = read_grey_levels(path).astype(float)
+    except ImageError as error:
         raise ValueError(f"{path}: expected a readable image, found a damaged or foreign file ({error})") from None
-    if values.ndim != 2 or np.ptp(values) == 0:
+    if np.ptp(values) == 0:
         raise ValueError(f"{path}: expected a grey X-ray image, found one value everywhere")
     return values
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from PIL import Image
-
 from guide3d.calibration.perforated_sheet import find_holes
 from guide3d.dataset.annotation_files import DETECTOR
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
+from guide3d.image_file import eight_bits, read_grey_levels
 
 _CAMERA_ENDINGS = ("txt", "yaml", "yml")
 _SHEET_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -90,9 +88,7 @@ def distortions_of_sheets(folder: Path) -> tuple[Distortion, Distortion] | None:
     # cameras in text files come from XMALab, whose undistorted frame hangs on the box around the holes
     texts = [file for place in places for file in place.glob(f"*{DETECTOR['a']}*.txt")]
     frame = "bounding box" if texts else "least squares"
-    a, b = (
-        Distortion.from_holes(find_holes(np.asarray(Image.open(file).convert("L"))), frame=frame) for file in sheets
-    )
+    a, b = (Distortion.from_holes(find_holes(eight_bits(read_grey_levels(file))), frame=frame) for file in sheets)
     return a, b
 
 

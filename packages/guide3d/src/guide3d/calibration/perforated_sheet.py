@@ -10,10 +10,10 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from guide3d.calibration.hexagonal_lattice import grow_lattice, local_lattice, missed_sites, regular
+from guide3d.image_filters import blurred, largest_around, least_around
 
 logger = logging.getLogger(__name__)
 
@@ -64,9 +64,9 @@ def find_holes(image: np.ndarray) -> SheetHoles:
         raise ValueError(f"expected a grey image (h, w) of at least 64 x 64 pixels, found shape {image.shape}")
     grey = image.astype(float)
     pitch = _pitch(grey)
-    smooth = ndimage.gaussian_filter(grey, 0.16 * pitch)
-    bright = ndimage.maximum_filter(smooth, int(0.7 * pitch) | 1)
-    dark = ndimage.minimum_filter(smooth, int(1.2 * pitch) | 1)
+    smooth = blurred(grey, 0.16 * pitch)
+    bright = largest_around(smooth, int(0.7 * pitch) | 1)
+    dark = least_around(smooth, int(1.2 * pitch) | 1)
     contrast = bright - dark
     typical = np.median(contrast)
     rows, columns = np.nonzero((smooth == bright) & (contrast > 0.08 * typical) & (contrast > 0.06 * bright))
@@ -108,7 +108,7 @@ def find_holes(image: np.ndarray) -> SheetHoles:
 
 def _pitch(grey: np.ndarray) -> float:
     """Distance of neighbouring holes (px), from the strongest ring of the spectrum."""
-    flat = grey - ndimage.gaussian_filter(grey, 25.0)
+    flat = grey - blurred(grey.astype(np.float32), 25.0)
     window = np.hanning(grey.shape[0])[:, None] * np.hanning(grey.shape[1])
     power = np.abs(np.fft.rfft2(flat * window)) ** 2
     frequency = np.hypot(np.fft.fftfreq(grey.shape[0])[:, None], np.fft.rfftfreq(grey.shape[1])[None])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import html
-import io
 import logging
 import sys
 from collections.abc import Sequence
@@ -22,6 +21,7 @@ from guide3d.calibration.cube_calibration import CubeCalibration, calibrate_fold
 from guide3d.calibration.cube_files import find_files, read_grey
 from guide3d.calibration.pictures import RESIDUAL_SCALE, draw_beads, draw_displacement, draw_holes
 from guide3d.geometry.distortion import METHODS, leave_out_errors
+from guide3d.image_file import write_png
 
 _STYLE = """body{font:16px/1.5 Georgia,serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse;margin:1rem 0}td,th{padding:.25rem .9rem;border-bottom:1px solid #ccc;text-align:right}
@@ -94,10 +94,7 @@ def write_report(calibration: CubeCalibration, source: str | Path, folder: str |
                 )
                 pictures[f"beads_{pose}_{detector}.png"] = (draw_beads(calibration, view), caption)
         for name, (picture, caption) in pictures.items():
-            data = io.BytesIO()
-            picture.save(data, "PNG", compress_level=3)
-            with whole_file(folder / name) as file:
-                file.write(data.getvalue())
+            write_png(picture, folder / name)
             shown = f'<img src="{html.escape(name)}" alt="{html.escape(caption)}">'
             parts.append(f"<figure>{shown}<figcaption>{html.escape(caption)}</figcaption></figure>")
     page = folder / "index.html"

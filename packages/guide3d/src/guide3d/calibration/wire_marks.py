@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from guide3d.calibration.bead_cube import Attenuation, Beads, attenuation
+from guide3d.image_filters import blurred, white_tophat
+from guide3d.opencv import cv2
 
 KINDS = ("single", "double", "circle")
 _WIDTH_PX = 6  # half of the widest line
@@ -88,9 +89,10 @@ def find_marks(image: np.ndarray | Attenuation, beads: Beads) -> list[WireMark]:
 def _thin(light: Attenuation, beads: Beads) -> list[np.ndarray]:
     """Pixels (n, 2) of each thin, faint structure away from beads and rim."""
     dark = light.dark
-    smooth = ndimage.gaussian_filter(dark, 1.0)
-    ridge = ndimage.white_tophat(smooth, size=2 * _WIDTH_PX)
-    free = ndimage.distance_transform_cdt(np.pad(light.field, 1))[1:-1, 1:-1] > _RIM_PX
+    ridge = white_tophat(blurred(dark, 1.0), 2 * _WIDTH_PX)
+    # a square's distance: 0 outside the field and the image
+    inside = cv2.distanceTransform(np.pad(light.field, 1).astype(np.uint8), cv2.DIST_C, 3)
+    free = np.asarray(inside[1:-1, 1:-1] > _RIM_PX)
     for (x0, y0), radius in zip(beads.centres_px, beads.radii_px[:, 0], strict=True):
         reach = radius + 3
         low = np.maximum(np.floor([x0 - reach, y0 - reach]).astype(int), 0)
@@ -98,15 +100,16 @@ def _thin(light: Attenuation, beads: Beads) -> list[np.ndarray]:
         part = free[low[1] : high[1], low[0] : high[0]]
         y, x = np.mgrid[low[1] : low[1] + part.shape[0], low[0] : low[0] + part.shape[1]]
         part &= np.hypot(x - x0, y - y0) > reach
-    labels, _ = ndimage.label((ridge > _FAINT) & free, np.ones((3, 3)))
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(((ridge > _FAINT) & free).astype(np.uint8), connectivity=8)
     found = []
-    for number, box in enumerate(ndimage.find_objects(labels), 1):
+    for number, (left, top, wide, high, _) in enumerate(boxes.tolist()[1:], 1):
+        box = np.s_[top : top + high, left : left + wide]
         own = labels[box] == number
         clear = (ridge[box] > _CLEAR) & own
         if own.sum() < 40 or clear.sum() < 10 or np.percentile(dark[box][own], 90) > _LETTER:
             continue
         y, x = np.nonzero(own)
-        found.append(np.column_stack([x + box[1].start, y + box[0].start]).astype(float))
+        found.append(np.column_stack([x + left, y + top]).astype(float))
     return found
 
 

@@ -12,7 +12,8 @@ from guide3d.lazy_names import imported
 if TYPE_CHECKING:
     from guide3d.dataset.acquisition_split import Split, split_acquisitions
     from guide3d.dataset.dataset import VIEWS, Dataset, images_of, split
-    from guide3d.dataset.frame import Frame, ImageError
+    from guide3d.dataset.frame import Frame
+    from guide3d.image_file import ImageError
 
 _HOME = {
     "VIEWS": "dataset",

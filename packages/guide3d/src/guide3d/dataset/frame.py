@@ -8,13 +8,13 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from guide3d.dataset.annotation_files import Annotation, Views
 from guide3d.dataset.masks import strip_mask
 from guide3d.dataset.true_curves import VIEWS, TrueCurve
 from guide3d.geometry.bspline import BSplineCurve, fit_bspline
 from guide3d.geometry.polyline import Array, arc_length, at_length, resample
+from guide3d.image_file import ImageError, eight_bits, read_grey_levels
 
 Item = TypeVar("Item")
 
@@ -22,27 +22,17 @@ TRUTH_SPACING_MM = 0.5
 SPLINE_SMOOTHING_PX = 0.7  # root mean square distance that a fitted curve may leave to the clicks
 
 
-class ImageError(ValueError):
-    """An image is missing, damaged, or of another size than its data set's."""
-
-
 def read_image(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """Reads a grey image, (height, width) uint8.
 
     Args:
-        path: PNG or JPEG.
+        path: PNG or JPEG; of deeper images the upper 8 bits count.
         size_px: width and height that it must have; any where None.
 
     Raises:
         ImageError: it is missing, cannot be read, or has another size.
     """
-    try:
-        with Image.open(path) as picture:
-            pixels = np.asarray(picture if picture.mode == "L" else picture.convert("L"))
-    except FileNotFoundError:
-        raise ImageError(f"image {path} is missing") from None
-    except (EOFError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ImageError(f"image {path} cannot be read: {error}") from None
+    pixels = eight_bits(read_grey_levels(path))
     if size_px is not None and pixels.shape != (size_px[1], size_px[0]):
         raise ImageError(
             f"image {path}: expected {size_px[0]} x {size_px[1]} px, got {pixels.shape[1]} x {pixels.shape[0]}; "

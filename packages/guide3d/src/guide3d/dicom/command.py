@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from guide3d.atomic_file import whole_file
@@ -23,6 +22,7 @@ from guide3d.dicom.c_arm import camera_of, view_warnings
 from guide3d.dicom.pair import paired
 from guide3d.dicom.xray_run import XrayRun, read_xray
 from guide3d.geometry.camera import Camera, write_opencv_yaml
+from guide3d.image_file import write_png
 
 
 def write_run(run: XrayRun, camera: Camera, folder: Path, view: str, frames: Sequence[int]) -> dict[str, Any]:
@@ -39,9 +39,7 @@ def write_run(run: XrayRun, camera: Camera, folder: Path, view: str, frames: Seq
         OSError: the folder cannot be written.
     """
     for number in frames:
-        _, data = cv2.imencode(".png", run.image(number))
-        with whole_file(folder / view / f"{number:03d}.png") as file:
-            file.write(data.tobytes())
+        write_png(run.image(number), folder / view / f"{number:03d}.png")
     write_opencv_yaml(camera, folder / f"camera_{view}.yaml")
     return {
         "frames": len(run),

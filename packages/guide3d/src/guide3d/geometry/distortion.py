@@ -20,6 +20,7 @@ from guide3d.atomic_file import whole_file
 from guide3d.calibration.hexagonal_lattice import lattice_points, local_lattice
 from guide3d.calibration.perforated_sheet import SheetHoles
 from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
+from guide3d.opencv import cv2
 from guide3d.setting_kinds import Numbers, Pixels, settings
 
 METHODS = ("local weighted mean", "spline")
@@ -154,13 +155,15 @@ class Distortion:
         return raw
 
     @cached_property
-    def _sources(self) -> np.ndarray:
-        """Where each undistorted pixel comes from: (2, h, w) rows and columns of the raw image."""
+    def _sources(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where each undistorted pixel comes from: columns and rows of the raw image, (h, w) float32 each."""
         x = np.arange(-_GRID_PX, self.width + 2 * _GRID_PX, _GRID_PX)
         y = np.arange(-_GRID_PX, self.height + 2 * _GRID_PX, _GRID_PX)
         coarse = self._backward(np.stack(np.meshgrid(x, y), axis=-1).astype(float))
         rows, columns = np.mgrid[: self.height, : self.width] / _GRID_PX + 1
-        return np.stack([ndimage.map_coordinates(coarse[..., axis], [rows, columns], order=3) for axis in (1, 0)])
+        # by cubic splines, which OpenCV does not have: its bicubic kernel is less exact
+        x, y = (ndimage.map_coordinates(coarse[..., axis], [rows, columns], order=3) for axis in (0, 1))
+        return x.astype(np.float32), y.astype(np.float32)
 
     def undistort_image(self, image: np.ndarray, fill: float = 0.0) -> np.ndarray:
         """The image as an undistorted detector would have taken it, of the same shape and type.
@@ -176,10 +179,16 @@ class Distortion:
         if image.shape[:2] != (self.height, self.width) or image.ndim not in (2, 3):
             size = " x ".join(str(side) for side in image.shape[1::-1])
             raise ValueError(f"expected an image of {self.width} x {self.height} px, as the sheet's, found {size}")
-        if image.ndim == 3:
-            return np.stack([self.undistort_image(image[..., c], fill) for c in range(image.shape[2])], axis=-1)
-        values = ndimage.map_coordinates(image.astype(float), self._sources, order=1, cval=fill)
-        if np.issubdtype(image.dtype, np.integer):
+        known = image.dtype in (np.uint8, np.uint16, np.float32, np.float64)
+        channels = image.shape[2] if image.ndim == 3 else 1
+        values = cv2.remap(
+            image if known else image.astype(float),
+            *self._sources,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=channels * (fill,),
+        ).reshape(image.shape)
+        if np.issubdtype(image.dtype, np.integer) and not known:
             limits = np.iinfo(image.dtype)
             values = np.clip(np.rint(values), limits.min, limits.max)
         return values.astype(image.dtype)

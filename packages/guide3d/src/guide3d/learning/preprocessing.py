@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
-from scipy import ndimage
 
+from guide3d.image_filters import closed, mean_around
+from guide3d.opencv import cv2
 from guide3d.setting_kinds import Pixels, PixelsOrNone, Positive, settings
 
 Picture = NDArray[np.uint8]
@@ -64,7 +64,7 @@ class Preprocessing:
             return np.clip(self.gain * averaged(lines, self.size_px), 0, 255).astype(np.uint8)
         if self.flat_px:
             grey = averaged(image.astype(np.float32), self.size_px)
-            left = grey - ndimage.uniform_filter(grey, self.flat_px, mode="nearest")
+            left = grey - mean_around(grey, self.flat_px)
             return np.clip(_MIDDLE + self.gain * left, 0, 255).astype(np.uint8)
         return averaged(image, self.size_px)
 
@@ -73,11 +73,10 @@ def averaged(image: NDArray[Any], size_px: int) -> NDArray[Any]:
     """Reduces a square image (h, h) by averaging areas."""
     if image.shape == (size_px, size_px):
         return image
-    return np.asarray(Image.fromarray(image).resize((size_px, size_px), Image.Resampling.BOX))
+    return np.asarray(cv2.resize(image, (size_px, size_px), interpolation=cv2.INTER_AREA))
 
 
 def dark_lines(image: NDArray[np.uint8], width_px: int) -> Picture:
     """How much darker (h, w) uint8 images are than their surroundings, where narrower than a square of some width."""
-    smooth = ndimage.uniform_filter(image, 3, mode="nearest")  # one bright pixel must not open a line
-    closed = ndimage.minimum_filter(ndimage.maximum_filter(smooth, width_px, mode="nearest"), width_px, mode="nearest")
-    return closed - smooth
+    smooth = mean_around(image, 3)  # one bright pixel must not open a line
+    return closed(smooth, width_px) - smooth
