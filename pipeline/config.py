@@ -17,7 +17,16 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from pipeline.settings.checks import shown, validated
-from pipeline.settings.kinds import BranchNames, FolderName, PathText, Seed, folder_name, path_text
+from pipeline.settings.kinds import (
+    BranchNames,
+    EntryPlace,
+    FolderName,
+    PathText,
+    Seed,
+    VesselLabels,
+    folder_name,
+    path_text,
+)
 from pipeline.stages import available_stages, settings_of
 from pipeline.stages.guide3d.settings import Guide3dSource
 from pipeline.store.errors import ConfigurationError
@@ -34,13 +43,16 @@ _SIZES = (*BUDGETS, "check")
 
 @validated("phantom.")
 class OwnPhantom:
-    """An anatomy of one's own by ``phantom.mesh=PATH``, or the only one to learn in by ``phantom.name=NAME``."""
+    """The only anatomy: a file's by ``phantom.file=PATH``, or one of the library by ``phantom.name=NAME``."""
 
-    name: FolderName | None = None  # of the learning stages' only anatomy
-    mesh: PathText | None = None  # STL, OBJ or PLY
+    name: FolderName | None = None  # a named anatomy, random_7, or random with a seed
+    seed: Seed | None = None
     file: PathText | None = None  # any that cathsim imports: surface, label volume, folder
-    unit: str | None = None  # m, cm, mm or inch; detected when left out
+    mesh: PathText | None = None  # the same
+    unit: str | None = None  # of a surface: m, cm, mm or inch; detected when left out
     names: BranchNames = None
+    labels: VesselLabels = None
+    entry: EntryPlace = None  # where wires come in; null: descending
 
 
 @validated("")
@@ -79,6 +91,7 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     # Hydra makes its folder of these names before the values are checked.
     OmegaConf.register_new_resolver("hydra_folder", _hydra_folder, replace=True)
     OmegaConf.register_new_resolver("by_budget", _by_budget, replace=True)
+    OmegaConf.register_new_resolver("own_file", _own_file, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=RunConfig)
     for name in available_stages() if stages is None else stages:
@@ -90,6 +103,12 @@ def _by_budget(*values: Any, _root_: DictConfig) -> Any:
     if not len(BUDGETS) <= len(values) <= len(_SIZES):
         raise ConfigurationError(f"by_budget takes {len(BUDGETS)} or {len(_SIZES)} values, got {len(values)}")
     return values[min(_SIZES.index(_root_.budget.sizes), len(values) - 1)]
+
+
+def _own_file(_root_: DictConfig) -> str | None:
+    """The path of the anatomy of one's own, under either key."""
+    path = _root_.phantom.mesh if _root_.phantom.file is None else _root_.phantom.file
+    return None if path is None else str(path)
 
 
 def _hydra_folder(runs_dir: str, name: str, stage: str) -> str:

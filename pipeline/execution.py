@@ -41,6 +41,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         in_sweep: whether it is a job of a sweep, which gets a folder named after its overrides.
     """
     stage = load_stage(config.stage.name)
+    stage.prepare(config.stage)
     stage.check(config.stage)
     check_device(getattr(config.stage, "device", CPU))  # every stage with networks has one
     run_path = Path(config.runs_dir) / config.name

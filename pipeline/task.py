@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 FEEDER, TIP_MOTORS = "feeder", "tip_motors"
 TASK = "task"  # key in the metadata of policies
 LENGTH = "wire_length_mm"
+DESCENDING = "descending"  # the usual entry: from the groin
 NO_WIRE = "none"  # in place of a wire: the catheter alone
 _MM = 1e3
 Torsion = Annotated[str, one_of("elastic", "rigid")]
@@ -58,6 +59,7 @@ class Task:
     success_radius_mm: SuccessRadius = 8.0  # the target is reached within this distance of the tip
     start_jitter_mm: StartJitter = 1.0  # the wire starts advanced by up to this much
     start_rotation_deg: StartRotation = 180.0  # ... and turned by up to this much either way
+    entry: PathText = DESCENDING  # where the sheath ends: a name of the anatomy's, or coordinates in m, world frame
 
     def __post_init__(self) -> None:
         """Refuses neither wire nor catheter, and a catheter that motors are to steer."""
@@ -122,18 +124,27 @@ class Task:
         return DevicePair(self._wire(), self.guiding_catheter())
 
     def rules(self) -> dict[str, Any]:
-        """Images, limits and start as arguments of an environment, in m and rad."""
+        """Images, limits, start and entry as arguments of an environment, in m and rad."""
         return {
             "image_size": self.image_size_px,
             "max_steps": self.max_steps,
             "success_radius": self.success_radius,
             "start_jitter": self.start_jitter_mm / _MM,
             "start_rotation": math.radians(self.start_rotation_deg),
+            "entry": entry_place(self.entry),
         }
 
     def arguments(self) -> dict[str, Any]:
         """All of it as arguments of `cathsim.NavigateEnv`."""
         return {**self.devices(), "actions": self.actions, **self.rules()}
+
+
+def entry_place(entry: str) -> str | tuple[float, float, float]:
+    """An entry as an environment takes it: its name, or of coordinates in text the point in m."""
+    from cathsim.anatomy.entry import read_point
+
+    point = read_point(entry)
+    return entry if point is None else point[0]
 
 
 def number_of_actions(task: Task) -> int:

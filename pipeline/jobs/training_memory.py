@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.stages.learning.task import LearningTask
+from pipeline.task import DESCENDING
 
 if TYPE_CHECKING:
     import gymnasium
@@ -31,7 +32,8 @@ def training_gb(task: LearningTask, keys: tuple[str, ...], settings: TrainingSet
         return PROCESS_GB
     from enn.reinforcement.replay import nbytes_needed
 
-    observations, actions = _spaces(tuple(sorted(task.task.arguments().items())), keys)
+    arguments = {**task.task.arguments(), "entry": DESCENDING}  # another anatomy may not have that of the task
+    observations, actions = _spaces(tuple(sorted(arguments.items())), keys)
     if settings.algorithm == "sac":
         needed = nbytes_needed(observations, settings.buffer_size, actions, half=settings.half)
     else:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cathsim.viewing.film import Film
 
 CAMERA = "frontal"
+ANATOMY = "anatomy"  # key of a log's configuration: what a file's anatomy was imported with
 _MESH_STRIDE = 3  # grid nodes a node of the logged mesh: a viewer needs no finer wall
 
 DEVICES = ("wire", "catheter")  # with masks of their own
@@ -163,10 +164,18 @@ def describe_episode(
             "numerics": asdict(environment.simulation.numerics),
             **({} if environment.simulation.pace == PACES["usual"] else {"pace": asdict(environment.simulation.pace)}),
             **({} if environment.biplane is None else {"cameras": environment.biplane.fluoroscope.to_json()}),
+            **_imported_from(environment.phantom),
             **(configuration or {}),
         },
         versions=software_versions(),
     )
+
+
+def _imported_from(phantom: Phantom) -> dict[str, Any]:
+    """Where the anatomy of a file came from, so that the episode can be repeated; nothing of another anatomy."""
+    from cathsim.anatomy.library import phantom_description
+
+    return {} if phantom.source is None else {ANATOMY: phantom_description(phantom)}
 
 
 def _devices_of(simulation: Simulation) -> dict[str, Any]:

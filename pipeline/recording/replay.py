@@ -16,12 +16,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from pipeline.episodes import EpisodeReader, EpisodeReadError
+from pipeline.recording.record import ANATOMY
 from pipeline.settings.checks import sentence, shown
 from pipeline.store.atomic_files import atomic_path
 from pipeline.store.errors import StageError
 
 if TYPE_CHECKING:
-    from cathsim import Guidewire, NavigateEnv
+    from cathsim import Guidewire, NavigateEnv, Phantom
     from cathsim.devices.catheter import Catheter
     from cathsim.viewing.film import Film
     from enn.trajectory import Trajectory
@@ -155,7 +156,7 @@ def _environment(
         pace = Pace(**info.configuration.get("pace", {}))
     with checked_values(info, "phantom, entry or camera"):
         return NavigateEnv(
-            info.phantom,
+            recorded_phantom(info),
             task=task,
             entry=info.entry,
             **recorded_devices(info),
@@ -165,6 +166,25 @@ def _environment(
             observation=tuple(observation) or ("tip",),
             image_size=image_size,
         )
+
+
+def recorded_phantom(info: EpisodeInfo) -> Phantom:
+    """The anatomy that an episode was recorded in.
+
+    Raises:
+        EpisodeReadError: the file that it was imported from is gone or has changed.
+        ValueError: there is none of that name.
+    """
+    from cathsim import load_phantom
+    from cathsim.anatomy.library import phantom_described
+
+    described = info.configuration.get(ANATOMY)
+    if described is None:
+        return load_phantom(info.phantom)
+    try:
+        return dataclasses.replace(phantom_described(described), name=info.phantom)
+    except ValueError as error:
+        raise EpisodeReadError(f"the log of seed {info.seed} was recorded in the anatomy of a file: {error}") from error
 
 
 @contextlib.contextmanager

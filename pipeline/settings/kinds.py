@@ -5,6 +5,7 @@ The upper bounds are far above what any run needs; they refuse slips of a unit o
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -124,5 +125,35 @@ def _hyperparameters(value: Any) -> Any:
     return value
 
 
+def _vessel_labels(value: Any) -> Any:
+    """Accepts None, or a mapping from labels to vessels' names or null; its keys become text."""
+    if value is None:
+        return None
+    if not isinstance(value, dict) or not value:
+        raise ValueError(f"must be a mapping such as {{3: aorta, 9: lsa}}, got {shown(value)}")
+    for label, vessel in value.items():
+        if isinstance(label, bool) or not isinstance(label, int | str) or not isinstance(vessel, str | None):
+            raise ValueError(f"must lead from labels to names of vessels or null, got {shown({label: vessel})}")
+        if vessel is not None:
+            folder_name(vessel)
+    return {str(label): vessel for label, vessel in value.items()}
+
+
+def _entry_place(value: Any) -> Any:
+    """Accepts None, a name, or three coordinates."""
+    if value is None:
+        return None
+    if isinstance(value, str):
+        return folder_name(value)
+    numbers = value if isinstance(value, list) else []
+    if len(numbers) != 3 or not all(
+        isinstance(one, int | float) and not isinstance(one, bool) and math.isfinite(one) for one in numbers
+    ):
+        raise ValueError(f"must be a name such as descending or lsa_end, or a point [x,y,z] in mm, got {shown(value)}")
+    return [float(one) for one in numbers]
+
+
 Hyperparameters = Annotated[Any, AfterValidator(_hyperparameters)]  # fields of enn's TrainingSettings
 BranchNames = Annotated[Any, AfterValidator(_branch_names)]  # of a mesh's branches
+VesselLabels = Annotated[Any, AfterValidator(_vessel_labels)]  # of a label volume
+EntryPlace = Annotated[Any, AfterValidator(_entry_place)]

@@ -43,6 +43,10 @@ def no_check(settings: Any) -> None:
     """Accepts any settings: for stages whose settings dataclass says it all."""
 
 
+def as_given(settings: Any) -> None:
+    """Leaves settings as they are: for stages whose settings tell everything without a file being read."""
+
+
 def no_further_inputs(run_path: Path) -> dict[str, str]:
     """Depends on nothing beyond the stages it reads."""
     return {}
@@ -56,6 +60,7 @@ class Stage:
     run: Callable[[Any, StageContext], None]  # settings, context
     reads: tuple[str, ...] = ()  # stages that must have finished
     writes: tuple[str, ...] = ()  # what lies in its folder afterwards
+    prepare: Callable[[Any], None] = as_given  # fills in what only reading files tells, before `check`
     check: Callable[[Any], None] = no_check  # refuses settings with a ConfigurationError before anything is written
     seeded: bool = True  # whether its results depend on the run's seed: then each seed has a folder of its own
     further_inputs: Callable[[Path], dict[str, str]] = no_further_inputs  # hashes of whatever else it reads

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from pipeline.anatomies.settings import settle
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job
 from pipeline.recording.trials import Origin
@@ -111,6 +112,7 @@ STAGE = Stage(
         "results.json",
         "notes.json",
     ),
+    prepare=settle,
     check=check_learning,
     place=5,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from pipeline.anatomies.settings import settle
 from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
 from pipeline.settings.checks import require_modalities
@@ -177,6 +178,7 @@ STAGE = Stage(
         "results.json",
         "notes.json",
     ),
+    prepare=settle,
     check=check_enn,
     place=6,
 )

@@ -11,13 +11,14 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.anatomies.anatomy_file import load_anatomy
+from pipeline.anatomies.settings import ChosenAnatomies, check_anatomies, settle
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import demonstration_seeds, held_out_seeds
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.settings.kinds import CountOrNone, Episodes, Processes, SomeFolderNames
+from pipeline.settings.kinds import CountOrNone, Episodes, Processes
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.task import DeviceSettings, joint_observations, number_of_actions, require_feeder, require_known_task
 
@@ -25,17 +26,20 @@ OPERATOR, EVALUATION = "sampling_expert", "evaluation"
 
 
 @validated()
-class ExpertSettings(DeviceSettings):
+class ExpertSettings(ChosenAnatomies, DeviceSettings):
     """Settings of the sampling expert's episodes; the task is that of the evaluation."""
 
     name: str = "expert"
-    phantoms: SomeFolderNames = field(default_factory=list)
-    targets: SomeFolderNames = field(default_factory=list)
     episodes: Episodes = 1  # demonstrations a phantom and target, from starts that are not turned
     evaluation_episodes: Episodes = 1  # for the tables, from the starts and seeds of the policies compared with
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # of the search; 0: one a core
     film: bool = True
     film_episodes: CountOrNone = 1  # films a phantom and target
+
+    def __post_init__(self) -> None:
+        """Takes devices and anatomies over."""
+        DeviceSettings.__post_init__(self)
+        ChosenAnatomies.__post_init__(self)
 
 
 @dataclass(frozen=True)
@@ -71,8 +75,7 @@ class Trial:
 
 def check_expert(settings: ExpertSettings) -> None:
     """Refuses unknown phantoms, targets and wires with a ConfigurationError that lists the valid names."""
-    require_known_phantoms(settings.phantoms)
-    require_known_targets(settings.targets, settings.phantoms)
+    check_anatomies(settings)
     require_known_task(settings.task)
     require_feeder(settings.task, "expert")
 
@@ -104,7 +107,7 @@ def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: 
     from pipeline.recording.record import record_episode
 
     task = settings.task if trial.evaluation else replace(settings.task, start_rotation_deg=0.0)
-    environment = LearningTask(trial.phantom, trial.target, task).environment("tip")
+    environment = LearningTask(trial.phantom, trial.target, task, settings.anatomy_file).environment("tip")
     expert = SamplingExpert(environment, seed=seed, threads=settings.threads or None)
     film = Film() if settings.film and not trial.evaluation and trial.episode < settings.film_episodes else None
     try:
@@ -145,14 +148,13 @@ def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
 
 def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list[Figure]:
     """Draws paths and forces of every task and lists them with the films."""
-    from cathsim import load_phantom
     from pipeline.episodes import EpisodeReader
     from pipeline.report.plots.episodes import draw_planned_path, draw_task
 
     shown = []
     for task in dict.fromkeys(trial.task for trial in trials):
         phantom_name, target = task.split("/")
-        phantom = load_phantom(phantom_name)
+        phantom = load_anatomy(settings.anatomy(phantom_name))
         group = f"Sampling expert, {phantom_name}, {target.upper()}"
         arrays = [
             EpisodeReader(folder / trial.log).load_arrays(pictures=False) for trial in trials if trial.task == task
@@ -166,7 +168,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
                 group,
             )
         )
-        length = draw_planned_path(phantom, target, folder / task / "path.png")
+        length = draw_planned_path(phantom, target, folder / task / "path.png", entry=settings.task.entry)
         write_json(folder / task / "path.json", {"length_m": length})
         shown.append(
             Figure(f"{task}: shortest path", "A* in the lumen from the entry to the target.", f"{task}/path.png", group)
@@ -195,6 +197,7 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
+    prepare=settle,
     check=check_expert,
     place=2,
 )

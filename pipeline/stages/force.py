@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.anatomies.known import require_known_phantoms
 from pipeline.jobs.gpu_memory import LEARNT_BATCH, policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.report.aids import force_note
@@ -19,7 +20,6 @@ from pipeline.stages.learning.force import PRELOAD, TEST_EVERY, ForceJob, Record
 from pipeline.stages.learning.force_from_shape import ShapeForceJob, forces_from_shape
 from pipeline.stages.learning.settings import ForceSettings
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.task import require_known_task
 
 THESIS_INPUTS = "V"  # the image alone, with the loss on features and force

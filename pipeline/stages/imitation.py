@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.jobs.gpu_memory import LEARNT_BATCH, policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
@@ -19,7 +20,6 @@ from pipeline.stages.learning.expert_episodes import expert_folder, expert_logs,
 from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, imitate
 from pipeline.stages.learning.settings import ImitationSettings
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.task import require_known_task
 
 CLONED, DISTURBED, DAGGER = "image_w_enn", "image_w_enn_disturbed", "dagger"
@@ -32,7 +32,7 @@ def check_imitation(settings: ImitationSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
-    require_known_phantoms(settings.phantoms)
+    check_anatomies(settings)
     require_modalities(settings.expert)
     require_known_task(settings.task)
 
@@ -71,7 +71,7 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
     gpu_gb = policy_gb(settings.task.image_size_px, len(settings.observations), LEARNT_BATCH)
     for phantom in settings.phantoms:
         for target in settings.targets:
-            task = LearningTask(phantom, target, settings.task)
+            task = LearningTask(phantom, target, settings.task, settings.anatomy_file)
             expert = expert_folder(context.inputs["enn"], task.name, settings.expert)
             logs = expert_logs(expert)
             read_episodes(logs, 1)  # an empty folder is refused before any work
@@ -196,6 +196,7 @@ STAGE = Stage(
         "notes.json",
         "figures.json",
     ),
+    prepare=settle,
     check=check_imitation,
     place=7,
 )

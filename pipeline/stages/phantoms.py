@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 import zipfile
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,26 +10,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from annotated_types import Ge, Le
 
+from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.anatomies.known import require_known_phantoms
+from pipeline.anatomies.settings import FileSettings
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import validated
-from pipeline.settings.kinds import UNIQUE, BranchNames, FolderNames, PathText, Seed
+from pipeline.settings.kinds import UNIQUE, FolderNames, Seed
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import hash_anatomy
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom, SignedDistanceGrid
 
-TARGETS = ("bca", "lcca", "lsa")  # that stages navigate to
 _MM = 1e3
 _SLAB = 16  # layers of a grid written at once
 COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
 
 
 @validated()
-class PhantomsSettings:
-    """Settings of the phantoms stage."""
+class PhantomsSettings(FileSettings):
+    """Settings of the phantoms stage; with a file, its anatomy is the only one."""
 
     name: str = "phantoms"
     phantoms: FolderNames = field(default_factory=list)  # named anatomies
@@ -39,37 +38,21 @@ class PhantomsSettings:
     resolution_mm: Annotated[float, Ge(0.1), Le(COARSEST_RESOLUTION_MM)] = 1.0  # spacing of the signed distance grid
     wall_thickness_mm: Annotated[float, Ge(0.1), Le(10)] = 1.5
     picture: bool = True
-    mesh: PathText | None = None  # file of an anatomy of one's own, which is then the only one: as cathsim imports it
-    file: PathText | None = None  # the same; a file goes before a mesh
-    unit: str | None = None  # of that file
-    names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
-    mesh_sha256: str | None = None  # filled in: the results depend on the file, not on its path
 
     def __post_init__(self) -> None:
-        """Checks that there is something to build, and reads the mesh."""
-        self.mesh_sha256 = None
-        name = "mesh" if self.file is None else "file"
-        self.mesh = self.mesh if self.file is None else self.file
-        if self.mesh is not None:
-            if not Path(self.mesh).exists():
-                raise ConfigurationError(
-                    f"phantom.{name}={self.mesh} is no file: give the path of a surface (STL, OBJ, PLY), of a label "
-                    "volume (NIfTI, NRRD), or of a folder with one volume a vessel"
-                )
-            self.mesh_sha256 = hash_anatomy(Path(self.mesh))
-        elif self.unit is not None or self.names is not None:
-            raise ConfigurationError("phantom.unit and phantom.names belong to a mesh: give phantom.mesh=PATH too")
-        elif not self.phantoms and not self.random_seeds:
+        """Checks that there is something to build."""
+        super().__post_init__()
+        if self.file is None and not self.phantoms and not self.random_seeds:
             raise ConfigurationError("stage.phantoms is empty: name at least one")
 
 
 @dataclass(frozen=True)
 class Anatomy:
-    """One aorta to write: a named phantom, a random one by its seed, or a mesh."""
+    """One aorta to write: a named phantom, a random one by its seed, or a file's."""
 
     phantom: str
     seed: int | None = None
-    mesh: Path | None = None
+    file: AnatomyFile | None = None
 
     @property
     def label(self) -> str:
@@ -79,7 +62,7 @@ class Anatomy:
 
 def check_phantoms(settings: PhantomsSettings) -> None:
     """Refuses unknown phantoms and units with a `ConfigurationError` that lists the valid ones."""
-    if settings.mesh is not None:
+    if settings.file is not None:
         from cathsim.anatomy.mesh.reading import check_unit
 
         try:
@@ -90,47 +73,12 @@ def check_phantoms(settings: PhantomsSettings) -> None:
     require_known_phantoms(settings.phantoms, hint="; random ones by stage.random_seeds=[0,1]")
 
 
-def require_known_phantoms(names: list[str], *, hint: str = "") -> None:
-    """Refuses unknown names with a `ConfigurationError` that lists the valid ones, followed by a hint.
-
-    Names of random arches hold their seeds: random_7.
-    """
-    from cathsim.anatomy import PHANTOMS
-    from cathsim.anatomy.library import seed_in_name
-
-    unknown = [name for name in names if name not in PHANTOMS and seed_in_name(name)[1] is None]
-    if unknown:
-        raise ConfigurationError(
-            f"unknown phantom {', '.join(map(repr, unknown))}: choose from {', '.join(PHANTOMS)}, random_7{hint}"
-        )
-
-
-def require_known_targets(names: list[str], phantoms: Sequence[str] = ()) -> None:
-    """Refuses names that are no target's with a ConfigurationError that lists the valid ones.
-
-    Args:
-        phantoms: in which they are to be; then any target of theirs is taken, and any point as `target_name` writes it:
-            point_27.0_-2.0_70.0_mm. Without, only those that stages navigate to everywhere.
-    """
-    unknown = [name for name in names if name not in TARGETS]
-    for phantom in phantoms if unknown else ():
-        from cathsim import load_phantom
-
-        try:
-            for name in unknown:
-                load_phantom(phantom).target(name)
-        except ValueError as error:
-            raise ConfigurationError(str(error)) from error
-    if unknown and not phantoms:
-        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
-
-
 def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
     """Builds every phantom and writes its files."""
     anatomies = [Anatomy(name) for name in settings.phantoms]
     anatomies += [Anatomy("random", seed) for seed in settings.random_seeds]
-    if settings.mesh is not None:
-        anatomies = [Anatomy(_folder_name(Path(settings.mesh)), mesh=Path(settings.mesh))]
+    if (file := settings.anatomy_file) is not None:
+        anatomies = [Anatomy(file.name, file=file)]
     for anatomy in context.folder.resumable(anatomies, key=lambda a: a.label, label="phantoms"):
         try:
             phantom = _build(anatomy, settings)
@@ -140,19 +88,19 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
         write_bundle(phantom, folder, wall_thickness=settings.wall_thickness_mm / _MM, picture=settings.picture)
         context.folder.mark_done(anatomy.label, phantom.dimensions())
     measured = {a.label: context.folder.result_of(a.label) for a in anatomies}
-    models = {a.label: {"convex_hulls": "none", "source": "mesh" if a.mesh else "parametric"} for a in anatomies}
+    models = {a.label: {"convex_hulls": "none", "source": "file" if a.file else "parametric"} for a in anatomies}
     write_results(context.path, {"phantoms": measured, "aortas": models})
     if settings.picture:
         write_figures(context.path, [_figure(a, measured[a.label] or {}) for a in anatomies])
 
 
 def _build(anatomy: Anatomy, settings: PhantomsSettings) -> Phantom:
-    from cathsim.anatomy import import_anatomy, load_phantom
+    from cathsim.anatomy import load_phantom
 
     resolution = settings.resolution_mm / _MM
-    if anatomy.mesh is None:
-        return load_phantom(anatomy.phantom, seed=anatomy.seed, resolution=resolution)
-    return import_anatomy(anatomy.mesh, unit=settings.unit, names=settings.names, resolution=resolution)
+    if anatomy.file is not None:
+        return anatomy.file.load(resolution)
+    return load_phantom(anatomy.phantom, seed=anatomy.seed, resolution=resolution)
 
 
 def _write_grid(grid: SignedDistanceGrid, path: Path) -> None:
@@ -166,11 +114,6 @@ def _write_grid(grid: SignedDistanceGrid, path: Path) -> None:
         for name, value in (("origin", grid.origin), ("spacing", np.array(grid.spacing))):
             with archive.open(f"{name}.npy", "w") as file:
                 np.lib.format.write_array(file, value)
-
-
-def _folder_name(mesh: Path) -> str:
-    stem = re.sub(r"(\.seg)?(\.nii\.gz|\.[A-Za-z]+)$", "", mesh.name)
-    return re.sub(r"[^A-Za-z0-9_.+-]", "_", stem).lstrip(".") or "mesh"
 
 
 def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, picture: bool) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from pipeline.anatomies.known import require_known_phantoms
 from pipeline.jobs.pool import Job, Report, run_jobs
 from pipeline.report.force_logs import EpisodeForces, pooled, pooled_wall, read_forces, table_rows
 from pipeline.report.load_cell import WIRE
@@ -18,7 +19,6 @@ from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import validated
 from pipeline.settings.kinds import Count, FolderName
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import RunFolder

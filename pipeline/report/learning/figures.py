@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ PATHS_GROUP = "Learning: paths in the vessel"
 BEYOND_GROUP = "Learning: beyond the thesis"
 HEAT_EPISODES = 42  # logs behind a heat map, evenly taken from all rows
 PATHS_SHOWN = 10  # of each who steered
+_LOGGER = logging.getLogger(__name__)
 TARGETS = ("bca", "lcca", "lsa")
 _STEERED = {"enn": "ENN", "expert": "Sampling expert", "human": "Human"}
 _LABELS = {"baselines": "cathsim_results", "enn": "ablation", "imitation": "imitation"}  # stage -> table with its words
@@ -131,10 +133,10 @@ def _heat(material: Material, folder: Path) -> list[Figure]:
     shown = []
     chosen = of_mode([one for one in material.evaluations if one.stage == "baselines"], DETERMINISTIC)
     for phantom, target in sorted({(one.phantom, one.target) for one in chosen}):
-        vessel = _phantom(phantom)
+        of_task = [one for one in chosen if (one.phantom, one.target) == (phantom, target)]
+        vessel = _phantom(phantom, material.run_path / of_task[0].log)
         if vessel is None:
             continue
-        of_task = [one for one in chosen if (one.phantom, one.target) == (phantom, target)]
         episodes = [episode_forces(material.run_path / one.log) for one in _evenly(of_task, HEAT_EPISODES)]
         contacts = sum(len(episode.forces) for episode in episodes)
         if not contacts:
@@ -156,8 +158,8 @@ def _paths(material: Material, folder: Path) -> list[Figure]:
             tasks.setdefault((one.phantom, one.target), {}).setdefault(_STEERED[one.stage], []).append(one)
     shown = []
     for (phantom, target), steered in sorted(tasks.items()):
-        vessel = _phantom(phantom)
-        if vessel is None or "ENN" not in steered:
+        vessel = _phantom(phantom, material.run_path / steered["ENN"][0].log) if "ENN" in steered else None
+        if vessel is None:
             continue
         paths: dict[str, list[tuple[NDArray[Any], bool]]] = {}
         for who in _STEERED.values():
@@ -237,8 +239,20 @@ def _pair(cell: Cell) -> tuple[float, float] | None:
     return (float(cell), 0.0) if isinstance(cell, int | float) else None
 
 
-def _phantom(name: str) -> Any:
-    """A phantom of the library; None for a random or a user's own, whose vessel is not known here."""
-    from cathsim import PHANTOMS, load_phantom
+def _phantom(name: str, log: Path) -> Any:
+    """The phantom of an episode: of the library, or imported again; None where its file is gone or has changed.
 
-    return load_phantom(name) if name in PHANTOMS else None
+    Args:
+        log: of an episode in it.
+    """
+    from pipeline.episodes import EpisodeReader, EpisodeReadError
+    from pipeline.recording.replay import recorded_phantom
+
+    with EpisodeReader(log) as reader:
+        info = reader.info
+    try:
+        phantom = recorded_phantom(info)
+    except (EpisodeReadError, ValueError) as error:
+        _LOGGER.warning("no picture of %s: %s", name, error)
+        return None
+    return phantom if phantom.hash == info.phantom_hash else None

@@ -9,6 +9,7 @@ import numpy as np
 
 from guide3d.dataset.acquisition_plan import PlannedAcquisition, plan_acquisitions
 from guide3d.reconstruction.evaluation import Record
+from pipeline.anatomies.known import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.report.results import write_figures, write_results
 from pipeline.stages import Stage, StageContext
@@ -19,7 +20,6 @@ from pipeline.stages.guide3d.own_data import own_source
 from pipeline.stages.guide3d.reconstruction import ReconstructionJob, gather, reconstruct_pairs
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.guide3d.tables import comparison_row, composition_table, reconstruction_tables
-from pipeline.stages.phantoms import require_known_phantoms
 from pipeline.store.errors import ConfigurationError
 
 PRELOAD = (

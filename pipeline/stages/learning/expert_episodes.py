@@ -238,6 +238,7 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
         EpisodeReadError: the log is damaged or unfinished.
         StageError: its wire or catheter is none of this version's.
     """
+    from cathsim.anatomy.entry import TOWARDS
     from cathsim.guidewire import preset_of
 
     with EpisodeReader(log) as reader:
@@ -262,6 +263,7 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
         success_radius_mm=_MM * recorded["success_radius"],
         start_jitter_mm=_MM * recorded["start_jitter"],
         start_rotation_deg=math.degrees(recorded["start_rotation"]),
+        entry=info.entry.partition(TOWARDS)[0],
     )
     return LearningTask(info.phantom, info.target, task)
 

@@ -39,7 +39,6 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
     Raises:
         StageError: there are no episodes to fit it to.
     """
-    from cathsim import load_phantom
     from cathsim.planning.path import plan_path
     from enn.imitation.path_following import PathFollower, fit_path_follower
 
@@ -50,8 +49,9 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
             f"the path follower of {job.task.name} has no expert episodes: run stage expert with this task, or set "
             "stage.path_follower=false"
         )
-    phantom = load_phantom(job.task.phantom)
-    path = plan_path(phantom.grid, phantom.entry("descending").position, phantom.target(job.task.target).position)
+    phantom = job.task.load_phantom()
+    entry = phantom.entry(job.task.task.entry)
+    path = plan_path(phantom.grid, entry.position, phantom.target(job.task.target).position)
     if episodes:
         report(0.0, "fit")
         paths = [path.points] * len(episodes)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.anatomies.settings import check_anatomies
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.training_memory import training_gb, training_gpu_gb
 from pipeline.recording.trials import Origin
@@ -25,7 +26,6 @@ from pipeline.stages.learning.training import (
     fit_encoder_of,
     train_and_evaluate,
 )
-from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.task import FEEDER, require_known_task
 
 if TYPE_CHECKING:
@@ -45,8 +45,7 @@ def check_learning(settings: LearningSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
-    require_known_phantoms(settings.phantoms)
-    require_known_targets(settings.targets, settings.phantoms)
+    check_anatomies(settings)
     require_known_task(settings.task)
 
 
@@ -98,6 +97,7 @@ def task_of(settings: LearningSettings, phantom: str, target: str, *, force_pena
         phantom=phantom,
         target=target,
         task=settings.task,
+        file=settings.anatomy_file if phantom == settings.file_name else None,
         reward=settings.reward,
         force_penalty=force_penalty,
         path_penalty=settings.path_penalty,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
+from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
     NOT_EMPTY,
@@ -46,12 +47,10 @@ _SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], UNIQUE]
 
 
 @validated()
-class LearningSettings(DeviceSettings):
+class LearningSettings(ChosenAnatomies, DeviceSettings):
     """What the stages that train policies have in common: the task, the trainings' sizes, and how they are run."""
 
     name: str = ""  # of the stage
-    phantoms: FolderNames = field(default_factory=list)
-    targets: FolderNames = field(default_factory=list)
     seeds: Trainings = 1  # trainings a row and task; run seed k trains with seeds k * seeds, k * seeds + 1, ...
     variant: _Variant = "desk"  # networks and hyper-parameters: those that learn fast, or the thesis's
     decisions: Decisions = 6_000  # budget of a training
@@ -65,18 +64,11 @@ class LearningSettings(DeviceSettings):
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
-    target: FolderName | None = None  # filled in by target=… and phantom.name=…: the only one
-    phantom: FolderName | None = None
 
     def __post_init__(self) -> None:
-        """Takes catheter and the sweep's keys over and checks that there is a task."""
-        super().__post_init__()
-        self.targets = [self.target] if self.target is not None else self.targets
-        self.phantoms = [self.phantom] if self.phantom is not None else self.phantoms
-        self.target = self.phantom = None  # so that a choice and the same list count as the same settings
-        for key in ("phantoms", "targets"):
-            if not getattr(self, key):
-                raise ConfigurationError(f"stage.{key} is empty: name at least one")
+        """Takes devices and anatomies over and checks that there is a task."""
+        DeviceSettings.__post_init__(self)
+        ChosenAnatomies.__post_init__(self)
 
 
 @validated()
@@ -110,17 +102,17 @@ class EnnSettings(LearningSettings):
         if self.modality is not None:
             self.modalities, self.safe_weights = [self.modality], []
             self.ablation_phantoms, self.ablation_seeds = list(self.phantoms), self.seeds
+        if self.file_name is not None and self.ablation_phantoms:
+            self.ablation_phantoms = list(self.phantoms)
         if (self.modalities or self.safe_weights) and not self.ablation_phantoms:
             raise ConfigurationError("stage.ablation_phantoms is empty: name at least one")
 
 
 @validated()
-class ImitationSettings(DeviceSettings):
+class ImitationSettings(ChosenAnatomies, DeviceSettings):
     """Settings of imitation: the expert's episodes of the stage enn, learnt from with the image alone."""
 
     name: str = "imitation"
-    phantoms: SomeFolderNames = field(default_factory=list)
-    targets: SomeFolderNames = field(default_factory=list)
     expert: FolderName = "I+V+M"  # row of the stage enn whose episodes are learnt from
     variant: _Variant = "desk"  # network and hyper-parameters: those that learn fast, or the thesis's
     observations: _StudentObservations = field(default_factory=lambda: ["image"])  # that the student sees
@@ -133,6 +125,11 @@ class ImitationSettings(DeviceSettings):
     evaluation_episodes: Episodes = 30
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # fits beside each other; 0: one a core
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+
+    def __post_init__(self) -> None:
+        """Takes devices and anatomies over."""
+        DeviceSettings.__post_init__(self)
+        ChosenAnatomies.__post_init__(self)
 
 
 @validated()

@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.task import Task
 
 if TYPE_CHECKING:
-    from cathsim import NavigateEnv
+    from cathsim import NavigateEnv, Phantom
 
 REWARD_OF_TRAINING, REWARD_OF_EVALUATION = "geodesic", "distance"  # the latter is the thesis's
 
@@ -22,6 +23,7 @@ class LearningTask:
     phantom: str
     target: str
     task: Task = field(default_factory=Task)  # wire, actions, images, limits and start
+    file: AnatomyFile | None = None  # of the anatomy, where it is none of the library
     accuracy: str = "accurate"  # preset of the simulator
     reward: str = REWARD_OF_TRAINING  # of training: "geodesic", shaped, or "distance", the thesis's
     force_penalty: float = 0.0  # of the training's reward, a newton
@@ -31,6 +33,10 @@ class LearningTask:
     def name(self) -> str:
         """Phantom and target, which name the folder: ``type_1/bca``."""
         return f"{self.phantom}/{self.target}"
+
+    def load_phantom(self) -> Phantom:
+        """The anatomy, from the cache where it was built before."""
+        return load_anatomy(self.phantom if self.file is None else self.file)
 
     def environment(self, observation: str | Sequence[str], *, training: bool = False) -> NavigateEnv:
         """Makes an environment.
@@ -43,7 +49,7 @@ class LearningTask:
         from cathsim import NavigateEnv
 
         return NavigateEnv(
-            self.phantom,
+            self.phantom if self.file is None else self.load_phantom(),
             self.target,
             accuracy=self.accuracy,
             observation=observation if isinstance(observation, str) else tuple(observation),

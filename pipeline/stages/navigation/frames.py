@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.anatomies.known import TARGETS
+from pipeline.anatomies.settings import fitted_task
 from pipeline.stages.navigation.scene import NAMED, Anatomy, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.stages.phantoms import TARGETS
+from pipeline.task import DESCENDING
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
@@ -67,13 +70,16 @@ def _steered(
     from enn.policy import Policy
 
     policy = Policy.load(teacher, device)
-    phantom = phantom_of(anatomy)
+    phantom, task = phantom_of(anatomy), settings.arch_task
+    if isinstance(anatomy[0], AnatomyFile):  # whose ways may be longer than those of the arches
+        wanted = fitted_task(replace(task, wire_length_mm=0.0), phantom, settings.targets)
+        task = max(task, wanted, key=lambda one: one.guidewire().length)
     found: list[Frame] = []
     for number in range(4 * count):
         if len(found) >= count:
             break
         target = settings.targets[number % len(settings.targets)]
-        scene = scene_of(settings.arch_task, anatomy, target, settings.arms, policy.keys)
+        scene = scene_of(task, anatomy, target, settings.arms, policy.keys)
         environment = scene.environment
         observation, _ = environment.reset(seed=int(generator.integers(2**31)))
         steer = PerturbedController(policy, generator)
@@ -101,8 +107,10 @@ def _laid(
 
     phantom, task = phantom_of(anatomy), settings.task if anatomy[1] == NAMED else settings.arch_task
     wire, arms = task.guidewire(), replace(settings.arms, wire=task.wire)
-    simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"])
-    ways = _ways(phantom, TARGETS, simulation)
+    entry = task.entry if anatomy[1] == NAMED else DESCENDING
+    simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"], entry=entry)
+    usual = [target for target in TARGETS if target in phantom.targets]
+    ways = _ways(phantom, usual or settings.targets, simulation)
     found: list[Frame] = []
     for _ in range(4 * count):
         if len(found) >= count or not ways:

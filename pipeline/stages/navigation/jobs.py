@@ -186,7 +186,7 @@ def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
         episodes.append(seen)
     missing, begun = count - len(episodes), len(episodes)
     if missing:  # the expert plays on
-        cases = [((job.phantom, NAMED), job.target)] * missing
+        cases = [((settings.anatomy(job.phantom), NAMED), job.target)] * missing
         seeds = further_expert_seeds(job.seed, missing)
         starts = episode_starts(settings.task, cases, seeds, settings.arms, teacher.keys, perception.settings)
         episodes += play_advised(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.episodes import EpisodeReader
+from pipeline.recording.replay import checked_values, recorded_phantom
 from pipeline.stages.navigation.scene import view_of
 
 if TYPE_CHECKING:
@@ -26,14 +27,14 @@ def episode_of_log(log: Path, arms: CArms, perception: NavigatorPerception, acti
     Raises:
         EpisodeReadError: the log is damaged or unfinished.
     """
-    from cathsim import load_phantom
     from cathsim.observations.c_arm_view import images_of_shape, with_shaft
     from enn.imitation.sequence_cloning import AdvisedEpisode
 
     with EpisodeReader(log) as episode:
         info, outcome = episode.info, episode.outcome
         arrays = episode.load_arrays(pictures=False)
-    phantom = load_phantom(info.phantom)
+    with checked_values(info, "phantom"):
+        phantom = recorded_phantom(info)
     direction = phantom.entry(info.entry).direction
     steps = range(0, len(arrays["action"]) - 1, action_repeat)
     images = [

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.jobs.worker import Report
 from pipeline.stages.navigation.frames import frames_in
-from pipeline.stages.navigation.scene import Anatomy
+from pipeline.stages.navigation.scene import Anatomy, phantom_of
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.store.atomic_files import write_arrays, write_json
 from pipeline.store.errors import StageError
@@ -115,7 +115,7 @@ def _shown(job: PerceptionJob, predictor: Predictor, report: Any) -> WirePicture
         count = len(job.anatomies)
         validated = max(1, round(_VALIDATION * count))
         for number, (kind, seed) in enumerate(job.anatomies):
-            report(number / count, f"frames in {kind} {max(seed, 0)}")
+            report(number / count, f"frames in {phantom_of((kind, seed)).name}")
             size_px, device = predictor.network.settings.image_px, str(predictor.device)
             for images, lines in frames_in((kind, seed), job.settings, job.seed, job.teacher, size_px, device):
                 pictures.append(images)

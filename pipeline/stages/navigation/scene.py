@@ -13,6 +13,7 @@ import numpy as np
 
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.observations.c_arm_view import CArms, c_arm_environment, contrast_images, fluoroscope_of, marks_of
+from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.stages.learning.task import REWARD_OF_EVALUATION
 from pipeline.task import Task
 
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 RESOLUTION = 1e-3  # m, of the anatomies' grids
 NAMED = -1  # seed of an anatomy that has a name of its own
 
-Anatomy = tuple[str, int]  # kind and seed; a seed below 0: the kind is a phantom's name
+# kind and seed; with a seed below 0 the kind is a phantom's name, or a file
+Anatomy = tuple[str | AnatomyFile, int]
 
 
 def phantom_of(anatomy: Anatomy) -> Phantom:
@@ -35,6 +37,8 @@ def phantom_of(anatomy: Anatomy) -> Phantom:
     from cathsim.many_anatomies import SHELF
 
     kind, seed = anatomy
+    if isinstance(kind, AnatomyFile):
+        return kind.load()
     return SHELF.take(kind if seed < 0 else (kind, seed), RESOLUTION)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Ge, Le
 
+from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
     NOT_EMPTY,
@@ -19,7 +20,6 @@ from pipeline.settings.kinds import (
     FolderNames,
     Processes,
     RisingEpisodes,
-    SomeFolderNames,
     Units,
     one_of,
 )
@@ -34,7 +34,7 @@ _Cameras = Annotated[list[Annotated[str, one_of("a", "b")]], UNIQUE, NOT_EMPTY]
 
 
 @validated()
-class NavigationSettings:
+class NavigationSettings(ChosenAnatomies):
     """Settings of autonomous navigation with SplineFormer."""
 
     name: str = "navigation"
@@ -43,9 +43,9 @@ class NavigationSettings:
     image_size_px: Annotated[int, Ge(64), Le(4_096)] = 1024
     guided: bool = True  # by a contrast run before the procedure; false: by the target's mark alone
     space: bool = True  # two guided cameras also measure wire and vessels in space, by their known geometry
-    phantoms: SomeFolderNames = field(default_factory=list)  # whose experts are cloned
+    phantoms: FolderNames = field(default_factory=list)  # whose experts are cloned
     transfer_phantoms: FolderNames = field(default_factory=list)  # navigated in without having been learnt in
-    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca"])
+    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca"])
     expert: FolderName = "I+V+M"  # row of the stage enn whose episodes are cloned, and which gives advice
     episodes: RisingEpisodes = field(default_factory=list)  # trials of the expert a target: a navigator each
     epochs: Count = 60  # of cloning
@@ -89,7 +89,13 @@ class NavigationSettings:
         return self.space and self.guided and len(self.cameras) == 2
 
     def __post_init__(self) -> None:
-        """Checks that no phantom is both learnt in and kept for the transfer."""
+        """Takes the choices over and checks that no phantom is both learnt in and kept for the transfer."""
+        chosen = self.phantom is not None
+        super().__post_init__()
+        if self.file is not None:
+            self.transfer_phantoms = []
+        if chosen:
+            self.transfer_phantoms = [name for name in self.transfer_phantoms if name not in self.phantoms]
         both = set(self.phantoms) & set(self.transfer_phantoms)
         if both:
             raise ConfigurationError(f"stage.transfer_phantoms names {', '.join(sorted(both))}, which is learnt in")

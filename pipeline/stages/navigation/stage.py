@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from pipeline.anatomies.known import require_known_phantoms, require_known_targets
+from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.jobs.gpu_memory import LEARNT_BATCH, network_gb, policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.human import FOLDER as HUMAN
@@ -32,7 +34,6 @@ from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.stages.navigation.tables import ARCHES, DAGGER, PIXELS, figures, row_of, tables
 from pipeline.stages.navigation.trials import TrialSet
 from pipeline.stages.networks.training import PREDICTOR
-from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
 from pipeline.store.errors import StageError
 from pipeline.store.provenance import hash_file
@@ -56,8 +57,12 @@ def check_navigation(settings: NavigationSettings) -> None:
     Raises:
         ConfigurationError: listing the valid names.
     """
-    require_known_phantoms([*settings.phantoms, *settings.transfer_phantoms])
-    require_known_targets(settings.targets)
+    require_known_phantoms(settings.transfer_phantoms)
+    check_anatomies(settings)
+    if settings.arches or settings.test_arches:
+        require_known_targets(settings.targets)
+    if settings.transfer_phantoms:
+        require_known_targets(settings.targets, settings.transfer_phantoms)
     for task in (settings.task, settings.arch_task):
         require_known_task(task)
         require_feeder(task, "navigation")
@@ -91,7 +96,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     rivals: list[Job] = []
     for phantom in settings.phantoms:
         for target in settings.targets:
-            learnt = LearningTask(phantom, target, settings.task)
+            learnt = LearningTask(phantom, target, settings.task, settings.anatomy_file)
             expert = expert_folder(context.inputs["enn"], learnt.name, settings.expert)
             logs = expert_logs(expert)
             read_episodes(logs, 1)  # an empty folder is refused before any work
@@ -100,7 +105,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             weight = settings.episodes[-1] * _SECONDS["episode"]
             key = f"{LOGS}/{learnt.name}"
             seen.append(Job(key, see_logs, given, after=(PERCEPTION,), weight=weight, gpu_gb=reading_gb))
-            courses.append(Course(expert / POLICY, ((phantom, NAMED),), (target,), settings.task))
+            courses.append(Course(expert / POLICY, ((settings.anatomy(phantom), NAMED),), (target,), settings.task))
             if settings.pixel_cloning:
                 rivals.append(_rival(settings, context, learnt, expert))
     files, after, tests = tuple(job.given.file for job in seen), tuple(job.key for job in seen), trial_sets(settings)
@@ -151,7 +156,7 @@ def _perception(settings: NavigationSettings, context: StageContext, gpu_gb: flo
         context.path / PERCEPTION,
         settings,
         context.inputs["splineformer"] / settings.splineformer / PREDICTOR,
-        (*((name, NAMED) for name in settings.phantoms), *arches),
+        (*((settings.anatomy(name), NAMED) for name in settings.phantoms), *arches),
         context.seed,
         _teacher(settings, context) if settings.arches else None,
     )
@@ -198,7 +203,7 @@ def _teacher(settings: NavigationSettings, context: StageContext) -> Path:
 def trial_sets(settings: NavigationSettings) -> tuple[TrialSet, ...]:
     """The trials: in the phantoms learnt in, in others, in random arches that nothing was trained in."""
     tests = [
-        TrialSet(name, ((name, NAMED),), settings.trials, settings.task)
+        TrialSet(name, ((settings.anatomy(name), NAMED),), settings.trials, settings.task)
         for name in (*settings.phantoms, *settings.transfer_phantoms)
     ]
     unseen: tuple[Anatomy, ...] = tuple((TEST_PHANTOM, arch) for arch in unseen_arches(settings.test_arches))
@@ -226,6 +231,7 @@ STAGE = Stage(
         "notes.json",
         "figures.json",
     ),
+    prepare=settle,
     check=check_navigation,
     further_inputs=_recordings,
     place=14,

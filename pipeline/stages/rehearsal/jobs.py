@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin, controllers, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, training_copies, validation_copies
@@ -30,13 +31,11 @@ from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK, Task
 
 if TYPE_CHECKING:
-    from cathsim import Phantom
     from cathsim.rehearsal.environment import NavigateCopiesEnv
 
 STARTS, POLICY = "starts.npz", "policy.pt"
 SCAN, COPIES = "scan", "copies"  # sets of tests
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record")
-_ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
 _LAID = 0.1  # of the training's job
 
 
@@ -46,7 +45,6 @@ class RehearsalJob:
 
     Attributes:
         task: with the length of the wire filled in.
-        target: its name, or a point in m.
         start: the policy to start from; None: from nothing.
         tested: for tests, the row of the table; None: for the training.
         copies: of a test: seeds.
@@ -56,7 +54,7 @@ class RehearsalJob:
     origin: Origin
     settings: RehearsalSettings
     task: Task
-    target: str | tuple[float, float, float]
+    target: str
     start: Path | None = None
     policy: Path | None = None
     tested: str | None = None
@@ -66,29 +64,6 @@ class RehearsalJob:
     def own_folder(self) -> Path:
         """Of the training."""
         return self.folder / f"seed{self.origin.training_seed}"
-
-
-def load_anatomy(settings: RehearsalSettings) -> Phantom:
-    """The anatomy of the settings, from the cache where it was built before.
-
-    Raises:
-        ValueError: there is none such, or the file cannot be imported.
-    """
-    from cathsim.anatomy import import_anatomy, load_phantom
-
-    if settings.file is None:
-        return load_phantom(settings.phantom or "type_1", seed=settings.phantom_seed)
-    return import_anatomy(settings.file, unit=settings.unit, names=settings.names)
-
-
-def fitted_task(task: Task, phantom: Phantom, target: Any) -> Task:
-    """The task with a wire that reaches the target, where its length is left open."""
-    from cathsim.arena import RESERVE
-
-    needed = phantom.way_length(target) + RESERVE + _ROOM
-    if task.wire_length_mm or needed <= task.guidewire().length:
-        return task
-    return replace(task, wire_length_mm=10.0 * math.ceil(100.0 * needed))
 
 
 def copies_environment(job: RehearsalJob, copies: Sequence[int], *, training: bool = False) -> NavigateCopiesEnv:
@@ -108,7 +83,7 @@ def copies_environment(job: RehearsalJob, copies: Sequence[int], *, training: bo
     )
     shaped: dict[str, Any] = {"force_penalty": settings.force_penalty, "path_penalty": settings.path_penalty}
     return NavigateCopiesEnv(
-        load_anatomy(settings),
+        load_anatomy(settings.anatomy(settings.phantoms[0])),
         (job.target,),
         copies=tuple(copies),
         perturbation=perturbation,

@@ -4,47 +4,43 @@ from __future__ import annotations
 
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-from annotated_types import Ge, Le, Len
+from annotated_types import Ge, Le
 
+from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
-    BranchNames,
     Count,
     Decisions,
     Device,
     Episodes,
-    FolderName,
+    FolderNames,
     Hyperparameters,
     PathText,
     Processes,
-    Seed,
     Units,
     Weight,
     one_of,
 )
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import hash_anatomy
+from pipeline.store.provenance import hash_file
 from pipeline.task import DeviceSettings
+
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
 
 _Millimetres = Annotated[float, Ge(0), Le(20)]
 _Percent = Annotated[float, Ge(0), Le(90)]
-_Coordinates = Annotated[list[float], Len(3, 3)]
 
 
 @validated()
-class RehearsalSettings(DeviceSettings):
+class RehearsalSettings(ChosenAnatomies, DeviceSettings):
     """Settings of a rehearsal; a wire of length 0 becomes as long as the way asks for, at least the preset."""
 
     name: str = "rehearsal"
-    file: PathText | None = None  # of the patient's scan, as cathsim imports it
-    unit: str | None = None  # of that file
-    names: BranchNames = None  # of its branches
-    phantom: FolderName | None = None  # without a file: a named anatomy, or "random"; null: type_1
-    phantom_seed: Seed | None = None  # of a random one
-    target: FolderName | None = None  # any of the anatomy's; null: lcca
-    point_mm: _Coordinates | None = None  # a point in the lumen instead, world frame
+    phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan
+    targets: FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
     policy: PathText | None = None  # saved with critics, to start from; null: the stage unseen's, where it has one
     fresh: bool = False  # starts from nothing even where there is one
     walls_mm: _Millimetres = 1.0  # largest differences of a copy from the scan
@@ -70,27 +66,24 @@ class RehearsalSettings(DeviceSettings):
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # that step the environments; 0: one a core
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)
-    file_sha256: str | None = None  # filled in, as the next: results depend on what is in the files
-    policy_sha256: str | None = None
+    policy_sha256: str | None = None  # filled in: results depend on what is in the file
 
     def __post_init__(self) -> None:
         """Reads the files, and refuses what contradicts itself."""
-        super().__post_init__()
-        self.file_sha256 = _digest("phantom.file", self.file, "give the path of a surface or of a label volume")
-        self.policy_sha256 = _digest("stage.policy", self.policy, "give a policy.pt that was saved with critics")
-        if self.file is not None and (self.phantom is not None or self.phantom_seed is not None):
-            raise ConfigurationError("phantom.file brings the anatomy: leave out phantom.name and stage.phantom_seed")
-        if self.file is None and (self.unit is not None or self.names is not None):
-            raise ConfigurationError("phantom.unit and phantom.names belong to a file: give phantom.file=PATH too")
-        if self.target is not None and self.point_mm is not None:
-            raise ConfigurationError("stage.point_mm is the target: leave out target")
+        DeviceSettings.__post_init__(self)
+        ChosenAnatomies.__post_init__(self)
+        self.policy_sha256 = None
+        if self.policy is not None:
+            if not Path(self.policy).is_file():
+                raise ConfigurationError(
+                    f"stage.policy={self.policy} is no file: give a policy.pt that was saved with critics"
+                )
+            self.policy_sha256 = hash_file(Path(self.policy))
+        for key in ("phantoms", "targets"):
+            if len(getattr(self, key)) > 1:
+                raise ConfigurationError(f"stage.{key} names several: a rehearsal has one scan and one target")
         if self.policy is not None and self.fresh:
             raise ConfigurationError("stage.fresh=true starts from nothing: leave out stage.policy")
 
-
-def _digest(setting: str, path: str | None, advice: str) -> str | None:
-    if path is None:
-        return None
-    if not Path(path).exists():
-        raise ConfigurationError(f"{setting}={path} is no file: {advice}")
-    return hash_anatomy(Path(path))
+    def fit(self, phantom: Phantom) -> None:
+        """Leaves the wire to the stage, which fits it to the only target."""

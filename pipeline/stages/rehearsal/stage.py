@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.anatomies.anatomy_file import load_anatomy
+from pipeline.anatomies.settings import check_anatomies, fitted_task, settle
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
@@ -21,8 +23,6 @@ from pipeline.stages.rehearsal.jobs import (
     PRELOAD,
     SCAN,
     RehearsalJob,
-    fitted_task,
-    load_anatomy,
     play,
     train,
 )
@@ -40,7 +40,8 @@ _SECONDS = {"decision": 15e-3, "test": 1.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
-    """Refuses unknown wires and actions of the tip's motors."""
+    """Refuses unknown anatomies, wires and actions of the tip's motors."""
+    check_anatomies(settings)
     require_known_task(settings.task)
     require_feeder(settings.task, "rehearsal")
 
@@ -48,11 +49,11 @@ def check_rehearsal(settings: RehearsalSettings) -> None:
 def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
     """Imports the scan, tests the policy to start from, rehearses, and tests again."""
     try:
-        phantom = load_anatomy(settings)
-        x = settings.point_mm
-        target: Any = settings.target or "lcca" if x is None else tuple(float(value) / 1e3 for value in x)
-        phantom.target(target)
-        task = fitted_task(settings.task, phantom, target)
+        settle(settings)
+        phantom = load_anatomy(settings.anatomy(settings.phantoms[0]))
+        target = settings.targets[0]
+        task = fitted_task(settings.task, phantom, [target])
+        phantom.entry(task.entry)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     start = starting_policy(settings, context.run_path, context.seed)
@@ -87,7 +88,7 @@ def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int) -> P
     return Path(settings.policy) if settings.policy is not None else generalist(run_path, seed)
 
 
-def plan(settings: RehearsalSettings, context: StageContext, task: Task, target: Any, start: Path | None) -> list[Job]:
+def plan(settings: RehearsalSettings, context: StageContext, task: Task, target: str, start: Path | None) -> list[Job]:
     """The jobs: tests before, the training, tests after."""
     job = RehearsalJob(
         context.path, Origin("rehearsal", AFTER, context.seed, context.budget), settings, task, target, start
@@ -175,6 +176,7 @@ STAGE = Stage(
         "{before,after}.png",
         "results.json",
     ),
+    prepare=settle,
     check=check_rehearsal,
     further_inputs=_generalist_hash,
     place=10,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
+from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.seeds import unseen_arches
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.tables import MISREGISTERED, UNSEEN
@@ -24,10 +26,13 @@ def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
     unseen = tuple(unseen_arches(settings.test_anatomies))
     wire = settings.task.wire
     tests = [HeldOutSet(UNSEEN, unseen, wire=wire, modes=("deterministic", "stochastic"))]
-    tests += [HeldOutSet(name, (name,), settings.named_episodes, wire) for name in settings.phantoms]
+    own: dict[str, Any] = {"wire": wire, "targets": tuple(settings.own_targets), "entry": settings.own_entry}
+    for name in settings.phantoms:
+        count = settings.mesh_episodes if name == settings.file_name else settings.named_episodes
+        tests.append(HeldOutSet(name, (settings.anatomy(name),), count, **own))
     if settings.mesh is not None:
-        if Path(settings.mesh).is_file():
-            tests.append(HeldOutSet(REAL_MESH, (settings.mesh,), settings.mesh_episodes, wire))
+        if Path(settings.mesh).exists():
+            tests.append(HeldOutSet(REAL_MESH, (AnatomyFile(settings.mesh),), settings.mesh_episodes, wire))
         else:
             _LOGGER.warning("there is no mesh %s: the test on a scanned anatomy is left out", settings.mesh)
     tests += [HeldOutSet(f"{UNSEEN} {kind}", unseen[: settings.wire_anatomies], wire=kind) for kind in settings.wires]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Ge, Le
 
+from pipeline.anatomies.known import TARGETS
+from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
     UNIQUE,
@@ -19,20 +21,27 @@ from pipeline.settings.kinds import (
     Hyperparameters,
     PathText,
     Processes,
-    SomeFolderNames,
     Units,
 )
-from pipeline.task import Task, task_in_random_arches
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import DESCENDING, Task, task_in_random_arches
+
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
 
 _Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
 
 
 @validated()
-class UnseenSettings:
+class UnseenSettings(ChosenAnatomies):
     """Settings of the policies for anatomies that were never seen."""
 
+    needs_anatomy: ClassVar[bool] = False
+
     name: str = "unseen"
-    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca"])  # of every policy
+    own_entry: PathText = DESCENDING  # filled in: where wires come in in `phantoms`
+    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca"])  # of every policy
+    own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
     anatomies: Count = 32  # random arches that the roadmap policy is trained on
     curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each
     demonstrations: CountOrNone = 12  # that the sampling expert tries, in as many arches
@@ -51,7 +60,7 @@ class UnseenSettings:
     advised_episodes: Count = 90  # a round
     epochs: Count = 12  # over all episodes so far, a round
     test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
-    phantoms: FolderNames = field(default_factory=list)  # named anatomies, none of them trained on
+    phantoms: FolderNames = field(default_factory=list)  # to test in, none of them trained on
     named_episodes: Episodes = 10  # on each, for each target
     mesh: PathText | None = None  # scanned anatomy; left out where the file is missing
     mesh_episodes: Annotated[int, Ge(1), Le(500)] = 20
@@ -63,3 +72,31 @@ class UnseenSettings:
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)
+
+    def __post_init__(self) -> None:
+        """Takes the choices of the command line over."""
+        super().__post_init__()
+        if not self.targets:
+            raise ConfigurationError("stage.targets is empty: name at least one")
+
+    def take_targets(self, names: list[str]) -> None:
+        """Policies learn the targets of random arches alone; others are tried in `phantoms`."""
+        if set(names) <= set(TARGETS):
+            self.targets = names
+        else:
+            self.own_targets = names
+
+    def tested_targets(self) -> list[str]:
+        """The targets in the anatomies of `phantoms`."""
+        return self.own_targets or self.targets
+
+    def tested_entry(self) -> str:
+        """The entry in the anatomies of `phantoms`."""
+        return self.own_entry
+
+    def take_entry(self, entry: str) -> None:
+        """Wires of the policies come from the groin; others are tried in `phantoms`."""
+        self.own_entry = entry
+
+    def fit(self, phantom: Phantom) -> None:
+        """Leaves the wire of the random arches; in a file's anatomy it is as long as its way asks for."""

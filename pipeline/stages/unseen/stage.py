@@ -13,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.anatomies.known import require_known_entry, require_known_phantoms, require_known_targets
+from pipeline.anatomies.settings import settle
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
@@ -21,7 +23,6 @@ from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
-from pipeline.stages.phantoms import require_known_phantoms, require_known_targets
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, DemonstrationsJob, record_demonstrations
 from pipeline.stages.unseen.held_out import misregistered, test_sets
 from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
@@ -57,9 +58,12 @@ def check_unseen(settings: UnseenSettings) -> None:
     """
     from cathsim import GUIDEWIRES
 
-    if settings.phantoms:
-        require_known_phantoms(settings.phantoms)
     require_known_targets(settings.targets)
+    if settings.file is None:
+        require_known_phantoms(settings.phantoms)
+        if settings.phantoms:
+            require_known_targets(settings.tested_targets(), settings.phantoms)
+        require_known_entry(settings.own_entry, settings.phantoms)
     wires = (*GUIDEWIRES, "softer", "stiffer")
     unknown = [name for name in settings.wires if name not in wires]
     if unknown:
@@ -247,6 +251,7 @@ STAGE = Stage(
         "<row>/seed<k>/evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap",
         "results.json",
     ),
+    prepare=settle,
     check=check_unseen,
     place=9,
 )

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
+from pipeline.anatomies.settings import fitted_task
 from pipeline.stages.learning.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING
-from pipeline.task import Task
+from pipeline.task import DESCENDING, Task
 
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
@@ -68,24 +70,35 @@ class UnseenTask:
         )
 
     def test_environment(
-        self, phantom: str | int, target: str, wire: str, observation: tuple[str, ...], registration_noise: float = 0.0
+        self,
+        phantom: str | int | AnatomyFile,
+        target: str,
+        wire: str,
+        observation: tuple[str, ...],
+        registration_noise: float = 0.0,
+        entry: str = DESCENDING,
     ) -> NavigateEnv:
         """An environment of a test.
 
         Args:
-            phantom: a named phantom, a mesh's path, or the seed of a random arch.
-            wire: as `wire` takes it.
+            phantom: a named phantom, a file, or the seed of a random arch.
+            wire: as `wire` takes it; in a file's anatomy and from another entry longer, where the way asks for it.
             registration_noise: of the roadmap, m an axis.
         """
         from cathsim import NavigateEnv
 
-        named = {"phantom": phantom} if isinstance(phantom, str) else {"phantom": TEST_PHANTOM, "phantom_seed": phantom}
+        place = load_anatomy(f"{TEST_PHANTOM}_{phantom}" if isinstance(phantom, int) else phantom)
+        tried = replace(self, task=replace(self.task, entry=entry))
+        if isinstance(phantom, AnatomyFile) or entry != DESCENDING:
+            fitted = fitted_task(replace(tried.task, wire_length_mm=0.0), place, [target])
+            if fitted.guidewire().length > tried.task.guidewire().length:
+                tried = replace(tried, task=fitted)
         return NavigateEnv(
-            **named,
+            place,
             target=target,
-            wire=self.wire(wire),
+            wire=tried.wire(wire),
             observation=observation,
             reward=REWARD_OF_EVALUATION,
             registration_noise=registration_noise,
-            **self.task.rules(),
+            **tried.task.rules(),
         )

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.recording.trials import Controller, Origin, run_trials, summary
 from pipeline.seeds import held_out_seeds
+from pipeline.task import DESCENDING
 
 if TYPE_CHECKING:
     from cathsim.metrics import EpisodeMetrics
@@ -20,19 +22,23 @@ class HeldOutSet:
     """Anatomies and a wire that a policy has not been trained with.
 
     Attributes:
-        phantoms: names, paths of meshes, or seeds of random arches.
+        phantoms: names, files, or seeds of random arches.
         episodes: on each, for each target.
         wire: a preset, "softer" or "stiffer".
         modes: "deterministic", "stochastic".
         registration_noise: of the roadmap, m an axis.
+        targets: in these anatomies; none: those of the policy.
+        entry: in these anatomies.
     """
 
     name: str
-    phantoms: tuple[str | int, ...]
+    phantoms: tuple[str | int | AnatomyFile, ...]
     episodes: int = 1
     wire: str = "default"
     modes: tuple[str, ...] = ("deterministic",)
     registration_noise: float = 0.0
+    targets: tuple[str, ...] = ()
+    entry: str = DESCENDING
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +92,9 @@ def run_tests(
         A row for each test set, target and mode: their names and the summary of the episodes.
     """
     rows = []
-    cells = [(test, target, mode) for test in job.tests for target in job.task.targets for mode in test.modes]
+    cells = [
+        (test, target, mode) for test in job.tests for target in test.targets or job.task.targets for mode in test.modes
+    ]
     total = sum(len(test.phantoms) for test, _, _ in cells)
     done = 0
     for test, target, mode in cells:
@@ -94,7 +102,7 @@ def run_tests(
         further = {**job.origin.further, "test_set": test.name, "training_anatomies": len(job.anatomies)}
         for place, phantom in enumerate(test.phantoms):
             environment = seen(
-                job.task.test_environment(phantom, target, test.wire, observation, test.registration_noise)
+                job.task.test_environment(phantom, target, test.wire, observation, test.registration_noise, test.entry)
             )
             seeds = held_out_seeds(job.seed, len(test.phantoms) * test.episodes)
             metrics += run_trials(

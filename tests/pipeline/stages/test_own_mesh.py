@@ -61,27 +61,27 @@ def test_a_folder_counts_by_its_files(tmp_path: Path):
     folder = tmp_path / "patient"
     folder.mkdir()
     (folder / "aorta.nii.gz").write_bytes(b"one")
-    digest = PhantomsSettings(file=str(folder)).mesh_sha256
+    digest = PhantomsSettings(file=str(folder)).file_sha256
     (folder / "aorta.nii.gz").write_bytes(b"two")
     assert digest is not None
-    assert digest != PhantomsSettings(file=str(folder)).mesh_sha256
+    assert digest != PhantomsSettings(file=str(folder)).file_sha256
 
 
 def test_the_files_content_counts(tmp_path: Path):
     first, second = tmp_path / "a.stl", tmp_path / "b.stl"
     first.write_bytes(b"one")
     second.write_bytes(b"two")
-    digest = PhantomsSettings(mesh=str(first)).mesh_sha256
+    digest = PhantomsSettings(file=str(first)).file_sha256
     assert digest is not None
-    assert digest != PhantomsSettings(mesh=str(second)).mesh_sha256
+    assert digest != PhantomsSettings(file=str(second)).file_sha256
     second.write_bytes(b"one")
-    assert digest == PhantomsSettings(mesh=str(second)).mesh_sha256
+    assert digest == PhantomsSettings(file=str(second)).file_sha256
 
 
 def test_wrong_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    with pytest.raises(ConfigurationError, match=r"phantom.mesh=none.stl is no file"):
-        PhantomsSettings(mesh="none.stl")
-    with pytest.raises(ConfigurationError, match=r"phantom.unit and phantom.names belong to a mesh"):
+    with pytest.raises(ConfigurationError, match=r"phantom.file=none.stl is no file"):
+        PhantomsSettings(file="none.stl")
+    with pytest.raises(ConfigurationError, match=r"phantom.unit belongs to a file"):
         PhantomsSettings(phantoms=["type_1"], unit="mm")
     text = tmp_path / "text.stl"
     text.write_text("no mesh at all\n" * 20)

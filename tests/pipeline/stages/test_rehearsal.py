@@ -12,6 +12,7 @@ import pytest
 
 from cathsim import load_phantom
 from enn.policy import Policy
+from pipeline.anatomies.settings import check_anatomies, fitted_task
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
@@ -19,8 +20,6 @@ from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.jobs import (
     RehearsalJob,
     copies_environment,
-    fitted_task,
-    load_anatomy,
     play,
     train,
 )
@@ -131,17 +130,20 @@ def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
 
 def test_the_wire_becomes_as_long_as_the_way_asks_for() -> None:
     phantom = load_phantom("type_1")
-    assert fitted_task(Task(), phantom, "lsa_end") == Task()  # the preset's reaches it
+    assert fitted_task(Task(), phantom, ["lsa_end"]) == Task()  # the preset's reaches it
     far = max(phantom.targets, key=phantom.way_length)
-    assert fitted_task(Task(), phantom, far).guidewire().length > phantom.way_length(far) + 0.05
-    assert fitted_task(Task(wire_length_mm=280.0), phantom, "lsa_end").wire_length_mm == 280.0
+    assert fitted_task(Task(), phantom, [far]).guidewire().length > phantom.way_length(far) + 0.05
+    assert fitted_task(Task(wire_length_mm=280.0), phantom, ["lsa_end"]).wire_length_mm == 280.0
 
 
 def test_the_anatomy_is_a_file_a_name_or_a_seed() -> None:
-    assert load_anatomy(RehearsalSettings()).name == "type_1"
-    assert load_anatomy(RehearsalSettings(phantom="bovine")).name == "bovine"
-    with pytest.raises(ValueError, match="needs a seed"):
-        load_anatomy(RehearsalSettings(phantom="random"))
+    assert RehearsalSettings().phantoms == ["type_1"]
+    assert RehearsalSettings(phantom="bovine").phantoms == ["bovine"]
+    assert RehearsalSettings(phantom="random", phantom_seed=3).phantoms == ["random_3"]
+    with pytest.raises(ConfigurationError, match="needs a seed"):
+        check_anatomies(RehearsalSettings(phantom="random"))
+    with pytest.raises(ConfigurationError, match="names several"):
+        RehearsalSettings(targets=["bca", "lcca"])
 
 
 def test_the_generalist_of_the_run_is_what_it_starts_from(tmp_path: Path) -> None:
@@ -172,7 +174,7 @@ def test_a_row_pools_the_forces_of_all_steps() -> None:
     [
         ({"file": "missing.stl"}, "phantom.file=missing.stl is no file"),
         ({"policy": "missing.pt"}, "stage.policy=missing.pt is no file"),
-        ({"unit": "mm"}, "belong to a file"),
+        ({"unit": "mm"}, "phantom.unit belongs to a file"),
         ({"target": "bca", "point_mm": [0.0, 0.0, 0.0]}, "stage.point_mm is the target"),
         ({"policy": __file__, "fresh": True}, "stage.fresh=true starts from nothing"),
         ({"file": __file__, "phantom": "type_1"}, "phantom.file brings the anatomy"),

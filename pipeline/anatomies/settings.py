@@ -1,0 +1,231 @@
+"""Settings that choose anatomies and targets: by name, a file of one's own, a random arch; a point, an entry.
+
+They are declared here once. Stages inherit them, ``conf/anatomy/`` gives them the values of the command line
+(``phantom.file=PATH``, ``phantom.name=…``, ``target=…``), and `settle` fills in what only the file tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from annotated_types import Len
+
+from pipeline.anatomies.anatomy_file import AnatomyFile, world_point
+from pipeline.anatomies.known import require_known_entry, require_known_phantoms, require_known_targets
+from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.kinds import (
+    BranchNames,
+    EntryPlace,
+    FolderName,
+    FolderNames,
+    PathText,
+    Seed,
+    VesselLabels,
+)
+from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import hash_anatomy
+from pipeline.task import DESCENDING, NO_WIRE, Task, entry_place
+
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
+
+RANDOM = "random"  # arches like those of most patients
+_ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
+_IMPORT_SETTINGS = ("unit", "names", "labels")
+_Coordinates = Annotated[list[float], Len(3, 3)]
+
+
+@validated()
+class FileSettings:
+    """A file with an anatomy of one's own; results depend on what is in it, not on where it lies."""
+
+    file: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # as cathsim imports it
+    unit: str | None = None  # of a surface
+    names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
+    labels: VesselLabels = None  # of a label volume: which label is which vessel
+    file_name: FolderName | None = None  # filled in, as the next: what its anatomy is called
+    file_sha256: str | None = None
+
+    def __post_init__(self) -> None:
+        """Reads the file, and refuses what belongs to one where there is none."""
+        self.file_name = self.file_sha256 = None
+        if self.file is not None:
+            if not Path(self.file).exists():
+                raise ConfigurationError(
+                    f"phantom.file={self.file} is no file: give the path of a surface (STL, OBJ, PLY, VTP, GLB), of a "
+                    "label volume (NIfTI, NRRD), or of a folder with one file a vessel"
+                )
+            self.file_name = AnatomyFile(self.file).name
+            self.file_sha256 = hash_anatomy(Path(self.file))
+        for name in _IMPORT_SETTINGS:
+            if self.file is None and getattr(self, name) is not None:
+                raise ConfigurationError(f"phantom.{name} belongs to a file: give phantom.file=PATH too")
+
+    @property
+    def anatomy_file(self) -> AnatomyFile | None:
+        """The file; None: there is none."""
+        return None if self.file is None else AnatomyFile.of(self.file, self.unit, self.names, self.labels)
+
+
+@validated()
+class ChosenAnatomies(FileSettings):
+    """Anatomies and targets of a stage, or the only one of each that the command line names."""
+
+    needs_anatomy: ClassVar[bool] = True  # whether there must be one
+
+    phantoms: FolderNames = field(default_factory=list)
+    targets: FolderNames = field(default_factory=list)
+    phantom: FolderName | None = None  # phantom.name=…: the only one
+    phantom_seed: Seed | None = None  # phantom.seed=…: of phantom.name=random, which may be left out
+    target: FolderName | None = None  # target=…: the only one
+    point_mm: _Coordinates | None = None  # the only target is a point: in the file's axes, else in the world frame
+    entry: EntryPlace = None  # phantom.entry=…: its name, or a point as `point_mm`
+    task: Task = field(default_factory=Task)
+
+    def __post_init__(self) -> None:
+        """Takes the choices of the command line over, and refuses what contradicts itself."""
+        super().__post_init__()
+        self._choose_anatomy()
+        self._choose_target()
+        if isinstance(self.entry, str) or (self.entry is not None and self.file is None):
+            self.take_entry(self.entry if isinstance(self.entry, str) else _in_metres(self.entry))
+            self.entry = None
+        for key in ("phantoms", "targets"):
+            if not getattr(self, key) and self.needs_anatomy:
+                raise ConfigurationError(f"stage.{key} is empty: name at least one")
+
+    def _choose_anatomy(self) -> None:
+        if self.file_name is not None:
+            if self.phantom is not None or self.phantom_seed is not None:
+                raise ConfigurationError("phantom.file brings the anatomy: leave out phantom.name and phantom.seed")
+            self.phantoms = [self.file_name]
+        elif self.phantom_seed is not None:
+            self.phantoms = [f"{self.phantom or RANDOM}_{self.phantom_seed}"]
+        elif self.phantom is not None:
+            self.phantoms = [self.phantom]
+        self.phantom = self.phantom_seed = None  # so that a choice and the same list count as the same settings
+
+    def _choose_target(self) -> None:
+        if self.point_mm is not None and self.target is not None:
+            raise ConfigurationError("stage.point_mm is the target: leave out target")
+        if self.target is not None:
+            self.take_targets([self.target])
+        elif self.point_mm is not None and self.file is None:
+            self.take_targets([_point_name(self.point_mm)])
+            self.point_mm = None
+        self.target = None
+
+    def anatomy(self, name: str) -> str | AnatomyFile:
+        """The anatomy of a name among `phantoms`: the file, where that is called so."""
+        file = self.anatomy_file
+        return file if file is not None and name == self.file_name else name
+
+    def take_targets(self, names: list[str]) -> None:
+        """Makes these the only targets."""
+        self.targets = names
+
+    def take_entry(self, entry: str) -> None:
+        """Lets episodes begin there: a name, or the text of a point in m, world frame."""
+        self.task = replace(self.task, entry=entry)
+
+    def fit(self, phantom: Phantom) -> None:
+        """Makes the wire as long as the file's vessels ask for, where its length is left open."""
+        usual = [target.name for target in phantom.targets.values() if not target.at_end]
+        self.task = fitted_task(self.task, phantom, [*usual, *self.targets])
+
+    def tested_targets(self) -> list[str]:
+        """The targets in the anatomies of `phantoms`."""
+        return self.targets
+
+    def tested_entry(self) -> str:
+        """The entry in the anatomies of `phantoms`."""
+        return self.task.entry
+
+
+def settle(settings: ChosenAnatomies) -> None:
+    """Fills in what only the file tells: its points in the world frame, and the length of the wire.
+
+    Raises:
+        ConfigurationError: the file cannot be imported, or has no such target or entry; the message lists those that
+            there are.
+    """
+    from cathsim.anatomy.entry import entry_name
+
+    file = settings.anatomy_file
+    if file is None:
+        return
+    try:
+        phantom = file.load()
+        if settings.point_mm is not None:
+            point = world_point(phantom, settings.point_mm)
+            phantom.target(point)
+            settings.take_targets([_named(point)])
+            settings.point_mm = None
+        if isinstance(settings.entry, list):
+            settings.take_entry(_written(world_point(phantom, settings.entry)))
+            settings.entry = None
+        place = entry_place(settings.tested_entry())
+        for target in settings.tested_targets():
+            phantom.target(target)
+            phantom.entry(entry_name(place, target))
+        settings.fit(phantom)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+
+
+def check_anatomies(settings: ChosenAnatomies) -> None:
+    """Refuses unknown names of anatomies, targets and entries; those of a file are checked by `settle`.
+
+    Raises:
+        ConfigurationError: listing the valid names.
+    """
+    if settings.file is not None:
+        return
+    require_known_phantoms(settings.phantoms)
+    require_known_targets(settings.targets, settings.phantoms)
+    if settings.task.entry != DESCENDING:
+        require_known_entry(settings.task.entry, settings.phantoms)
+
+
+def fitted_task(task: Task, phantom: Phantom, targets: Sequence[Any]) -> Task:
+    """The task with a wire that reaches the targets from its entry, where its length is left open.
+
+    Args:
+        targets: names, or points in m.
+
+    Raises:
+        ValueError: an unknown target or entry.
+    """
+    from cathsim.anatomy.entry import entry_name
+    from cathsim.arena import RESERVE
+
+    ways = [phantom.way_length(target, entry_name(entry_place(task.entry), target)) for target in targets]
+    if task.wire_length_mm or task.wire == NO_WIRE:
+        return task
+    needed = max(ways) + RESERVE + _ROOM
+    return task if needed <= task.guidewire().length else replace(task, wire_length_mm=10.0 * math.ceil(100.0 * needed))
+
+
+def _in_metres(point_mm: Sequence[float]) -> str:
+    return _written([coordinate / 1e3 for coordinate in point_mm])
+
+
+def _written(point: Sequence[float]) -> str:
+    from cathsim.anatomy.entry import entry_name
+
+    return entry_name(point)
+
+
+def _point_name(point_mm: Sequence[float]) -> str:
+    return _named([coordinate / 1e3 for coordinate in point_mm])
+
+
+def _named(point: Sequence[float]) -> str:
+    from cathsim.anatomy.point_target import target_name
+
+    x, y, z = point
+    return target_name((x, y, z))
