@@ -240,19 +240,22 @@ def _pair(cell: Cell) -> tuple[float, float] | None:
 
 
 def _phantom(name: str, log: Path) -> Any:
-    """The phantom of an episode: of the library, or imported again; None where its file is gone or has changed.
+    """A named phantom, or a file's, imported again; None for a random arch, and where the file is gone or has changed.
 
     Args:
         log: of an episode in it.
     """
+    from cathsim import PHANTOMS, load_phantom
     from pipeline.episodes import EpisodeReader, EpisodeReadError
+    from pipeline.recording.record import ANATOMY
     from pipeline.recording.replay import recorded_phantom
 
+    if name in PHANTOMS:
+        return load_phantom(name)
     with EpisodeReader(log) as reader:
         info = reader.info
     try:
-        phantom = recorded_phantom(info)
+        return recorded_phantom(info) if ANATOMY in info.configuration else None
     except (EpisodeReadError, ValueError) as error:
         _LOGGER.warning("no picture of %s: %s", name, error)
         return None
-    return phantom if phantom.hash == info.phantom_hash else None
