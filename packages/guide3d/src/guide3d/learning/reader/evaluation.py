@@ -1,0 +1,95 @@
+"""Evaluation of a reader on random whole images: how well its maps agree with what was drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+from guide3d.reading.maps import Reader
+
+_NEAR_PX = 4
+_TIP_NEAR_PX = 6.0
+_HALF = 0.5
+
+
+@dataclass(frozen=True)
+class ReaderScores:
+    """What maps are worth, thresholded at a half.
+
+    Attributes:
+        dice: of the wire's map over all images together.
+        precision: share of what is marked within 4 px of the wire's mask.
+        recall: share of the wires' centre lines within 4 px of a marked pixel.
+        catheter_dice: of the catheter's map.
+        tip_found: share of the tips with a tip's map above 0.5 within 6 px.
+        tip_false: marked tips, further than 6 px from all, an image.
+        empty_px: marked pixels an image without wire, mean.
+        calibration: mean difference of the wire's map and the truth over ten classes of the map, by their size, where
+            the map is above 0.02.
+        images: how many.
+    """
+
+    dice: float
+    precision: float
+    recall: float
+    catheter_dice: float
+    tip_found: float
+    tip_false: float
+    empty_px: float
+    calibration: float
+    images: int
+
+
+def evaluate_reader(reader: Reader, fluoroscopy: RandomFluoroscopy, indices: Iterable[int]) -> ReaderScores:
+    """Reads the whole images of some indices."""
+    both = marked = true = hit = covered = length = 0.0
+    sheath = np.zeros(2)
+    tips = found = false = 0
+    empty: list[float] = []
+    sums = np.zeros((3, 10))  # of map, truth, and number
+    count = 0
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _NEAR_PX + 1, 2 * _NEAR_PX + 1))
+    for index in indices:
+        drawn = fluoroscopy.image(index)
+        maps = reader.maps(drawn.image)
+        wire, mask = maps.wire > _HALF, drawn.wire > 127
+        both, marked, true = both + (wire & mask).sum(), marked + wire.sum(), true + mask.sum()
+        hit += (wire & (cv2.dilate(drawn.wire, disc) > 127)).sum()
+        near = cv2.dilate(wire.astype(np.uint8), disc)
+        for line in (piece for pieces in drawn.wires for piece in pieces):
+            x, y = np.rint(line).astype(int).T
+            covered, length = covered + near[y, x].sum(), length + len(line)
+        mask = drawn.catheter > 127
+        catheter = maps.catheter > _HALF
+        sheath += (2 * (catheter & mask).sum(), catheter.sum() + mask.sum())
+        if not drawn.wire.any():
+            empty.append(float(wire.sum()))
+        number, _, _, centres = cv2.connectedComponentsWithStats((maps.tip > _HALF).astype(np.uint8))
+        places = centres[1:number]
+        apart = np.linalg.norm(places[:, None] - drawn.tips[None], axis=2) if len(drawn.tips) else None
+        tips += len(drawn.tips)
+        if apart is None:
+            false += len(places)
+        elif len(places):
+            found += int((apart.min(axis=0) <= _TIP_NEAR_PX).sum())
+            false += int((apart.min(axis=1) > _TIP_NEAR_PX).sum())
+        said = maps.wire > 0.02
+        part = np.minimum((maps.wire[said] * 10).astype(int), 9)
+        for row, values in enumerate((maps.wire[said], drawn.wire[said] / 255.0, np.ones(len(part)))):
+            sums[row] += np.bincount(part, values, 10)
+        count += 1
+    return ReaderScores(
+        dice=float(2 * both / max(marked + true, 1)),
+        precision=float(hit / max(marked, 1)),
+        recall=float(covered / max(length, 1)),
+        catheter_dice=float(sheath[0] / max(sheath[1], 1)),
+        tip_found=found / max(tips, 1),
+        tip_false=false / max(count, 1),
+        empty_px=float(np.mean(empty)) if empty else 0.0,
+        calibration=float(np.abs(sums[0] - sums[1]).sum() / max(sums[2].sum(), 1)),
+        images=count,
+    )

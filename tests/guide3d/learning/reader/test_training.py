@@ -1,0 +1,123 @@
+"""Training of the reader: it learns, resumes where it stopped, and does not depend on the number of processes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from guide3d.learning.reader.evaluation import evaluate_reader
+from guide3d.learning.reader.tiles import ReaderTiles, tile_batches
+from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, reader_loss, smoke_recipe, train_reader
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+from guide3d.random_fluoroscopy.settings import FluoroscopySettings
+from guide3d.reading.maps import Reader
+from guide3d.train_reader import arguments, main, train
+
+SMALL = FluoroscopySettings(image_px=128)
+
+
+def small_recipe(steps: int = 12) -> ReaderRecipe:
+    return replace(smoke_recipe(), steps=steps, fluoroscopy=SMALL)
+
+
+def test_the_loss_falls(tmp_path: Path) -> None:
+    losses: list[float] = []
+    plain = replace(SMALL, no_wire=0.0, clutter=1e-6, catheter=0.0, along_edge=0.0, in_vessel=0.0, weakest=0.6)
+    recipe = replace(small_recipe(60), learning_rate=1e-2, tile_px=32, warm_up=0.0, fluoroscopy=plain)
+    train_reader(recipe, tmp_path, processes=0, progress=lambda _, loss: losses.append(loss))
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_a_training_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    whole, _ = train_reader(small_recipe(), tmp_path / "whole", processes=0)
+
+    def stop(step: int, _: float) -> None:
+        raise KeyboardInterrupt
+
+    half = tmp_path / "half"
+    recipe = small_recipe()
+    batches = list(tile_batches(ReaderTiles(SMALL, 0, 64), 0, 12, 4, 0))
+    later = list(tile_batches(ReaderTiles(SMALL, 0, 64), 5, 12, 4, 0))
+    torch.testing.assert_close(batches[5][0], later[0][0])
+    with pytest.raises(KeyboardInterrupt):
+        train_reader(recipe, half, processes=0, progress=stop)
+    again, report = train_reader(recipe, half, processes=0)
+    assert report["steps"] == 12
+    for name, value in whole.state_dict().items():
+        torch.testing.assert_close(again.state_dict()[name], value)
+
+
+def test_processes_draw_the_same_tiles() -> None:
+    tiles = ReaderTiles(SMALL, 1, 64)
+    own = list(tile_batches(tiles, 0, 3, 2, 0))
+    others = list(tile_batches(tiles, 0, 3, 2, 1))
+    for (images, targets), (same, like) in zip(own, others, strict=True):
+        torch.testing.assert_close(images, same)
+        torch.testing.assert_close(targets, like)
+
+
+def test_another_recipe_does_not_go_on(tmp_path: Path) -> None:
+    train_reader(small_recipe(2), tmp_path, processes=0)
+    assert (tmp_path / CHECKPOINT).is_file()
+    with pytest.raises(ValueError, match="belongs to a training with other settings"):
+        train_reader(small_recipe(3), tmp_path, processes=0)
+
+
+def test_the_right_answer_has_the_smallest_loss() -> None:
+    target = torch.zeros(1, 3, 32, 32)
+    target[:, :, 10:14] = 1.0
+    recipe = smoke_recipe()
+    right = reader_loss(20 * target - 10, target, recipe)
+    assert right < 0.01
+    assert reader_loss(torch.zeros_like(target), target, recipe) > 10 * right
+    assert reader_loss(10 - 20 * target, target, recipe) > reader_loss(torch.zeros_like(target), target, recipe)
+
+
+def test_tiles_must_fit_the_network() -> None:
+    with pytest.raises(ValueError, match="tile_px must be a multiple of 64"):
+        ReaderRecipe(tile_px=100)
+
+
+def test_command_line_writes_a_reader(tmp_path: Path) -> None:
+    words = ["--output", str(tmp_path / "a"), "--size", "smoke", "--steps", "2", "--images", "1", "--processes", "0"]
+    np.savez(tmp_path / "ct.npz", ct=np.zeros((40, 40), np.float32))
+    words += ["--fluoroscopy", '{"image_px": 128}', "--backgrounds", str(tmp_path / "ct.npz")]
+    table = train(arguments(words))
+    assert table["validation"]["images"] == 1
+    assert json.loads((tmp_path / "a" / "training.json").read_text())["steps"] == 2
+    maps = Reader.load(tmp_path / "a" / "reader.pt").maps(np.full((50, 70), 90, np.uint8))
+    assert maps.wire.shape == (50, 70)
+
+
+def test_bad_commands_are_refused_in_one_sentence(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "x.npz").write_text("no arrays")
+    words = ["--output", str(tmp_path / "a"), "--size", "smoke", "--backgrounds", str(tmp_path / "x.npz")]
+    assert main(words) == 2
+    assert "is no .npz of arrays" in caplog.text
+
+
+def test_evaluation_counts_what_is_marked() -> None:
+    class Perfect(Reader):
+        def __init__(self, images: RandomFluoroscopy) -> None:
+            self.drawn = {image.image.tobytes(): image for image in map(images.image, range(4))}
+
+        def maps(self, image):  # type: ignore[no-untyped-def]
+            drawn = self.drawn[image.tobytes()]
+            from guide3d.reading.maps import ReaderMaps
+
+            return ReaderMaps(drawn.wire / np.float32(255), drawn.catheter / np.float32(255), drawn.tip)
+
+    fluoroscopy = RandomFluoroscopy(replace(SMALL, image_px=256), seed=4)
+    scores = evaluate_reader(Perfect(fluoroscopy), fluoroscopy, range(4))
+    assert scores.dice == 1.0
+    assert scores.precision == 1.0
+    assert scores.recall == 1.0
+    assert scores.tip_found == 1.0
+    assert scores.tip_false == 0.0
+    assert scores.empty_px == 0.0
+    assert scores.calibration < 1e-6

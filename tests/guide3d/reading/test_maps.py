@@ -1,0 +1,69 @@
+"""Reader: the shipped weights find a wire and no other thing; files of another kind or version are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from guide3d.learning.model_file import read_content, write_content
+from guide3d.modeling.reader_network import ReaderNetwork
+from guide3d.reading.maps import Reader
+
+
+def small_reader() -> Reader:
+    torch.manual_seed(0)
+    return Reader(ReaderNetwork(widths=(8, 12)), {"seed": 0}, fast=False)
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (33, 57), (130, 8), (1, 1)])
+def test_maps_have_the_image_s_size(shape: tuple[int, int]) -> None:
+    maps = small_reader().maps(np.random.default_rng(0).integers(0, 255, shape, np.uint8))
+    for values in (maps.wire, maps.catheter, maps.tip):
+        assert values.shape == shape
+        assert values.dtype == np.float32
+        assert 0 <= values.min() <= values.max() <= 1
+
+
+def test_a_saved_reader_reads_the_same(tmp_path: Path) -> None:
+    reader = small_reader()
+    reader.save(tmp_path / "reader.pt")
+    again = Reader.load(tmp_path / "reader.pt", fast=False)
+    image = np.random.default_rng(1).integers(0, 255, (48, 48), np.uint8)
+    np.testing.assert_allclose(again.maps(image).wire, reader.maps(image).wire, atol=2e-3)  # half precision
+    assert again.metadata == {"seed": 0}
+
+
+def test_a_file_of_another_version_is_refused_by_name(tmp_path: Path) -> None:
+    small_reader().save(tmp_path / "reader.pt")
+    content = read_content(tmp_path / "reader.pt")
+    content["network"]["version"] = 99
+    write_content(tmp_path / "reader.pt", content)
+    with pytest.raises(ValueError, match=r"reader\.pt is a reader of version 99, expected 1"):
+        Reader.load(tmp_path / "reader.pt")
+
+
+def test_weights_of_another_size_are_refused(tmp_path: Path) -> None:
+    small_reader().save(tmp_path / "reader.pt")
+    content = read_content(tmp_path / "reader.pt")
+    content["network"]["widths"] = [8, 16]
+    write_content(tmp_path / "reader.pt", content)
+    with pytest.raises(ValueError, match="another architecture"):
+        Reader.load(tmp_path / "reader.pt")
+
+
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    small_reader().save(tmp_path / "reader.pt")
+    data = bytearray((tmp_path / "reader.pt").read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "reader.pt").write_bytes(data)
+    with pytest.raises(ValueError, match="damaged"):
+        Reader.load(tmp_path / "reader.pt")
+
+
+@pytest.mark.parametrize("image", [np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8)), np.zeros((0, 8), np.uint8)])
+def test_other_images_are_refused(image: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="expected a grey image"):
+        small_reader().maps(image)
