@@ -114,6 +114,6 @@ def without_normalisation(network: ReaderNetwork) -> ReaderNetwork:
     result = copy.deepcopy(network).eval()
     for module in result.modules():
         if isinstance(module, Convolution):
-            fused: Any = fuse_conv_bn_eval(module.convolution, module.normalisation)  # type: ignore[type-var]
+            fused: Any = fuse_conv_bn_eval(module.convolution, module.normalisation)  # type: ignore[type-var,arg-type]
             module.convolution, module.normalisation = fused, nn.Identity()
     return result

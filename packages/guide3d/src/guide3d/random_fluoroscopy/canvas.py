@@ -79,7 +79,7 @@ class Canvas:
         if scale == 2:
             if share > 0.1:  # a width in between
                 wider = _line(size, fixed, max(2, thickness + 2 * (thickness > 1)))
-                layer = cv2.addWeighted(layer, 1 - share, wider, share, 0.0)
+                layer = np.asarray(cv2.addWeighted(layer, 1 - share, wider, share, 0.0), np.uint8)
             layer = np.asarray(cv2.resize(layer, (right - left, bottom - top), interpolation=cv2.INTER_AREA), np.uint8)
         return blurred(layer, blur_px), left, top
 
@@ -91,7 +91,7 @@ class Canvas:
         left, top, right, bottom = box
         layer = np.zeros((bottom - top, right - left), np.uint8)
         fixed = np.rint((points - (self.left + left, self.top + top)) * 2**_SHIFT).astype(np.int32)
-        cv2.fillPoly(layer, [fixed], 255, cv2.LINE_AA, _SHIFT)  # type: ignore[call-overload]
+        cv2.fillPoly(layer, [fixed], 255, cv2.LINE_AA, _SHIFT)
         self.add(blurred(layer, blur_px), attenuation, left, top)
 
     def text(self, words: str, place: Points, scale: float, thickness: int, attenuation: float) -> None:
@@ -104,7 +104,7 @@ class Canvas:
         left, top, right, bottom = box
         layer = np.zeros((bottom - top, right - left), np.uint8)
         x, y = np.rint(place - (self.left + left, self.top + top)).astype(int).tolist()
-        cv2.putText(layer, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, 255, thickness, cv2.LINE_AA)  # type: ignore[call-overload]
+        cv2.putText(layer, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, 255, thickness, cv2.LINE_AA)
         self.add(layer, attenuation, left, top)
 
     def shade(self, grid: NDArray[np.floating], attenuation: float) -> None:
@@ -140,7 +140,7 @@ class Canvas:
 
 def _line(size: tuple[int, int], fixed: list[NDArray[np.int32]], thickness: int) -> NDArray[np.uint8]:
     layer = np.zeros(size, np.uint8)
-    cv2.polylines(layer, fixed, False, 255, thickness, cv2.LINE_AA, _SHIFT)  # type: ignore[call-overload]
+    cv2.polylines(layer, fixed, False, 255, thickness, cv2.LINE_AA, _SHIFT)
     return layer
 
 

@@ -77,7 +77,8 @@ def shell(canvas: Canvas, generator: Generator, side_px: int) -> None:
     """A closed curve with a wall, such as a vessel's cross-section or a bag."""
     centre, size = somewhere(generator, side_px), log_uniform(generator, 15, 0.35 * side_px)
     angle = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-    wave = sum(generator.normal(0, 0.12 / k) * np.cos(k * angle + generator.uniform(0, 6.3)) for k in (1, 2, 3))
+    order = np.arange(1, 4)[:, None]
+    wave = (generator.normal(0, 0.12 / order) * np.cos(order * angle + generator.uniform(0, 6.3, (3, 1)))).sum(axis=0)
     squeeze, turn = generator.uniform(0.4, 1.0), generator.uniform(0, np.pi)
     shape = np.column_stack((np.cos(angle), squeeze * np.sin(angle))) * (size * (1 + wave))[:, None]
     points = centre + shape @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])

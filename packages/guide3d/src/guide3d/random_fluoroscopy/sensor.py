@@ -79,12 +79,12 @@ def visible(light: Image) -> NDArray[np.bool_]:
 def exposed(attenuation: Image, light: Image, generator: Generator, settings: FluoroscopySettings) -> NDArray[np.uint8]:
     """Grey values (h, w) uint8 of what the detector receives behind an attenuation (h, w)."""
     limited = np.minimum(attenuation, _MOST)
-    received = np.exp(-limited) * light
+    received: NDArray[np.floating] = np.exp(-limited) * light
     bright = float(np.percentile(received[::8, ::8], 99)) or 1.0
     draw = generator.random(6)
     focus = generator.uniform(0.0, settings.blur_px)
     if focus > 0.25:
-        received = cv2.GaussianBlur(received, (0, 0), focus, borderType=cv2.BORDER_REPLICATE)
+        received = np.asarray(cv2.GaussianBlur(received, (0, 0), focus, borderType=cv2.BORDER_REPLICATE), np.float32)
     received *= np.float32(1 / max(bright, 0.02))
     gamma = generator.uniform(0.65, 1.5) if draw[0] < 0.6 else 1.0
     gain, black = generator.uniform(0.2, 1.0) * 255, generator.uniform(0, 0.15) * (draw[1] < 0.4)
@@ -92,10 +92,10 @@ def exposed(attenuation: Image, light: Image, generator: Generator, settings: Fl
     # standard deviation: of quanta with the root of the light, of the electronics everywhere
     quanta = generator.uniform(0.4, 1.0)
     sigma = np.sqrt(np.maximum(received, 0)) * np.float32(quanta * grain) + np.float32((1 - quanta) * grain)
-    noise = generator.standard_normal(received.shape, np.float32)
+    noise: NDArray[np.floating] = generator.standard_normal(received.shape, np.float32)
     if draw[2] < 0.5:
         correlated = generator.uniform(0.35, 0.9)
-        noise = cv2.GaussianBlur(noise, (0, 0), correlated)
+        noise = np.asarray(cv2.GaussianBlur(noise, (0, 0), correlated), np.float32)
         noise *= np.float32(2 * np.sqrt(np.pi) * max(correlated, 0.45))  # as strong as before
     image = received if gamma == 1.0 else cv2.pow(np.maximum(received, 0), gamma)
     image = gain * (black + (1 - black) * image) + 255 * sigma * noise

@@ -47,7 +47,8 @@ class Reader:
         self.metadata = metadata or {}
         self.network = network.eval()
         self._type = torch.bfloat16 if fast and has_bfloat16() else torch.float32
-        self._network = without_normalisation(network).to(self._type).to(memory_format=torch.channels_last)
+        fused: Any = without_normalisation(network)
+        self._network = fused.to(dtype=self._type, memory_format=torch.channels_last)
 
     @classmethod
     def pretrained(cls) -> Reader:

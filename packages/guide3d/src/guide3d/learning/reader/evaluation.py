@@ -79,8 +79,9 @@ def evaluate_reader(reader: Reader, fluoroscopy: RandomFluoroscopy, indices: Ite
             false += int((apart.min(axis=1) > _TIP_NEAR_PX).sum())
         said = maps.wire > 0.02
         part = np.minimum((maps.wire[said] * 10).astype(int), 9)
-        for row, values in enumerate((maps.wire[said], drawn.wire[said] / 255.0, np.ones(len(part)))):
-            sums[row] += np.bincount(part, values, 10)
+        sums[0] += np.bincount(part, maps.wire[said], 10)
+        sums[1] += np.bincount(part, drawn.wire[said] / 255.0, 10)
+        sums[2] += np.bincount(part, minlength=10)
         count += 1
     return ReaderScores(
         dice=float(2 * both / max(marked + true, 1)),

@@ -161,8 +161,8 @@ def train_reader(
                 progress(step, mean)
         if time.monotonic() - last_kept > _KEPT_EVERY_S or step == recipe.steps:
             last_kept = time.monotonic()
-            states = {"network": network, "averaged": averaged, "optimiser": optimiser}
-            write_content(path, {"identity": identity, "step": step, **{k: v.state_dict() for k, v in states.items()}})
+            states = {"averaged": averaged.state_dict(), "optimiser": optimiser.state_dict()}
+            write_content(path, {"identity": identity, "step": step, "network": network.state_dict(), **states})
     report = {
         "seed": seed, "steps": step, "loss": mean, "seconds": time.monotonic() - began,
         "processor_seconds": time.process_time() - own, "bfloat16": reduced,
@@ -172,7 +172,8 @@ def train_reader(
 
 def _made(recipe: ReaderRecipe) -> ReaderNetwork:
     network = ReaderNetwork(block_px=recipe.block_px, widths=tuple(recipe.widths))
-    return network.to(memory_format=torch.channels_last)
+    layout: Any = {"memory_format": torch.channels_last}
+    return network.to(**layout)
 
 
 def _rate(share: float, warm_up: float) -> float:
