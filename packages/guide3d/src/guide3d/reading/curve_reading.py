@@ -1,0 +1,317 @@
+"""The wire in probability maps: an ordered curve, tip first, through gaps and crossings, with its alternatives.
+
+The ridges of the map are cut into pieces at junctions. A path over the pieces gathers their probability and pays for
+every gap, turn, and end: a tip away from the tip map, a proximal end that is neither at the border nor in a catheter.
+The best paths are candidates, because one view alone may not decide which end of a knot is the tip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from guide3d.geometry.polyline import Array, arc_length, distances_to
+from guide3d.reading.centreline import CentrelineSettings, centre_line
+from guide3d.reading.links import LinkSettings, bridges, link_costs
+from guide3d.reading.path_search import Path, SearchSettings, search
+from guide3d.reading.ridges import Map, Pieces, RidgeSettings, find_pieces
+from guide3d.setting_kinds import PixelDistance, Share, Weight, settings
+
+_COARSE = 8  # distances from the border are measured on a map this much smaller
+_LEAVING_PX = 8.0
+_TIPS = 6  # peaks of the tip map that are tried
+
+
+@settings
+class CurveReadingSettings:
+    """How a curve is read from maps; costs are px of certain wire.
+
+    tip_cost: of a tip where the tip map shows none
+    tip_reach_px: how far from a peak of the tip map an end may lie
+    tip_least: least peak of the tip map
+    border_tip: cost of a tip at the border
+    loose_end: cost of a proximal end inside the field
+    border_link: cost of going on from an end that leaves the image
+    tip_link: cost of going on from an end at a peak of the tip map
+    border_px: an end nearer to the border leaves the field
+    least_px: probability, summed along a path, below which there is no wire
+    second_px: and below which there is no further wire
+    prior_px: how far a wire moves from one image to the next
+    """
+
+    ridges: RidgeSettings = field(default_factory=RidgeSettings)
+    links: LinkSettings = field(default_factory=LinkSettings)
+    search: SearchSettings = field(default_factory=SearchSettings)
+    centreline: CentrelineSettings = field(default_factory=CentrelineSettings)
+    tip_cost: Weight = 60.0
+    tip_reach_px: PixelDistance = 14.0
+    tip_least: Share = 0.1
+    border_tip: Weight = 60.0
+    loose_end: Weight = 50.0
+    border_link: Weight = 150.0
+    tip_link: Weight = 20.0
+    border_px: PixelDistance = 20.0
+    least_px: PixelDistance = 35.0
+    second_px: PixelDistance = 60.0
+    prior_px: PixelDistance = 40.0
+
+
+@dataclass(frozen=True, eq=False)
+class ImageCurve:
+    """A wire in an image.
+
+    points_px: (n, 2) of the image, tip first, about every 2 px
+    confidence: (n,) probability of the wire at each point, 0 to 1; low in gaps
+    sd_px: (n,) standard deviation of each point across the curve
+    score: px of certain wire, less what its gaps, turns and ends cost
+    tip_confidence: height of the tip map at the first point
+    """
+
+    points_px: Array
+    confidence: Array
+    sd_px: Array
+    score: float
+    tip_confidence: float
+
+    @property
+    def length_px(self) -> float:
+        """Length."""
+        return float(arc_length(self.points_px)[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class CurvesOfImage:
+    """What an image shows.
+
+    candidates: readings of the wire, best first; none: there is no wire
+    others: further wires, the best reading of each
+    """
+
+    candidates: list[ImageCurve]
+    others: list[ImageCurve]
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the wire before the image is read: where it was in the image before.
+
+    points_px: (n, 2) tip first
+    """
+
+    points_px: Array
+
+
+def read_curves(
+    wire: Map,
+    tip: Map | None = None,
+    catheter: Map | None = None,
+    outside: NDArray[np.bool_] | None = None,
+    prior: Prior | None = None,
+    settings: CurveReadingSettings | None = None,
+) -> CurvesOfImage:
+    """Reads the wires in probability maps of one image.
+
+    Args:
+        wire: (h, w) of 0 to 1, probability of a wire.
+        tip: (h, w) of 0 to 1, a blob at the tip; None: the tip is the end inside the field.
+        catheter: (h, w) of 0 to 1: a wire may end in it.
+        outside: (h, w), pixels that were not exposed; None: the field is the image.
+        prior: the wire a moment before.
+
+    Raises:
+        ValueError: the maps differ in shape.
+    """
+    chosen = settings or CurveReadingSettings()
+    for name, other in (("tip", tip), ("catheter", catheter), ("outside", outside)):
+        if other is not None and other.shape != wire.shape:
+            raise ValueError(f"expected maps of one shape, got {wire.shape} of the wire and {other.shape} of {name}")
+    smooth: Map = cv2.GaussianBlur(np.asarray(wire, np.float32), (0, 0), chosen.ridges.blur_px).astype(np.float32)
+    places, heights = _peaks(tip, chosen)
+    pieces = find_pieces(smooth, places, chosen.ridges)
+    inside = _inside(pieces, wire.shape, outside, chosen)
+    tipness = _tipness(pieces, places, heights, chosen)
+    start = chosen.border_tip * (1.0 - inside) + chosen.tip_cost * (1.0 - tipness)
+    stop = chosen.loose_end * inside * (1.0 - _at(catheter, pieces.ends))
+    toll = np.where(pieces.joined, 0.0, chosen.border_link * _leaving(pieces, wire.shape) + chosen.tip_link * tipness)
+    worth = pieces.worth
+    if prior is not None and len(pieces):
+        worth, start = _with_prior(pieces, start, prior, chosen)
+    links = link_costs(pieces, smooth, chosen.links, toll)
+    tips = (places, heights)
+    candidates: list[ImageCurve] = []
+    for path in _paths(pieces, worth, links, start, stop, chosen):
+        if worth[list(path.pieces)].sum() < chosen.least_px or len(candidates) == chosen.search.candidates:
+            break
+        curve = _curve(pieces, path, smooth, tips, chosen)
+        if all(_differ(curve, other) for other in candidates):
+            candidates.append(curve)
+            if len(candidates) == 1:
+                best = path
+    if not candidates:
+        return CurvesOfImage([], [])
+    return CurvesOfImage(candidates, _others(pieces, worth, links, (start, stop), best, smooth, tips, chosen))
+
+
+def _paths(
+    pieces: Pieces,
+    worth: Array,
+    links: list[list[tuple[int, float]]],
+    start: Array,
+    stop: Array,
+    settings: CurveReadingSettings,
+) -> list[Path]:
+    joined = pieces.joined.reshape(-1, 2)
+    shared = joined.any(axis=1) & (pieces.lengths <= settings.search.twice_px)
+    return search(worth, pieces.lengths, links, start, stop, shared, settings.search)
+
+
+def _others(
+    pieces: Pieces,
+    worth: Array,
+    links: list[list[tuple[int, float]]],
+    costs: tuple[Array, Array],
+    best: Path,
+    smooth: Map,
+    tips: tuple[Array, Array],
+    settings: CurveReadingSettings,
+) -> list[ImageCurve]:
+    """Reads what is left when the pieces of a path are taken out, as long as that is a wire."""
+    used = set(best.pieces)
+    others: list[ImageCurve] = []
+    while len(others) < 3:
+        free = [[(end, cost) for end, cost in onward if end // 2 not in used] for onward in links]
+        start = costs[0].copy()
+        start[[end for piece in used for end in (2 * piece, 2 * piece + 1)]] = np.inf
+        paths = _paths(pieces, worth, free, start, costs[1], settings)
+        if not paths or not np.isfinite(paths[0].score):
+            break
+        if worth[list(paths[0].pieces)].sum() < settings.second_px:
+            break
+        others.append(_curve(pieces, paths[0], smooth, tips, settings))
+        used |= paths[0].pieces
+    return others
+
+
+def _peaks(tip: Map | None, settings: CurveReadingSettings) -> tuple[Array, Array]:
+    """Peaks of the tip map (n, 2) px, below the pixel, and their heights (n,), highest first."""
+    if tip is None or float(tip.max()) < settings.tip_least:
+        return np.empty((0, 2)), np.empty(0)
+    tip = np.asarray(tip, np.float32)
+    highest = cv2.dilate(tip, np.ones((15, 15), np.uint8))
+    rows, columns = np.nonzero((tip >= highest) & (tip >= settings.tip_least))
+    order = np.argsort(tip[rows, columns])[::-1][:_TIPS]
+    places: list[Array] = []
+    heights: list[float] = []
+    for row, column in zip(rows[order], columns[order], strict=True):
+        top, left = max(row - 5, 0), max(column - 5, 0)
+        window = tip[top : row + 6, left : column + 6] ** 2
+        y, x = np.mgrid[: window.shape[0], : window.shape[1]]
+        place = np.array([(window * x).sum(), (window * y).sum()]) / window.sum() + [left, top]
+        if all(np.hypot(*(place - other)) > 8.0 for other in places):
+            places.append(place)
+            heights.append(float(tip[row, column]))
+    return np.array(places), np.array(heights)
+
+
+def _inside(
+    pieces: Pieces, shape: tuple[int, ...], outside: NDArray[np.bool_] | None, settings: CurveReadingSettings
+) -> Array:
+    """Tells (2 k,) of each end how far it is inside the field, from 0 at its border to 1."""
+    height, width = (-(-side // _COARSE) for side in shape)
+    exposed = np.ones(shape, np.uint8) if outside is None else (~outside).astype(np.uint8)
+    coarse = cv2.resize(exposed, (width, height), interpolation=cv2.INTER_NEAREST)
+    away = cv2.distanceTransform(np.pad(coarse, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    column, row = (pieces.ends / _COARSE).astype(int).T
+    return np.asarray(np.clip((away[row, column] - 0.5) * _COARSE / settings.border_px - 1.0, 0.0, 1.0))
+
+
+def _leaving(pieces: Pieces, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Tells (2 k,) of each end whether a few px more would lead out of the image."""
+    ahead = pieces.ends + _LEAVING_PX * pieces.outward
+    return np.asarray(((ahead < 0) | (ahead > np.array([shape[1], shape[0]]) - 1)).any(axis=1))
+
+
+def _tipness(pieces: Pieces, places: Array, heights: Array, settings: CurveReadingSettings) -> Array:
+    """Height (2 k,) of the tip map's peaks as each end sees them, at itself or a little ahead."""
+    best = np.zeros(len(pieces.ends))
+    if not len(places) or not len(pieces):
+        return best
+    # the soft end of a tip may be in the tip map and not in the wire's
+    for sample in (pieces.ends, pieces.ends + 0.5 * settings.tip_reach_px * pieces.outward):
+        apart = np.hypot(*(sample[:, None] - places[None]).transpose(2, 0, 1))
+        best = np.maximum(best, (heights * np.exp(-0.5 * (apart / settings.tip_reach_px) ** 2)).max(axis=1))
+    return best
+
+
+def _at(values: Map | None, ends: Array) -> Array:
+    """Largest value (2 k,) of a map within 4 px of each end."""
+    if values is None:
+        return np.zeros(len(ends))
+    around = cv2.dilate(np.asarray(values, np.float32), np.ones((9, 9), np.uint8))
+    column, row = ends.astype(int).T
+    return np.asarray(around[row, column], float)
+
+
+def _with_prior(pieces: Pieces, start: Array, prior: Prior, settings: CurveReadingSettings) -> tuple[Array, Array]:
+    """Makes pieces near the wire of a moment before worth more, and tips near its tip cheaper."""
+    near = [
+        np.exp(-0.5 * (distances_to(prior.points_px, points[::4]) / settings.prior_px) ** 2).mean()
+        for points in pieces.points
+    ]
+    worth = pieces.worth * (0.5 + 0.5 * np.array(near))
+    away = np.hypot(*(pieces.ends - prior.points_px[0]).T)
+    close = np.exp(-0.5 * (away / settings.prior_px) ** 2)
+    return worth, start - 0.5 * settings.tip_cost * close
+
+
+def _curve(
+    pieces: Pieces, path: Path, smooth: Map, tips: tuple[Array, Array], settings: CurveReadingSettings
+) -> ImageCurve:
+    parts: list[Array] = []
+    for number, entry in enumerate(path.entries):
+        if number:
+            parts.append(_gap(pieces, path.entries[number - 1] ^ 1, entry))
+        points = pieces.points[entry // 2]
+        parts.append(points[::-1] if entry % 2 else points)
+    line = np.concatenate(parts)
+    line, height = _to_tip(line, *tips, settings)
+    points, confidence, deviation = centre_line(line, smooth, settings.centreline)
+    return ImageCurve(points, confidence, deviation, path.score, height)
+
+
+def _gap(pieces: Pieces, leave: int, enter: int) -> Array:
+    """Points (n, 2) px between the ends of two pieces, about one a px."""
+    start, end = pieces.ends[[leave]], pieces.ends[[enter]]
+    length = float(np.hypot(*(end - start).T)[0])
+    if length < 6.0:
+        return np.empty((0, 2))
+    return bridges(start, end, pieces.outward[[leave]], -pieces.outward[[enter]], int(length))[0]
+
+
+def _to_tip(line: Array, places: Array, heights: Array, settings: CurveReadingSettings) -> tuple[Array, float]:
+    """Moves the beginning of a path to the peak of the tip map, where one lies near it."""
+    if not len(places):
+        return line, 0.0
+    away = np.hypot(*(places - line[0]).T)
+    value = heights * np.exp(-0.5 * (away / settings.tip_reach_px) ** 2)
+    peak = int(value.argmax())
+    if away[peak] > 2.0 * settings.tip_reach_px:
+        return line, 0.0
+    reach = min(len(line) - 2, round(2.0 * settings.tip_reach_px))
+    at = int(np.hypot(*(line[: reach + 1] - places[peak]).T).argmin())
+    if at > 0:
+        return np.concatenate([places[peak : peak + 1], line[at + 1 :]]), float(heights[peak])
+    return np.concatenate([places[peak : peak + 1], line]), float(heights[peak])
+
+
+def _differ(curve: ImageCurve, other: ImageCurve) -> bool:
+    """Whether two readings differ by more than a few px: in tip, length or course."""
+    if np.hypot(*(curve.points_px[0] - other.points_px[0])) > 8.0:
+        return True
+    if abs(curve.length_px - other.length_px) > 12.0:
+        return True
+    count = min(len(curve.points_px), len(other.points_px))
+    return float(np.hypot(*(curve.points_px[:count] - other.points_px[:count]).T).max()) > 12.0

@@ -1,0 +1,128 @@
+"""Costs of going on from one piece of a wire to the next: length and emptiness of the gap, and how it has to bend."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from guide3d.geometry.polyline import Array
+from guide3d.reading.ridges import Map, Pieces
+from guide3d.setting_kinds import Angle, PixelDistance, Positive, Weight, settings
+
+_SAMPLES = 12  # of a gap
+
+
+@settings
+class LinkSettings:
+    """What a link costs, in px of certain wire.
+
+    longest_px: of a gap
+    empty_per_px: cost of a px of gap without any probability
+    bending_px: cost of bending energy, which has the unit 1/px: a turn by one radian over n px has energy 1 / n
+    kink: additional cost of a rad by which a link turns more than `kink_from`, if its gap is shorter than `kink_px`
+    shortest_px: gaps count as this long when they bend
+    dearest: links that cost more are not tried
+    most: links that are tried from each end
+    """
+
+    longest_px: PixelDistance = 170.0
+    empty_per_px: Weight = 0.25
+    bending_px: Positive = 120.0
+    kink: Weight = 80.0
+    kink_from: Angle = 1.2
+    kink_px: PixelDistance = 16.0
+    shortest_px: PixelDistance = 12.0
+    dearest: Positive = 120.0
+    most: int = 8
+
+
+def link_costs(
+    pieces: Pieces, probability: Map, settings: LinkSettings, toll: Array | None = None
+) -> list[list[tuple[int, float]]]:
+    """Computes what it costs to leave a piece at one end and to enter another one.
+
+    Args:
+        probability: (h, w) of 0 to 1, smoothed: weak evidence makes a gap cheaper.
+        toll: (2 k,) what it costs in addition to go on from each end, such as one at the border; None: nothing.
+
+    Returns:
+        Of each end by which a path leaves: ends by which it may enter next with the cost, cheapest first.
+    """
+    count = len(pieces.ends)
+    toll = np.zeros(count) if toll is None else toll
+    links: list[list[tuple[int, float]]] = [[] for _ in range(count)]
+    if count < 4:
+        return links
+    leave, enter = np.nonzero(_near(pieces, settings.longest_px))
+    gap = pieces.ends[enter] - pieces.ends[leave]
+    length = np.hypot(*gap.T)
+    out, into = pieces.outward[leave], -pieces.outward[enter]
+    bending = bending_energy(out, into, gap, settings.shortest_px) * settings.bending_px
+    # a wire that crosses another goes on; it does not kink and go on as the other
+    sharp = np.abs(_turn(out, into)) - settings.kink_from
+    bending += settings.kink * np.maximum(sharp, 0.0) * np.clip(2.0 - length / settings.kink_px, 0.0, 1.0)
+    near = bending < settings.dearest
+    leave, enter, length, bending = leave[near], enter[near], length[near], bending[near]
+    if not len(leave):
+        return links
+    places = bridges(pieces.ends[leave], pieces.ends[enter], out[near], into[near], _SAMPLES)
+    x, y = np.moveaxis(np.asarray(places, np.float32), -1, 0)
+    seen = np.asarray(cv2.remap(probability, x, y, cv2.INTER_LINEAR), float).mean(axis=1)
+    cost = bending + toll[leave] + toll[enter] + settings.empty_per_px * length * (1.0 - np.minimum(2.0 * seen, 1.0))
+    for k in np.argsort(cost):
+        if cost[k] < settings.dearest and len(links[leave[k]]) < settings.most:
+            links[leave[k]].append((int(enter[k]), float(cost[k])))
+    return links
+
+
+def bending_energy(out: Array, into: Array, gap: Array, shortest_px: float) -> Array:
+    """Computes the bending energy (n,) 1/px of cubic curves across gaps: the integral of their squared curvature.
+
+    Args:
+        out, into: (n, 2) unit directions of travel before and after the gap.
+        gap: (n, 2) px from its start to its end.
+        shortest_px: least length that a gap counts as.
+    """
+    length = np.hypot(*gap.T)
+    mean = out + into
+    size = np.hypot(*mean.T)
+    mean = np.where(size[:, None] > 0.1, mean / np.maximum(size, 1e-9)[:, None], 0.0)
+    # across a few px the direction from end to end is noise of the skeleton
+    trust = (length / (length + 0.5 * shortest_px))[:, None]
+    chord = trust * gap / np.maximum(length, 1e-9)[:, None] + (1.0 - trust) * mean
+    first, second = _turn(out, chord), _turn(chord, into)
+    return np.asarray(4.0 * (first**2 - first * second + second**2) / np.maximum(length, shortest_px))
+
+
+def _turn(a: Array, b: Array) -> Array:
+    return np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
+
+
+def _near(pieces: Pieces, longest_px: float) -> NDArray[np.bool_]:
+    ends = pieces.ends
+    near = np.hypot(*(ends[:, None] - ends[None]).transpose(2, 0, 1)) <= longest_px
+    piece = np.arange(len(ends)) // 2
+    return np.asarray(near & (piece[:, None] != piece[None]))
+
+
+def bridges(start: Array, end: Array, out: Array, into: Array, count: int) -> Array:
+    """Draws cubic curves across gaps; those between directions of an arc are nearly that arc.
+
+    Args:
+        start, end: (n, 2) px.
+        out, into: (n, 2) unit directions of travel there.
+        count: points of each curve.
+
+    Returns:
+        (n, count, 2) px, at the middles of equal steps of the parameter.
+    """
+    gap = end - start
+    length = np.maximum(np.hypot(*gap.T), 1e-9)
+    chord = gap / length[:, None]
+    turn = 0.5 * (np.abs(_turn(out, chord)) + np.abs(_turn(chord, into)))
+    speed = (length / np.cos(0.5 * np.minimum(turn, 2.0)) ** 2)[:, None]
+    t = (np.arange(count) + 0.5) / count
+    basis = (2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, 3 * t**2 - 2 * t**3, t**3 - t**2)
+    parts = (start, out * speed, end, into * speed)
+    return np.sum([value[None, :, None] * part[:, None, :] for value, part in zip(basis, parts, strict=True)], axis=0)

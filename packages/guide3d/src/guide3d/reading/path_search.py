@@ -1,0 +1,105 @@
+"""Search for the wire: the sequence of pieces, tip first, that gathers most probability at the least cost of links."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from guide3d.geometry.polyline import Array
+from guide3d.setting_kinds import PixelDistance, Positive, Weight, settings
+
+
+@settings
+class SearchSettings:
+    """What a path costs besides its links, in px of certain wire.
+
+    beam: partial paths that are followed at a time
+    candidates: paths that are returned
+    twice_px: longest piece that may be walked twice, where a wire lies over itself
+    twice_per_px: cost of a px that is walked twice
+    fold: cost of turning back at the end of a piece, as a tip does that lies over its wire
+    deepest: most pieces of a path
+    """
+
+    beam: int = 80
+    candidates: int = 4
+    twice_px: PixelDistance = 90.0
+    twice_per_px: Weight = 0.2
+    fold: Positive = 8.0
+    deepest: int = 40
+
+
+@dataclass(frozen=True)
+class Path:
+    """An ordered walk over pieces.
+
+    score: px of certain wire
+    entries: ends by which the pieces are entered, tip first; a path leaves piece k by the other end, entry ^ 1
+    """
+
+    score: float
+    entries: tuple[int, ...]
+
+    @property
+    def pieces(self) -> frozenset[int]:
+        """Numbers of the pieces."""
+        return frozenset(entry // 2 for entry in self.entries)
+
+
+def search(
+    worth: Array,
+    lengths: Array,
+    links: list[list[tuple[int, float]]],
+    start_cost: Array,
+    end_cost: Array,
+    shared: NDArray[np.bool_],
+    settings: SearchSettings,
+) -> list[Path]:
+    """Finds the best paths by beam search.
+
+    Args:
+        worth, lengths: (k,) px of each piece.
+        links: of each end that is left, ends that may be entered and the cost.
+        start_cost, end_cost: (2 k,) of starting (the tip) and of ending at an end.
+        shared: (k,) whether a piece may be walked twice.
+
+    Returns:
+        Paths of different pieces or starts, best first, at most eight times `settings.candidates`.
+    """
+    worths, spans = worth.tolist(), lengths.tolist()
+    starts, stops, may_share = start_cost.tolist(), end_cost.tolist(), shared.tolist()
+    again = [settings.twice_per_px * span if may else np.inf for span, may in zip(spans, may_share, strict=True)]
+    states: dict[tuple[int, int, int], tuple[float, tuple[int, ...]]] = {}
+    for end in range(2 * len(worths)):
+        states[(end, 1 << (end // 2), 0)] = (worths[end // 2] - starts[end], (end,))
+    finished: dict[tuple[int, int], Path] = {}
+    for depth in range(settings.deepest):
+        if not states:
+            break
+        best = sorted(states.items(), key=lambda item: -item[1][0])[: settings.beam]
+        states = {}
+        for (entered, once, twice), (score, entries) in best:
+            leaving = entered ^ 1
+            whole = score - stops[leaving]
+            key = (entries[0], once)
+            if key not in finished or finished[key].score < whole:
+                finished[key] = Path(whole, entries)
+            onward = links[leaving]
+            if depth == 0 and may_share[entered // 2]:
+                onward = [*onward, (leaving, settings.fold)]
+            for end, cost in onward:
+                piece = end // 2
+                bit = 1 << piece
+                if not once & bit:
+                    gained, after = worths[piece] - cost, (end, once | bit, twice)
+                elif not twice & bit and may_share[piece]:
+                    gained, after = -cost - again[piece], (end, once, twice | bit)
+                else:
+                    continue
+                value = score + gained
+                if after not in states or states[after][0] < value:
+                    states[after] = (value, (*entries, end))
+    paths = sorted(finished.values(), key=lambda path: -path.score)
+    return paths[: 8 * settings.candidates]
