@@ -38,7 +38,7 @@ def test_false_marks_and_a_gap_do_no_harm(course: np.ndarray, seed: int) -> None
     _holds(clutter(maps_of(course, gaps=((340, 420),)), seed), share=0.93)
 
 
-def test_a_wide_gap_is_bridged_and_told() -> None:
+def test_a_wide_gap_is_bridged_and_said() -> None:
     maps = maps_of(ARCH, gaps=((300, 460),))
     curve = read_curves(maps.wire, maps.tip).candidates[0]
     assert curve.length_px > 0.98 * len(maps.points_px)

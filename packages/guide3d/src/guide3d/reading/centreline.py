@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from guide3d.geometry.polyline import Array, arc_length, at_length
+from guide3d.opencv import cv2
 from guide3d.reading.ridges import Map
 from guide3d.reconstruction.curve_fitting import smoothed
 from guide3d.setting_kinds import PixelDistance, PixelDistanceOrNone, Positive, Weight, settings
@@ -20,14 +20,14 @@ class CentrelineSettings:
     across_px: how far to both sides the ridge is looked for
     stiffness_px: length over which the line is smoothed
     noise_px: standard deviation of a point on a probable ridge
-    drift: growth of the standard deviation by distance from the nearest probable point
+    growth: growth of the standard deviation by distance from the nearest probable point
     """
 
     spacing_px: PixelDistance = 2.0
     across_px: PixelDistance = 4.0
     stiffness_px: PixelDistance = 5.0
     noise_px: PixelDistance = 0.7
-    drift: Weight = 0.12
+    growth: Weight = 0.12
     sure: Positive = 0.5
     blend_px: PixelDistanceOrNone = 2.0
 
@@ -82,7 +82,7 @@ def _deviation(line: Array, confidence: Array, settings: CentrelineSettings) -> 
     along = arc_length(line)
     sure = along[confidence >= settings.sure]
     if not len(sure):
-        return np.full(len(line), settings.noise_px + settings.drift * along[-1])
+        return np.full(len(line), settings.noise_px + settings.growth * along[-1])
     at = np.clip(np.searchsorted(sure, along), 1, len(sure) - 1) if len(sure) > 1 else np.zeros(len(along), int)
     away = np.minimum(np.abs(along - sure[at]), np.abs(along - sure[np.maximum(at - 1, 0)]))
-    return np.asarray(np.hypot(settings.noise_px, settings.drift * away))
+    return np.asarray(np.hypot(settings.noise_px, settings.growth * away))

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array, arc_length, distances_to
+from guide3d.opencv import cv2
 from guide3d.reading.centreline import CentrelineSettings, centre_line
 from guide3d.reading.links import LinkSettings, bridges, link_costs
 from guide3d.reading.path_search import Path, SearchSettings, search

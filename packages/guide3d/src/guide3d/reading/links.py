@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
+from guide3d.opencv import cv2
 from guide3d.reading.ridges import Map, Pieces
 from guide3d.setting_kinds import Angle, PixelDistance, Positive, Weight, settings
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from skimage.morphology import skeletonize
 
 from guide3d.geometry.polyline import Array
+from guide3d.opencv import cv2
 from guide3d.setting_kinds import PixelDistance, PixelDistanceOrNone, Positive, Share, settings
 
 Map = NDArray[np.float32]
