@@ -147,6 +147,7 @@ def describe_episode(
         operator: who steers, e.g. "sampling_expert".
         configuration: kept beside that of task and wire.
     """
+    from cathsim.navigation import reward_name
     from cathsim.robot.pace import PACES
 
     return EpisodeInfo(
@@ -159,6 +160,7 @@ def describe_episode(
         control_dt=environment.simulation.pace.interval,
         configuration={
             **asdict(environment.task),
+            "reward": reward_name(environment.task.reward),
             "image_size": environment.fluoroscope.shape[0],
             **_devices_of(environment.simulation),
             "numerics": asdict(environment.simulation.numerics),

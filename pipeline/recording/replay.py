@@ -50,7 +50,7 @@ def replay(
     Args:
         log: of an episode that a feeder or tip motors steered.
         image_size: of images among them, px; None: as the log's camera has it, or 80.
-        reward: of the steps, "distance" or "geodesic"; None: as it was recorded.
+        reward: of the steps, "distance" or "geodesic"; None: as it was recorded, also where it was a function.
         force_penalty: of the reward; None: as it was recorded.
         film: gets every moment.
 
@@ -101,7 +101,7 @@ def replay(
             name: np.stack([one[name] for one in observations]) for name in observations[0] if name in observation
         },
         actions=actions,
-        rewards=np.array(rewards),
+        rewards=arrays["reward"][1:] if reward is None and _has_own_reward(info) else np.array(rewards),
         terminated=bool(terminated),
         forces=forces,
         tips=tips,
@@ -148,6 +148,8 @@ def _environment(
     fields = {field.name for field in dataclasses.fields(NavigationTask)}
     with checked_values(info, "task"):
         recorded = {name: value for name, value in info.configuration.items() if name in fields}
+        if _has_own_reward(info):
+            recorded.pop("reward")
         task = NavigationTask(**{**recorded, **{name: value for name, value in changed.items() if value is not None}})
     numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
     with checked_values(info, "time stepping"):
@@ -185,6 +187,13 @@ def recorded_phantom(info: EpisodeInfo) -> Phantom:
         return dataclasses.replace(phantom_described(described), name=info.phantom)
     except ValueError as error:
         raise EpisodeReadError(f"the log of seed {info.seed} was recorded in the anatomy of a file: {error}") from error
+
+
+def _has_own_reward(info: EpisodeInfo) -> bool:
+    """Whether the reward was not one of `NavigationTask`, so that only the log has its values."""
+    from cathsim.navigation import OWN
+
+    return str(info.configuration.get("reward")).startswith(OWN)
 
 
 @contextlib.contextmanager

@@ -46,6 +46,42 @@ def test_path_penalty_costs_what_the_tip_moves(make_env: Any) -> None:
         before = info["tip"]
 
 
+def test_a_function_gives_the_reward(make_env: MakeEnv) -> None:
+    seen: list[dict[str, Any]] = []
+
+    def gain(info: dict[str, Any]) -> np.float64:
+        seen.append(info)
+        return np.float64(100.0 * info["progress"] - abs(info["action"][1]))
+
+    env, geodesic = make_env(target="bca", reward=gain), make_env(target="bca", reward="geodesic")
+    env.reset(seed=0)
+    geodesic.reset(seed=0)
+    for _ in range(5):
+        _, reward, _, _, info = env.step(np.array([1.0, 0.25]))
+        _, known, *_ = geodesic.step(np.array([1.0, 0.25]))
+        assert type(reward) is float
+        assert reward == pytest.approx(known + STEP_COST - 0.25, abs=1e-12)
+        assert seen[-1].keys() == {*info, "progress", "moved", "action"}
+    priced = make_env(target="bca", reward=lambda info: 1.0, path_penalty=20.0)
+    priced.reset(seed=0)
+    _, reward, _, _, info = priced.step(np.array([1.0, 0.25]))
+    assert reward == pytest.approx(1.0 - 20.0 * seen[0]["moved"], abs=1e-12)
+
+
+@pytest.mark.parametrize("given", [None, float("nan"), np.zeros(2), "1"])
+def test_a_wrong_reward_is_refused(make_env: MakeEnv, given: object) -> None:
+    env = make_env(reward=lambda info: given)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"a reward must be one finite number, own:.*gave") as caught:
+        env.step(FORWARD)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_reward_is_a_name_or_a_function() -> None:
+    with pytest.raises(ValueError, match="reward must be a name, distance or geodesic, or a function, got 3"):
+        NavigationTask(reward=3)  # type: ignore[arg-type]
+
+
 def test_reward_values_at_known_distances() -> None:
     thesis, geodesic = NavigationTask(), NavigationTask(reward="geodesic")
     assert thesis.step_reward(0.1234, 0.5, 1.0, success=False) == -0.1234

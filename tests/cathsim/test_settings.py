@@ -114,6 +114,7 @@ ZERO = {
     "LoadCell": {"resolution", "cutoff"},
     "NavigationTask": _OF_TASK,
     "ArchVarietyTask": _OF_TASK,
+    "GoalTask": _OF_TASK,
     "Perturbation": {"walls", "shift", "turn", "stiffness", "friction", "breathing"},
     "Uncertainty": {"stiffness", "insertion", "rotation", "registration", "lumen", "friction", "curve"},
     "ScanArch": {"seed"},
@@ -134,6 +135,7 @@ MINUS_ONE = {
     "Leader": {"position"},
     "NavigationTask": {"target"},
     "ArchVarietyTask": {"target"},
+    "GoalTask": {"target"},
     "XRayScene": {"wall", "filling"},
 }
 NEVER = (math.nan, math.inf, -math.inf, 1e300, "text")

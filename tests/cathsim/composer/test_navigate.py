@@ -180,6 +180,14 @@ def test_reaching_the_target_ends_with_reward_ten(make_composer: MakeComposer) -
     assert env.step(FORWARD).first()
 
 
+def test_a_function_gives_the_reward(make_composer: MakeComposer) -> None:
+    env = make_composer(reward=lambda info: info["moved"] - 0.5 * info["action"][0])
+    start = env.reset().observation[TIP]
+    timestep = env.step(FORWARD)
+    moved = np.linalg.norm(timestep.observation[TIP] - start)
+    assert timestep.reward == pytest.approx(moved - 0.5, abs=1e-9)
+
+
 def test_running_out_of_steps_truncates(make_composer: MakeComposer, type_1: Phantom) -> None:
     env = make_composer(max_steps=3, reward="geodesic")
     env.reset()

@@ -32,6 +32,11 @@ class Penny(NavigationTask):
         return 0.01
 
 
+def penny(info: dict[str, Any]) -> float:
+    """A reward of its own, as a function."""
+    return 0.01 + float(info["progress"])
+
+
 @pytest.fixture(scope="module")
 def own_arch() -> Phantom:
     measures = ArchParameters(apex_ratio=1.1, aneurysm=Aneurysm("fusiform", distance=0.05, length=0.07, bulge=0.008))
@@ -70,10 +75,22 @@ def play_alike(one: gymnasium.Env[Any, Any], other: gymnasium.Env[Any, Any], ste
             "success_radius": np.float64(0.005),
         },
         {"task": Penny(max_steps=40)},
+        {"reward": penny},
+        {"task": NavigationTask(reward=penny)},
         {"blood": BloodFlow(peak_velocity=0.3, shares={"lcca": 0.1}), "observation": ("joints", "force")},
         {"drive": "robot", "start_rotation": np.pi, "actions": "feeder"},
     ],
-    ids=["default", "random arch, point", "own wire", "task", "own task", "blood", "robot"],
+    ids=[
+        "default",
+        "random arch, point",
+        "own wire",
+        "task",
+        "own task",
+        "function",
+        "task of a function",
+        "blood",
+        "robot",
+    ],
 )
 def test_an_environment_is_made_again_from_json(arguments: dict[str, Any]) -> None:
     arguments = dict(arguments)
@@ -88,6 +105,14 @@ def test_an_environment_is_made_again_from_json(arguments: dict[str, Any]) -> No
     assert again.unwrapped.task == env.unwrapped.task
     assert type(again.unwrapped.task) is type(env.unwrapped.task)
     assert again.unwrapped.simulation.wire == env.unwrapped.simulation.wire
+
+
+def test_a_function_without_a_place_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"function .*<lambda> cannot be written as JSON: define it by name"):
+        describe(lambda info: 0.0)
+    for name in ("math:nothing", "cathsim:ENVIRONMENT", "math"):
+        with pytest.raises(ValueError, match=f"there is no function '{name}': expected module:function"):
+            described({"class": "function", "name": name})
 
 
 def test_phantoms_are_described(own_arch: Phantom) -> None:

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from cathsim import NavigateEnv, load_catheter
+from cathsim.goals.environment import NavigateGoalEnv
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.__main__ import main
 from pipeline.recording.record import record_episode
@@ -65,6 +66,22 @@ def test_the_reward_can_be_another(log: Path) -> None:
     penalised = replay(log, reward="geodesic", force_penalty=2.0)
     assert (geodesic.rewards != replay(log).rewards).all()
     np.testing.assert_allclose(penalised.rewards, geodesic.rewards - 2.0 * geodesic.forces, atol=1e-12)
+
+
+def test_rewards_of_a_function_come_from_the_log(tmp_path: Path) -> None:
+    log = record(tmp_path / "0.mcap", pictures=False, reward=lambda info: info["insertion"])
+    with EpisodeReader(log) as reader:
+        insertions = reader.load_arrays(pictures=False)["insertion"][1:]
+        assert reader.info.configuration["reward"].startswith("own:")
+    np.testing.assert_array_equal(replay(log).rewards, insertions)
+    assert (replay(log, reward="distance").rewards < 0).all()
+
+
+def test_an_episode_of_a_drawn_goal_is_replayed(tmp_path: Path) -> None:
+    environment = NavigateGoalEnv("type_1", accuracy="fast", max_steps=6)
+    log = tmp_path / "0.mcap"
+    record_episode(environment, lambda seen, info: ACTIONS[0], log, seed=3, operator="test", pictures=False)
+    assert (replay(log).rewards == -1.0).all()
 
 
 def test_a_log_without_pictures_replays_too(tmp_path: Path) -> None:

@@ -102,8 +102,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     ## Reward
     "distance" (the thesis's): -|tip - target| in metres; "geodesic": 100 per metre of decrease of the distance along
-    the lumen, less 0.02 a step. Both: 10 on reaching the target, less `force_penalty` per newton of contact force and
-    `path_penalty` per metre that the tip moves.
+    the lumen, less 0.02 a step. Both: 10 on reaching the target. Or what a function gives for the step's `info`, in
+    which there are also `progress` m along the lumen, `moved` m of the tip and `action`: reward=lambda info:
+    100 * info["progress"] - info["force"]. All less `force_penalty` per newton of contact force and `path_penalty` per
+    metre that the tip moves.
 
     ## Start
     The wire lies in the sheath, its tip 5 mm inside the vessel, advanced by up to `start_jitter` and turned by up to
@@ -191,7 +193,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     ) -> None:
         if actions not in ACTIONS:
             raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
-        asked = navigation_task(target, task_fields, described(task))
+        fields = {name: described(value) for name, value in task_fields.items()}
+        asked = navigation_task(target, fields, described(task))
         self.phantom = chosen("phantom", phantom, Phantom, partial(load_phantom, seed=phantom_seed))
         asked.goal(self.phantom)  # refuses an unknown target before anything is built
         self.simulation = simulation_of(
@@ -321,11 +324,12 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         tip = simulation.tip
         distance = straight_distance(simulation.tip_in_vessel, self._goal)
         success = distance <= task.success_radius and not invalid
-        reward = self._reward(before, tip, distance, success=success)
+        info = self._info(tip, distance, success=success, invalid=invalid)
+        reward = self._reward(before, action, info)
         truncated = not success and (invalid or self.steps >= task.max_steps)
         self.ended = success or truncated
         self._display.show(self._goal)
-        return self.observe(), reward, success, truncated, self._info(tip, distance, success=success, invalid=invalid)
+        return self.observe(), reward, success, truncated, info
 
     def start_state(self) -> np.ndarray:
         """The moment as a start that `reset(options={"start": …})` takes. Shape (n,)."""
@@ -357,13 +361,12 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.feeders.restore(state["robots"])
         return self.observe()
 
-    def _reward(self, before_step: np.ndarray, tip: np.ndarray, distance: float, *, success: bool) -> float:
+    def _reward(self, before_step: np.ndarray, action: np.ndarray, info: dict[str, Any]) -> float:
         task, before = self.task, self._remaining
         if task.reads_progress:
             self._remaining = task.remaining(self.phantom, self.simulation.tip_in_vessel)
-        force = float(self.simulation.summary.force_max)
-        moved = straight_distance(tip, before_step)
-        return task.step_reward(distance, before - self._remaining, force, moved, success=success)
+        moved = straight_distance(info["tip"], before_step)
+        return task.reward_of(info, before - self._remaining, moved, action, success=info["success"])
 
     def _remaining_from(self, place: np.ndarray) -> float:
         return self.task.remaining(self.phantom, place)

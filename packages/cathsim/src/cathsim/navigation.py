@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
 import numpy as np
@@ -20,6 +20,8 @@ from cathsim.simulation import Simulation
 from cathsim.validation import Count, Turn, Unit, check_fields, settings
 
 REWARDS = ("distance", "geodesic")
+OWN = "own:"  # before the name of a reward that is not in REWARDS
+OwnReward = Callable[..., Any]
 SUCCESS_REWARD = 10.0
 POTENTIAL_PER_METRE = 100.0  # of the geodesic reward
 STEP_COST = 0.02  # of the geodesic reward
@@ -27,12 +29,21 @@ NEAR = 0.5  # m: success radii and jitters beyond it were meant in another unit
 WAY_MARGIN = 0.02  # a wire needs this much more than the shortest way, m: it cuts no corners
 
 
+def _as_reward(reward: object) -> object:
+    if isinstance(reward, str) or callable(reward):
+        return reward
+    raise ValueError(f"reward must be a name, {' or '.join(REWARDS)}, or a function, got {reward!r}")
+
+
+Reward = Annotated[str | OwnReward, BeforeValidator(_as_reward)]
+
+
 @settings
 class NavigationTask:
     """What an episode asks for.
 
     A subclass may have a reward of its own: its `step_reward` is given the progress along the lumen and the tip's way
-    in every step, whatever `reward` says.
+    in every step, whatever `reward` says. So may a task without one: `reward` may be a function.
 
     Attributes:
         target: name of one of the phantom's targets, or a point in the lumen, m, world frame.
@@ -42,6 +53,8 @@ class NavigationTask:
         start_rotation: each feeder starts turned by up to this much either way, uniformly, rad.
         reward: "distance", the thesis's: minus the Euclidean distance to the target in metres; or "geodesic": the
             decrease of the distance along the lumen times 100 per metre, less 0.02 a step. Both give 10 at the target.
+            Or a function that takes the step's `info`, in which there are also `progress` (m, decrease of the distance
+            along the lumen), `moved` (m, of the tip in the step) and `action`, and returns a number.
         force_penalty: subtracted per newton of the step's largest resultant contact force.
         path_penalty: subtracted per metre that the tip moves in a step.
 
@@ -53,14 +66,20 @@ class NavigationTask:
     max_steps: Count = 300
     start_jitter: Annotated[float, Interval(ge=0, le=NEAR), Unit("m")] = 0.001
     start_rotation: Turn = 0.0
-    reward: str = "distance"
+    reward: Reward = "distance"
     force_penalty: Annotated[float, Interval(ge=0, le=1e4), Unit("1/N")] = 0.0
     path_penalty: Annotated[float, Interval(ge=0, le=1e4), Unit("1/m")] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self, NavigationTask)
-        if self.reward not in REWARDS:
-            raise ValueError(f"unknown reward '{self.reward}'; there are {', '.join(REWARDS)}")
+        names = self.reward_names()
+        if isinstance(self.reward, str) and self.reward not in names:
+            raise ValueError(f"unknown reward '{self.reward}'; there are {', '.join(names)}, or give a function")
+
+    @classmethod
+    def reward_names(cls) -> tuple[str, ...]:
+        """The rewards that have a name."""
+        return REWARDS
 
     @property
     def target_name(self) -> str:
@@ -72,7 +91,7 @@ class NavigationTask:
         """Whether the reward depends on the progress along the lumen; a subclass's own may."""
         own = type(self)
         overridden = own.step_reward is not NavigationTask.step_reward or own.remaining is not NavigationTask.remaining
-        return self.reward == "geodesic" or overridden
+        return self.reward == "geodesic" or callable(self.reward) or overridden
 
     def draw_start(self, generator: np.random.Generator) -> tuple[float, float]:
         """Insertion (m) and rotation (rad) at the start of an episode."""
@@ -126,9 +145,42 @@ class NavigationTask:
             reward = SUCCESS_REWARD if success else -distance
         return reward - self.force_penalty * force - self.path_penalty * moved
 
+    def reward_of(
+        self, info: Mapping[str, Any], progress: float, moved: float, action: np.ndarray, *, success: bool
+    ) -> float:
+        """Reward of one step: what a function gives less the penalties, or `step_reward`.
+
+        Args:
+            info: of the step, with at least `distance` (m) and `force` (N).
+            progress, moved: as of `step_reward`.
+            action: as it was given.
+
+        Raises:
+            ValueError: the function has not given one finite number.
+        """
+        force = info["force"]
+        if isinstance(self.reward, str):
+            return self.step_reward(info["distance"], progress, force, moved, success=success)
+        given = self.reward({**info, "progress": progress, "moved": moved, "action": action})
+        value = np.asarray(given)
+        if value.size != 1 or value.dtype.kind not in "biuf" or not np.isfinite(value).all():
+            raise ValueError(f"a reward must be one finite number, {reward_name(self.reward)} gave {given!r}")
+        return float(value.item()) - self.force_penalty * force - self.path_penalty * moved
+
     def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
         """Distance along the lumen from the tip to the target, m."""
         return float(phantom.geodesic_distance(tip, self.target))
+
+
+def reward_name(reward: str | OwnReward) -> str:
+    """What a reward is called; one that `NavigationTask` does not know by name begins with "own:".
+
+    A function is called by the place of its definition, module:function.
+    """
+    if isinstance(reward, str):
+        return reward if reward in REWARDS else OWN + reward
+    kind: Any = reward if hasattr(reward, "__qualname__") else type(reward)
+    return f"{OWN}{kind.__module__}:{kind.__qualname__}"
 
 
 def straight_distance(a: np.ndarray, b: np.ndarray) -> float:

@@ -87,6 +87,7 @@ class NavigateTask(composer.Task):
         self.force = np.zeros(3)
         self._remaining = 0.0
         self._tip_before = np.zeros(3)
+        self._action = np.zeros(self._actions)
         self._reward = 0.0
         self.success = False
         self._observables = OrderedDict(
@@ -173,6 +174,7 @@ class NavigateTask(composer.Task):
             raise ValueError(f"expected an action of shape {(self._actions,)}, got {action.shape}")
         if not np.isfinite(action).all():
             raise ValueError(f"expected a finite action, got {action.tolist()}")
+        self._action = action
         action = action.clip(-1.0, 1.0)
         if self.guidewire.motors:
             self.feeder.command(physics, TRANSLATION_STEP * action[-1], 0.0)
@@ -217,13 +219,21 @@ class NavigateTask(composer.Task):
             self._remaining = self.task.remaining(self.phantom, tip)
         force = float(np.linalg.norm(self.force))
         moved = float(np.linalg.norm(tip - moved_from))
-        self._reward = self.task.step_reward(distance, before - self._remaining, force, moved, success=self.success)
+        info = {
+            "tip": tip,
+            "distance": distance,
+            "force": force,
+            "force_vector": self.force.copy(),
+            "success": self.success,
+        }
+        progress = before - self._remaining
+        self._reward = self.task.reward_of(info, progress, moved, self._action, success=self.success)
 
     def _tip(self, physics: mjcf.Physics) -> np.ndarray:
         return np.array(physics.bind(self.guidewire.tip_site).xpos)
 
     def get_reward(self, physics: mjcf.Physics) -> float:
-        """Reward of the step, as `NavigationTask.step_reward` gives it."""
+        """Reward of the step, as `NavigationTask.reward_of` gives it."""
         return self._reward
 
     def should_terminate_episode(self, physics: mjcf.Physics) -> bool:

@@ -7,6 +7,7 @@ import gymnasium
 ENVIRONMENT = "cathsim/Navigate-v0"
 DUAL = "cathsim/NavigateDual-v0"
 MANY = "cathsim/NavigateMany-v0"
+GOAL = "cathsim/NavigateGoal-v0"
 COPIES = "cathsim/NavigateCopies-v0"
 ARCH_VARIETY = "cathsim/ArchVariety-v0"
 
@@ -25,6 +26,12 @@ def register() -> None:
             entry_point="cathsim.environment:NavigateEnv",
             vector_entry_point="cathsim.vector:ThreadedVectorEnv",
             kwargs={"catheter": "vertebral"},
+        )
+    if GOAL not in gymnasium.registry:
+        gymnasium.register(
+            id=GOAL,
+            entry_point="cathsim.goals.environment:NavigateGoalEnv",
+            vector_entry_point="cathsim.goals.environment:ThreadedGoalVectorEnv",
         )
     if MANY not in gymnasium.registry:
         gymnasium.register(

@@ -6,7 +6,9 @@ Settings are described by their class and fields, phantoms by what they were bui
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
+import inspect
 import json
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
@@ -21,6 +23,8 @@ from cathsim.fluoroscopy import BiplaneFluoroscope
 Kind = TypeVar("Kind")
 
 CLASS = "class"  # the key of a described object's class; its other keys are fields or arguments
+
+FUNCTION = "function"
 
 
 def describe(value: Any) -> Any:
@@ -37,6 +41,13 @@ def describe(value: Any) -> Any:
         return {str(key): describe(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
         return [describe(one) for one in value]
+    if inspect.isfunction(value):
+        if "<" in value.__qualname__ or value.__module__ == "__main__":
+            raise ValueError(
+                f"the function {value.__qualname__} cannot be written as JSON: define it by name in a module that can "
+                "be imported"
+            )
+        return {CLASS: FUNCTION, "name": f"{value.__module__}:{value.__qualname__}"}
     if isinstance(value, Phantom):
         return {CLASS: "Phantom", **phantom_description(value)}
     if isinstance(value, BiplaneFluoroscope):
@@ -72,17 +83,27 @@ def described(value: Any) -> Any:
     arguments = {key: described(one) for key, one in value.items() if key != CLASS}
     if kind == "BiplaneFluoroscope":
         return BiplaneFluoroscope.of(**arguments)
-    module, _, name = str(kind).partition(":")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError):
-        found = None
+    if kind == FUNCTION:
+        function = _found(str(value.get("name")))
+        if not inspect.isfunction(function):
+            raise ValueError(f"there is no function {value.get('name')!r}: expected module:function")
+        return function
+    found = _found(str(kind))
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
         raise ValueError(f"there is no settings class {kind!r}: expected module:class of a dataclass")
     try:
         return found(**arguments)
     except TypeError as error:
         raise ValueError(f"{kind} cannot be made of {', '.join(arguments)}: {error}") from None
+
+
+def _found(place: str) -> Any:
+    """What a module calls a name, from module:name; None: nothing."""
+    module, _, name = place.partition(":")
+    try:
+        return functools.reduce(getattr, name.split("."), importlib.import_module(module))
+    except (ImportError, AttributeError, ValueError):
+        return None
 
 
 def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], Kind]) -> Kind:
