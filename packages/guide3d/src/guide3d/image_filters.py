@@ -10,6 +10,7 @@ from guide3d.opencv import cv2
 
 _REACH = 4.0  # of a Gaussian's standard deviations, beyond which it counts as 0
 _MIRRORED = cv2.BORDER_REFLECT
+_MAP_WIDTH = 1024
 
 
 def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
@@ -50,6 +51,26 @@ def white_tophat(image: np.ndarray, side: int) -> np.ndarray:
 def mean_around(image: np.ndarray, side: int) -> np.ndarray:
     """The mean within a square of an odd side about each pixel, of the same type; the border's pixels go on outside."""
     return np.asarray(cv2.blur(image, (side, side), borderType=cv2.BORDER_REPLICATE))
+
+
+def sampled(image: np.ndarray, x: np.ndarray, y: np.ndarray, outside: float | None = None) -> np.ndarray:
+    """Values at places of an image (h, w) of floats, bilinear between pixels, to seven digits; of the same type.
+
+    Args:
+        x, y: columns and rows, of any one shape.
+        outside: value beyond the border; None: that of the nearest pixel.
+    """
+    # OpenCV takes maps of up to 32,767 rows and columns, and places to 1/32 px if the image is float64
+    width, rows = min(max(x.size, 1), _MAP_WIDTH), -(-max(x.size, 1) // _MAP_WIDTH)
+    if rows > 16 * _MAP_WIDTH:
+        halves = np.array_split(x.ravel(), 2), np.array_split(y.ravel(), 2)
+        return np.concatenate([sampled(image, *half, outside) for half in zip(*halves, strict=True)]).reshape(x.shape)
+    maps = np.zeros((2, rows, width), np.float32)
+    maps.reshape(2, -1)[:, : x.size] = x.ravel(), y.ravel()
+    border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
+    grey, beyond = image.astype(np.float32), outside or 0.0
+    values = cv2.remap(grey, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=border, borderValue=beyond)
+    return values.astype(image.dtype).ravel()[: x.size].reshape(x.shape)
 
 
 @lru_cache(maxsize=64)

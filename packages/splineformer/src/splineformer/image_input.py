@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image
+
+from guide3d.opencv import cv2
 
 SMALLEST_PX = 64
 _TAILS_PCT = (0.1, 99.9)  # of the grey levels that may be cut off when a deep image is brought to 8 bits
@@ -64,8 +65,8 @@ def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
         array = square
     if side != size_px:
         # areas are averaged on the way down; there is nothing to average on the way up
-        way = Image.Resampling.BOX if side > size_px else Image.Resampling.BILINEAR
-        array = np.asarray(Image.fromarray(array).resize((size_px, size_px), way))
+        way = cv2.INTER_AREA if side > size_px else cv2.INTER_LINEAR
+        array = np.asarray(cv2.resize(array, (size_px, size_px), interpolation=way), np.uint8)
     return Picture(array, float(side), tuple(warnings))
 
 

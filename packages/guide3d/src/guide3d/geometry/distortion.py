@@ -179,10 +179,11 @@ class Distortion:
         if image.shape[:2] != (self.height, self.width) or image.ndim not in (2, 3):
             size = " x ".join(str(side) for side in image.shape[1::-1])
             raise ValueError(f"expected an image of {self.width} x {self.height} px, as the sheet's, found {size}")
-        known = image.dtype in (np.uint8, np.uint16, np.float32, np.float64)
+        # of other types, float64 among them, OpenCV takes places to 1/32 px only
+        known = image.dtype in (np.uint8, np.uint16, np.float32)
         channels = image.shape[2] if image.ndim == 3 else 1
         values = cv2.remap(
-            image if known else image.astype(float),
+            image if known else image.astype(np.float32),
             *self._sources,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
@@ -190,7 +191,7 @@ class Distortion:
         ).reshape(image.shape)
         if np.issubdtype(image.dtype, np.integer) and not known:
             limits = np.iinfo(image.dtype)
-            values = np.clip(np.rint(values), limits.min, limits.max)
+            values = np.clip(np.rint(values).astype(float), limits.min, limits.max)
         return values.astype(image.dtype)
 
     def swirled(self, shift_px: float) -> Distortion:

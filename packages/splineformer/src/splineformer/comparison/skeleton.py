@@ -10,9 +10,9 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from guide3d.geometry.polyline import Array, arc_length
+from guide3d.opencv import cv2
 from guide3d.setting_kinds import CountOrNone, PixelDistanceOrNone, settings
 
-_EIGHT = np.ones((3, 3), int)
 _SMOOTHING_PX = 3.0  # standard deviation, along the way, of the filter that takes the steps of pixels off
 _HALF = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2**0.5), (1, -1, 2**0.5))  # half of the neighbours, each pair counted once
 
@@ -73,9 +73,9 @@ def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | 
     # only the part of the image where there is anything: thinning is slow
     top, left = rows[0], columns[0]
     line = skeletonize(np.pad(wire[top : rows[-1] + 1, left : columns[-1] + 1], 1))
-    labels, count = ndimage.label(line, _EIGHT)
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
-    kept = [label for label in range(1, count + 1) if sizes[label] >= settings.smallest_px]
+    count, labels = cv2.connectedComponents(line.astype(np.uint8), connectivity=8)
+    sizes = np.bincount(labels.ravel(), minlength=count)
+    kept = [label for label in range(1, count) if sizes[label] >= settings.smallest_px]
     if not kept:
         return TracedMask(None, 0)
     corner = np.array([left - 1, top - 1])

@@ -12,8 +12,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from guide3d.geometry.polyline import arc_length, at_length
+from guide3d.opencv import cv2
 from guide3d.setting_kinds import Grey, Logarithm, Share, settings
-from splineformer.modeling.convolutions import box_means
 
 _TRIES = 6
 _SHORTEST = 0.006  # of the image's side: less of a wire is no curve
@@ -104,11 +104,13 @@ def moved(points: Points, settings: Augmentation, generator: np.random.Generator
 
 def warped(images: Tensor, maps: NDArray[np.float64]) -> Tensor:
     """Moves (B, 1, s, s) images by (B, 2, 3) maps of old to new places (shares of the side); black comes in."""
-    linear = np.linalg.inv(maps[:, :, :2])
-    # shares to the -1 to 1 of affine_grid: q = 2 p - 1
-    offset = 2 * (linear @ (0.5 - maps[:, :, 2:]))[:, :, 0] - 1
-    theta = torch.from_numpy(np.concatenate([linear, offset[:, :, None]], 2).astype(np.float32))
-    return F.grid_sample(images, F.affine_grid(theta, list(images.shape), align_corners=False), align_corners=False)
+    side = images.shape[-1]
+    moved = np.empty(images.shape, np.float32)
+    for image, place, way in zip(images.numpy(), moved, maps, strict=True):
+        # shares to pixels, of which the first one's centre is 0
+        offset = side * way[:, 2] + 0.5 * way[:, :2].sum(axis=1) - 0.5
+        cv2.warpAffine(image[0], np.column_stack([way[:, :2], offset]), (side, side), place[0], cv2.INTER_LINEAR)
+    return torch.from_numpy(moved)
 
 
 def without_wire(image: Tensor, points: Points, generator: np.random.Generator) -> Tensor:
@@ -117,16 +119,21 @@ def without_wire(image: Tensor, points: Points, generator: np.random.Generator) 
     length = arc_length(points)[-1]
     dense = at_shares(points, np.linspace(0, 1, max(int(2 * side * length), 2)))
     column, row = np.clip((dense * side).astype(int), 0, side - 1).T
-    wire = torch.zeros(1, 1, side, side)
-    wire[0, 0, row, column] = 1.0
-    broad = F.max_pool2d(wire, (1, _WIRE_CELLS), 1, (0, _WIRE_CELLS // 2))
-    free = 1.0 - F.max_pool2d(broad, (_WIRE_CELLS, 1), 1, (_WIRE_CELLS // 2, 0))
-    around = box_means(image[None] * free, _FILL_CELLS) / box_means(free, _FILL_CELLS).clamp_min(1e-3)
-    detail = ((image[None] - around) * free)[free > 0]
+    wire = np.zeros((side, side), np.uint8)
+    wire[row, column] = 1
+    free = np.float32(1) - cv2.dilate(wire, np.ones((_WIRE_CELLS, _WIRE_CELLS), np.uint8))
+    grey = image[0].numpy()
+    # beyond the border both sums take nothing, so that their quotient is the mean of what lies inside
+    around = _sums(grey * free) / np.maximum(_sums(free), 1e-3)
     # the median of absolute differences: edges of vessels must not count as noise
-    spread = 1.2 * float(detail.abs().median())
-    grain = torch.from_numpy(generator.standard_normal((1, 1, side, side), np.float32))
-    return (image[None] * free + (around + spread * grain) * (1 - free))[0]
+    spread = 1.2 * float(np.median(np.abs(grey - around)[free > 0]))
+    grain = generator.standard_normal((side, side), np.float32)
+    return torch.from_numpy(np.where(free > 0, grey, around + np.float32(spread) * grain))[None]
+
+
+def _sums(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    size = _FILL_CELLS, _FILL_CELLS
+    return np.asarray(cv2.boxFilter(values, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
 def shadow(image: Tensor, empty: Tensor) -> Tensor:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image, ImageDraw, ImageFilter
 
+from guide3d.opencv import cv2
 from splineformer.attention import attention_map
 from splineformer.navigation.perception import PerceptionNetwork
 
@@ -14,6 +14,7 @@ _ATTENTION, _SPLINE, _TIP, _MARK = (255, 120, 0), (255, 40, 40), (60, 255, 60), 
 _STRENGTH = 0.55  # of attention over the image
 _CURVE_POINTS = 120
 _SMOOTHED_PX = 0.6
+_FINE_BITS = 4
 
 
 def picture_of_moment(image: NDArray[np.uint8], network: PerceptionNetwork, mark: ArrayLike) -> NDArray[np.uint8]:
@@ -27,17 +28,19 @@ def picture_of_moment(image: NDArray[np.uint8], network: PerceptionNetwork, mark
         (SIDE_PX, 2 SIDE_PX, 3) uint8.
     """
     side = SIDE_PX
-    small = Image.fromarray(image).resize((side, side), Image.Resampling.BOX)
-    grey = np.asarray(small.filter(ImageFilter.GaussianBlur(_SMOOTHED_PX)))
-    plain = np.repeat(grey[:, :, None], 3, axis=2)
-    attention = Image.fromarray(attention_map(network.network, image))
-    weight = _STRENGTH * np.asarray(attention.resize((side, side), Image.Resampling.BILINEAR))[:, :, None]
-    seen = Image.fromarray((plain * (1 - weight) + np.array(_ATTENTION) * weight).astype(np.uint8))
+    small = cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
+    plain = np.repeat(cv2.GaussianBlur(small, (0, 0), _SMOOTHED_PX)[:, :, None], 3, axis=2)
+    attention = cv2.resize(attention_map(network.network, image), (side, side), interpolation=cv2.INTER_LINEAR)
+    weight = _STRENGTH * attention[:, :, None]
+    seen = (plain * (1 - weight) + np.array(_ATTENTION) * weight).astype(np.uint8)
     reading = network([image])[0]
-    draw = ImageDraw.Draw(seen)
     places = np.linspace(0, len(reading.points) - 1, _CURVE_POINTS).round().astype(int)
-    draw.line([tuple(point) for point in (side * reading.points[places]).tolist()], fill=_SPLINE, width=2)
+    cv2.polylines(seen, [_fine(reading.points[places])], False, _SPLINE, 2, cv2.LINE_AA, _FINE_BITS)
     for place, radius, colour in ((reading.points[0], 4, _TIP), (mark, 7, _MARK)):
-        x, y = (side * np.asarray(place, float)).tolist()
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=colour, width=2)
-    return np.concatenate((plain, np.asarray(seen)), axis=1)
+        cv2.circle(seen, _fine(place).tolist(), radius << _FINE_BITS, colour, 2, cv2.LINE_AA, _FINE_BITS)
+    return np.concatenate((plain, seen), axis=1)
+
+
+def _fine(shares: ArrayLike) -> NDArray[np.int32]:
+    """Shares of the sides in sixteenths of a pixel."""
+    return np.rint((np.asarray(shares, float) * SIDE_PX - 0.5) * (1 << _FINE_BITS)).astype(np.int32)

@@ -17,6 +17,7 @@ from skimage.graph import MCP_Geometric
 
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.triangulation import triangulate
+from guide3d.image_filters import largest_around, sampled
 from splineformer.navigation.vessel_map import OUTSIDE_COST, WALL_COST
 
 Array = NDArray[np.float64]
@@ -86,9 +87,9 @@ def _carved(
     left = np.ones(len(places))
     for lumen, camera in zip(maps, cameras, strict=True):
         if spread:  # a step must not jump over a vessel
-            lumen = ndimage.maximum_filter(lumen, 2 * _COARSE + 1)
+            lumen = largest_around(lumen, 2 * _COARSE + 1)
         cells = (camera.project(places) + 0.5) * len(lumen) / camera.width - 0.5
-        left = np.minimum(left, ndimage.map_coordinates(lumen, cells[:, ::-1].T, order=1, cval=0.0))
+        left = np.minimum(left, sampled(lumen, cells[:, 0], cells[:, 1], outside=0.0))
     return left.reshape(shape).astype(np.float32)
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image
-from scipy import ndimage
 from skimage.graph import MCP_Geometric
+
+from guide3d.image_filters import sampled
+from guide3d.opencv import cv2
 
 Array = NDArray[np.float64]
 
@@ -42,10 +43,7 @@ def lumen_of_run(plain: ArrayLike, contrast: ArrayLike, size: int = MAP_SIZE) ->
     before, after = np.asarray(plain, np.float32), np.asarray(contrast, np.float32)
     if before.shape != after.shape or before.ndim != 2 or before.shape[0] != before.shape[1]:
         raise ValueError(f"expected two square images of one shape, got {before.shape} and {after.shape}")
-    small = [
-        np.asarray(Image.fromarray(image).resize((size, size), Image.Resampling.BOX), float)
-        for image in (before, after)
-    ]
+    small = [cv2.resize(image, (size, size), interpolation=cv2.INTER_AREA).astype(float) for image in (before, after)]
     exposed = np.minimum(*small) > _DARKEST
     if not exposed.any():
         raise ValueError("the contrast run shows nothing: its images are black")
@@ -58,8 +56,8 @@ def lumen_of_run(plain: ArrayLike, contrast: ArrayLike, size: int = MAP_SIZE) ->
         raise ValueError("the contrast run shows no vessel: its two images hardly differ")
     level = _THIN * thickest
     lumen = 1.0 / (1.0 + np.exp(-np.clip((thickness - level) / (_SOFT * level), -50, 50)))
-    pieces, count = ndimage.label(lumen > 0.5, np.ones((3, 3)))
-    sizes = ndimage.sum_labels(np.ones_like(lumen), pieces, np.arange(count + 1))
+    _, pieces, boxes, _ = cv2.connectedComponentsWithStats((lumen > 0.5).astype(np.uint8), connectivity=8)
+    sizes = boxes[:, cv2.CC_STAT_AREA]
     return np.where((pieces > 0) & (sizes[pieces] < _SMALLEST), 0.0, lumen)
 
 
@@ -80,7 +78,8 @@ class VesselMap:
         self.size = len(self.lumen)
         if not ((self.target >= 0) & (self.target < 1)).all():
             raise ValueError(f"the target's mark must lie in the image, got {self.target.tolist()} of 1 x 1")
-        depth = ndimage.distance_transform_edt(self.lumen > 0.5)
+        inside = (self.lumen > 0.5).astype(np.uint8)
+        depth = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).astype(float)
         cost = 1.0 + (OUTSIDE_COST - 1.0) * (1.0 - self.lumen) ** 2 + WALL_COST / (1.0 + depth)
         self._search = MCP_Geometric(cost)
         self._length = self._search.find_costs([self._cell(self.target)])[0] / self.size
@@ -106,5 +105,5 @@ class VesselMap:
     def sample(self, places: Array) -> Array:
         """The lumen at (..., 2) places; outside the image that of its border."""
         places = np.asarray(places, float)
-        at = (places[..., ::-1] * self.size - 0.5).reshape(-1, 2).T
-        return np.asarray(ndimage.map_coordinates(self.lumen, at, order=1, mode="nearest")).reshape(places.shape[:-1])
+        at = places * self.size - 0.5
+        return sampled(self.lumen, at[..., 0], at[..., 1])
