@@ -1,21 +1,28 @@
-"""Which arches with a common trunk a wire alone, and a wire with a catheter, can be steered in, by one search budget.
+"""Arches with a common trunk in which a wire alone, and one in a catheter, reaches the LCCA with one budget.
 
-    python benchmarks/devices/reach.py [--arches N] [--devices wire,simmons2] [--searches N] [--output FILE.jsonl]
+
+    python benchmarks/devices/reach.py [--arches N] [--devices wire,simmons2] [--searches N] [--seeds 33006,33009]
+                                       [--output FILE.jsonl]
 
 Random arches with a common origin of BCA and LCCA, from seed 33000 on, target LCCA. An arch counts when the wire alone
-fails by the first search; then every device is steered there with each search seed. The sampling expert has the same
-settings (`TWO_DEVICES`, with motion primitives) for all of them, at most 300 steps. Episodes already in the output file
-are not run again. Prints a line an episode and, last, one JSON object: device to success_pct, arches, episodes,
-steps_mean, force_max_n.
+fails to be steered there in 300 steps, by search seed 0 without a way out of local minima. Then every device, the wire
+alone among them, is steered there with each search seed, by the expert's usual settings for two devices and in at most
+600 steps. Each episode has a process of its own; those already in the output file are not run again. Prints a line an
+episode and, last, one JSON object: device to success_pct, its Wilson interval, arches, episodes, steps_mean,
+force_max_n.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import itertools
 import json
 import os
 import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -23,33 +30,39 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from cathsim import NavigateEnv, Phantom, load_guidewire, load_phantom
+from cathsim import NavigateEnv, load_guidewire, load_phantom
+from cathsim.anatomy.generator.recipe import draw_recipe
+from cathsim.metrics.intervals import wilson_interval
 from cathsim.planning.sampling import TWO_DEVICES, SamplingExpert
 
-TARGET, WIRE_LENGTH, MOST_STEPS = "lcca", 0.36, 300
+TARGET, WIRE_LENGTH = "lcca", 0.36
 FIRST_SEED = 33_000
 WIRE = "wire"  # the device without a catheter
+# Search to settings and most steps: the one by which arches are chosen, and the one that is compared.
+SEARCHES = {
+    "direct": (dataclasses.replace(TWO_DEVICES, confirm=0, patience=0), 300),
+    "patient": (TWO_DEVICES, 600),
+}
 
 
-def common_trunks() -> Any:
-    """Random arches with a common trunk, one after the other."""
-    for seed in itertools.count(FIRST_SEED):
-        phantom = load_phantom("random", seed=seed)
-        if phantom.parameters is not None and phantom.parameters.bovine:
-            yield phantom
+def common_trunks() -> Iterator[int]:
+    """Seeds of the random arches with a common trunk, one after the other."""
+    return (seed for seed in itertools.count(FIRST_SEED) if getattr(draw_recipe("random", seed), "bovine", False))
 
 
-def episode(phantom: Phantom, device: str, seed: int) -> dict[str, Any]:
+def episode(arch: int, device: str, seed: int, search: str) -> dict[str, Any]:
     """Steers one device, or wire and catheter, to the target."""
+    settings, most_steps = SEARCHES[search]
+    phantom = load_phantom("random", seed=arch)
     environment = NavigateEnv(
         phantom,
         TARGET,
         wire=load_guidewire("default").scaled(WIRE_LENGTH),
         catheter=None if device == WIRE else device,
         observation="tip",
-        max_steps=MOST_STEPS,
+        max_steps=most_steps,
     )
-    expert = SamplingExpert(environment, seed=seed, settings=TWO_DEVICES, threads=1)
+    expert = SamplingExpert(environment, seed=seed, settings=settings, threads=1)
     environment.reset(seed=0)
     began, forces, nearest, ended = time.process_time(), [], np.inf, False
     info: dict[str, Any] = {}
@@ -63,12 +76,14 @@ def episode(phantom: Phantom, device: str, seed: int) -> dict[str, Any]:
         "phantom": phantom.name,
         "device": device,
         "seed": seed,
+        "search": search,
         "success": bool(info["success"]),
         "steps": environment.steps,
         "nearest_mm": round(1e3 * nearest, 1),
         "force_mean_n": round(float(np.mean(forces)), 3),
         "force_max_n": round(max(forces), 3),
         "rollouts": expert.rollouts,
+        "escapes": expert.escapes,
         "cpu_s": round(time.process_time() - began, 1),
     }
 
@@ -79,18 +94,33 @@ class Record:
     def __init__(self, path: Path | None) -> None:
         self._path = path
         rows = [json.loads(line) for line in path.read_text().splitlines()] if path and path.exists() else []
-        self.rows = {(row["phantom"], row["device"], row["seed"]): row for row in rows}
+        self.rows = {(row["phantom"], row["device"], row["seed"], row["search"]): row for row in rows}
 
-    def episode(self, phantom: Phantom, device: str, seed: int) -> dict[str, Any]:
-        """The episode, run if it is not there."""
-        key = (phantom.name, device, seed)
+    def episode(self, arch: int, device: str, seed: int, search: str) -> dict[str, Any]:
+        """The episode, run in a new process if it is not there: arches and models of many would fill the memory."""
+        key = (f"random_{arch}", device, seed, search)
         if key not in self.rows:
-            row = self.rows[key] = episode(phantom, device, seed)
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+                row = self.rows[key] = pool.submit(episode, arch, device, seed, search).result()
             print(json.dumps(row), flush=True)
             if self._path:
                 with self._path.open("a") as lines:
                     lines.write(json.dumps(row) + "\n")
         return self.rows[key]
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Figures of one device's episodes."""
+    reached = [row for row in rows if row["success"]]
+    low, high = wilson_interval(len(reached), len(rows))
+    return {
+        "success_pct": round(100 * len(reached) / len(rows), 1),
+        "interval_pct": [round(100 * low, 1), round(100 * high, 1)],
+        "arches": len({row["phantom"] for row in rows}),
+        "episodes": len(rows),
+        "steps_mean": round(float(np.mean([row["steps"] for row in reached])), 1) if reached else None,
+        "force_max_n": max(row["force_max_n"] for row in rows),
+    }
 
 
 def main() -> None:
@@ -99,26 +129,17 @@ def main() -> None:
     parser.add_argument("--arches", type=int, default=20, help="in which the wire alone fails")
     parser.add_argument("--devices", default=f"{WIRE},simmons2", help="'wire' and names of the shelf of catheters")
     parser.add_argument("--searches", type=int, default=3, help="seeds of the search")
+    parser.add_argument("--seeds", help="of these arches alone, whatever the wire does in them")
     parser.add_argument("--output", type=Path, help="file that episodes are added to, and taken from")
     arguments = parser.parse_args()
-    devices, record = arguments.devices.split(","), Record(arguments.output)
-    failing = (phantom for phantom in common_trunks() if not record.episode(phantom, WIRE, 0)["success"])
-    arches = []
-    for phantom in itertools.islice(failing, arguments.arches):
-        arches.append(phantom)
-        for device in devices:
-            record.episode(phantom, device, 0)
+    record = Record(arguments.output)
+    failing = (arch for arch in common_trunks() if not record.episode(arch, WIRE, 0, "direct")["success"])
+    chosen = [int(seed) for seed in arguments.seeds.split(",")] if arguments.seeds else failing
+    arches = list(itertools.islice(chosen, arguments.arches))
     result = {}
-    for device in devices:
-        rows = [record.episode(phantom, device, seed) for seed in range(arguments.searches) for phantom in arches]
-        reached = [row for row in rows if row["success"]]
-        result[device] = {
-            "success_pct": round(100 * len(reached) / len(rows), 1),
-            "arches": len(arches),
-            "episodes": len(rows),
-            "steps_mean": round(float(np.mean([row["steps"] for row in reached])), 1) if reached else None,
-            "force_max_n": max(row["force_max_n"] for row in rows),
-        }
+    for device in arguments.devices.split(","):
+        seeds = range(arguments.searches)
+        result[device] = summary([record.episode(arch, device, seed, "patient") for seed in seeds for arch in arches])
     print(json.dumps(result))
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.planning.sampling import ExpertSettings, SamplingExpert
+from cathsim.planning.sampling import TWO_DEVICES, ExpertSettings, SamplingExpert
+from cathsim.simulation import Simulation
 
 MakeEnv = Callable[..., NavigateEnv]
 SMALL = ExpertSettings(horizon=6, execute=3, samples=8, elites=3, rounds=2)
@@ -79,3 +81,46 @@ def test_bad_settings_are_refused(make_env: MakeEnv) -> None:
         ExpertSettings(horizon=2)
     with pytest.raises(ValueError, match="the sampling expert steers the actions of the feeders"):
         SamplingExpert(make_env(actions="tip_motors"))
+
+
+def test_claims_are_checked_in_the_environments_own_steps(make_env: MakeEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = make_env(target="lcca", accuracy="accurate")
+    expert = SamplingExpert(env, seed=0, settings=dataclasses.replace(SMALL, confirm=2), threads=1)
+    env.reset(seed=0)
+    env.simulation.reset(insertion=0.12)
+    own = expert._own
+    assert own is not None
+    assert own.numerics == env.simulation.numerics
+    real = SamplingExpert._cost
+
+    def claiming(self: SamplingExpert, copy: Simulation, state: np.ndarray, plan: np.ndarray) -> float:
+        return real(self, copy, state, plan) if copy is own else -0.9
+
+    monkeypatch.setattr(SamplingExpert, "_cost", claiming)
+    plans = np.zeros((4, 3, 2))
+    costs = expert._costs(env.simulation.state(), plans)
+    here = env.task.remaining(env.phantom, env.simulation.tip_in_vessel)
+    assert costs[:2] == pytest.approx(here, abs=0.002)
+    assert (costs[2:] == 1.0).all(), "claims that were not checked are not believed"
+
+
+def test_a_tip_that_gets_no_nearer_is_drawn_back(make_env: MakeEnv) -> None:
+    env = make_env(target="lcca")
+    expert = SamplingExpert(env, seed=0, settings=dataclasses.replace(SMALL, patience=2), threads=1)
+    env.reset(seed=0)
+    env.simulation.reset(insertion=0.12)
+    here = env.task.remaining(env.phantom, env.simulation.tip_in_vessel)
+    expert._nearest = here - 0.1  # as if it had been nearer, where no manoeuvre gets
+    for _ in range(2):
+        assert expert.escapes == 0
+        action = expert.action()
+        expert._left = 0
+    assert expert.escapes == 1
+    assert action[0] < 0
+    expert.restart()
+    assert not expert._stalled(here)
+
+
+def test_two_devices_wait_and_check_and_a_wire_does_not() -> None:
+    assert (TWO_DEVICES.confirm, TWO_DEVICES.patience) == (4, 4)
+    assert (ExpertSettings().confirm, ExpertSettings().patience) == (0, 0)
