@@ -1,4 +1,4 @@
-"""Manoeuvres that leave a local minimum: draw back, turn, advance anew, as an operator does who gets no further."""
+"""Manoeuvres that leave a local minimum: draw back, turn, advance again, as an operator does who gets no further."""
 
 from __future__ import annotations
 
