@@ -67,8 +67,8 @@ class SamplingExpert:
     With `confirm`, a plan that reaches the target in the copies' coarser time steps is believed, and then carried out
     to its end, only when it does so in the environment's own. With `patience`, a tip that gets no nearer is taken to
     be in a local minimum of that distance. Manoeuvres are then searched, in which wire and catheter are brought to
-    another lead, turned and drawn back, and the wire is fed again; the one whose tip comes nearest is carried out. Where
-    none gains anything, all is drawn back and turned at random, and the search begins again from there.
+    another lead, turned and drawn back, and the wire is fed again; the one whose tip comes nearest is carried out.
+    Where none gains anything, all is drawn back and turned at random, and the search begins again from there.
 
     Args:
         environment: to be steered; its state is only read.
