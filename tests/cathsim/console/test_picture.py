@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-pytest.importorskip("PIL", reason="the extra cathsim[console] is not installed")
-
-from PIL import Image
-
 from cathsim import NavigateEnv
 from cathsim.console.picture import IMAGE_SIZE, FluoroscopyMonitor
 from cathsim.console.procedure import Procedure, devices_between
+from cathsim.opencv import cv2
 
 
 @pytest.mark.parametrize("catheter", [None, "vertebral_6f"])
@@ -25,7 +21,9 @@ def test_a_picture_shows_what_the_environment_sees(make_env: Callable[..., Navig
         procedure.step(1.0, 0.3, (0.5, 0.0))
     monitor = FluoroscopyMonitor(env.simulation)
     devices = devices_between(*procedure.samples[-2:], 1.0, env.simulation.wire.links)
-    shown = np.asarray(Image.open(io.BytesIO(monitor.jpeg(*devices)))).astype(float)
+    jpeg = np.frombuffer(monitor.jpeg(*devices), np.uint8)
+    shown = cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED).astype(float)
+    assert shown.ndim == 2
     seen = env.fluoroscope.image().astype(float)
     assert np.abs(shown - seen).max() < 20, "no more apart than JPEG makes them"
     if catheter is not None:

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("PIL", reason="the extra cathsim[console] is not installed")
-
 from cathsim.console.questionnaire import CRITERIA
 from cathsim.console.worker import RealTimeLoop, Setup
 

@@ -24,6 +24,7 @@ def test_import_stays_light(run_python: Callable[[str], str]) -> None:
         "skimage",
         "mujoco",
         "scipy",
+        "cv2",
     }
     assert not heavy & {name.split(".")[0] for name in loaded}
     assert not {name for name in loaded if name.startswith("cathsim.")} - {"cathsim.registration"}
@@ -39,7 +40,9 @@ def test_an_environment_needs_no_learning_library(run_python: Callable[[str], st
     )
     loaded = set(json.loads(run_python(snippet)))
     assert "mujoco" in loaded
-    assert not {"torch", "dm_control", "stable_baselines3", "matplotlib", "OpenGL", "trimesh", "skimage"} & loaded
+    assert (
+        not {"torch", "dm_control", "stable_baselines3", "matplotlib", "OpenGL", "trimesh", "skimage", "cv2"} & loaded
+    )
 
 
 def test_gymnasium_imports_the_module_that_an_id_names(run_python: Callable[[str], str]) -> None:

@@ -18,7 +18,7 @@ from cathsim.console.catheters import NO_CATHETER
 from cathsim.console.recorder import Recorder, find_recorder
 
 EXIT_FAILED = 1
-EXTRA = {"fastapi": "fastapi", "uvicorn": "uvicorn", "websockets": "websockets", "PIL": "pillow"}
+EXTRA = {"fastapi": "fastapi", "uvicorn": "uvicorn", "websockets": "websockets"}
 _LARGEST_MESSAGE = 65_536  # bytes that a page may send at once
 
 

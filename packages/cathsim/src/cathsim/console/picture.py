@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.surface import lumen_surface
@@ -20,6 +18,7 @@ from cathsim.observations.fluoroscopes import (
     outside_sheath,
     wire_radius_of,
 )
+from cathsim.opencv import cv2
 from cathsim.simulation import Simulation
 
 IMAGE_SIZE = 480  # px
@@ -59,9 +58,8 @@ class FluoroscopyMonitor:
         else:
             assert catheter is not None
             self._renderer.render_into(shown, outside_sheath(catheter, self._vessel), self._image, *self._masks)
-        stream = io.BytesIO()
-        Image.fromarray(self._image).save(stream, "JPEG", quality=QUALITY)
-        return stream.getvalue()
+        _, data = cv2.imencode(".jpg", self._image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        return data.tobytes()
 
     def mark(self, task: NavigationTask) -> dict[str, Any]:
         """Where the target lies in the image: `pixel` [u, v] and `radius` of the sphere of success, px."""

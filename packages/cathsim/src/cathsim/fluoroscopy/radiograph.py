@@ -21,6 +21,7 @@ _MARGIN = 3  # px around the ideal image, for interpolation
 _SCATTER_SPREAD = 0.12  # of the image's side: scattered light varies slowly
 _SCREEN_GLARE = 0.05  # share of light that strays inside the detector
 _EXPOSED = 0.2  # of the image on each side, left out where the exposure is measured
+_REACH = 4.0  # of a Gaussian's spreads, beyond which it counts as 0
 _BODY_STRIDE = 2  # px between the rays on which the body is integrated; it has no finer detail
 
 
@@ -39,15 +40,11 @@ class Radiograph:
 
 def optical_depth(grid: DistanceGrid, projector: Projector, scene: XRayScene) -> NDArray[np.float32]:
     """Optical depth (height, width) of a scene for every pixel of a pinhole camera."""
-    from scipy import ndimage  # here, as only bi-planar views need it
-
     depth = np.zeros((projector.height, projector.width), np.float32)
     if scene.body:
         centre = np.asarray(grid.origin) + (np.array(grid.blocks.shape) - 1) * grid.spacing / 2
         coarse = _every(projector, _BODY_STRIDE)
-        sampled = body_depth(coarse, scene.body, centre)
-        rows, columns = (np.arange(n, dtype=np.float32) / _BODY_STRIDE for n in depth.shape)
-        depth += ndimage.map_coordinates(sampled, np.meshgrid(rows, columns, indexing="ij"), order=1, mode="nearest")
+        depth += _between(body_depth(coarse, scene.body, centre), _BODY_STRIDE, depth.shape)
     if scene.filling or scene.wall:
         lumen = lumen_path_length(grid, projector)
         depth += np.float32(scene.filling) * lumen
@@ -79,13 +76,11 @@ def expose_depth(camera: XRayCamera, scene: XRayScene, depth_of: DepthFunction) 
     Args:
         depth_of: optical depth of every pixel of the pinhole camera it is given, (height, width).
     """
-    from scipy import ndimage  # here, as only bi-planar views need it
-
     projector, detector = camera.projector, camera.detector
     width, height = projector.width, projector.height
     passed = _distorted(camera, depth_of)
     if detector.focal_blur:
-        passed = ndimage.gaussian_filter(passed, detector.focal_blur * detector.scale(width, height), mode="nearest")
+        passed = _blurred(passed, detector.focal_blur * detector.scale(width, height))
     light = detector.illumination(width, height)
     spread, lit = _SCATTER_SPREAD * min(width, height), (light > 0).astype(np.float32)
     if detector.equalisation:
@@ -106,7 +101,7 @@ def expose_depth(camera: XRayCamera, scene: XRayScene, depth_of: DepthFunction) 
 
 def _distorted(camera: XRayCamera, depth_of: DepthFunction) -> NDArray[np.float32]:
     """Share of photons that pass, in the distorted image."""
-    from scipy import ndimage  # here, as only bi-planar views need it
+    from cathsim.opencv import cv2  # here, as only bi-planar views need it
 
     projector, distortion = camera.projector, camera.distortion
     if distortion.identity:
@@ -118,9 +113,9 @@ def _distorted(camera: XRayCamera, depth_of: DepthFunction) -> NDArray[np.float3
     shift = np.array([[1.0, 0.0, -low[0]], [0.0, 1.0, -low[1]], [0.0, 0.0, 1.0]])
     width, height = (high - low + 1).tolist()
     passed = np.exp(-depth_of(replace(projector, K=shift @ projector.K, width=width, height=height)))
-    at = (ideal - low).astype(np.float32)[:, ::-1].T
-    shown = ndimage.map_coordinates(passed, at, order=1, mode="nearest")
-    return shown.reshape(projector.height, projector.width)
+    x, y = (ideal - low).astype(np.float32).T.reshape(2, projector.height, projector.width)
+    shown = cv2.remap(passed, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(shown, np.float32)
 
 
 def _every(projector: Projector, stride: int) -> Projector:
@@ -132,9 +127,22 @@ def _every(projector: Projector, stride: int) -> Projector:
 
 def _wide_blur(image: NDArray[np.float32], spread: float) -> NDArray[np.float32]:
     """A Gaussian blur wide enough to be computed on every eighth pixel."""
-    from scipy import ndimage  # here, as only bi-planar views need it
-
     stride = max(1, int(spread // 8))
-    small = ndimage.gaussian_filter(image[::stride, ::stride], spread / stride, mode="nearest")
-    rows, columns = (np.arange(n, dtype=np.float32) / stride for n in image.shape)
-    return ndimage.map_coordinates(small, np.meshgrid(rows, columns, indexing="ij"), order=1, mode="nearest")
+    return _between(_blurred(np.ascontiguousarray(image[::stride, ::stride]), spread / stride), stride, image.shape)
+
+
+def _blurred(image: NDArray[np.float32], spread: float) -> NDArray[np.float32]:
+    """A Gaussian blur of `spread` px; the border's pixels go on outside."""
+    from cathsim.opencv import cv2  # here, as only bi-planar views need it
+
+    side = 2 * int(_REACH * spread + 0.5) + 1
+    return np.asarray(cv2.GaussianBlur(image, (side, side), spread, borderType=cv2.BORDER_REPLICATE), np.float32)
+
+
+def _between(image: NDArray[np.float32], stride: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """What lies between every `stride`-th pixel, which the image has: (height, width) of `shape`, bilinear."""
+    from cathsim.opencv import cv2
+
+    way, scale = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, np.array([[1 / stride, 0.0, 0.0], [0.0, 1 / stride, 0.0]])
+    wide = cv2.warpAffine(image, scale, shape[::-1], flags=way, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(wide, np.float32)

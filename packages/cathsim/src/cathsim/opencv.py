@@ -1,0 +1,22 @@
+"""OpenCV with the project's number of threads; imported by what needs it when it needs it, as `cathsim` stays light.
+
+OpenCV starts as many threads as there are cores, whatever OMP_NUM_THREADS says. Processes that share the cores set that
+variable (the pipeline sets it to 1), so it counts here, too; OpenCV's own OPENCV_FOR_THREADS_NUM goes before it.
+"""
+
+from __future__ import annotations
+
+import os
+
+import cv2
+
+__all__ = ["cv2"]
+
+
+def _follow_environment() -> None:
+    wanted = os.environ.get("OMP_NUM_THREADS", "")
+    if wanted.isdecimal() and int(wanted) and "OPENCV_FOR_THREADS_NUM" not in os.environ:
+        cv2.setNumThreads(int(wanted))
+
+
+_follow_environment()
