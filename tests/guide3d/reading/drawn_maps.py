@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from guide3d.geometry.polyline import Array, arc_length, at_length, resample
+from guide3d.geometry.polyline import Array, arc_length, at_length, distances_to, resample
+from guide3d.opencv import cv2
 
 Map = NDArray[np.float32]
 
@@ -95,8 +95,6 @@ def clutter(maps: DrawnMaps, seed: int, marks: int = 12, pieces: int = 4) -> Dra
 
 def within(points: Array, truth: Array, limit_px: float = 4.0) -> float:
     """Share of the true curve that lies within a distance of a read one."""
-    from guide3d.geometry.polyline import distances_to
-
     return float((distances_to(points, resample(truth, spacing=1.0)) <= limit_px).mean())
 
 
@@ -106,3 +104,45 @@ def order_error(points: Array, truth: Array) -> float:
     a = at_length(points, share * arc_length(points)[-1])
     b = at_length(truth, share * arc_length(truth)[-1])
     return float(np.hypot(*(a - b).T).mean())
+
+
+@dataclass(frozen=True, eq=False)
+class ReaderLikeMaps:
+    """Maps as `guide3d.reading.maps.ReaderMaps` has them."""
+
+    wire: Map
+    catheter: Map
+    tip: Map
+
+
+@dataclass(frozen=True, eq=False)
+class DarkLineReader:
+    """Stands in for a network on drawn images: dark is wire."""
+
+    tip: Map | None = None
+
+    def maps(self, image: NDArray[np.uint8]) -> ReaderLikeMaps:
+        """Maps of an image that `picture` drew."""
+        wire = np.clip((150.0 - image.astype(np.float32)) / 90.0, 0.0, 1.0)
+        if wire.mean() > 0.3:  # a negative: nothing that looks like a wire
+            wire = np.zeros_like(wire)
+        empty = np.zeros_like(wire)
+        return ReaderLikeMaps(wire, empty, empty if self.tip is None else self.tip)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnReader:
+    """Stands in for a network: gives the maps that a picture was drawn from."""
+
+    drawn: list[DrawnMaps]
+
+    def maps(self, image: NDArray[np.uint8]) -> ReaderLikeMaps:
+        """Maps of an image that `picture` drew."""
+        found = next((maps for maps in self.drawn if np.array_equal(picture(maps), image)), None)
+        empty = np.zeros(image.shape, np.float32)
+        return ReaderLikeMaps(*((empty,) * 3 if found is None else (found.wire, empty, found.tip)))
+
+
+def picture(maps: DrawnMaps) -> NDArray[np.uint8]:
+    """Draws an image whose dark lines `DarkLineReader` finds again."""
+    return np.asarray(np.rint(150.0 - 90.0 * maps.wire), np.uint8)

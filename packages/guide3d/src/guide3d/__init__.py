@@ -1,7 +1,8 @@
 """Guide3D: from two X-ray images to the shape of a guidewire in space, with plain arrays in and out.
 
-World millimetres; pixels with (0, 0) in the centre of the top-left one; curves run tip first. `guide3d.reconstruct` is
-the usual way in. Names are imported at first use, so that `import guide3d` stays light; the geometry never needs torch.
+World millimetres; pixels with (0, 0) in the centre of the top-left one; curves run tip first. `guide3d.read_pair` (from
+images) and `guide3d.reconstruct` (from curves) are the usual ways in. Names are imported at first use, so that
+`import guide3d` stays light; the geometry never needs torch.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from guide3d.geometry.bspline import BSplineCurve, fit_bspline
     from guide3d.geometry.camera import Camera, read_camera
     from guide3d.geometry.distortion import Distortion
+    from guide3d.reading.image_reading import ImageReading, read
+    from guide3d.reading.pair_reading import PairReading, read_pair
     from guide3d.reconstruction.reconstruction import (
         Reconstruction,
         ReconstructionSettings,
@@ -31,6 +34,10 @@ _HOME = {
     "read_camera": "geometry.camera",
     "Dataset": "dataset.dataset",
     "Distortion": "geometry.distortion",
+    "ImageReading": "reading.image_reading",
+    "PairReading": "reading.pair_reading",
+    "read": "reading.image_reading",
+    "read_pair": "reading.pair_reading",
     "Reconstruction": "reconstruction.reconstruction",
     "ReconstructionSettings": "reconstruction.reconstruction",
     "reconstruct": "reconstruction.reconstruction",
@@ -42,11 +49,15 @@ __all__ = [
     "Camera",
     "Dataset",
     "Distortion",
+    "ImageReading",
+    "PairReading",
     "Reconstruction",
     "ReconstructionSettings",
     "__version__",
     "fit_bspline",
+    "read",
     "read_camera",
+    "read_pair",
     "reconstruct",
     "reconstruct_greedy",
 ]

@@ -141,18 +141,18 @@ def read_curves(
         worth, start = _with_prior(pieces, start, prior, chosen)
     links = link_costs(pieces, smooth, chosen.links, toll)
     tips = (places, heights)
+    paths = _paths(pieces, worth, links, start, stop, chosen)
+    if not paths or worth[list(paths[0].pieces)].sum() < chosen.least_px:
+        return CurvesOfImage([], [])
     candidates: list[ImageCurve] = []
-    for path in _paths(pieces, worth, links, start, stop, chosen):
-        if worth[list(path.pieces)].sum() < chosen.least_px or len(candidates) == chosen.search.candidates:
-            break
+    for path in _varied(paths, pieces, chosen):
         curve = _curve(pieces, path, smooth, tips, chosen)
         if all(_differ(curve, other) for other in candidates):
             candidates.append(curve)
-            if len(candidates) == 1:
-                best = path
-    if not candidates:
-        return CurvesOfImage([], [])
-    return CurvesOfImage(candidates, _others(pieces, worth, links, (start, stop), best, smooth, tips, chosen))
+        if len(candidates) == chosen.search.candidates:
+            break
+    candidates.sort(key=lambda curve: -curve.score)
+    return CurvesOfImage(candidates, _others(pieces, worth, links, (start, stop), paths[0], smooth, tips, chosen))
 
 
 def _paths(
@@ -166,6 +166,19 @@ def _paths(
     joined = pieces.joined.reshape(-1, 2)
     shared = joined.any(axis=1) & (pieces.lengths <= settings.search.twice_px)
     return search(worth, pieces.lengths, links, start, stop, shared, settings.search)
+
+
+def _varied(paths: list[Path], pieces: Pieces, settings: CurveReadingSettings) -> list[Path]:
+    """Orders paths so that those from other tips come early: variations of one path are many and tell little."""
+    fresh: list[Path] = []
+    again: list[Path] = []
+    for path in paths:
+        tip = pieces.ends[path.entries[0]]
+        known = [pieces.ends[other.entries[0]] for other in fresh]
+        near = any(np.hypot(*(tip - place)) < settings.tip_reach_px for place in known)
+        (again if near else fresh).append(path)
+    ordered = [fresh[0], *again[:1], *fresh[1:3], *again[1:], *fresh[3:]]
+    return [path for path in ordered if path.score > 0.3 * paths[0].score]
 
 
 def _others(

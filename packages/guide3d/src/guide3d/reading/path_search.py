@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from guide3d.geometry.polyline import Array
 from guide3d.setting_kinds import PixelDistance, Positive, Weight, settings
 
+_States = dict[tuple[int, int, int], tuple[float, tuple[int, ...]]]  # end, pieces walked once and twice: score, entries
+
 
 @settings
 class SearchSettings:
     """What a path costs besides its links, in px of certain wire.
 
-    beam: partial paths that are followed at a time
+    starts: ends that are tried as tips, the cheapest ones
+    beam: partial paths from one tip that are followed at a time
     candidates: paths that are returned
     twice_px: longest piece that may be walked twice, where a wire lies over itself
     twice_per_px: cost of a px that is walked twice
@@ -23,8 +26,9 @@ class SearchSettings:
     deepest: most pieces of a path
     """
 
-    beam: int = 80
-    candidates: int = 4
+    starts: int = 10
+    beam: int = 24
+    candidates: int = 5
     twice_px: PixelDistance = 90.0
     twice_per_px: Weight = 0.2
     fold: Positive = 8.0
@@ -71,35 +75,36 @@ def search(
     worths, spans = worth.tolist(), lengths.tolist()
     starts, stops, may_share = start_cost.tolist(), end_cost.tolist(), shared.tolist()
     again = [settings.twice_per_px * span if may else np.inf for span, may in zip(spans, may_share, strict=True)]
-    states: dict[tuple[int, int, int], tuple[float, tuple[int, ...]]] = {}
-    for end in range(2 * len(worths)):
-        states[(end, 1 << (end // 2), 0)] = (worths[end // 2] - starts[end], (end,))
+    likely = sorted(range(2 * len(worths)), key=lambda end: starts[end] - 0.3 * min(worths[end // 2], 100.0))
     finished: dict[tuple[int, int], Path] = {}
-    for depth in range(settings.deepest):
-        if not states:
-            break
-        best = sorted(states.items(), key=lambda item: -item[1][0])[: settings.beam]
-        states = {}
-        for (entered, once, twice), (score, entries) in best:
-            leaving = entered ^ 1
-            whole = score - stops[leaving]
-            key = (entries[0], once)
-            if key not in finished or finished[key].score < whole:
-                finished[key] = Path(whole, entries)
-            onward = links[leaving]
-            if depth == 0 and may_share[entered // 2]:
-                onward = [*onward, (leaving, settings.fold)]
-            for end, cost in onward:
-                piece = end // 2
-                bit = 1 << piece
-                if not once & bit:
-                    gained, after = worths[piece] - cost, (end, once | bit, twice)
-                elif not twice & bit and may_share[piece]:
-                    gained, after = -cost - again[piece], (end, once, twice | bit)
-                else:
-                    continue
-                value = score + gained
-                if after not in states or states[after][0] < value:
-                    states[after] = (value, (*entries, end))
+    # each start has a beam of its own: a path that begins with short pieces must not lose to one that begins with long
+    for start in likely[: settings.starts]:
+        states: _States = {(start, 1 << (start // 2), 0): (worths[start // 2] - starts[start], (start,))}
+        for depth in range(settings.deepest):
+            best = sorted(states.items(), key=lambda item: -item[1][0])[: settings.beam]
+            states = {}
+            for (entered, once, twice), (score, entries) in best:
+                leaving = entered ^ 1
+                whole = score - stops[leaving]
+                key = (start, once)
+                if key not in finished or finished[key].score < whole:
+                    finished[key] = Path(whole, entries)
+                onward = links[leaving]
+                if depth == 0 and may_share[entered // 2]:
+                    onward = [*onward, (leaving, settings.fold)]
+                for end, cost in onward:
+                    piece = end // 2
+                    bit = 1 << piece
+                    if not once & bit:
+                        gained, after = worths[piece] - cost, (end, once | bit, twice)
+                    elif not twice & bit and may_share[piece]:
+                        gained, after = -cost - again[piece], (end, once, twice | bit)
+                    else:
+                        continue
+                    value = score + gained
+                    if after not in states or states[after][0] < value:
+                        states[after] = (value, (*entries, end))
+            if not states:
+                break
     paths = sorted(finished.values(), key=lambda path: -path.score)
     return paths[: 8 * settings.candidates]

@@ -1,0 +1,112 @@
+"""An image as readers take it: 8 bits of grey, of a size that was trained on, and what is not exposed in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from guide3d.opencv import cv2
+
+SMALLEST_PX = 128  # of a side: a wire and what is around it
+LARGEST_PX = 1536  # of the longer side; larger images are read at half or a third of their size
+_COLOUR = 12  # grey levels between the channels of a pixel that is coloured
+_COARSE = 8
+
+
+@dataclass(frozen=True, eq=False)
+class GreyImage:
+    """An image that can be read.
+
+    pixels: (h, w) uint8
+    scale: px of the image given per px of `pixels`
+    outside: (h, w) pixels that were not exposed: the black rim of a round field
+    messages: what had to be done to the image, as sentences
+    """
+
+    pixels: NDArray[np.uint8]
+    scale: float
+    outside: NDArray[np.bool_]
+    messages: list[str]
+
+    def to_given(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Takes (n, 2) px of `pixels` to those of the image given."""
+        return (points + 0.5) * self.scale - 0.5
+
+    def from_given(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Takes (n, 2) px of the image given to those of `pixels`."""
+        return (points + 0.5) / self.scale - 0.5
+
+
+def grey_image(image: ArrayLike) -> GreyImage:
+    """Checks an image and brings it to 8 bits.
+
+    Args:
+        image: (h, w), or (h, w, 3) without colours; bytes, 16 bits, or real numbers, in any range.
+
+    Raises:
+        ValueError: no image, a coloured or a tiny one, or one without any contrast.
+    """
+    values = np.asarray(image)
+    messages: list[str] = []
+    if values.ndim == 3 and values.shape[2] in (1, 2, 3, 4):
+        values = _without_colour(values, messages)
+    if values.ndim != 2 or values.dtype.kind not in "uif":
+        raise ValueError(f"expected a grey image (h, w) of numbers, got shape {values.shape} of {values.dtype}")
+    height, width = values.shape
+    if min(height, width) < SMALLEST_PX:
+        raise ValueError(
+            f"expected an image of at least {SMALLEST_PX} x {SMALLEST_PX} px, got {width} x {height}: "
+            "too small to tell a wire from its surroundings"
+        )
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        raise ValueError("expected finite grey values, found some that are not")
+    low, high = float(values.min()), float(values.max())
+    if high - low < 1e-3 * max(abs(high), abs(low), 1e-9) or (values.dtype == np.uint8 and high - low < 3.0):
+        raise ValueError(f"the image has no contrast: its grey values are {low:g} to {high:g}")
+    pixels = values if values.dtype == np.uint8 else _eight_bits(values, messages)
+    factor = -(-max(height, width) // LARGEST_PX)
+    if factor > 1:
+        size = (-(-width // factor), -(-height // factor))
+        messages.append(f"the image of {width} x {height} px was read at 1/{factor} of its size")
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+    return GreyImage(np.ascontiguousarray(pixels), float(factor), not_exposed(pixels), messages)
+
+
+def not_exposed(pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Finds the dark parts (h, w) around the exposed field that reach the border of an image."""
+    height, width = pixels.shape
+    size = (max(width // _COARSE, 1), max(height // _COARSE, 1))
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    bright = float(np.percentile(small, 90))
+    dark = (small <= max(0.08 * bright, 1.0)).astype(np.uint8)
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats(dark, connectivity=4)
+    outside = np.zeros(small.shape, np.uint8)
+    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    for label in np.unique(border[border > 0]):
+        if statistics[label, cv2.CC_STAT_AREA] >= 0.003 * small.size:
+            outside[labels == label] = 1
+    return np.asarray(cv2.resize(outside, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
+
+
+def _without_colour(values: NDArray[np.generic], messages: list[str]) -> NDArray[np.generic]:
+    if values.shape[2] in (1, 2):
+        return np.asarray(values[..., 0])
+    channels = values[..., :3].astype(float)
+    top = max(float(channels.max()), 1e-9)
+    spread = np.ptp(channels, axis=2) * (255.0 / top)
+    coloured = float((spread > _COLOUR).mean())
+    if coloured > 0.05:
+        raise ValueError(f"expected a grey X-ray image, got a picture of which {coloured:.0%} is coloured")
+    if coloured:
+        messages.append("coloured marks of the image were read as grey")
+    return np.asarray(values[..., :3].mean(axis=2).astype(values.dtype))
+
+
+def _eight_bits(values: NDArray[np.generic], messages: list[str]) -> NDArray[np.uint8]:
+    levels = values.astype(np.float32)
+    low, high = (float(level) for level in np.percentile(levels[::4, ::4], (0.1, 99.9)))
+    low = min(low, 0.0) if low > 0.0 else low  # a level of zero means no light, so it stays where it is
+    messages.append(f"grey values of {low:g} to {high:g} were taken to 8 bits")
+    return np.clip(np.rint((levels - low) * (235.0 / (high - low))), 0, 255).astype(np.uint8)

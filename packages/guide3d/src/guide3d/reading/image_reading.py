@@ -1,0 +1,167 @@
+"""Reads one X-ray image: the wire as an ordered curve, tip first, with its confidence and what is odd about it."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from guide3d.geometry.polyline import Array
+from guide3d.reading.curve_reading import CurveReadingSettings, CurvesOfImage, ImageCurve, Prior, read_curves
+from guide3d.reading.grey_image import GreyImage, grey_image
+from guide3d.reading.ridges import Map
+
+_UNSURE = 0.5  # confidence below which a point counts as guessed
+_GUESSED = 0.15  # share of guessed points worth a message
+_TIP_UNSURE = 0.3
+_FAINT_PX = 120.0  # score below which the negative of an image is tried, too
+
+
+class Maps(Protocol):
+    """Probability maps of one image, (h, w) of 0 to 1 each."""
+
+    @property
+    def wire(self) -> Map: ...
+    @property
+    def catheter(self) -> Map: ...
+    @property
+    def tip(self) -> Map: ...
+
+
+class MapReader(Protocol):
+    """What makes probability maps of an image, such as `guide3d.reading.maps.Reader`."""
+
+    def maps(self, image: NDArray[np.uint8]) -> Maps:
+        """Reads (h, w) uint8."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ImageReading:
+    """What an image shows. Pixels are those of the image given, raw or undistorted as it is.
+
+    points_px: (n, 2) the wire, tip first; (0, 2) where there is none
+    confidence: (n,) of each point, 0 to 1; low across gaps
+    sd_px: (n,) standard deviation of each point across the curve
+    tip_confidence: height of the tip map at the first point, 0 to 1
+    candidates: readings of the wire, best first, of which this is one
+    others: further wires
+    messages: what to be careful about, as sentences
+    """
+
+    points_px: Array
+    confidence: Array
+    sd_px: Array
+    tip_confidence: float
+    candidates: list[ImageCurve]
+    others: list[ImageCurve]
+    messages: list[str] = field(default_factory=list)
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a wire."""
+        return len(self.points_px) > 0
+
+    @property
+    def tip_px(self) -> Array | None:
+        """(2,) the tip."""
+        return self.points_px[0] if self.found else None
+
+    @property
+    def overall_confidence(self) -> float:
+        """Mean confidence along the curve, 0 without one."""
+        return float(self.confidence.mean()) if self.found else 0.0
+
+    def with_candidate(self, number: int) -> ImageReading:
+        """The same image read as its candidate of a number, counted from 0."""
+        return _reading(self.candidates, self.others, number, self.messages)
+
+
+@functools.cache
+def shipped_reader() -> MapReader:
+    """The network that is shipped with the package, loaded once."""
+    from guide3d.reading.maps import Reader
+
+    return Reader.pretrained()
+
+
+def read(
+    image: ArrayLike,
+    reader: MapReader | None = None,
+    prior: Prior | None = None,
+    settings: CurveReadingSettings | None = None,
+) -> ImageReading:
+    """Reads the wire in an X-ray image.
+
+    Args:
+        image: (h, w) grey values, dark where X-rays were absorbed: 8 or 16 bits or real numbers, any gain. A negative
+            is recognised.
+        reader: makes the probability maps; None: the one that is shipped.
+        prior: the wire a moment before, px of the image.
+
+    Returns:
+        The curve; without points, and with a message, where there is no wire.
+
+    Raises:
+        ValueError: no image, a coloured or a tiny one, or one without any contrast.
+    """
+    grey = grey_image(image)
+    network = reader or shipped_reader()
+    messages = list(grey.messages)
+    before = None if prior is None else Prior(grey.from_given(prior.points_px))
+    found = _curves(network, grey, before, settings)
+    if _score(found) < _FAINT_PX:
+        negative = replace(grey, pixels=255 - grey.pixels, outside=np.zeros_like(grey.outside))
+        other = _curves(network, negative, before, settings)
+        if _score(other) > 2.0 * max(_score(found), 0.0) + 60.0:
+            found = other
+            messages.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
+    candidates = [_given(grey, curve) for curve in found.candidates]
+    others = [_given(grey, curve) for curve in found.others]
+    return _reading(candidates, others, 0, messages + _remarks(candidates, others))
+
+
+def _curves(
+    network: MapReader, grey: GreyImage, prior: Prior | None, settings: CurveReadingSettings | None
+) -> CurvesOfImage:
+    maps = network.maps(grey.pixels)
+    return read_curves(maps.wire, maps.tip, maps.catheter, grey.outside, prior, settings)
+
+
+def _score(curves: CurvesOfImage) -> float:
+    return curves.candidates[0].score if curves.candidates else -np.inf
+
+
+def _given(grey: GreyImage, curve: ImageCurve) -> ImageCurve:
+    if grey.scale == 1.0:
+        return curve
+    return replace(curve, points_px=grey.to_given(curve.points_px), sd_px=curve.sd_px * grey.scale)
+
+
+def _reading(candidates: list[ImageCurve], others: list[ImageCurve], number: int, messages: list[str]) -> ImageReading:
+    if not candidates:
+        return ImageReading(np.empty((0, 2)), np.empty(0), np.empty(0), 0.0, [], [], messages)
+    curve = candidates[number]
+    return ImageReading(
+        curve.points_px, curve.confidence, curve.sd_px, curve.tip_confidence, candidates, others, messages
+    )
+
+
+def _remarks(candidates: list[ImageCurve], others: list[ImageCurve]) -> list[str]:
+    """Sentences on the curves of an image."""
+    if not candidates:
+        return ["no wire was found"]
+    best, remarks = candidates[0], []
+    if others:
+        remarks.append(
+            f"there are {1 + len(others)} wires: the most certain one is the curve, the others are given too"
+        )
+    guessed = float((best.confidence < _UNSURE).mean())
+    if guessed > _GUESSED:
+        remarks.append(f"{guessed:.0%} of the curve is guessed across gaps")
+    if best.tip_confidence < _TIP_UNSURE:
+        remarks.append("the tip is uncertain: nothing at the first point looks like one")
+    return remarks

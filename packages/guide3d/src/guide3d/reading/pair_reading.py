@@ -1,0 +1,262 @@
+"""Reads two X-ray images of one moment to a wire in space: candidates of both views are tried against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from guide3d.geometry.camera import Camera
+from guide3d.geometry.distortion import Distortion
+from guide3d.geometry.epipolar import EpipolarGeometry
+from guide3d.geometry.polyline import Array
+from guide3d.geometry.triangulation import projection_jacobian
+from guide3d.reading.curve_reading import CurveReadingSettings, ImageCurve, Prior
+from guide3d.reading.image_reading import ImageReading, MapReader, read
+from guide3d.reconstruction.matching import MatchingSettings, clearly_better, image_curve, match_curves
+from guide3d.reconstruction.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
+from guide3d.setting_kinds import PixelDistance, Share, Weight, settings
+
+VIEWS = ("A", "B")
+FRAMES = ("auto", "raw", "undistorted")
+
+_Move = Callable[[Array], Array]
+
+
+@settings
+class PairReadingSettings:
+    """How two views are brought together.
+
+    residual_per_px: what a px of epipolar residual costs a pair of candidates, in px of certain wire
+    coverage: what it costs to match nothing of a curve, in px as well
+    doubtful_px: epipolar residual above which other readings are tried: images already undistorted, cameras swapped
+    refused_px: epipolar residual above which the two curves are not of one wire under these cameras
+    """
+
+    reading: CurveReadingSettings | None = None
+    reconstruction: ReconstructionSettings | None = None
+    residual_per_px: Weight = 25.0
+    coverage: Weight = 300.0
+    sample_px: PixelDistance = 4.0
+    doubtful_px: PixelDistance = 3.0
+    refused_px: PixelDistance = 8.0
+    least_coverage: Share = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class PairReading:
+    """A wire in space, read from two images.
+
+    curve_mm: (n, 3) tip first, every 0.5 mm
+    covariance_mm2: (n, 3, 3) of each point: pixels of both views, gaps in them, the wire's stiffness, the cameras
+    views: what each image shows, with the candidate that was chosen; px of the images as given
+    undistorted_px: per view (m, 2) the curve that was reconstructed
+    reconstruction: with residuals and matched points
+    residual_px: epipolar residual of the two curves
+    accepted: whether the two curves are of one wire under these cameras
+    messages: what to be careful about, as sentences
+    """
+
+    curve_mm: Array
+    covariance_mm2: Array
+    views: tuple[ImageReading, ImageReading]
+    undistorted_px: tuple[Array, Array]
+    reconstruction: Reconstruction
+    residual_px: float
+    accepted: bool
+    messages: list[str]
+
+    @property
+    def sd_mm(self) -> Array:
+        """(n,) standard deviation of each point's place: root of the covariance's trace."""
+        return np.sqrt(np.trace(self.covariance_mm2, axis1=1, axis2=2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """A pair of candidates; larger values are better."""
+
+    value: float
+    numbers: tuple[int, int]
+    residual_px: float
+    coverage: float
+
+
+def read_pair(
+    image_a: ArrayLike,
+    image_b: ArrayLike,
+    cameras: Sequence[Camera],
+    distortions: Sequence[Distortion] | None = None,
+    frame: str = "auto",
+    reader: MapReader | None = None,
+    priors: Sequence[Prior | None] = (None, None),
+    settings: PairReadingSettings | None = None,
+) -> PairReading:
+    """Reads a wire in space from two X-ray images of one moment.
+
+    Args:
+        image_a, image_b: (h, w) grey values of the views of `cameras`, in this order; see `guide3d.read`.
+        cameras: A and B, of undistorted pixels.
+        distortions: of both detectors, where the images are raw; None: they have none, or were undistorted.
+        frame: "raw": the images are as recorded, the distortions apply. "undistorted": they do not. "auto": they do if
+            there are any, unless the epipolar residual shows clearly that the images were undistorted before.
+        reader: makes the probability maps; None: the one that is shipped.
+        priors: of both images, the wire a moment before, px.
+
+    Raises:
+        ValueError: an image that cannot be read or shows no wire, of another size than its camera's, or two curves
+            that have nothing in common.
+    """
+    chosen = settings or PairReadingSettings()
+    if len(cameras) != 2 or (distortions is not None and len(distortions) != 2):
+        raise ValueError("expected two cameras, and two distortions or none")
+    if frame not in FRAMES:
+        raise ValueError(f"expected a frame among {', '.join(FRAMES)}, got {frame!r}")
+    if frame == "raw" and distortions is None:
+        raise ValueError("raw images need the distortions of both detectors, or cameras that were calibrated raw")
+    views = []
+    for name, image, camera, prior in zip(VIEWS, (image_a, image_b), cameras, priors, strict=True):
+        views.append(_view(name, np.asarray(image), camera, reader, prior, chosen))
+    return combine(views, cameras, distortions, frame, chosen)
+
+
+def combine(
+    views: Sequence[ImageReading],
+    cameras: Sequence[Camera],
+    distortions: Sequence[Distortion] | None = None,
+    frame: str = "auto",
+    settings: PairReadingSettings | None = None,
+) -> PairReading:
+    """Combines two readings of images to a wire in space; as `read_pair`, which reads the images first."""
+    chosen = settings or PairReadingSettings()
+    messages = [f"image {name}: {text}" for name, view in zip(VIEWS, views, strict=True) for text in view.messages]
+    geometry = EpipolarGeometry(cameras[0], cameras[1])
+    moves: list[_Move] = [_same, _same]
+    if distortions is not None and frame != "undistorted":
+        moves = [distortion.undistort_points for distortion in distortions]
+    curves = [[move(curve.points_px) for curve in view.candidates] for view, move in zip(views, moves, strict=True)]
+    best = _best(geometry, views, curves, chosen)
+    if best.residual_px > 0.5 * chosen.doubtful_px and distortions is not None and frame == "auto":
+        plain = [[curve.points_px for curve in view.candidates] for view in views]
+        other = _best(geometry, views, plain, chosen)
+        if clearly_better(other.residual_px, best.residual_px):
+            messages.append(
+                f"the images look undistorted already: epipolar residual {other.residual_px:.1f} px, against "
+                f"{best.residual_px:.1f} px after the distortion maps, which were left out"
+            )
+            best, curves, moves = other, plain, [_same, _same]
+    accepted = best.residual_px <= chosen.refused_px and best.coverage >= chosen.least_coverage
+    doubt = _doubt(best, accepted, views, cameras, distortions if moves[0] is not _same else None, chosen)
+    messages += [doubt] if doubt else []
+    a, b = best.numbers
+    points = (curves[0][a], curves[1][b])
+    wire = reconstruct(cameras[0], cameras[1], *points, settings=chosen.reconstruction)
+    read_as = (views[0].with_candidate(a), views[1].with_candidate(b))
+    covariance = wire.covariance_mm2 + _gap_covariance(cameras, wire, points, read_as)
+    for warning in wire.warnings:
+        if not warning.startswith(("the cameras look swapped", "the tips miss")) or accepted:
+            messages.append(warning)
+    return PairReading(
+        wire.curve_mm, covariance, read_as, points, wire, best.residual_px, accepted and wire.accepted, messages
+    )
+
+
+def _view(
+    name: str,
+    image: np.ndarray,
+    camera: Camera,
+    reader: MapReader | None,
+    prior: Prior | None,
+    settings: PairReadingSettings,
+) -> ImageReading:
+    if image.shape[:2] != (camera.height, camera.width):
+        found = " x ".join(str(side) for side in image.shape[1::-1])
+        raise ValueError(
+            f"image {name} has {found} px, its camera {camera.name or name} {camera.width} x {camera.height}: "
+            "expected the size that the camera was calibrated for"
+        )
+    try:
+        view = read(image, reader, prior, settings.reading)
+    except ValueError as error:
+        raise ValueError(f"image {name}: {error}") from None
+    if not view.found:
+        raise ValueError(f"image {name}: {'; '.join(view.messages)}")
+    return view
+
+
+def _same(points: Array) -> Array:
+    return points
+
+
+def _best(
+    geometry: EpipolarGeometry,
+    views: Sequence[ImageReading],
+    curves: Sequence[Sequence[Array]],
+    settings: PairReadingSettings,
+) -> _Choice:
+    """The pair of candidates that fits both images and the epipolar geometry best."""
+    sampled = [
+        [image_curve(points, settings.sample_px, f"curve of image {name}") for points in of_view]
+        for name, of_view in zip(VIEWS, curves, strict=True)
+    ]
+    matching = MatchingSettings(sample_px=settings.sample_px)
+    best: _Choice | None = None
+    for i, curve_a in enumerate(sampled[0]):
+        for j, curve_b in enumerate(sampled[1]):
+            match = match_curves(geometry, curve_a, curve_b, matching)
+            residual = match.residual_px if len(match.along_a) else np.inf
+            score = _lost(views[0].candidates, i) + _lost(views[1].candidates, j)
+            value = -score - settings.coverage * (1.0 - match.coverage)
+            value -= settings.residual_per_px * min(residual, 2.0 * settings.refused_px)
+            if best is None or value > best.value:
+                best = _Choice(value, (i, j), float(residual), match.coverage)
+    assert best is not None
+    return best
+
+
+def _lost(candidates: Sequence[ImageCurve], number: int) -> float:
+    return candidates[0].score - candidates[number].score
+
+
+def _doubt(
+    best: _Choice,
+    accepted: bool,
+    views: Sequence[ImageReading],
+    cameras: Sequence[Camera],
+    distortions: Sequence[Distortion] | None,
+    settings: PairReadingSettings,
+) -> str:
+    """A sentence on two curves that do not fit well: cameras swapped, another camera, or a wrong curve; else empty."""
+    moves: list[_Move] = [_same, _same]
+    if distortions is not None:
+        moves = [distortions[1].undistort_points, distortions[0].undistort_points]
+    whole = best.residual_px > settings.doubtful_px or not accepted
+    tried = [view.candidates if whole else [view.candidates[k]] for view, k in zip(views, best.numbers, strict=True)]
+    curves = [[move(curve.points_px) for curve in of_view] for of_view, move in zip(tried, moves, strict=True)]
+    swapped = _best(EpipolarGeometry(cameras[1], cameras[0]), views, curves, settings)
+    said = f"epipolar residual {best.residual_px:.1f} px, {best.coverage:.0%} of the wire matched"
+    if clearly_better(swapped.residual_px, best.residual_px) and swapped.coverage >= best.coverage - 0.05:
+        return f"the cameras look swapped: {said}, against {swapped.residual_px:.1f} px with A and B exchanged"
+    if not whole:
+        return ""
+    if accepted:
+        return f"the two curves fit each other poorly: {said}; the depth is less certain than its deviation says"
+    return f"the two curves do not show one wire under these cameras: {said}; is each camera that of its image?"
+
+
+def _gap_covariance(
+    cameras: Sequence[Camera], wire: Reconstruction, points: tuple[Array, Array], views: Sequence[ImageReading]
+) -> Array:
+    """What gaps add to the covariance (n, 3, 3) mm^2: there a curve deviates by more than the fit's noise."""
+    variances, jacobians = [], []
+    for camera, curve, view in zip(cameras, points, views, strict=True):
+        image = camera.project(wire.curve_mm)
+        nearest = cKDTree(curve).query(image)[1]
+        extra = np.maximum(view.sd_px[nearest] ** 2 - view.sd_px.min() ** 2, 0.0)
+        variances += [extra, extra]
+        jacobians.append(projection_jacobian(camera, wire.curve_mm))
+    back = np.linalg.pinv(np.concatenate(jacobians, axis=1))
+    return np.asarray(np.einsum("nij,jn,nkj->nik", back, np.array(variances), back))

@@ -1,0 +1,120 @@
+"""Two images to a wire in space: drawn views of synthetic scenes, whose wire is known."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+from guide3d import read_pair
+from guide3d.geometry.distortion import Distortion
+from guide3d.geometry.metrics import curve_metrics
+from guide3d.reading.image_reading import ImageReading, read
+from guide3d.reading.pair_reading import combine
+from guide3d.reconstruction.synthetic_scene import SyntheticScene, scenes
+from tests.guide3d.reading.drawn_maps import DarkLineReader, DrawnReader, clutter, maps_of, picture
+
+SCENES = list(scenes(4, seed=77))
+READER = DrawnReader([])
+
+
+def _pictures(scene: SyntheticScene, gap: float = 40.0, tip: float = 0.8) -> list[np.ndarray]:
+    """Both views, which `READER` can read afterwards."""
+    for number, points in enumerate(scene.points):
+        maps = maps_of(points, gaps=((0.6 * len(points), 0.6 * len(points) + gap),), tip=tip)
+        READER.drawn.append(clutter(maps, seed=number))
+    return [picture(maps) for maps in READER.drawn[-2:]]
+
+
+@pytest.fixture(scope="module")
+def arch() -> tuple[SyntheticScene, list[np.ndarray], list[ImageReading]]:
+    pictures = _pictures(SCENES[0])
+    return SCENES[0], pictures, [read(image, READER) for image in pictures]
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=[scene.kind for scene in SCENES])
+def test_the_wire_in_space_is_found(scene: SyntheticScene) -> None:
+    reading = read_pair(*_pictures(scene), scene.cameras, reader=READER)
+    errors = curve_metrics(scene.curve_mm, reading.curve_mm)
+    assert errors["chamfer"] < 0.8
+    assert errors["mete"] < 1.5
+    assert reading.accepted
+    assert reading.residual_px < 2.0
+    assert reading.covariance_mm2.shape == (len(reading.curve_mm), 3, 3)
+    assert np.linalg.eigvalsh(reading.covariance_mm2).min() > 0
+    assert 0.1 < np.median(reading.sd_mm) < 3.0
+
+
+def test_the_other_view_decides_which_end_is_the_tip(arch: tuple[SyntheticScene, list, list[ImageReading]]) -> None:
+    scene, _, views = arch
+    # the wrong reading comes first: the curve walked from its other end
+    turned = [ImageReading(v.points_px, v.confidence, v.sd_px, 0.0, v.candidates, []) for v in views]
+    a = turned[0].candidates
+    order = sorted(range(len(a)), key=lambda k: -np.hypot(*(a[k].points_px[0] - scene.points[0][0])))
+    turned[0] = ImageReading(
+        turned[0].points_px, turned[0].confidence, turned[0].sd_px, 0.0, [a[k] for k in order], [], []
+    )
+    reading = combine(turned, scene.cameras)
+    assert np.hypot(*(reading.views[0].points_px[0] - scene.points[0][0])) < 8.0
+
+
+def test_swapped_cameras_are_said(arch: tuple[SyntheticScene, list, list[ImageReading]]) -> None:
+    scene, _, views = arch
+    reading = combine(views, scene.cameras[::-1])
+    assert any("the cameras look swapped" in message for message in reading.messages)
+
+
+def test_a_camera_of_another_view_is_said(arch: tuple[SyntheticScene, list, list[ImageReading]]) -> None:
+    scene, _, views = arch
+    other = SCENES[3]
+    try:
+        reading = combine([views[0], read(_pictures(other)[1], READER)], scene.cameras)
+    except ValueError as error:
+        assert "nothing in common" in str(error) or "in common" in str(error)  # noqa: PT017
+    else:
+        assert not reading.accepted
+        assert any("do not show one wire" in m or "poorly" in m or "swapped" in m for m in reading.messages)
+
+
+def test_raw_images_are_undistorted_and_undistorted_ones_are_recognised() -> None:
+    scene = SCENES[0]
+
+    def distort(points: np.ndarray, sign: float) -> np.ndarray:
+        away = (points - 511.5) / 512
+        return np.asarray(points + sign * (14.0 * (away**2).sum(axis=1, keepdims=True) * away + [6.0, 18.0]))
+
+    maps = tuple(Distortion.of_function(functools.partial(distort, sign=sign), 1024) for sign in (1.0, -1.0))
+    moved = [distort(points, sign) for points, sign in zip(scene.points, (1.0, -1.0), strict=True)]
+    raw = [picture(maps_of(points, tip=0.0)) for points in moved]
+    plain = [picture(maps_of(points, tip=0.0)) for points in scene.points]
+    residuals = {}
+    for frame, images in (("raw", raw), ("undistorted", plain)):
+        reading = read_pair(*images, scene.cameras, distortions=maps, reader=DarkLineReader())
+        assert curve_metrics(scene.curve_mm, reading.curve_mm)["chamfer"] < 0.8
+        assert any("undistorted already" in message for message in reading.messages) == (frame == "undistorted")
+        residuals[frame] = reading.residual_px
+    wrong = read_pair(*raw, scene.cameras, distortions=maps, frame="undistorted", reader=DarkLineReader())
+    assert wrong.residual_px > 2.0 * residuals["raw"]
+
+
+def test_gaps_widen_the_covariance() -> None:
+    scene = SCENES[0]
+    sd = [read_pair(*_pictures(scene, gap), scene.cameras, reader=READER).sd_mm for gap in (1.0, 160.0)]
+    count = min(len(sd[0]), len(sd[1]))
+    assert (sd[1][:count] / sd[0][:count]).max() > 1.2
+
+
+def test_bad_input_is_one_sentence(arch: tuple[SyntheticScene, list[np.ndarray], list]) -> None:
+    scene, pictures, _ = arch
+    empty = np.random.default_rng(0).integers(160, 200, (1024, 1024), dtype=np.uint8)
+    with pytest.raises(ValueError, match="image B: no wire was found"):
+        read_pair(pictures[0], empty, scene.cameras, reader=READER)
+    with pytest.raises(ValueError, match="image A has 512 x 512 px, its camera A 1024 x 1024"):
+        read_pair(pictures[0][:512, :512], pictures[1], scene.cameras, reader=READER)
+    with pytest.raises(ValueError, match="image A: the image has no contrast"):
+        read_pair(np.zeros((1024, 1024), np.uint8), pictures[1], scene.cameras, reader=READER)
+    with pytest.raises(ValueError, match="expected a frame among auto, raw, undistorted"):
+        read_pair(*pictures, scene.cameras, frame="round", reader=READER)
+    with pytest.raises(ValueError, match="raw images need the distortions"):
+        read_pair(*pictures, scene.cameras, frame="raw", reader=READER)
