@@ -72,7 +72,7 @@ class Convolution(nn.Module):
 class ReaderNetwork(nn.Module):
     """Images to logits of wire, catheter and tip."""
 
-    def __init__(self, *, block_px: int = 4, widths: tuple[int, ...] = (32, 56, 80, 96, 96)) -> None:
+    def __init__(self, *, block_px: int = 2, widths: tuple[int, ...] = (16, 32, 64, 96, 96)) -> None:
         """Args:
         block_px: side of the blocks of pixels that become channels.
         widths: channels of the levels, the finest first.

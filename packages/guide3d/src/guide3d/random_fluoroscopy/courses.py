@@ -103,6 +103,14 @@ def given_course(generator: np.random.Generator, curves: Sequence[NDArray[np.flo
     return leaving(np.vstack((points, rest[1:])), side_px)
 
 
+def drawn_on(generator: np.random.Generator, points: Points) -> Points:
+    """A course (n, 2) px that begins 20 to 500 px before the first point of another."""
+    step = points[0] - points[min(len(points) - 1, 8)]
+    heading, length = float(np.arctan2(step[1], step[0])), generator.uniform(20, 500)
+    ahead = walk(generator, points[0], heading, length, 1 / 250, 80.0, STEP_PX)
+    return np.vstack((ahead[:0:-1], points))
+
+
 def leaving(points: Points, side_px: int) -> Points:
     """A course up to where it has left the image for the first time."""
     outside = np.flatnonzero((points < -_MARGIN_PX).any(axis=1) | (points > side_px + _MARGIN_PX).any(axis=1))

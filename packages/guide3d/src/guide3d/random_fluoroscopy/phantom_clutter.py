@@ -16,6 +16,7 @@ from guide3d.random_fluoroscopy.courses import normals, walk
 Generator = np.random.Generator
 
 STEP_PX = 8.0
+_WIDEST_LINE_PX = 6.0
 _SMALLEST_TUBE_PX, _LARGEST_TUBE_PX = 5.0, 45.0  # radius
 
 
@@ -60,7 +61,7 @@ def wall_tube(canvas: Canvas, generator: Generator, course: Points, radius: Any,
     wall = min(log_uniform(generator, 1.0, 9.0), widest)
     soft = wall * generator.uniform(0.1, 0.5)
     share = generator.uniform(0.1, 0.8)  # of the walls' attenuation that the tube has in its middle
-    both = generator.uniform(0.5, 1.0, 2)
+    both, inner = generator.uniform(0.5, 1.0, 2), generator.uniform(0.0, 0.6)
     if not canvas.inside(course, widest + 20).any():
         return
     if np.ndim(radius) == 0:
@@ -68,9 +69,13 @@ def wall_tube(canvas: Canvas, generator: Generator, course: Points, radius: Any,
     else:
         outline = normals(course) * (np.asarray(radius) + wall / 2)[:, None]
         canvas.polygon(np.vstack((course + outline, (course - outline)[::-1])), darkness * share, blur_px=soft)
-    offset = normals(course) * np.asarray(radius - wall / 2).reshape(-1, 1)
-    canvas.stroke(course + offset, wall, darkness * both[0] * (1 - share), blur_px=soft)
-    canvas.stroke(course - offset, wall, darkness * both[1] * (1 - share), blur_px=soft)
+    # the path through a wall is longest at its inner side and falls off slowly inwards, at once outwards
+    across, skirt = normals(course), min(3 * wall, widest)
+    for side, strength in zip((1, -1), darkness * both * (1 - share), strict=True):
+        offset = side * across * np.asarray(radius - wall / 2).reshape(-1, 1)
+        canvas.stroke(course + offset, wall, strength * (1 - inner), blur_px=soft)
+        offset = side * across * np.asarray(radius - skirt / 2).reshape(-1, 1)
+        canvas.stroke(course + offset, skirt, strength * inner, blur_px=soft + 0.2 * wall)
 
 
 def shell(canvas: Canvas, generator: Generator, side_px: int) -> None:
@@ -84,9 +89,9 @@ def shell(canvas: Canvas, generator: Generator, side_px: int) -> None:
     points = centre + shape @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     darkness = -np.log(1 - log_uniform(generator, 0.03, 0.5))
     soft = log_uniform(generator, 0.3, 6.0)
-    wall, filled = log_uniform(generator, 1.0, 14.0), generator.random() < 0.6
-    if filled:
-        canvas.polygon(points, darkness * generator.uniform(0.2, 0.8), blur_px=soft)
+    wall = log_uniform(generator, 1.0, 14.0)
+    if wall < _WIDEST_LINE_PX or generator.random() < 0.5:  # a thin closed line would be a wire
+        canvas.polygon(points, darkness * generator.uniform(0.3, 0.8), blur_px=soft)
     canvas.stroke(points, wall, darkness * 0.6, blur_px=soft, closed=True)
 
 

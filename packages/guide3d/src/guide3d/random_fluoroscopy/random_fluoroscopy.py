@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from guide3d.random_fluoroscopy import sensor
 from guide3d.random_fluoroscopy.anatomy import ANATOMY, contrast_vessels, tissue, vessel_around
 from guide3d.random_fluoroscopy.canvas import Canvas, Image, Points
-from guide3d.random_fluoroscopy.courses import beside, given_course, wire_course
+from guide3d.random_fluoroscopy.courses import beside, drawn_on, given_course, wire_course
 from guide3d.random_fluoroscopy.devices import catheter, edge_along, strip, tip_blob, wire
 from guide3d.random_fluoroscopy.phantom_clutter import PHANTOM_CLUTTER, log_uniform
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
@@ -127,7 +127,8 @@ class RandomFluoroscopy:
                 kinds.add("wire along an edge")
             if draw[1] < chosen.in_vessel:
                 off = generator.uniform(-14, 14)
-                around = beside(generator, course, off, generator.uniform(0, 12), int(generator.uniform(15, 120)))
+                longer = drawn_on(generator, course)  # the vessel does not end where the wire does
+                around = beside(generator, longer, off, generator.uniform(0, 12), int(generator.uniform(15, 120)))
                 vessel_around(canvas, generator, around, filled=generator.random() < 0.35)
                 kinds.add("wire in a vessel")
             if draw[2] < chosen.catheter:
@@ -163,7 +164,7 @@ class RandomFluoroscopy:
         chosen, side = self.settings, self.settings.image_px
         draw = generator.random(3)
         anatomy = draw[0] < chosen.anatomy
-        amount = chosen.clutter * log_uniform(generator, 0.3, 2.2) * (generator.random() > 0.06)
+        amount = chosen.clutter * log_uniform(generator, 0.35, 2.6) * (generator.random() > 0.06)
         kinds = {"anatomy" if anatomy else "phantom"}
         for things, share in (
             (PHANTOM_CLUTTER, 0.2 if anatomy else 1.0),

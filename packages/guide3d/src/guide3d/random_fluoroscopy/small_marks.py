@@ -78,10 +78,11 @@ def dashes(canvas: Canvas, generator: Generator, side_px: int) -> None:
     gap, size = int(generator.uniform(4, 16)), generator.uniform(3, 14)
     width, darkness = generator.uniform(1, 3), generator.uniform(0.06, 0.6)
     across = generator.random() < 0.5
+    half = size / 2 if across else min(size, 0.8 * gap) / 2  # along: shorter than the spaces, or it would be a line
     for place in range(0, len(course) - 2, gap):
         step = course[place + 1] - course[place]
-        step = step / max(float(np.hypot(*step)), 1e-9) * size / 2
-        step = np.array([-step[1], step[0]]) if across else np.clip(step, -gap * 0.6, gap * 0.6)
+        step = step / max(float(np.hypot(*step)), 1e-9) * half
+        step = np.array([-step[1], step[0]]) if across else step
         canvas.stroke(np.array([course[place] - step, course[place] + step]), width, darkness, blur_px=0.4)
 
 

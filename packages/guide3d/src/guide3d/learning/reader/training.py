@@ -44,10 +44,10 @@ class ReaderRecipe:
         precision: of the convolutions: "float32", "bfloat16", or "auto": bfloat16 where the processor has it.
     """
 
-    block_px: Pixels = 4
-    widths: tuple[Units, ...] = (32, 56, 80, 96, 96)
+    block_px: Pixels = 2
+    widths: tuple[Units, ...] = (16, 32, 64, 96, 96)
     tile_px: Pixels = 256
-    steps: Count = 9000
+    steps: Count = 8600
     batch_size: Count = 8
     learning_rate: LearningRate = 3e-3
     weight_decay: Weight = 0.01
