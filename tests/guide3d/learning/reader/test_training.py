@@ -79,7 +79,7 @@ def test_the_right_answer_has_the_smallest_loss() -> None:
 
 
 def test_tiles_must_fit_the_network() -> None:
-    with pytest.raises(ValueError, match="tile_px must be a multiple of 64"):
+    with pytest.raises(ValueError, match="tile_px must be a multiple of 32"):
         ReaderRecipe(tile_px=100)
 
 
