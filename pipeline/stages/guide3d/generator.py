@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image
 
 from guide3d.dataset.acquisition_plan import PlannedAcquisition
 from guide3d.dataset.annotation_files import DETECTOR, Annotation, Views, image_name, write_curves, write_raw
@@ -20,6 +19,7 @@ from guide3d.dataset.simulated_annotation import annotate, fit_annotation, thin_
 from guide3d.dataset.true_curves import VIEWS, TrueCurve, write_truth
 from guide3d.geometry.camera import Camera, write_camera
 from guide3d.geometry.distortion import Distortion
+from guide3d.image_file import encode_png
 from pipeline.jobs.worker import Report
 from pipeline.seeds import acquisition_seed
 from pipeline.stages.guide3d.settings import Guide3dSettings
@@ -116,8 +116,7 @@ def _film(acquisition: PlannedAcquisition, job: GenerationJob, report: Any) -> d
         for name, picture in fluoroscope.render(nodes, seed=int(generator.integers(2**63))).items():
             path = images / image_name(acquisition.name, name, number)
             path.parent.mkdir(parents=True, exist_ok=True)
-            # noise hardly shrinks: coding its bytes by frequency alone is fastest, and smaller than the fastest deflate
-            Image.fromarray(picture.image).save(path, compress_level=1, compress_type=2)
+            path.write_bytes(encode_png(picture.image))
         frames.append(frame)
         report(len(frames) / len(shapes))
     return {"motion": motion, "frames": frames}

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml, write_camera, write_opencv_yaml
+from guide3d.opencv import cv2
 
 
 @pytest.fixture
@@ -73,6 +74,23 @@ def test_yaml_files_keep_everything(camera, tmp_path):
     assert np.allclose(again.covariance, camera.covariance)
     assert again.name == "16710"
     assert (tmp_path / "camera.yaml").read_text().startswith("%YAML:1.0\n---\n")
+
+
+def test_yaml_files_go_to_opencv_and_back(camera, tmp_path):
+    write_opencv_yaml(camera, tmp_path / "ours.yaml")
+    file = cv2.FileStorage(str(tmp_path / "ours.yaml"), cv2.FILE_STORAGE_READ)
+    assert np.allclose(file.getNode("camera_matrix").mat(), camera.K, rtol=1e-15)
+    assert np.allclose(file.getNode("rotation_matrix").mat(), camera.R, rtol=1e-15)
+    assert np.allclose(file.getNode("translation_vector").mat()[:, 0], camera.t_mm, rtol=1e-15)
+    assert file.getNode("image_width").real() == camera.width
+    file.release()
+    file = cv2.FileStorage(str(tmp_path / "theirs.yaml"), cv2.FILE_STORAGE_WRITE)
+    for name, value in (("K", camera.K), ("R", camera.R), ("t", camera.t_mm[:, None])):
+        file.write(name, np.array(value))
+    file.write("image_width", camera.width)
+    file.write("image_height", camera.height)
+    file.release()
+    assert np.allclose(read_opencv_yaml(tmp_path / "theirs.yaml").P, camera.P, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

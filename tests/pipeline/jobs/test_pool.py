@@ -19,7 +19,7 @@ from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Message, Report
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
-from tests.pipeline.stages.toy_training import Toy, square, train
+from tests.pipeline.stages.toy_training import Toy, opencv_threads, square, train
 
 TEST_ROOT = Path(__file__).resolve().parents[3]
 
@@ -40,6 +40,14 @@ def test_jobs_run_in_processes_of_their_own_and_leave_their_results(folder: RunF
     assert len({results["a"]["process"], results["b"]["process"], os.getpid()}) == 3
     assert results["a"]["threads"] == "1"
     assert any("toys 3/3" in record.getMessage() for record in caplog.records)
+
+
+def test_jobs_use_one_thread_of_opencv(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    with folder.locked():
+        folder.prepare()
+        jobs = [Job(name, opencv_threads, name) for name in ("a", "b")]
+        assert run_jobs(folder, jobs, preload=["guide3d.opencv"]) == {"a": 1, "b": 1}
 
 
 def test_what_jobs_cost_stands_in_the_manifest_also_after_an_interruption(folder: RunFolder, tmp_path: Path) -> None:

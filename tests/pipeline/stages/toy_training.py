@@ -57,6 +57,14 @@ def square(value: int, report: Report) -> int:
     return value * value
 
 
+def opencv_threads(name: str, report: Report) -> int:
+    """A job that says how many threads OpenCV would use in it."""
+    from guide3d.opencv import cv2
+
+    report(0.5)
+    return int(cv2.getNumThreads())
+
+
 def run_toys(root: Path, names: list[str], steps: int, seconds_a_step: float, checkpoint_every: int) -> None:
     """A stage of toys, for processes that tests start and stop."""
     folder = RunFolder(root, Identity("c", {}, "s"))
