@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -31,3 +33,16 @@ def test_importing_the_package_loads_no_opencv() -> None:
     snippet = "import guide3d, sys; print('cv2' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", snippet], capture_output=True, check=True)
     assert run.stdout.strip() == b"False"
+
+
+def test_all_take_opencv_from_where_its_threads_are_set() -> None:
+    root = Path(__file__).resolve().parents[2]
+    folders = [
+        root / "pipeline",
+        *(root / "packages" / name / "src" for name in ("cathsim", "guide3d", "splineformer")),
+    ]
+    direct = re.compile(r"^\s*(?:import cv2|from cv2 )", re.MULTILINE)
+    files = [path for folder in folders for path in folder.rglob("*.py")]
+    assert len(files) > 200
+    found = {path.name for path in files if direct.search(path.read_text(encoding="utf-8"))}
+    assert found == {"opencv.py"}

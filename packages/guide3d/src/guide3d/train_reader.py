@@ -20,7 +20,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +28,7 @@ from guide3d.dataset.dataset import Dataset
 from guide3d.learning.reader.evaluation import evaluate_reader
 from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, smoke_recipe, train_reader
 from guide3d.learning.training_command import TABLE, main_of
+from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.reading.maps import SHIPPED, Reader
 from guide3d.setting_kinds import seed

@@ -14,13 +14,14 @@ import copy
 from itertools import pairwise
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from guide3d.opencv import cv2
 
 CLASSES = ("wire", "catheter", "tip")
 INPUTS = 2

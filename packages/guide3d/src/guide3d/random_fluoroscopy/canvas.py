@@ -9,9 +9,10 @@ depths it has none), thin ones at twice the resolution, and added with their own
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from guide3d.opencv import cv2
 
 Points = NDArray[np.float64]
 Image = NDArray[np.float32]

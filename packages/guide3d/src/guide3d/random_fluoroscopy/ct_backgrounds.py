@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from guide3d.opencv import cv2
 
 WATER_PER_MM = 0.02  # linear attenuation at about 70 keV, 1/mm (NIST, XCOM)
 _LEAST_HU = -1000.0

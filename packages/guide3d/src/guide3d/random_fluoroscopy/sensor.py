@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.canvas import Canvas, Image, Points
 from guide3d.random_fluoroscopy.phantom_clutter import log_uniform
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
