@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from guide3d.atomic_file import whole_file
 from guide3d.dataset.dataset import Dataset
+from guide3d.learning.reader.calibration import calibrate
 from guide3d.learning.reader.evaluation import evaluate_reader
 from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, smoke_recipe, train_reader
 from guide3d.learning.training_command import TABLE, main_of
@@ -34,6 +35,7 @@ from guide3d.reading.maps import SHIPPED, Reader
 from guide3d.setting_kinds import seed
 
 VALIDATION_SEED = 1_000_003  # of the images that choices are made by; no training seed should be it
+CALIBRATION_SEED = 2_000_003
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -72,10 +74,11 @@ def train(given: argparse.Namespace, progress: Callable[[int, float], None] | No
         recipe, given.output, seed=given.seed, processes=given.processes, courses=courses, backgrounds=backgrounds,
         progress=progress or log,
     )  # fmt: skip
-    reader = Reader(network, {"training": report, "recipe": asdict(recipe)})
+    shift = calibrate(network, RandomFluoroscopy(recipe.fluoroscopy, CALIBRATION_SEED), range(given.images))
+    reader = Reader(network, {"training": report, "recipe": asdict(recipe), "calibration": shift})
     validation = RandomFluoroscopy(seed=VALIDATION_SEED)
     scores = asdict(evaluate_reader(reader, validation, range(given.images)))
-    table = {**report, "validation": scores, "recipe": asdict(recipe)}
+    table = {**report, "calibration": shift, "validation": scores, "recipe": asdict(recipe)}
     reader.metadata["validation"] = scores
     reader.save(given.output / SHIPPED)
     with whole_file(given.output / TABLE, "w") as file:

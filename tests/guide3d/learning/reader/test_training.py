@@ -16,7 +16,8 @@ from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, reader_lo
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.reading.maps import Reader
-from guide3d.train_reader import arguments, main, train
+from guide3d.train_reader import arguments, curves_of, main, train
+from tests.guide3d.learning.drawn_data import draw
 
 SMALL = FluoroscopySettings(image_px=128)
 
@@ -92,6 +93,14 @@ def test_command_line_writes_a_reader(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "a" / "training.json").read_text())["steps"] == 2
     maps = Reader.load(tmp_path / "a" / "reader.pt").maps(np.full((50, 70), 90, np.uint8))
     assert maps.wire.shape == (50, 70)
+
+
+def test_curves_of_a_data_set_are_courses(tmp_path: Path) -> None:
+    data = draw(tmp_path, acquisitions=2, frames=1)
+    curves = curves_of(tmp_path)
+    assert len(curves) == 2 * len(data.frames)
+    np.testing.assert_allclose(curves[0], data.frames[0].polyline("a") * 1024 / 128)
+    RandomFluoroscopy(SMALL, 0, curves).tile(0, 64)
 
 
 def test_bad_commands_are_refused_in_one_sentence(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
