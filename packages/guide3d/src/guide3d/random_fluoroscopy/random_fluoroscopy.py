@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from guide3d.random_fluoroscopy import sensor
 from guide3d.random_fluoroscopy.anatomy import ANATOMY, contrast_vessels, tissue, vessel_around
 from guide3d.random_fluoroscopy.canvas import Canvas, Image, Points
-from guide3d.random_fluoroscopy.courses import beside, drawn_on, given_course, wire_course
+from guide3d.random_fluoroscopy.courses import STEP_PX, beside, drawn_on, given_course, resampled, wire_course
 from guide3d.random_fluoroscopy.devices import catheter, edge_along, strip, tip_blob, wire
 from guide3d.random_fluoroscopy.phantom_clutter import PHANTOM_CLUTTER, log_uniform
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
@@ -74,6 +74,19 @@ class RandomFluoroscopy:
         side = self.settings.image_px
         return self._window(index, 0, 0, side)
 
+    def along(self, index: int, wires: Sequence[NDArray[np.floating]]) -> RandomImage:
+        """A whole image of an index in which the wires lie where they are said to lie.
+
+        Args:
+            wires: each (n, 2) px of the whole image, tip first; none: an image without a wire.
+
+        Raises:
+            ValueError: a wire of another shape, or with values that are not finite.
+        """
+        checked = [_checked(points, "wire", (2,)).astype(float) for points in wires]
+        courses = [resampled(points, STEP_PX) for points in checked]
+        return self._window(index, 0, 0, self.settings.image_px, courses)
+
     def tile(self, index: int, size_px: int = 256) -> RandomImage:
         """A square window of the image of an index: around a tip, around another place of a wire, or anywhere.
 
@@ -113,9 +126,10 @@ class RandomFluoroscopy:
             kinds.add("two wires")
         return courses, kinds
 
-    def _window(self, index: int, left: int, top: int, size_px: int) -> RandomImage:
+    def _window(self, index: int, left: int, top: int, size_px: int, given: list[Points] | None = None) -> RandomImage:
         generator = np.random.default_rng((self.seed, index, _SCENE))
         courses, kinds = self._courses(generator)
+        courses = courses if given is None else given
         canvas = Canvas(left, top, size_px, size_px)
         kinds |= self._scenery(canvas, generator)
         chosen, side = self.settings, self.settings.image_px
@@ -210,6 +224,7 @@ def _checked(values: NDArray[np.floating], what: str, columns: tuple[int, ...] |
     array = np.asarray(values, np.float32)
     shaped = array.ndim == 2 and len(array) >= 2 and (columns is None or array.shape[1] in columns)
     if not shaped or not np.isfinite(array).all():
-        expected = "(n, 2) px or (n, 3) mm, n at least 2" if columns else "(h, w) attenuation"
+        known = {None: "(h, w) attenuation", (2,): "(n, 2) px, n at least 2"}
+        expected = known.get(columns, "(n, 2) px or (n, 3) mm, n at least 2")
         raise ValueError(f"a {what} must be {expected}, all finite, got an array of shape {array.shape}")
     return array
