@@ -224,7 +224,7 @@ def _checked(values: NDArray[np.floating], what: str, columns: tuple[int, ...] |
     array = np.asarray(values, np.float32)
     shaped = array.ndim == 2 and len(array) >= 2 and (columns is None or array.shape[1] in columns)
     if not shaped or not np.isfinite(array).all():
-        known = {None: "(h, w) attenuation", (2,): "(n, 2) px, n at least 2"}
+        known: dict[tuple[int, ...] | None, str] = {None: "(h, w) attenuation", (2,): "(n, 2) px, n at least 2"}
         expected = known.get(columns, "(n, 2) px or (n, 3) mm, n at least 2")
         raise ValueError(f"a {what} must be {expected}, all finite, got an array of shape {array.shape}")
     return array
