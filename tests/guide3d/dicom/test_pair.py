@@ -67,6 +67,14 @@ def test_a_table_that_moves_is_said(tmp_path: Path) -> None:
     assert any("a.dcm: the table moves by 12 mm" in warning for warning in pair.warnings)
 
 
+def test_different_frame_rates_are_said(tmp_path: Path) -> None:
+    a = file_of(tmp_path / "a.dcm", 4)
+    pair = images_and_cameras(a, file_of(tmp_path / "b.dcm", 4, FrameTime="100", **ANGLES_B))
+    assert any("frames of one number are up to 150 ms apart" in warning for warning in pair.warnings)
+    pair = images_and_cameras(a, file_of(tmp_path / "c.dcm", 4, FrameTime="50.2", **ANGLES_B))
+    assert not pair.warnings
+
+
 @pytest.mark.parametrize("primary", ["30", "-150"])
 def test_two_views_along_one_line_are_refused(primary: str, tmp_path: Path) -> None:
     secondary = "-20" if primary == "30" else "20"

@@ -64,6 +64,14 @@ def paired(run_a: XrayRun, run_b: XrayRun) -> RunPair:
     if len(runs[0]) != len(runs[1]):
         warnings.append(f"the runs have {len(runs[0])} and {len(runs[1])} frames: the first {n} of both are taken")
     warnings += _table_warnings(runs)
+    times = [run.times_ms for run in runs]
+    if times[0] is not None and times[1] is not None and n > 1:
+        apart = float(np.abs(times[0][:n] - times[1][:n]).max())
+        if apart > 0.5 * np.diff(times[0][:n]).mean():
+            warnings.append(
+                f"the runs have different frame rates: frames of one number are up to {apart:.0f} ms apart, counted "
+                "from the first"
+            )
     return RunPair(
         images_a=runs[0].images()[:n],
         images_b=runs[1].images()[:n],
