@@ -17,6 +17,7 @@ GPU ?=
 export OMP_NUM_THREADS ?= 1
 
 STAGES := $(basename $(notdir $(wildcard conf/stage/*.yaml)))
+LEROBOT ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/endonav/lerobot
 INSTALLED := $(VENV)/.endonav-installed
 INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard packages/*/pyproject.toml packages/*/setup.py) \
 	$(shell find packages/*/src -name '*.c' -o -name '*.h' 2>/dev/null)
@@ -24,7 +25,7 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 
-.PHONY: help setup ray all smoke demo thesis-check test lint format bench-quick fuzz clean clean-all console $(STAGES)
+.PHONY: help setup ray lerobot all smoke demo thesis-check test lint format bench-quick fuzz clean clean-all console $(STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
@@ -49,6 +50,10 @@ ray: setup  ## Ray for sweeps over a cluster (hydra/launcher=ray), 240 MB more
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -e .[ray]
 	@# Its pins on an old cloudpickle and on cloud services' libraries are needed for none of its local and cluster use.
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-deps -c constraints.txt hydra-ray-launcher
+
+lerobot:  ## LeRobot in an environment of its own, which reads exported data sets in a test, 8 GB
+	@test -x $(LEROBOT)/bin/python || $(PYTHON) -m venv $(LEROBOT)
+	@$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check lerobot==0.4.4
 
 all: setup  ## every stage, then the report: runs/<name>/report/index.html
 	@$(GL) $(PY) -m pipeline.chain all -- budget=$(BUDGET) name=$(NAME) $(ARGS)

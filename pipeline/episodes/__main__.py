@@ -1,4 +1,4 @@
-"""The command line of episode logs: `python -m pipeline.episodes info|check|recover|view|film FILE`.
+"""The command line of episode logs: `python -m pipeline.episodes info|check|recover|view|film FILE`, `export FOLDER`.
 
 Exit codes: 0 all is well, 1 a log is damaged, 2 wrong usage, a file that is not there or cannot be written, no viewer.
 """
@@ -20,7 +20,7 @@ from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, Viewer
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import recover
 
-FINE, DAMAGED, USAGE = 0, 1, 2
+FINE, DAMAGED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 
 def _complain(message: object) -> None:
@@ -110,14 +110,41 @@ def _run_film(source: Path, destination: Path | None) -> int:
     return FINE
 
 
+def _run_export(arguments: argparse.Namespace) -> int:
+    from pipeline.episodes.export.exporting import export_logs
+    from pipeline.episodes.export.layout import ExportError
+
+    try:
+        report = export_logs(
+            arguments.folder,
+            arguments.to,
+            arguments.output,
+            name=arguments.name,
+            pictures=not arguments.no_pictures,
+            masks=arguments.masks,
+            overwrite=arguments.overwrite,
+        )
+    except ExportError as error:
+        _complain(error)
+        return USAGE
+    except EpisodeReadError as error:
+        _complain(error)
+        return DAMAGED
+    except KeyboardInterrupt:
+        _complain(f"interrupted: nothing was left at {arguments.output}")
+        return INTERRUPTED
+    print(f"{report.destination}: {report.episodes} episodes, {report.steps} steps; open it with {report.hint}")
+    return FINE
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m pipeline.episodes",
-        description="Look at episode logs, check them, recover damaged ones, view them in Rerun, and film them.",
+        description="Look at episode logs, check them, recover damaged ones, view them in Rerun, film and export them.",
         epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination, no "
         "viewer.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view|film")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view|film|export")
     for name, text in (("info", "show what a log holds"), ("check", "verify every checksum, step and picture")):
         command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
         command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a log")
@@ -149,6 +176,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     command.add_argument("file", type=Path, metavar="FILE", help="a log")
     command.add_argument("out", nargs="?", type=Path, metavar="OUT", help="the GIF (default: FILE with that ending)")
+    command = commands.add_parser(
+        "export",
+        help="write a folder of logs as a data set for other software",
+        description="Write all logs in a folder and below it as one data set; OUTPUT appears when it is whole.",
+    )
+    command.add_argument("folder", type=Path, metavar="FOLDER", help="with logs, e.g. runs/NAME/expert")
+    command.add_argument("--to", required=True, choices=("lerobot", "minari", "hdf5"), help="format")
+    command.add_argument("--output", required=True, type=Path, metavar="OUTPUT", help="folder of the data set")
+    command.add_argument("--name", help="of the data set (default: that of OUTPUT)")
+    command.add_argument("--no-pictures", action="store_true", help="numbers alone")
+    command.add_argument("--masks", action="store_true", help="also the masks of the devices")
+    command.add_argument("--overwrite", action="store_true", help="replace OUTPUT if it exists")
     return parser
 
 
@@ -187,6 +226,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a path or a log's text may hold what the terminal cannot
+    if arguments.command == "export":
+        return _run_export(arguments)
     files = arguments.files if hasattr(arguments, "files") else [arguments.file]
     try:
         code = max(_run(arguments, path) for path in files)

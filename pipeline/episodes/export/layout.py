@@ -1,0 +1,207 @@
+"""The fields of an exported data set: their shapes, units, frames and the names of their parts.
+
+Logs that are exported together have the same fields. Record 0 of a log is the state after reset, so an episode of n
+actions has n + 1 observations; the action of index t leads from observation t to observation t + 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.records import StepRecord
+from pipeline.store.errors import PipelineError
+
+TIP_MOTOR_ACTIONS = 21
+TWO_DEVICES = 4  # actions of a wire in a catheter
+_AXES = ("x_m", "y_m", "z_m")
+_FEEDER = ("insertion_m", "rotation_cos", "rotation_sin")
+
+
+class ExportError(PipelineError, ValueError):
+    """Logs that cannot be exported together, or a destination that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A quantity that every moment or step of the data set has."""
+
+    shape: tuple[int, ...]
+    unit: str
+    """of all its parts, or "mixed" where the parts' names say it"""
+    frame: str
+    """"world", "device" (along and about its feeder), "image" or "" of what has none"""
+    meaning: str
+    parts: tuple[str, ...] = ()
+    """names of its entries; none where there are many"""
+
+    def describe(self) -> dict[str, Any]:
+        """Give the field as JSON holds it."""
+        described: dict[str, Any] = {"shape": list(self.shape), "unit": self.unit, "frame": self.frame}
+        return described | {"meaning": self.meaning} | ({"parts": list(self.parts)} if self.parts else {})
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What each episode of a data set holds."""
+
+    control_dt: float
+    """s, between two steps"""
+    action: Field
+    observations: Mapping[str, Field]
+    infos: Mapping[str, Field]
+    pictures: Mapping[str, Field] = field(default_factory=dict)
+    """by camera, or by camera and "_mask": (height, width)"""
+
+    @property
+    def fps(self) -> float:
+        """Steps a second; a whole number where it is one."""
+        rate = round(1.0 / self.control_dt, 6)
+        return int(rate) if rate == int(rate) else rate
+
+    def differences(self, other: Layout) -> list[str]:
+        """Name the fields in which another layout differs, each with both shapes."""
+        found = []
+        if self.control_dt != other.control_dt:
+            found.append(f"the control step ({self.control_dt:g} s and {other.control_dt:g} s)")
+        mine, theirs = self._shapes(), other._shapes()
+        for name in [*mine, *(name for name in theirs if name not in mine)]:
+            if mine.get(name) != theirs.get(name):
+                found.append(f"{name} ({_shown(mine.get(name))} and {_shown(theirs.get(name))})")
+        return found
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        parts = {"action": self.action, **self.observations, **self.infos}
+        return {name: one.shape for name, one in parts.items()} | {
+            f"pictures of {name}": one.shape for name, one in self.pictures.items()
+        }
+
+    def describe(self) -> dict[str, Any]:
+        """Give all fields as JSON holds them."""
+        return {
+            "control_step_s": self.control_dt,
+            "action": self.action.describe(),
+            "observations": {name: one.describe() for name, one in self.observations.items()},
+            "infos": {name: one.describe() for name, one in self.infos.items()},
+            "pictures": {name: one.describe() for name, one in self.pictures.items()},
+        }
+
+
+def _shown(shape: tuple[int, ...] | None) -> str:
+    return "none" if shape is None else "x".join(map(str, shape)) or "one number"
+
+
+def layout_of(log: EpisodeReader, *, pictures: bool = True, masks: bool = False) -> Layout:
+    """Read the fields of a log from its first record.
+
+    Args:
+        pictures: with the images of its cameras.
+        masks: also with the masks.
+
+    Raises:
+        EpisodeReadError: the log is damaged or holds no step.
+    """
+    first = log.step(0)
+    cameras: dict[str, Field] = {}
+    for name in log.cameras if pictures else ():
+        size = (log.camera(name).height, log.camera(name).width)
+        if log.has(name, "image"):
+            cameras[name] = Field(size, "grey, 0 to 255", "image", f"X-ray image of camera {name}")
+        if masks and log.has(name, "mask"):
+            cameras[f"{name}_mask"] = Field(size, "0 or 255", "image", f"pixels of the devices in camera {name}")
+    mesh = log.phantom_mesh()
+    return Layout(
+        control_dt=log.info.control_dt,
+        action=action_field(len(first.action)),
+        observations=observation_fields(first, goal=mesh is not None),
+        infos=info_fields(first),
+        pictures=cameras,
+    )
+
+
+def action_field(size: int) -> Field:
+    """Describe the actions of so many numbers."""
+    moves: tuple[str, ...] = ("translation", "rotation")
+    if size == TWO_DEVICES:
+        moves = tuple(f"{device}_{move}" for device in ("wire", "catheter") for move in moves)
+    elif size == TIP_MOTOR_ACTIONS:
+        moves = (*(f"motor_{index}" for index in range(size - 1)), "translation")
+    elif size != len(moves):
+        moves = tuple(f"action_{index}" for index in range(size))
+    return Field((size,), "1", "device", "commands to the feeders, -1 to 1 of a step's full movement", moves)
+
+
+def observation_fields(first: StepRecord, *, goal: bool) -> dict[str, Field]:
+    """Describe the observations of a log by its first record.
+
+    Args:
+        goal: whether the log says where the target is.
+    """
+    feeder: tuple[str, ...] = _FEEDER
+    if len(first.action) == TWO_DEVICES:
+        feeder = (*(f"{device}_{part}" for device in ("wire", "catheter") for part in _FEEDER), "lead_m")
+    joints = "position and rotation of the feeder and angles of the joints, distal last"
+    fields = {
+        "tip": Field((3,), "m", "world", "the tip", tuple(f"tip_{axis}" for axis in _AXES)),
+        "feeder": Field((len(feeder),), "mixed", "device", "how far the devices are fed in and turned", feeder),
+        "force": Field((3,), "N", "world", "largest resultant of the contact forces in the step", ("x", "y", "z")),
+        "joint_positions": Field((len(first.joint_positions),), "m or rad", "device", joints),
+        "joint_velocities": Field((len(first.joint_velocities),), "m/s or rad/s", "device", f"velocities: {joints}"),
+    }
+    if goal:
+        fields["goal"] = Field((3,), "m", "world", "the target", tuple(f"goal_{axis}" for axis in _AXES))
+    return fields
+
+
+def info_fields(first: StepRecord) -> dict[str, Field]:
+    """Describe what is known of each moment beside the observations, by a log's first record."""
+    fields = {
+        "force_norm": Field((), "N", "", "norm of the largest resultant of the contact forces in the step"),
+        "insertion": Field((), "m", "device", "how far the wire is fed in, or a catheter that is alone"),
+        "rotation": Field((), "rad", "device", "how far its hub is turned"),
+    }
+    for key in first.extra:
+        fields[key] = Field((), "in the name", "", "further scalar of the log")
+    if first.devices is not None:
+        pair = ("wire", "catheter")
+        for name, unit, meaning in (
+            ("insertions", "m", "how far the devices are fed in"),
+            ("hub_rotations", "rad", "how far the hubs are turned"),
+            ("tip_rotations", "rad", "how far the tips are turned; NaN of an absent device"),
+            ("feeder_forces", "N", "what the feeders push with"),
+            ("hub_torques", "N m", "by which the hubs are held"),
+        ):
+            fields[f"device_{name}"] = Field((2,), unit, "device", meaning, pair)
+        fields["device_lead"] = Field((), "m", "device", "how far the wire's tip is before the catheter's")
+    return fields
+
+
+def common_layout(paths: Sequence[Path], *, pictures: bool = True, masks: bool = False) -> Layout:
+    """Read the layout that all logs have.
+
+    Raises:
+        ExportError: a log differs from the first, lacks steps, or holds no action.
+        EpisodeReadError: a log is damaged.
+    """
+    first: Layout | None = None
+    for path in paths:
+        with EpisodeReader(path) as log:
+            if log.outcome.missing_steps:
+                raise ExportError(f"{path} lacks step {log.outcome.missing_steps[0]}: leave it out of the folder")
+            if log.last_step < 1:
+                raise ExportError(f"{path} holds no action: leave it out of the folder")
+            layout = layout_of(log, pictures=pictures, masks=masks)
+        if first is None:
+            first = layout
+            continue
+        different = first.differences(layout)
+        if different:
+            raise ExportError(
+                f"{paths[0]} and {path} differ in {', '.join(different)}: export logs of one kind together, each kind "
+                "from a folder of its own"
+            )
+    assert first is not None
+    return first
