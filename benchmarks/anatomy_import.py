@@ -83,9 +83,9 @@ def measure(path: Path, resolution: float, picture: Path | None) -> dict[str, An
     row["peak_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
     row["notes"] = list(phantom.imported.notes) if phantom.imported else []
     if picture is not None:
-        from cathsim.anatomy.picture import draw_phantom
+        from cathsim.anatomy.pictures.import_picture import draw_import
 
-        draw_phantom(phantom, picture)
+        draw_import(phantom, picture)
     return row
 
 

@@ -44,7 +44,7 @@ from cathsim.anatomy.lumen import build_lumen  # noqa: E402
 from cathsim.anatomy.lumen_report import check_lumen  # noqa: E402
 from cathsim.anatomy.phantom import locate_targets  # noqa: E402
 from cathsim.anatomy.phantom_cache import PhantomCache  # noqa: E402
-from cathsim.anatomy.picture import draw_phantom  # noqa: E402
+from cathsim.anatomy.pictures.phantom_picture import draw_phantom  # noqa: E402
 from cathsim.anatomy.surface import lumen_surface  # noqa: E402
 from cathsim.anatomy.vessel_tree import nearest_on_branch  # noqa: E402
 from cathsim.blood.field import blood_field  # noqa: E402

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
-from cathsim.anatomy.picture import render_lumen
+from cathsim.anatomy.pictures.phantom_picture import render_lumen
 
 SEED = 201
 HALF_WIDTH, HALF_HEIGHT, PIXEL = 0.075, 0.125, 5e-4  # m

@@ -139,10 +139,14 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
         write_json(folder / "import.json", phantom.imported.to_json())
     write_json(folder / "phantom.json", {"name": phantom.name, "hash": phantom.hash, **phantom.dimensions()})
     if picture:
-        from cathsim.anatomy.picture import draw_phantom
+        from cathsim.anatomy.pictures.import_picture import draw_import
+        from cathsim.anatomy.pictures.phantom_picture import draw_phantom
 
         with atomic_path(folder / "picture.png") as path:
-            draw_phantom(phantom, path)
+            if phantom.imported is None:
+                draw_phantom(phantom, path)
+            else:
+                draw_import(phantom, path)
 
 
 def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:

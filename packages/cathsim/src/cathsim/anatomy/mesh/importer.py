@@ -28,6 +28,7 @@ from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, conten
 from cathsim.anatomy.mesh.surface_import import Names, SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
+from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 
 IMPORT_VERSION = 6  # raise it whenever the same file gives another phantom
 _MEASURED = 4  # parts whose width is measured for the unit
@@ -84,6 +85,7 @@ def _load(
     if phantom is None:
         picture = directory / "refused" / f"{path.stem}-{digest[:12]}.png"
         phantom = _build(path, digest, unit, names, resolution, picture)
+        phantom = with_picture_of_doubts(phantom, directory / "imports" / picture.name)
         cache.write(phantom)
     return replace(
         phantom, source={"path": str(path.resolve()), "unit": unit, "names": names, "resolution": resolution}

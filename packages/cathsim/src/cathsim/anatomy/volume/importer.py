@@ -15,6 +15,7 @@ from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, Names, SurfaceFacts
 from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
+from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
 from cathsim.anatomy.volume.labelled_lumen import LabelledLumen
 from cathsim.anatomy.volume.labels import Labels
@@ -86,6 +87,8 @@ def _load(
     phantom = cache.read(file_stem(path), digest, None)
     if phantom is None:
         phantom = build_volume_phantom(path, digest, dict(labels) if labels else None, names_of(names), resolution)
+        picture = directory / "imports" / f"{file_stem(path)}-{digest[:12]}.png"
+        phantom = with_picture_of_doubts(phantom, picture)
         cache.write(phantom)
     source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels}
     return replace(phantom, source=source)

@@ -43,22 +43,22 @@ def draw_phantom(phantom: Phantom, path: Path | None = None, *, pixel: float = 5
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(VIEWS), sharey=True)
     for panel, (label, turn) in zip(panels, VIEWS.items(), strict=True):
-        right, toward = _camera(turn)
+        right, toward = camera(turn)
         image = _render(phantom.grid, centre, right, toward, half_width, half_height, pixel)
         extent = np.array([-half_width, half_width, -half_height, half_height]) * 1e3
         panel.imshow(image, extent=tuple(extent), origin="lower", interpolation="bilinear")
         for branch in phantom.tree:
-            flat = _project(branch.points, centre, right)
+            flat = picture_point(branch.points, centre, right)
             panel.plot(flat[:, 0], flat[:, 1], color="white", linewidth=0.9, alpha=0.7)
         for target in phantom.targets.values():
-            x, y = _project(target.position, centre, right)
+            x, y = picture_point(target.position, centre, right)
             panel.plot(x, y, "o", color="#ffd23f", markeredgecolor="black", markersize=6)
             panel.annotate(
                 target.name, (x, y), (7, 3), textcoords="offset points", fontsize=8.5, weight="bold", color="#1c2a3a"
             )
         for entry in phantom.entries.values():
-            x, y = _project(entry.position, centre, right)
-            dx, dy = _project(entry.position + 0.014 * entry.direction, centre, right) - (x, y)
+            x, y = picture_point(entry.position, centre, right)
+            dx, dy = picture_point(entry.position + 0.014 * entry.direction, centre, right) - (x, y)
             panel.annotate(
                 "", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": "#1b6ca8", "linewidth": 1.8}
             )
@@ -84,17 +84,17 @@ def render_lumen(phantom: Phantom, turn: float, half_width: float, half_height: 
         half_width, half_height: of the picture about the lumen's middle, m.
         pixel: m per picture element.
     """
-    right, toward = _camera(turn)
+    right, toward = camera(turn)
     return _render(phantom.grid, phantom.bounds.mean(axis=0), right, toward, half_width, half_height, pixel)
 
 
-def _camera(turn: float) -> tuple[Array, Array]:
+def camera(turn: float) -> tuple[Array, Array]:
     """Unit vectors to the picture's right and towards the viewer."""
     angle = math.radians(turn)
     return (np.array([math.cos(angle), math.sin(angle), 0.0]), np.array([math.sin(angle), -math.cos(angle), 0.0]))
 
 
-def _project(points: Array, centre: Array, right: Array) -> Array:
+def picture_point(points: Array, centre: Array, right: Array) -> Array:
     """Picture coordinates (..., 2) mm."""
     offset = np.asarray(points) - centre
     return np.stack([offset @ right, offset[..., 2]], axis=-1) * 1e3

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cathsim.anatomy.picture import VIEWS, draw_phantom, render_lumen
+from cathsim.anatomy.pictures.phantom_picture import VIEWS, draw_phantom, render_lumen
 
 
 def test_the_picture_shows_the_vessel_from_every_side(phantom, tmp_path):
