@@ -51,6 +51,7 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--processes", type=int, default=1, help="that draw; 0: none besides this one")
     parser.add_argument("--data", type=Path, action="append", default=[], help="data set whose curves are drawn, too")
     parser.add_argument("--backgrounds", type=Path, help=".npz of attenuations (h, w), drawn behind some images")
+    parser.add_argument("--start", type=Path, help="reader whose weights the training begins with")
     parser.add_argument("--images", type=int, default=24, help="random whole images to evaluate with")
     parser.add_argument("--seed", type=seed, default=0, help="of weights and tiles")
     return parser.parse_args(words)
@@ -65,13 +66,14 @@ def train(given: argparse.Namespace, progress: Callable[[int, float], None] | No
         recipe = replace(recipe, steps=given.steps)
     courses = [curve for folder in given.data for curve in curves_of(folder)]
     backgrounds = [] if given.backgrounds is None else backgrounds_of(given.backgrounds)
+    start = None if given.start is None else Reader.load(given.start).network.state_dict()
     began = time.monotonic()
 
     def log(step: int, loss: float) -> None:
         _LOGGER.info("step %d of %d: loss %.4f, %.0f s", step, recipe.steps, loss, time.monotonic() - began)
 
     network, report = train_reader(
-        recipe, given.output, seed=given.seed, processes=given.processes, courses=courses, backgrounds=backgrounds,
+        recipe, given.output, seed=given.seed, processes=given.processes, courses=courses, backgrounds=backgrounds, start=start,
         progress=progress or log,
     )  # fmt: skip
     shift = calibrate(network, RandomFluoroscopy(recipe.fluoroscopy, CALIBRATION_SEED), range(given.images))

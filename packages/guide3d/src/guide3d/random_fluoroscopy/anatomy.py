@@ -100,7 +100,7 @@ def contrast_vessels(canvas: Canvas, generator: Generator, side_px: int) -> None
         place, heading, width, depth = branches.pop(0)
         length = generator.uniform(0.2, 0.6) * side_px / (1 + 0.5 * depth)
         course = walk(generator, place, heading, length, 1 / (60 + 4 * width), 70, STEP_PX)
-        thickness = width * np.linspace(1, generator.uniform(0.35, 0.8), len(course))
+        thickness = width * np.linspace(1, generator.uniform(0.5, 0.85), len(course))
         outline = normals(course) * (thickness / 2)[:, None]
         # squared: the path through a round vessel is longest along its axis
         canvas.polygon(np.vstack((course + outline, (course - outline)[::-1])), 0.6 * darkness, soft)
@@ -110,7 +110,7 @@ def contrast_vessels(canvas: Canvas, generator: Generator, side_px: int) -> None
         for _ in range(children):
             at = int(generator.uniform(0.2, 0.99) * (len(course) - 1))
             thinner = thickness[at] * generator.uniform(0.35, 0.75)
-            if thinner < 3.5:
+            if thinner < 6:
                 continue
             step = course[min(at + 1, len(course) - 1)] - course[at - 1]
             turn = float(np.arctan2(step[1], step[0])) + generator.choice((-1, 1)) * generator.uniform(0.3, 1.2)

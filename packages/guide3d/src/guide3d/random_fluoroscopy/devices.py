@@ -15,7 +15,7 @@ from guide3d.random_fluoroscopy.small_marks import disc
 Generator = np.random.Generator
 
 _PIECE_TURN = 3.3  # rad: a wire is drawn in pieces that turn less, so that it is darker where it crosses itself
-_CATHETER_PX = (5.0, 13.0)
+_CATHETER_PX = (6.0, 14.0)
 _TIP_SIGMA_PX = 3.0
 
 

@@ -17,6 +17,7 @@ Generator = np.random.Generator
 
 STEP_PX = 8.0
 _WIDEST_LINE_PX = 6.0
+_THINNEST_WALL_PX = 2.5  # a thinner wall, from which the inside does not differ, would be a wire along an edge
 _SMALLEST_TUBE_PX, _LARGEST_TUBE_PX = 5.0, 45.0  # radius
 
 
@@ -58,10 +59,10 @@ def wall_tube(canvas: Canvas, generator: Generator, course: Points, radius: Any,
     """
     widest = float(np.max(radius))
     darkness = -np.log(1 - log_uniform(generator, 0.04, darkest))
-    wall = min(log_uniform(generator, 1.0, 9.0), widest)
-    soft = wall * generator.uniform(0.1, 0.5)
-    share = generator.uniform(0.1, 0.8)  # of the walls' attenuation that the tube has in its middle
-    both, inner = generator.uniform(0.5, 1.0, 2), generator.uniform(0.0, 0.6)
+    wall = min(log_uniform(generator, _THINNEST_WALL_PX, 10.0), widest)
+    soft = wall * generator.uniform(0.15, 0.5)
+    share = generator.uniform(0.2, 0.8)  # of the walls' attenuation that the tube has in its middle
+    both, inner = generator.uniform(0.5, 1.0, 2), generator.uniform(0.3, 0.7)
     if not canvas.inside(course, widest + 20).any():
         return
     if np.ndim(radius) == 0:
@@ -89,7 +90,7 @@ def shell(canvas: Canvas, generator: Generator, side_px: int) -> None:
     points = centre + shape @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     darkness = -np.log(1 - log_uniform(generator, 0.03, 0.5))
     soft = log_uniform(generator, 0.3, 6.0)
-    wall = log_uniform(generator, 1.0, 14.0)
+    wall = log_uniform(generator, _THINNEST_WALL_PX, 14.0)
     if wall < _WIDEST_LINE_PX or generator.random() < 0.5:  # a thin closed line would be a wire
         canvas.polygon(points, darkness * generator.uniform(0.3, 0.8), blur_px=soft)
     canvas.stroke(points, wall, darkness * 0.6, blur_px=soft, closed=True)
@@ -108,7 +109,7 @@ def plate(canvas: Canvas, generator: Generator, side_px: int) -> None:
     edge = generator.random()
     canvas.polygon(corners, darkness, blur_px=soft)
     if edge < 0.4:
-        width = log_uniform(generator, 1.5, 10)
+        width = log_uniform(generator, 4, 12)
         canvas.stroke(corners, width, darkness * generator.uniform(-0.5, 0.7), blur_px=soft, closed=True)
 
 

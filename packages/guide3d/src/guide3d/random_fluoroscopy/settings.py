@@ -58,8 +58,8 @@ class FluoroscopySettings:
     noise: Grey = 7.0
     blur_px: PixelDistance = 1.3
     jpeg: Share = 0.3
-    near_tip: Share = 0.4
-    near_wire: Share = 0.5
+    near_tip: Share = 0.3
+    near_wire: Share = 0.35
 
     def __post_init__(self) -> None:
         """Refuses ranges that are empty."""

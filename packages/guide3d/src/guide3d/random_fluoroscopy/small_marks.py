@@ -88,7 +88,7 @@ def dashes(canvas: Canvas, generator: Generator, side_px: int) -> None:
 
 def grid(canvas: Canvas, generator: Generator, side_px: int) -> None:
     """A regular net of thin straight lines over a part of the image."""
-    pitch, turn = generator.uniform(14, 90), generator.uniform(0, np.pi / 2)
+    pitch, turn = generator.uniform(14, 50), generator.uniform(0, np.pi / 2)
     width, darkness = generator.uniform(1, 2.5), log_uniform(generator, 0.02, 0.15)
     centre, half = somewhere(generator, side_px, 0.0), generator.uniform(0.1, 0.4) * side_px
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])

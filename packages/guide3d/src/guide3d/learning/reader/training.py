@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, field
 from pathlib import Path
 from typing import Any, Literal
@@ -104,6 +104,7 @@ def train_reader(
     processes: int = 1,
     courses: Sequence[NDArray[np.floating]] = (),
     backgrounds: Sequence[NDArray[np.floating]] = (),
+    start: Mapping[str, Tensor] | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> tuple[ReaderNetwork, dict[str, Any]]:
     """Trains the reader; goes on from the checkpoint in `folder`, if there is one of the same recipe and seed.
@@ -111,6 +112,7 @@ def train_reader(
     Args:
         seed: of the weights and of what is drawn.
         processes: that draw tiles; 0: this one.
+        start: weights to begin with, of a network of the same sizes; None: random ones.
         progress: called after every hundredth step, or tenth of the steps, with the step and the mean loss since then.
 
     Returns:
@@ -121,10 +123,14 @@ def train_reader(
     """
     torch.manual_seed(seed)
     network = _made(recipe)
+    if start is not None:
+        network.load_state_dict(start)
     averaged = _made(recipe)
     averaged.load_state_dict(network.state_dict())
     optimiser = torch.optim.AdamW(network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
-    identity = json.dumps({"recipe": asdict(recipe), "seed": seed, "given": len(courses) + len(backgrounds)})
+    identity = json.dumps(
+        {"recipe": asdict(recipe), "seed": seed, "given": len(courses) + len(backgrounds), "start": start is not None}
+    )
     path = folder / CHECKPOINT
     step = 0
     if path.is_file():
