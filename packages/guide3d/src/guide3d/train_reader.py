@@ -73,8 +73,8 @@ def train(given: argparse.Namespace, progress: Callable[[int, float], None] | No
         _LOGGER.info("step %d of %d: loss %.4f, %.0f s", step, recipe.steps, loss, time.monotonic() - began)
 
     network, report = train_reader(
-        recipe, given.output, seed=given.seed, processes=given.processes, courses=courses, backgrounds=backgrounds, start=start,
-        progress=progress or log,
+        recipe, given.output, seed=given.seed, processes=given.processes, courses=courses, backgrounds=backgrounds,
+        start=start, progress=progress or log,
     )  # fmt: skip
     shift = calibrate(network, RandomFluoroscopy(recipe.fluoroscopy, CALIBRATION_SEED), range(given.images))
     reader = Reader(network, {"training": report, "recipe": asdict(recipe), "calibration": shift})

@@ -13,6 +13,7 @@ import torch
 from guide3d.learning.reader.evaluation import evaluate_reader
 from guide3d.learning.reader.tiles import ReaderTiles, tile_batches
 from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, reader_loss, smoke_recipe, train_reader
+from guide3d.modeling.reader_network import ReaderNetwork
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.reading.maps import Reader
@@ -51,6 +52,14 @@ def test_a_training_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert report["steps"] == 12
     for name, value in whole.state_dict().items():
         torch.testing.assert_close(again.state_dict()[name], value)
+
+
+def test_a_training_begins_with_given_weights(tmp_path: Path) -> None:
+    recipe = replace(small_recipe(1), learning_rate=1e-9, weight_decay=0.0)
+    torch.manual_seed(99)
+    other = ReaderNetwork(block_px=recipe.block_px, widths=tuple(recipe.widths))
+    trained, _ = train_reader(recipe, tmp_path, processes=0, start=other.state_dict())
+    torch.testing.assert_close(trained.head.weight, other.head.weight)
 
 
 def test_processes_draw_the_same_tiles() -> None:
