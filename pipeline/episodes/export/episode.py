@@ -94,8 +94,9 @@ def open_episode(path: Path, layout: Layout) -> Iterator[ExportEpisode]:
     """
     with EpisodeReader(path) as log:
         arrays = log.load_arrays(pictures=False)
-        observations = _observations(log, layout, arrays)
-        infos = {name: _info(name, arrays) for name in layout.infos}
+        mesh = log.phantom_mesh() if "goal" in layout.observations else None
+        observations = observation_values(arrays, None if mesh is None else np.asarray(mesh.target, np.float64))
+        infos = {name: info_values(name, arrays) for name in layout.infos}
         actions, rewards = arrays["action"][1:], arrays["reward"][1:]
         for name, values in {**observations, "action": actions, "reward": rewards}.items():
             if not np.isfinite(values).all():
@@ -106,9 +107,15 @@ def open_episode(path: Path, layout: Layout) -> Iterator[ExportEpisode]:
         yield ExportEpisode(log, layout, arrays, observations, infos, actions, rewards, terminated, truncated)
 
 
-def _observations(
-    log: EpisodeReader, layout: Layout, arrays: Mapping[str, NDArray[Any]]
+def observation_values(
+    arrays: Mapping[str, NDArray[Any]], goal: NDArray[np.float64] | None
 ) -> dict[str, NDArray[np.float64]]:
+    """The observations of a layout, from the arrays of a log or of some of its records.
+
+    Args:
+        arrays: as `EpisodeReader.load_arrays` names them.
+        goal: the target, (3,) m; None: the log has none.
+    """
     observations = {
         "tip": arrays["tip"],
         "feeder": feeder_values(arrays),
@@ -116,10 +123,7 @@ def _observations(
         "joint_positions": arrays["joint_positions"],
         "joint_velocities": arrays["joint_velocities"],
     }
-    mesh = log.phantom_mesh() if "goal" in layout.observations else None
-    if mesh is not None:
-        observations["goal"] = np.tile(np.asarray(mesh.target, np.float64), (len(arrays["step"]), 1))
-    return observations
+    return observations if goal is None else observations | {"goal": np.tile(goal, (len(arrays["tip"]), 1))}
 
 
 def feeder_values(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
@@ -136,10 +140,11 @@ def feeder_values(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     return np.concatenate((parts, arrays["devices/lead"][:, None]), axis=1)
 
 
-def _info(name: str, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+def info_values(name: str, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """An info of a layout, from a log's arrays; NaN where the log lacks it."""
     own = {"force_norm": "resultant_force_norm", "insertion": "insertion", "rotation": "rotation"}
     key = own.get(name) or (f"devices/{name.removeprefix('device_')}" if name.startswith("device_") else None)
     if key is not None and key in arrays:
         return arrays[key].astype(np.float64)
-    missing = np.full(len(arrays["step"]), np.nan)
+    missing = np.full(len(arrays["tip"]), np.nan)
     return arrays.get(f"extra/{name}", missing).astype(np.float64)
