@@ -49,7 +49,7 @@ from guide3d.geometry.polyline import Array, arc_length, at_length, checked, dis
 from guide3d.image_file import read_grey_levels, write_png
 from guide3d.opencv import cv2
 from guide3d.reading.image_reading import ImageReading, MapReader, read, shipped_reader
-from guide3d.reading.overlay import draw_reading
+from guide3d.reading.output.overlay import draw_reading
 from guide3d.reading.pair_reading import combine
 from guide3d.reading.rig_folder import Rig, distortions_of, rigs_in
 from guide3d.reconstruction.reconstruction import reconstruct

@@ -29,7 +29,8 @@ def rigs_in(folder: Path) -> list[Rig]:
     """Reads all pairs of cameras of a folder, or of its sub-folder "calibration".
 
     Args:
-        folder: with *16710*.txt and *16709*.txt (world unit cm), or .yaml, of the same name otherwise.
+        folder: with *16710*.txt and *16709*.txt (world unit cm), or .yaml, of the same name otherwise; or
+            camera_a.yaml and camera_b.yaml.
 
     Returns:
         At least one rig, by name.
@@ -41,6 +42,9 @@ def rigs_in(folder: Path) -> list[Rig]:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is missing: expected a folder with camera files")
     for place in (folder / "calibration", folder):
+        plain = {view: place / f"camera_{view}.yaml" for view in DETECTOR}
+        if all(file.is_file() for file in plain.values()):
+            return [Rig("camera_*.yaml", (_camera(plain["a"]), _camera(plain["b"])))]
         sets: dict[str, dict[str, Path]] = {}
         for view, detector in DETECTOR.items():
             for file in sorted(place.glob(f"*{detector}*")):

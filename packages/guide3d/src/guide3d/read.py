@@ -1,0 +1,16 @@
+"""Command line of reading: python -m guide3d.read A B --cameras FOLDER (`guide3d.reading.command`).
+
+`guide3d.read` is also the function that reads an image; importing this module gives that function.
+"""
+
+import sys
+
+if __name__ == "__main__":
+    from guide3d.reading.command import main
+
+    sys.exit(main())
+else:
+    from guide3d.reading.image_reading import read
+
+    # the import system binds what stands here to the package, where it would hide the function of that name
+    sys.modules[__name__] = read  # type: ignore[assignment]

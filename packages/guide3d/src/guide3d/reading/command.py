@@ -1,0 +1,243 @@
+"""Reads the wire in X-ray images: one to a curve in the image, two to a curve in space.
+
+    python -m guide3d.read A                            one image
+    python -m guide3d.read A B --cameras FOLDER         two images of one moment
+    python -m guide3d.read A [B ...] --video            sequences: each frame is helped by the one before
+
+A and B are pictures (PNG, JPEG, TIFF, BMP; 8 or 16 bits) or DICOM runs, with --video also films or folders of pictures.
+FOLDER of the cameras: *16710*.txt and *16709*.txt as XMALab writes them (world cm), or .yaml as OpenCV does; or
+camera_a.yaml and camera_b.yaml; two DICOM runs need none. If it holds distortion maps (.npz) or X-rays of perforated
+sheets (*ndistort*16710*, *ndistort*16709*), images are taken as recorded and the curves are undistorted.
+
+Written to the output folder, each file whole or not at all:
+
+    curve.csv               the curve, tip first: s, x, y, z, standard deviation in mm; of one image px and confidence
+    curve.json              all of it: covariances, both images' curves, candidates, messages
+    overlay_a.png, _b.png   the images with the curve, green where certain, red where guessed (overlay.png of one image)
+    view.html               the wire in space, to be turned with the mouse
+    frames.csv, frames.json of a sequence instead: a row a frame, and the curves
+
+Messages go to stderr. The exit code is 0 if a curve was written, 1 if there is none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from guide3d.geometry.distortion import Distortion
+from guide3d.image_file import write_png
+from guide3d.reading.image_reading import ImageReading, MapReader, read, shipped_reader
+from guide3d.reading.image_source import Image, Source, dicom_cameras
+from guide3d.reading.output.curve_files import (
+    curve_table,
+    frame_row,
+    frame_table,
+    image_record,
+    pair_record,
+    write_record,
+    write_text,
+)
+from guide3d.reading.output.overlay import draw_reading
+from guide3d.reading.output.space_page import space_page
+from guide3d.reading.pair_reading import FRAMES, PairReading, combine
+from guide3d.reading.rig_folder import Rig, distortions_of, rigs_in
+from guide3d.reading.sequence import FrameReading, read_pairs, read_sequence
+
+
+@dataclass(frozen=True, eq=False)
+class _Geometry:
+    rigs: list[Rig]
+    distortions: tuple[Distortion, Distortion] | None
+
+
+def arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    """Understands the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m guide3d.read", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("a", type=Path, metavar="A", help="image of camera A, or the only one")
+    parser.add_argument("b", type=Path, metavar="B", nargs="?", help="image of camera B at the same moment")
+    parser.add_argument("--cameras", type=Path, metavar="FOLDER", help="folder of both cameras' files")
+    parser.add_argument("--output", type=Path, metavar="FOLDER", default=Path("reading"), help="default: reading")
+    parser.add_argument("--video", action="store_true", help="A and B are sequences")
+    parser.add_argument(
+        "--frame", choices=FRAMES, default="auto",
+        help="whether the images are as recorded or undistorted already, where distortions are known; default: auto",
+    )  # fmt: skip
+    parser.add_argument("--reader", type=Path, metavar="FILE", help="a trained reader instead of the shipped one")
+    return parser.parse_args(words)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Runs the command line; returns its exit code."""
+    given = arguments(words)
+    try:
+        _run(given)
+    except (ImportError, OSError, ValueError) as error:
+        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.strerror else str(error)
+        sys.stderr.write(f"guide3d.read: {' '.join(text.split())}\n")
+        return 1
+    return 0
+
+
+def _run(given: argparse.Namespace) -> None:
+    if given.b is None and given.cameras is not None:
+        raise ValueError("--cameras needs two images: python -m guide3d.read A B --cameras FOLDER")
+    if given.output.exists() and not given.output.is_dir():
+        raise ValueError(f"{given.output} is a file: --output needs a folder")
+    source_a = Source(given.a)
+    if given.b is None:
+        if given.video:
+            _write_sequence(given, list(read_sequence(source_a.images(), _reader(given))), source_a, None)
+        else:
+            _one(given, source_a)
+        return
+    source_b = Source(given.b)
+    first = (source_a.first(), source_b.first())  # before the cameras: their distortions take seconds
+    geometry = _geometry(given, source_a, source_b)
+    network = _reader(given)
+    if given.video:
+        rig = geometry.rigs[0]
+        if len(geometry.rigs) > 1:
+            rig, _ = _fitting(given, first, geometry, network)
+        frames = read_pairs(
+            source_a.images(), source_b.images(), rig.cameras, geometry.distortions, given.frame, network
+        )
+        _write_sequence(given, list(frames), source_a, source_b)
+        return
+    rig, reading = _fitting(given, first, geometry, network)
+    if not reading.accepted:
+        raise ValueError(next((text for text in reading.messages if _is_refusal(text)), "; ".join(reading.messages)))
+    if len(geometry.rigs) > 1:
+        _say([f"of {len(geometry.rigs)} sets of cameras, {rig.name} fits the images best"])
+    _write_pair(given, first, reading)
+
+
+def _one(given: argparse.Namespace, source: Source) -> None:
+    image = source.first()
+    reading = read(image, _reader(given))
+    if not reading.found:
+        raise ValueError(f"{source.path}: {'; '.join(reading.messages)}")
+    write_text(curve_table(reading), given.output / "curve.csv")
+    write_record(image_record(reading), given.output / "curve.json")
+    write_png(draw_reading(image, reading), given.output / "overlay.png")
+    _say(reading.messages)
+    x, y = reading.points_px[0]
+    sys.stdout.write(
+        f"{given.output}: a wire of {len(reading.points_px)} points, tip at {x:.1f}, {y:.1f} px, "
+        f"confidence {reading.overall_confidence:.2f}\n"
+    )
+
+
+def _write_pair(given: argparse.Namespace, images: Sequence[Image], reading: PairReading) -> None:
+    pictures = [draw_reading(image, view) for image, view in zip(images, reading.views, strict=True)]
+    page = space_page([reading], pictures, f"Wire in {given.a.name} and {given.b.name}")
+    write_text(curve_table(reading), given.output / "curve.csv")
+    write_record(pair_record(reading), given.output / "curve.json")
+    for letter, picture in zip("ab", pictures, strict=True):
+        write_png(picture, given.output / f"overlay_{letter}.png")
+    write_text(page, given.output / "view.html")
+    _say(reading.messages)
+    x, y, z = reading.curve_mm[0]
+    sys.stdout.write(
+        f"{given.output}: {reading.reconstruction.length_mm:.0f} mm of wire, tip at {x:.1f}, {y:.1f}, {z:.1f} mm "
+        f"(standard deviation {reading.sd_mm[0]:.2f} mm), epipolar residual {reading.residual_px:.2f} px\n"
+    )
+
+
+def _write_sequence(given: argparse.Namespace, frames: list[FrameReading], a: Source, b: Source | None) -> None:
+    found = [frame for frame in frames if _has_wire(frame.reading)]
+    if not found:
+        raise ValueError(f"{a.path}: no wire was found in any of {len(frames)} frames ({frames[0].said or 'no wire'})")
+    rows = [frame_row(number, frame.reading, frame.said) for number, frame in enumerate(frames)]
+    records = [_record(frame) for frame in frames]
+    page = None
+    if b is not None:
+        readings = [frame.reading if isinstance(frame.reading, PairReading) else None for frame in frames]
+        shown = next(number for number, reading in enumerate(readings) if reading is not None)
+        pictures = []
+        for source, view in zip((a, b), _views(readings[shown]), strict=True):
+            image = next(image for number, image in enumerate(source.images()) if number == shown)
+            pictures.append(draw_reading(image, view))
+        page = space_page(readings, pictures, f"Wire in {len(frames)} frames of {a.path.name} and {b.path.name}")
+    write_text(frame_table(rows), given.output / "frames.csv")
+    write_record(records, given.output / "frames.json")
+    if page is not None:
+        write_text(page, given.output / "view.html")
+    sys.stdout.write(f"{given.output}: {len(frames)} frames, a wire in {len(found)} of them\n")
+
+
+def _views(reading: PairReading | None) -> tuple[ImageReading, ImageReading]:
+    assert reading is not None
+    return reading.views
+
+
+def _has_wire(reading: ImageReading | PairReading | None) -> bool:
+    return isinstance(reading, PairReading) or (isinstance(reading, ImageReading) and reading.found)
+
+
+def _record(frame: FrameReading) -> dict[str, object]:
+    if frame.reading is None:
+        return {"found": False, "messages": [frame.said]}
+    return pair_record(frame.reading) if isinstance(frame.reading, PairReading) else image_record(frame.reading)
+
+
+def _geometry(given: argparse.Namespace, a: Source, b: Source) -> _Geometry:
+    if given.cameras is not None:
+        rigs = rigs_in(given.cameras)
+        return _Geometry(rigs, None if given.frame == "undistorted" else distortions_of(given.cameras))
+    if a.is_dicom() and b.is_dicom():
+        return _Geometry([Rig("of the DICOM runs", dicom_cameras(a, b))], None)
+    raise ValueError("two images need the cameras that took them: add --cameras FOLDER (two DICOM runs need none)")
+
+
+def _fitting(
+    given: argparse.Namespace, images: Sequence[Image], geometry: _Geometry, network: MapReader
+) -> tuple[Rig, PairReading]:
+    """The set of cameras that fits two images best, and their reading; the images are read once."""
+    for name, path, image, camera in zip("AB", (given.a, given.b), images, geometry.rigs[0].cameras, strict=True):
+        if image.shape[:2] != (camera.height, camera.width):
+            raise ValueError(
+                f"{path} has {image.shape[1]} x {image.shape[0]} px, but camera {name} was calibrated for "
+                f"{camera.width} x {camera.height}"
+            )
+    views = []
+    for path, image in zip((given.a, given.b), images, strict=True):
+        try:
+            view = read(image, network)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+        if not view.found:
+            raise ValueError(f"{path}: {'; '.join(view.messages)}")
+        views.append(view)
+    fits: list[tuple[Rig, PairReading]] = []
+    wrong: ValueError | None = None
+    for rig in geometry.rigs:
+        try:
+            fits.append((rig, combine(views, rig.cameras, geometry.distortions, given.frame)))
+        except ValueError as error:
+            wrong = error
+    if not fits:
+        raise wrong or ValueError("no cameras")
+    return min(fits, key=lambda fit: (not fit[1].accepted, fit[1].residual_px))
+
+
+def _is_refusal(text: str) -> bool:
+    return "look swapped" in text or "do not show one wire" in text or text.startswith("rejected")
+
+
+def _reader(given: argparse.Namespace) -> MapReader:
+    if given.reader is None:
+        return shipped_reader()
+    from guide3d.reading.maps import Reader
+
+    return Reader.load(given.reader)
+
+
+def _say(messages: Sequence[str]) -> None:
+    for text in messages:
+        sys.stderr.write(f"guide3d.read: note: {text}\n")

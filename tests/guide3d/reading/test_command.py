@@ -1,0 +1,175 @@
+"""The command line of reading: files of one image, two, sequences; bad input is one sentence, nothing is left."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from guide3d.geometry.camera import write_camera, write_opencv_yaml
+from guide3d.image_file import read_grey_levels, write_png
+from guide3d.opencv import cv2
+from guide3d.reading import command
+from guide3d.reconstruction.synthetic_scene import scenes
+from tests.guide3d.reading.drawn_maps import DarkLineReader, maps_of, picture
+
+SCENES = list(scenes(2, seed=77))
+SCENE = SCENES[1]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two drawn views, their cameras, and things that are none."""
+    folder = tmp_path_factory.mktemp("data")
+    for letter, points in zip("ab", SCENE.points, strict=True):
+        write_png(picture(maps_of(points)), folder / f"{letter}.png")
+    (folder / "cameras").mkdir()
+    for detector, camera in zip(("16710", "16709"), SCENE.cameras, strict=True):
+        write_camera(camera, folder / "cameras" / f"today_{detector}.txt")
+    (folder / "swapped").mkdir()
+    for detector, camera in zip(("16710", "16709"), SCENE.cameras[::-1], strict=True):
+        write_camera(camera, folder / "swapped" / f"today_{detector}.txt")
+    (folder / "named").mkdir()
+    for letter, camera in zip("ab", SCENE.cameras, strict=True):
+        write_opencv_yaml(camera, folder / "named" / f"camera_{letter}.yaml")
+    rng = np.random.default_rng(0)
+    write_png(rng.integers(0, 255, (300, 300, 3), dtype=np.uint8), folder / "photograph.png")
+    write_png(rng.integers(0, 255, (64, 64), dtype=np.uint8), folder / "small.png")
+    write_png(np.zeros((1024, 1024), np.uint8), folder / "black.png")
+    write_png(rng.integers(170, 190, (1024, 1024), dtype=np.uint8), folder / "empty.png")
+    whole = (folder / "a.png").read_bytes()
+    (folder / "cut.png").write_bytes(whole[: len(whole) // 2])
+    (folder / "text.png").write_text("no picture")
+    (folder / "cut.dcm").write_bytes(bytes(128) + b"DICM" + whole[:50])
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _drawn_reader(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "shipped_reader", DarkLineReader)
+
+
+def _table(path: Path) -> np.ndarray:
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file))
+    return np.array(rows[1:], float)
+
+
+def test_one_image_is_written_as_curve_and_overlay(data: Path, tmp_path: Path) -> None:
+    assert command.main([str(data / "a.png"), "--output", str(tmp_path / "out")]) == 0
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"curve.csv", "curve.json", "overlay.png"}
+    table, record = _table(tmp_path / "out" / "curve.csv"), json.loads((tmp_path / "out" / "curve.json").read_text())
+    assert np.abs(table[:, 1:3] - record["points_px"]).max() < 2e-3
+    assert record["found"]
+    assert cv2.imread(str(tmp_path / "out" / "overlay.png")).shape == (1024, 1024, 3)
+
+
+@pytest.mark.parametrize("cameras", ["cameras", "named"])
+def test_two_images_are_written_as_a_wire_in_space(cameras: str, data: Path, tmp_path: Path) -> None:
+    words = [str(data / "a.png"), str(data / "b.png"), "--cameras", str(data / cameras), "--output", str(tmp_path)]
+    assert command.main(words) == 0
+    names = {"curve.csv", "curve.json", "overlay_a.png", "overlay_b.png", "view.html"}
+    assert {file.name for file in tmp_path.iterdir()} == names
+    table, record = _table(tmp_path / "curve.csv"), json.loads((tmp_path / "curve.json").read_text())
+    assert np.hypot(*(table[0, 1:3] - SCENE.curve_mm[0, :2])) < 2.0
+    assert np.abs(table[:, 1:4] - record["curve_mm"]).max() < 1e-3
+    assert record["accepted"]
+    assert np.shape(record["covariance_mm2"]) == (len(table), 3, 3)
+    page = (tmp_path / "view.html").read_text()
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+def test_a_sequence_has_a_row_a_frame(data: Path, tmp_path: Path) -> None:
+    for letter, points in zip("ab", SCENE.points, strict=True):
+        (tmp_path / letter).mkdir()
+        for frame in range(3):
+            image = picture(maps_of(points[20 * frame :]))
+            write_png(
+                image if frame != 1 or letter == "a" else np.zeros_like(image), tmp_path / letter / f"{frame}.png"
+            )
+    words = [str(tmp_path / "a"), str(tmp_path / "b"), "--video", "--cameras", str(data / "cameras")]
+    assert command.main([*words, "--output", str(tmp_path / "out")]) == 0
+    with (tmp_path / "out" / "frames.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["found"] for row in rows] == ["1", "0", "1"]
+    assert "no contrast" in rows[1]["messages"]
+    assert float(rows[2]["length"]) < float(rows[0]["length"]) - 2.0
+    assert len(json.loads((tmp_path / "out" / "frames.json").read_text())) == 3
+    assert (tmp_path / "out" / "view.html").is_file()
+    assert command.main([str(tmp_path / "a"), "--video", "--output", str(tmp_path / "one")]) == 0
+    assert not (tmp_path / "one" / "view.html").exists()
+
+
+def test_a_film_is_a_sequence(data: Path, tmp_path: Path) -> None:
+    film = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (1024, 1024))
+    if not film.isOpened():
+        pytest.skip("this OpenCV writes no films")
+    image = read_grey_levels(data / "a.png").astype(np.uint8)
+    for _ in range(2):
+        film.write(np.repeat(image[..., None], 3, axis=2))
+    film.release()
+    assert command.main([str(tmp_path / "a.avi"), "--video", "--output", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "frames.csv").read_text().count("\n") == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("photograph.png",), "coloured"),
+        (("small.png",), "at least 128 x 128 px, got 64 x 64"),
+        (("black.png",), "no contrast"),
+        (("empty.png",), "no wire was found"),
+        (("cut.png",), "cannot be read"),
+        (("text.png",), "cannot be read"),
+        (("missing.png",), "is missing"),
+        (("missing.mp4", "--video"), "is missing"),
+        (("cut.dcm",), "cut.dcm"),
+        (("a.png", "b.png"), "add --cameras FOLDER"),
+        (("a.png", "--cameras", "cameras"), "--cameras needs two images"),
+        (("a.png", "b.png", "--cameras", "missing"), "is missing"),
+        (("a.png", "b.png", "--cameras", "."), "holds no cameras"),
+        (("a.png", "small.png", "--cameras", "cameras"), "has 64 x 64 px, but camera B was calibrated for 1024 x 1024"),
+        (("a.png", "empty.png", "--cameras", "cameras"), "empty.png: no wire was found"),
+        (("a.png", "black.png", "--cameras", "cameras"), "black.png: the image has no contrast"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(
+    words: tuple[str, ...], said: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [word if word.startswith("--") else str(data / word) for word in words]
+    assert command.main([*given, "--output", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_image_of_another_moment_is_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [str(data / "a.png"), str(data / "a.png"), "--cameras", str(data / "cameras")]
+    command.main([*words, "--output", str(tmp_path)])
+    error = capsys.readouterr().err
+    assert "fit each other poorly" in error or "do not show one wire" in error
+
+
+def test_swapped_cameras_are_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [str(data / "a.png"), str(data / "b.png"), "--cameras", str(data / "swapped")]
+    command.main([*words, "--output", str(tmp_path)])
+    assert "the cameras look swapped" in capsys.readouterr().err
+
+
+def test_an_inverted_and_a_deep_image_are_read(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image = read_grey_levels(data / "a.png").astype(np.uint8)
+    write_png(255 - image, tmp_path / "negative.png")
+    assert command.main([str(tmp_path / "negative.png"), "--output", str(tmp_path)]) == 0
+    assert "was inverted" in capsys.readouterr().err
+
+
+def test_the_command_runs_as_a_module() -> None:
+    done = subprocess.run([sys.executable, "-m", "guide3d.read", "--help"], capture_output=True, text=True, check=True)
+    assert "--cameras FOLDER" in done.stdout
