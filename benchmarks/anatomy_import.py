@@ -5,8 +5,8 @@
 Imports every surface (STL, OBJ, PLY, VTP, GLB), every label volume and every folder of one file a vessel, each in a
 process of its own and without any cache. Prints a table and, as its last line, one JSON object:
 {"files": {name: {"ok", "branches", "targets", "problems", "volume_cm3", "build_cpu_s", "grid_mb"}}}, and for each the
-peak memory and the notes of the import. problems: why it was refused, or what is wrong with its lumen; a way counts as
-open from 0.6 mm of radius on, so that a child's narrowed aorta is no fault. --quick: at most 60 s a file.
+peak memory, the unit and the notes of the import. problems: why it was refused, or what is wrong with its lumen; a way
+counts as open from 0.6 mm of radius on, so that a child's narrowed aorta is no fault. --quick: at most 60 s a file.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ EMPTY: dict[str, Any] = {
     "build_cpu_s": None,
     "grid_mb": None,
     "peak_mb": None,
+    "unit": None,
     "notes": [],
 }
 
@@ -81,7 +82,8 @@ def measure(path: Path, resolution: float, picture: Path | None) -> dict[str, An
     row["volume_cm3"] = round(len(phantom.grid.inside()) * phantom.grid.spacing**3 * 1e6, 1)
     row["grid_mb"] = round(phantom.grid.nbytes / 1e6, 1)
     row["peak_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
-    row["notes"] = list(phantom.imported.notes) if phantom.imported else []
+    assert phantom.imported is not None
+    row["unit"], row["notes"] = phantom.imported.unit, list(phantom.imported.notes)
     if picture is not None:
         from cathsim.anatomy.pictures.import_picture import draw_import
 

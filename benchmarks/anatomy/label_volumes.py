@@ -1,6 +1,6 @@
 """Label volumes of generated arches, imported again: names, wall, volume and centrelines against the truth.
 
-    python benchmarks/cathsim/label_volumes.py [--arches N] [--setting random] [--first SEED] [--resolution MM]
+    python benchmarks/anatomy/label_volumes.py [--arches N] [--setting random] [--first SEED] [--resolution MM]
 
 N arches of a setting ("random", "random_wide", "arch_variety"; seeds from --first on) are written as volumes of labels
 on voxels of four sizes, one of them oblique, and imported. The table has a row a size: processor time, how far the

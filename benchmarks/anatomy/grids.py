@@ -1,6 +1,6 @@
 """Memory and speed of distance grids and geodesic fields stored in blocks near the vessel.
 
-    python benchmarks/cathsim/grids.py [--quick] [--resolution M] [--against FOLDER]
+    python benchmarks/anatomy/grids.py [--quick] [--resolution M] [--against FOLDER]
 
 From the femoral to the carotid arteries: a Type I arch whose aorta goes on through the pelvis to one groin, with the
 other side as a branch, about 650 mm high. Everything that reads grids works on it, with the fields of six targets in

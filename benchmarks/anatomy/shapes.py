@@ -1,6 +1,6 @@
 """Shapes of real aortas beside those of generated arches, in one table and one picture.
 
-    python benchmarks/cathsim/anatomy_shapes.py PATH ... [--arches N] [--setting random] [--output shapes.png]
+    python benchmarks/anatomy/shapes.py PATH ... [--arches N] [--setting random] [--output shapes.png]
 
 Every PATH is an anatomy that imports, or a folder of such; what does not import is named and left out. N arches of a
 setting ("random", "random_wide", "random_scan") are built at --resolution and measured with the same code. The table

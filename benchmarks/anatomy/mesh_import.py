@@ -1,6 +1,6 @@
 """Import of an anatomy from files, and whether the sampling expert finds its way in it.
 
-    python benchmarks/cathsim/mesh_import.py PATH [--quick] [--unit mm] [--seeds N] [--targets bca,lcca]
+    python benchmarks/anatomy/mesh_import.py PATH [--quick] [--unit mm] [--seeds N] [--targets bca,lcca]
 
 Builds the phantom without any cache, checks its lumen, and steers the default wire, made as long as the ways need, from
 the femoral end to each target: 8 mm, at most 300 steps. Prints tables and, as its last line, one JSON object:

@@ -1,0 +1,64 @@
+"""Variants of a surface for the benchmark of imports: what each changes and keeps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks.anatomy.variants import CHANGES, VARIANTS, Surface, is_right, write_variant
+from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
+
+
+@pytest.fixture(scope="module")
+def sphere() -> Surface:
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
+    return np.add(mesh.vertices, [3.0, 5.0, 7.0]), np.asarray(mesh.faces, np.int64)
+
+
+def changed(name: str, surface: Surface) -> trimesh.Trimesh:
+    return trimesh.Trimesh(*CHANGES[name](surface, np.random.default_rng(0)), process=False)
+
+
+def test_what_each_variant_keeps(sphere: Surface) -> None:
+    whole = trimesh.Trimesh(*sphere, process=False)
+    for name in ("rotated", "mirrored", "subdivided"):
+        assert changed(name, sphere).volume == pytest.approx(whole.volume, rel=1e-3), name
+    assert changed("flipped", sphere).volume == pytest.approx(-whole.volume)
+    assert changed("mirrored", sphere).centroid == pytest.approx([-3.0, 5.0, 7.0], abs=1e-6)
+    assert np.linalg.norm(changed("rotated", sphere).centroid) == pytest.approx(np.linalg.norm([3.0, 5.0, 7.0]))
+    assert len(changed("subdivided", sphere).faces) == 4 * len(sphere[1])
+    assert len(changed("torn", sphere).faces) == pytest.approx(0.99 * len(sphere[1]), rel=0.005)
+    coarse = changed("decimated", sphere)
+    assert 0.05 * len(sphere[1]) < len(coarse.faces) <= 0.1 * len(sphere[1])
+    assert coarse.volume == pytest.approx(whole.volume, rel=0.1)
+
+
+def test_files_are_in_the_unit_and_keep_the_names_of_parts(sphere: Surface, tmp_path: Path) -> None:
+    trimesh.Trimesh(*sphere).export(tmp_path / "one.stl")
+    (part,) = read_parts(write_variant(tmp_path / "one.stl", "cm", "mm", tmp_path, 0))[0]
+    assert part.mesh.extent == pytest.approx(2.0, rel=0.01)
+    scene = trimesh.Scene()
+    for name, aside in (("aorta", 0.0), ("left common carotid artery", 15.0)):
+        scene.add_geometry(trimesh.Trimesh(sphere[0] + aside, sphere[1]), node_name=name, geom_name=name)
+    scene.export(tmp_path / "two.glb")
+    parts = read_parts(write_variant(tmp_path / "two.glb", "torn", "mm", tmp_path, 0))[0]
+    assert {part.name for part in parts} == {"aorta", "lcca"}
+    assert set(CHANGES) < set(VARIANTS)
+
+
+@pytest.mark.parametrize(
+    ("row", "variant", "right"),
+    [
+        ({}, "torn", True),
+        ({"ok": False}, "torn", False),
+        ({"branches": ["bca", "lcca"]}, "torn", False),
+        ({"branches": ["bca", "branch_1"]}, "mirrored", False),
+        ({"branches": ["bca", "branch_1"], "notes": ["the arch is the mirror image of a usual one"]}, "mirrored", True),
+    ],
+)
+def test_right_is_what_has_the_branches_or_says_that_it_is_mirrored(row: dict, variant: str, right: bool) -> None:
+    original = {"ok": True, "branches": ["bca", "lcca", "lsa"], "notes": []}
+    assert is_right({**original, **row}, original, variant) is right
