@@ -49,7 +49,7 @@ class ImageReading:
     tip_confidence: height of the tip map at the first point, 0 to 1
     candidates: readings of the wire, best first, of which this is one
     others: further wires
-    messages: what to be careful about, as sentences
+    notes: what had to be done to the image, as sentences
     """
 
     points_px: Array
@@ -58,7 +58,12 @@ class ImageReading:
     tip_confidence: float
     candidates: list[ImageCurve]
     others: list[ImageCurve]
-    messages: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def messages(self) -> list[str]:
+        """What to be careful about, as sentences."""
+        return [*self.notes, *_remarks(self)]
 
     @property
     def found(self) -> bool:
@@ -77,7 +82,7 @@ class ImageReading:
 
     def with_candidate(self, number: int) -> ImageReading:
         """The same image read as its candidate of a number, counted from 0."""
-        return _reading(self.candidates, self.others, number, self.messages)
+        return _reading(self.candidates, self.others, number, self.notes)
 
 
 @functools.cache
@@ -110,7 +115,7 @@ def read(
     """
     grey = grey_image(image)
     network = reader or shipped_reader()
-    messages = list(grey.messages)
+    notes = list(grey.messages)
     before = None if prior is None else Prior(grey.from_given(prior.points_px))
     found = _curves(network, grey, before, settings)
     if _score(found) < _FAINT_PX:
@@ -118,10 +123,10 @@ def read(
         other = _curves(network, negative, before, settings)
         if _score(other) > 2.0 * max(_score(found), 0.0) + 60.0:
             found = other
-            messages.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
+            notes.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
     candidates = [_given(grey, curve) for curve in found.candidates]
     others = [_given(grey, curve) for curve in found.others]
-    return _reading(candidates, others, 0, messages + _remarks(candidates, others))
+    return _reading(candidates, others, 0, notes)
 
 
 def _curves(
@@ -141,27 +146,24 @@ def _given(grey: GreyImage, curve: ImageCurve) -> ImageCurve:
     return replace(curve, points_px=grey.to_given(curve.points_px), sd_px=curve.sd_px * grey.scale)
 
 
-def _reading(candidates: list[ImageCurve], others: list[ImageCurve], number: int, messages: list[str]) -> ImageReading:
+def _reading(candidates: list[ImageCurve], others: list[ImageCurve], number: int, notes: list[str]) -> ImageReading:
     if not candidates:
-        return ImageReading(np.empty((0, 2)), np.empty(0), np.empty(0), 0.0, [], [], messages)
+        return ImageReading(np.empty((0, 2)), np.empty(0), np.empty(0), 0.0, [], [], notes)
     curve = candidates[number]
-    return ImageReading(
-        curve.points_px, curve.confidence, curve.sd_px, curve.tip_confidence, candidates, others, messages
-    )
+    return ImageReading(curve.points_px, curve.confidence, curve.sd_px, curve.tip_confidence, candidates, others, notes)
 
 
-def _remarks(candidates: list[ImageCurve], others: list[ImageCurve]) -> list[str]:
-    """Sentences on the curves of an image."""
-    if not candidates:
+def _remarks(reading: ImageReading) -> list[str]:
+    """Sentences on the curve of an image."""
+    if not reading.found:
         return ["no wire was found"]
-    best, remarks = candidates[0], []
-    if others:
-        remarks.append(
-            f"there are {1 + len(others)} wires: the most certain one is the curve, the others are given too"
-        )
-    guessed = float((best.confidence < _UNSURE).mean())
+    remarks = []
+    if reading.others:
+        count = 1 + len(reading.others)
+        remarks.append(f"there are {count} wires: the most certain one is the curve, the others are given too")
+    guessed = float((reading.confidence < _UNSURE).mean())
     if guessed > _GUESSED:
         remarks.append(f"{guessed:.0%} of the curve is guessed across gaps")
-    if best.tip_confidence < _TIP_UNSURE:
+    if reading.tip_confidence < _TIP_UNSURE:
         remarks.append("the tip is uncertain: nothing at the first point looks like one")
     return remarks

@@ -12,13 +12,13 @@ from scipy.spatial import cKDTree
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import Distortion
 from guide3d.geometry.epipolar import EpipolarGeometry
-from guide3d.geometry.polyline import Array
+from guide3d.geometry.polyline import Array, arc_length
 from guide3d.geometry.triangulation import projection_jacobian
 from guide3d.reading.curve_reading import CurveReadingSettings, ImageCurve, Prior
 from guide3d.reading.image_reading import ImageReading, MapReader, read
 from guide3d.reconstruction.matching import MatchingSettings, clearly_better, image_curve, match_curves
 from guide3d.reconstruction.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
-from guide3d.setting_kinds import PixelDistance, Share, Weight, settings
+from guide3d.setting_kinds import Millimetres, PixelDistance, Share, Weight, settings
 
 VIEWS = ("A", "B")
 FRAMES = ("auto", "raw", "undistorted")
@@ -33,6 +33,9 @@ class PairReadingSettings:
     residual_per_px: what a px of epipolar residual costs a pair of candidates, in px of certain wire
     coverage: what it costs to match nothing of a curve, in px as well
     doubtful_px: epipolar residual above which other readings are tried: images already undistorted, cameras swapped
+    common_px: standard deviation of an image's curve that the fit does not see, for it is common to many points
+    tip_px: standard deviation of a tip along its curve
+    tip_mm: how far from the tip that counts
     refused_px: epipolar residual above which the two curves are not of one wire under these cameras
     """
 
@@ -42,6 +45,9 @@ class PairReadingSettings:
     coverage: Weight = 300.0
     sample_px: PixelDistance = 4.0
     doubtful_px: PixelDistance = 3.0
+    common_px: PixelDistance = 0.5
+    tip_px: PixelDistance = 4.0
+    tip_mm: Millimetres = 3.0
     refused_px: PixelDistance = 8.0
     least_coverage: Share = 0.5
 
@@ -132,7 +138,7 @@ def combine(
 ) -> PairReading:
     """Combines two readings of images to a wire in space; as `read_pair`, which reads the images first."""
     chosen = settings or PairReadingSettings()
-    messages = [f"image {name}: {text}" for name, view in zip(VIEWS, views, strict=True) for text in view.messages]
+    messages: list[str] = []
     geometry = EpipolarGeometry(cameras[0], cameras[1])
     moves: list[_Move] = [_same, _same]
     if distortions is not None and frame != "undistorted":
@@ -155,7 +161,9 @@ def combine(
     points = (curves[0][a], curves[1][b])
     wire = reconstruct(cameras[0], cameras[1], *points, settings=chosen.reconstruction)
     read_as = (views[0].with_candidate(a), views[1].with_candidate(b))
-    covariance = wire.covariance_mm2 + _gap_covariance(cameras, wire, points, read_as)
+    of_views = [f"image {name}: {text}" for name, view in zip(VIEWS, read_as, strict=True) for text in view.messages]
+    messages = of_views + messages
+    covariance = wire.covariance_mm2 + _reading_covariance(cameras, wire, points, read_as, chosen)
     for warning in wire.warnings:
         if not warning.startswith(("the cameras look swapped", "the tips miss")) or accepted:
             messages.append(warning)
@@ -247,16 +255,30 @@ def _doubt(
     return f"the two curves do not show one wire under these cameras: {said}; is each camera that of its image?"
 
 
-def _gap_covariance(
-    cameras: Sequence[Camera], wire: Reconstruction, points: tuple[Array, Array], views: Sequence[ImageReading]
+def _reading_covariance(
+    cameras: Sequence[Camera],
+    wire: Reconstruction,
+    points: tuple[Array, Array],
+    views: Sequence[ImageReading],
+    settings: PairReadingSettings,
 ) -> Array:
-    """What gaps add to the covariance (n, 3, 3) mm^2: there a curve deviates by more than the fit's noise."""
+    """What the reading of images adds to the covariance (n, 3, 3) mm^2 of a fit that takes points as independent.
+
+    Errors of a curve's neighbouring points are alike, gaps deviate by more than the fit's noise, and the end of a tip
+    is uncertain along the wire.
+    """
     variances, jacobians = [], []
     for camera, curve, view in zip(cameras, points, views, strict=True):
-        image = camera.project(wire.curve_mm)
-        nearest = cKDTree(curve).query(image)[1]
-        extra = np.maximum(view.sd_px[nearest] ** 2 - view.sd_px.min() ** 2, 0.0)
-        variances += [extra, extra]
+        nearest = cKDTree(curve).query(camera.project(wire.curve_mm))[1]
+        gap = np.maximum(view.sd_px[nearest] ** 2 - view.sd_px.min() ** 2, 0.0)
+        variances += [gap + settings.common_px**2] * 2
         jacobians.append(projection_jacobian(camera, wire.curve_mm))
     back = np.linalg.pinv(np.concatenate(jacobians, axis=1))
-    return np.asarray(np.einsum("nij,jn,nkj->nik", back, np.array(variances), back))
+    across = np.einsum("nij,jn,nkj->nik", back, np.array(variances), back)
+    tangent = np.gradient(wire.curve_mm, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    # px of both images along the wire, and with them the tip's deviation, in mm; the sharper view counts
+    along = max(float(np.linalg.norm(jacobian[0] @ tangent[0])) for jacobian in jacobians)
+    tip_mm = settings.tip_px / max(along, 1e-6)
+    share = np.exp(-0.5 * (arc_length(wire.curve_mm) / settings.tip_mm) ** 2)
+    return np.asarray(across + (share * tip_mm**2)[:, None, None] * tangent[:, :, None] * tangent[:, None, :])
