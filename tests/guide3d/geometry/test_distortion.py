@@ -95,6 +95,26 @@ def test_an_undistorted_sheet_is_regular(sheet):
     assert np.linalg.norm(ideal_lattice(holes) - holes.centres_px, axis=1).mean() > 1.5
 
 
+def test_images_are_moved_as_points_are(sheet):
+    image, _, holes = sheet
+    distortion = Distortion.from_holes(holes)
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]].astype(float)
+    some = np.s_[3::16, 3::16]
+    true = distortion.distort_points(np.stack([x, y], axis=-1)[some])
+    inside = among_holes(distortion, true.reshape(-1, 2)).reshape(true.shape[:2])
+    inside &= (np.abs(true - 255.5) < 254).all(axis=-1)
+    assert inside.mean() > 0.3
+    # an image of columns or rows tells where each pixel came from; points are moved more exactly, by iteration
+    for axis, places in enumerate((x, y)):
+        for kind, tolerance in ((np.float32, 0.06), (np.float64, 0.06), (np.uint16, 0.56), (np.int32, 0.56)):
+            moved = distortion.undistort_image(places.astype(kind))
+            assert moved.dtype == kind
+            assert np.abs(moved[some] - true[..., axis])[inside].max() < tolerance
+    colours = distortion.undistort_image(np.stack([image, image // 2, image // 3], axis=-1))
+    assert np.array_equal(colours[..., 0], distortion.undistort_image(image))
+    assert (distortion.undistort_image(np.full(image.shape, 7, np.uint8), fill=99.0) == 99).any()
+
+
 def test_saved_maps_and_swirls(sheet, tmp_path):
     distortion = Distortion.from_holes(sheet[2], "spline", spans=10)
     distortion.save(tmp_path / "map.npz")

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
-from scipy import ndimage
+from scipy.interpolate import RectBivariateSpline
 
 from guide3d.atomic_file import whole_file
 from guide3d.calibration.hexagonal_lattice import lattice_points, local_lattice
@@ -160,10 +160,10 @@ class Distortion:
         x = np.arange(-_GRID_PX, self.width + 2 * _GRID_PX, _GRID_PX)
         y = np.arange(-_GRID_PX, self.height + 2 * _GRID_PX, _GRID_PX)
         coarse = self._backward(np.stack(np.meshgrid(x, y), axis=-1).astype(float))
-        rows, columns = np.mgrid[: self.height, : self.width] / _GRID_PX + 1
-        # by cubic splines, which OpenCV does not have: its bicubic kernel is less exact
-        x, y = (ndimage.map_coordinates(coarse[..., axis], [rows, columns], order=3) for axis in (0, 1))
-        return x.astype(np.float32), y.astype(np.float32)
+        # by cubic splines, which OpenCV does not have
+        along = np.arange(self.height), np.arange(self.width)
+        columns, rows = (RectBivariateSpline(y, x, coarse[..., axis])(*along) for axis in (0, 1))
+        return columns.astype(np.float32), rows.astype(np.float32)
 
     def undistort_image(self, image: np.ndarray, fill: float = 0.0) -> np.ndarray:
         """The image as an undistorted detector would have taken it, of the same shape and type.
