@@ -1,15 +1,14 @@
 """Arches with a common trunk in which a wire alone, and one in a catheter, reaches the LCCA with one budget.
 
-
     python benchmarks/devices/reach.py [--arches N] [--devices wire,simmons2] [--searches N] [--seeds 33006,33009]
-                                       [--output FILE.jsonl]
+                                       [--search patient|direct] [--output FILE.jsonl]
 
 Random arches with a common origin of BCA and LCCA, from seed 33000 on, target LCCA. An arch counts when the wire alone
-fails to be steered there in 300 steps, by search seed 0 without a way out of local minima. Then every device, the wire
-alone among them, is steered there with each search seed, by the expert's usual settings for two devices and in at most
-600 steps. Each episode has a process of its own; those already in the output file are not run again. Prints a line an
-episode and, last, one JSON object: device to success_pct, its Wilson interval, arches, episodes, steps_mean,
-force_max_n.
+fails to be steered there by the direct search, with seed 0: at most 300 steps, no way out of local minima. Then every
+device, the wire alone among them, is steered there with each search seed, by the patient search unless the direct one
+is asked for: the expert's usual settings for two devices, at most 600 steps. Each episode has a process of its own;
+those already in the output file are not run again. Prints a line an episode and, last, one JSON object: device to
+success_pct, its Wilson interval, arches, episodes, steps_mean, force_max_n.
 """
 
 from __future__ import annotations
@@ -130,6 +129,7 @@ def main() -> None:
     parser.add_argument("--devices", default=f"{WIRE},simmons2", help="'wire' and names of the shelf of catheters")
     parser.add_argument("--searches", type=int, default=3, help="seeds of the search")
     parser.add_argument("--seeds", help="of these arches alone, whatever the wire does in them")
+    parser.add_argument("--search", choices=SEARCHES, default="patient", help="of the devices that are compared")
     parser.add_argument("--output", type=Path, help="file that episodes are added to, and taken from")
     arguments = parser.parse_args()
     record = Record(arguments.output)
@@ -139,7 +139,8 @@ def main() -> None:
     result = {}
     for device in arguments.devices.split(","):
         seeds = range(arguments.searches)
-        result[device] = summary([record.episode(arch, device, seed, "patient") for seed in seeds for arch in arches])
+        rows = [record.episode(arch, device, seed, arguments.search) for seed in seeds for arch in arches]
+        result[device] = summary(rows)
     print(json.dumps(result))
 
 
