@@ -24,6 +24,7 @@ _LOOSE = 1.8  # voxels: nearer to a triangle than this a point is in or out as t
 _SEEN = 4  # voxels from the lumen up to which distances are told apart
 _THIN = 7e-4  # m between the points on the surface to which far distances are measured
 _SHUT = 0.95  # of a wire's radius: distance to the wall in rooms that no wire gets into
+_AROUND = 10  # voxels around places whose slope is taken: more than the smoothing reaches
 _FACING = 2.0  # voxels between the lumen's voxels and the triangles that bound it, at most
 
 Array = NDArray[np.float64]
@@ -78,19 +79,21 @@ def _swept(end: VesselEnd, cavity: Cavity) -> Array:
     return np.concatenate(points) if points else middles
 
 
-def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: Sequence[VesselEnd]) -> SurfaceSamples:
+def lumen_samples(
+    samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: Sequence[VesselEnd], away: NDArray[np.float32]
+) -> SurfaceSamples:
     """The part of a surface that bounds the lumen, with patches over its gaps.
 
     Args:
         samples: points on the whole surface.
         inside: (nx, ny, nz) voxels of the lumen.
+        away: what `voxels_away` says of them.
 
     Returns:
         Samples of triangles whose normals point into the lumen.
     """
     from scipy.ndimage import binary_dilation
 
-    away = _away(inside)
     near = samples.chosen(cavity.holds(away <= _FACING, samples.points))
     normals = near.normals[near.face]
     step = 1.2 * cavity.spacing
@@ -101,7 +104,9 @@ def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: S
     corners[says < 0] = corners[says < 0][:, ::-1]
     # Triangles that stand across the wall, as the rim of a thick one does, bound nothing.
     facing = np.abs(says) >= _CLEARLY * np.maximum(np.bincount(near.face, minlength=len(corners)), 1)
-    faces = corners[np.intersect1d(near.face, np.flatnonzero(facing))]
+    seen = np.zeros(len(corners), dtype=bool)
+    seen[near.face] = True
+    faces = corners[seen & facing]
 
     covered = cavity.wall | inside
     gaps = np.argwhere(inside & binary_dilation(~covered))
@@ -116,7 +121,7 @@ def lumen_samples(samples: SurfaceSamples, cavity: Cavity, inside: Mask, ends: S
     return whole.chosen(cavity.holds(away <= _FACING + 1, whole.points))
 
 
-def _away(inside: Mask) -> NDArray[np.float32]:
+def voxels_away(inside: Mask) -> NDArray[np.float32]:
     """Distance (nx, ny, nz) in voxels to the lumen's voxels, up to a few; beyond, more than those."""
     distance: NDArray[np.float32] = np.sqrt(short_distance(inside, _SEEN).astype(np.float32))
     return np.minimum(distance, _SEEN + 1, out=distance)
@@ -131,9 +136,17 @@ def _patches(points: Array, cavity: Cavity, away: NDArray[np.float32], inside: M
     """Small triangles (n, 3, 3) m where the lumen borders on free space, normals into the lumen."""
     from scipy.ndimage import gaussian_filter
 
-    smooth = gaussian_filter(inside.astype(np.float32), 2.0)
-    i, j, k = cavity.index(points).T
-    normal = np.stack([g[i, j, k] for g in np.gradient(smooth)], axis=1)
+    index = cavity.index(points)
+    low = np.maximum(index.min(axis=0) - _AROUND, 0)
+    box = tuple(slice(a, b + _AROUND + 1) for a, b in zip(low, index.max(axis=0), strict=True))
+    smooth = gaussian_filter(inside[box].astype(np.float32), 2.0)
+    i, j, k = (index - low).T
+    slopes = (
+        smooth[i + 1, j, k] - smooth[i - 1, j, k],
+        smooth[i, j + 1, k] - smooth[i, j - 1, k],
+        smooth[i, j, k + 1] - smooth[i, j, k - 1],
+    )
+    normal = np.stack(slopes, axis=1) / 2
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-9)
@@ -155,12 +168,14 @@ def distance_grid(
     cavity: Cavity,
     inside: Mask,
     ends: Sequence[VesselEnd],
+    away: NDArray[np.float32],
     *,
     rotation: Array,
     offset: Array,
     resolution: float,
     reach: float = -OUTSIDE,
     exact_within: float = EXACT,
+    deep: bool = True,
 ) -> SignedDistanceGrid:
     """Signed distance grid of a lumen, in a turned frame: positive inside, clamped far outside, with padding.
 
@@ -168,14 +183,14 @@ def distance_grid(
         surface: bounds the lumen, normals into it.
         cavity: the lumen's lattice, in the frame of the surface.
         inside: (nx, ny, nz) its voxels.
+        away: what `voxels_away` says of them.
         rotation: (3, 3) from the surface's frame to the grid's.
         offset: (3,) m, added after the rotation.
         resolution: m between the grid's points.
         reach: m outside the lumen up to which distances are measured.
         exact_within: m from the wall within which distances are to triangles, not to points on them.
+        deep: whether distances far inside are measured; otherwise they are the reach from there on.
     """
-    from scipy.spatial import cKDTree
-
     lumen = (cavity.origin + np.argwhere(inside) * cavity.spacing) @ rotation.T + offset
     low, high = lumen.min(axis=0) - cavity.spacing, lumen.max(axis=0) + cavity.spacing
     origin = np.floor(low / resolution - PADDING) * resolution
@@ -183,10 +198,9 @@ def distance_grid(
     chosen = _near_nodes(lumen, origin, shape, resolution, reach)
     points = (origin + chosen * resolution - offset) @ rotation
     # A voxel next to the lumen and far from what bounds it belongs to a loose sheet in it, which is no wall.
-    away = _away(inside)
     sign = np.where(cavity.holds(away <= _LOOSE, points), 1.0, -1.0)
-    thinned = surface.points[np.unique(np.floor(surface.points / _THIN).astype(np.int64), axis=0, return_index=True)[1]]
-    distance, _ = cKDTree(thinned).query(points)
+    farthest = max(reach, exact_within + _THIN)
+    distance = _far_distance(surface.points, points, farthest, (sign > 0) & deep)
     close = np.flatnonzero(distance < exact_within + _THIN)
     exact, place, face = surface.nearest(points[close])
     distance[close] = exact
@@ -210,6 +224,21 @@ def distance_grid(
     near = distance > -reach
     nx, ny, nz = (int(n) for n in shape)
     return SignedDistanceGrid.from_nodes(chosen[near], distance[near], (nx, ny, nz), origin, resolution, outside=-reach)
+
+
+def _far_distance(surface: Array, points: Array, farthest: float, unbounded: Mask) -> Array:
+    """Distance (n,) m from points (n, 3) to a thinned surface's (m, 3); beyond `farthest` that, where it is bounded."""
+    from scipy.spatial import cKDTree
+
+    cells = np.floor(surface / _THIN).astype(np.int64)
+    cells -= cells.min(axis=0)
+    _, ny, nz = (int(n) for n in cells.max(axis=0) + 1)
+    _, first = np.unique((cells[:, 0] * ny + cells[:, 1]) * nz + cells[:, 2], return_index=True)
+    tree = cKDTree(surface[first])
+    distance = np.empty(len(points))
+    distance[unbounded] = tree.query(points[unbounded])[0]
+    distance[~unbounded] = tree.query(points[~unbounded], distance_upper_bound=farthest)[0]
+    return np.minimum(distance, farthest, out=distance, where=~unbounded)
 
 
 def _largest_component(nodes: NDArray[np.int64], shape: NDArray[np.int64]) -> Mask:

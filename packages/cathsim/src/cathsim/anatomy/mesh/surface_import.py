@@ -15,7 +15,7 @@ from cathsim.anatomy.mesh.arches.arch_naming import LabelOf, labelled_names, lab
 from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels, turned
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity, largest_part
-from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity
+from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity, voxels_away
 from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, same_end, severs
 from cathsim.anatomy.mesh.lattice import lattice_spacing
 from cathsim.anatomy.mesh.naming import (
@@ -145,7 +145,8 @@ class SurfaceImport:
         ends, lost = _find_ends(cavity, openings)
         notes += lost
         inside = trim_cavity(cavity, ends)
-        surface = lumen_samples(self.samples, cavity, inside, ends)
+        away = voxels_away(inside)
+        surface = lumen_samples(self.samples, cavity, inside, ends, away)
         self.budget.check_time("finding its vessels")
         aorta, ends = _find_vessels(cavity, inside, ends)
 
@@ -172,7 +173,7 @@ class SurfaceImport:
         while True:
             self.budget.check_time("measuring distances to its wall")
             grid = distance_grid(
-                surface, cavity, inside, ends, rotation=rotation, offset=offset, resolution=self.resolution
+                surface, cavity, inside, ends, away, rotation=rotation, offset=offset, resolution=self.resolution
             )
             self.budget.check_time("drawing its centrelines")
             least = max(LEAST_WIDTH, 1.25 * self.resolution)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import Cavity, enclosed_by, find_cavity
-from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples
+from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, voxels_away
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.parts.vessel_parts import Part
 from cathsim.anatomy.mesh.reading import Triangles, clean_triangles
@@ -112,17 +112,20 @@ def _solid(part: Part, spacing: float, budget: Budget) -> _Solid | None:
     cavity = cavity or enclosed_by(samples, finer * spacing)
     if cavity is None:
         return None
-    surface = lumen_samples(samples, cavity, cavity.inside, [])
+    away = voxels_away(cavity.inside)
+    surface = lumen_samples(samples, cavity, cavity.inside, [], away)
     grid = distance_grid(
         surface,
         cavity,
         cavity.inside,
         [],
+        away,
         rotation=np.eye(3),
         offset=np.zeros(3),
         resolution=spacing,
         reach=_REACH,
         exact_within=1.5 * spacing,
+        deep=False,
     )
     volume = float(np.count_nonzero(cavity.inside)) * cavity.spacing**3
     return _Solid(part.name, grid, np.rint(grid.origin / spacing).astype(np.int64), cavity.widest, volume)
