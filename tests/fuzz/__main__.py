@@ -24,14 +24,15 @@ def targets() -> dict[str, type[Target]]:
     """All targets by name; importing them takes seconds."""
     from tests.fuzz.data_set_target import DataSetTarget
     from tests.fuzz.device_target import DeviceTarget
+    from tests.fuzz.dicom_target import DicomTarget
     from tests.fuzz.log_target import LogTarget
     from tests.fuzz.mesh_target import MeshTarget
     from tests.fuzz.model_targets import CheckpointTarget, ModelTarget
     from tests.fuzz.run_folder_target import RunFolderTarget
     from tests.fuzz.text_targets import ConsoleTarget, SettingsTarget
 
-    kinds = (LogTarget, ModelTarget, CheckpointTarget, RunFolderTarget, DataSetTarget, DeviceTarget, SettingsTarget,
-             ConsoleTarget, MeshTarget)  # fmt: skip
+    kinds = (LogTarget, ModelTarget, CheckpointTarget, RunFolderTarget, DataSetTarget, DeviceTarget, DicomTarget,
+             SettingsTarget, ConsoleTarget, MeshTarget)  # fmt: skip
     return {kind.name: kind for kind in kinds}
 
 
