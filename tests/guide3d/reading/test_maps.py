@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,14 @@ import torch
 
 from guide3d.learning.model_file import read_content, write_content
 from guide3d.modeling.reader_network import ReaderNetwork
-from guide3d.reading.maps import Reader
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+from guide3d.random_fluoroscopy.settings import FluoroscopySettings
+from guide3d.reading.maps import SHIPPED, Reader
+
+CLEAR = FluoroscopySettings(
+    image_px=512, no_wire=0.0, two_devices=0.0, catheter=0.0, clutter=0.3, noise=1.5, weakest=0.72, narrowest_px=2.5,
+    anatomy=0.0, contrast=0.0,
+)  # fmt: skip
 
 
 def small_reader() -> Reader:
@@ -67,3 +75,31 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
 def test_other_images_are_refused(image: np.ndarray) -> None:
     with pytest.raises(ValueError, match="expected a grey image"):
         small_reader().maps(image)
+
+
+def test_the_shipped_reader_finds_wires() -> None:
+    reader, fluoroscopy = Reader.pretrained(), RandomFluoroscopy(CLEAR, seed=12)
+    both = marked = true = 0
+    for index in range(6):
+        drawn = fluoroscopy.image(index)
+        found, mask = reader.maps(drawn.image).wire > 0.5, drawn.wire > 127
+        both, marked, true = both + (found & mask).sum(), marked + found.sum(), true + mask.sum()
+    assert both > 0.75 * true
+    assert both > 0.6 * marked
+
+
+def test_the_shipped_reader_sees_no_wire_where_there_is_none() -> None:
+    reader = Reader.pretrained()
+    noise = np.random.default_rng(0).normal(110, 3, (256, 256)).astype(np.uint8)
+    for image in (noise, np.zeros((256, 256), np.uint8), np.full((64, 64), 255, np.uint8)):
+        assert (reader.maps(image).wire > 0.5).sum() < 20
+
+
+def test_both_precisions_agree() -> None:
+    with as_file(files("guide3d.weights") / SHIPPED) as path:
+        fast, exact = Reader.load(path), Reader.load(path, fast=False)
+        assert path.stat().st_size < 2_000_000
+    drawn = RandomFluoroscopy(CLEAR, seed=12).image(0)
+    apart = np.abs(fast.maps(drawn.image).wire - exact.maps(drawn.image).wire)
+    assert apart.mean() < 0.005
+    assert ((fast.maps(drawn.image).wire > 0.5) != (exact.maps(drawn.image).wire > 0.5)).mean() < 0.003

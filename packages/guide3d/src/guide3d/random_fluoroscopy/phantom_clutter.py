@@ -89,9 +89,9 @@ def shell(canvas: Canvas, generator: Generator, side_px: int) -> None:
     shape = np.column_stack((np.cos(angle), squeeze * np.sin(angle))) * (size * (1 + wave))[:, None]
     points = centre + shape @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     darkness = -np.log(1 - log_uniform(generator, 0.03, 0.5))
-    soft = log_uniform(generator, 0.3, 6.0)
-    wall = log_uniform(generator, _THINNEST_WALL_PX, 14.0)
-    if wall < _WIDEST_LINE_PX or generator.random() < 0.5:  # a thin closed line would be a wire
+    wall = log_uniform(generator, _WIDEST_LINE_PX, 18.0)  # thinner, it would be a wire along the edge of a plate
+    soft = log_uniform(generator, 1.0, 6.0)
+    if generator.random() < 0.7:
         canvas.polygon(points, darkness * generator.uniform(0.3, 0.8), blur_px=soft)
     canvas.stroke(points, wall, darkness * 0.6, blur_px=soft, closed=True)
 
