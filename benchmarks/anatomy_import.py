@@ -30,7 +30,7 @@ from cathsim.anatomy import MeshRefusedError, import_anatomy
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh.parts.vessel_parts import is_folder_of_parts
 from cathsim.anatomy.mesh.reading import SUFFIXES
-from cathsim.anatomy.volume.reading import SUFFIXES as VOLUMES
+from cathsim.anatomy.volume.files.reading import SUFFIXES as VOLUMES
 
 QUICK_SECONDS, SECONDS = 60.0, 600.0
 LEAST_RADIUS = 6e-4  # m: a wire of 0.89 mm passes

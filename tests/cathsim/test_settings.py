@@ -40,7 +40,11 @@ RECORDS = {
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
     *("anatomy.volume.courses:Courses", "anatomy.volume.courses:Tip"),
     *("anatomy.volume.family:Family", "anatomy.volume.family:Link"),
-    *("anatomy.volume.labels:LabelChoice", "anatomy.volume.reading:LabelVolume", "anatomy.volume.source:VolumeSource"),
+    *(
+        "anatomy.volume.labels:LabelChoice",
+        "anatomy.volume.files.reading:LabelVolume",
+        "anatomy.volume.files.source:VolumeSource",
+    ),
     *("anatomy.volume.lattice:BlockLattice", "anatomy.volume.lumen_graph:LumenGraph"),
     *("anatomy.volume.smoothing:VesselField", "anatomy.volume.union:FlatEnd", "anatomy.volume.union:Union"),
     "devices.device_file:DeviceFile",

@@ -17,9 +17,9 @@ from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
+from cathsim.anatomy.volume.files.reading import LabelVolume, file_stem, read_labels, volume_files
 from cathsim.anatomy.volume.labelled_lumen import LabelledLumen
 from cathsim.anatomy.volume.labels import Labels
-from cathsim.anatomy.volume.reading import LabelVolume, file_stem, read_labels, volume_files
 from cathsim.anatomy.volume.single_lumen import lumen_surface_of
 
 logger = logging.getLogger(__name__)

@@ -10,9 +10,9 @@ from cathsim.anatomy.lumen import OUTSIDE, PADDING
 from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.volume.courses import Courses, Tip, find_courses, flat_end, narrow_places, rough_vessels
 from cathsim.anatomy.volume.family import find_family
+from cathsim.anatomy.volume.files.reading import LabelVolume
 from cathsim.anatomy.volume.lattice import BlockLattice
 from cathsim.anatomy.volume.lumen_graph import LumenGraph
-from cathsim.anatomy.volume.reading import LabelVolume
 from cathsim.anatomy.volume.smoothing import VesselField
 from cathsim.anatomy.volume.union import FlatEnd, Union, unite
 from cathsim.anatomy.volume.wall import connected, signed_distance

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
-from cathsim.anatomy.volume.reading import open_volume
-from cathsim.anatomy.volume.source import VolumeSource
+from cathsim.anatomy.volume.files.reading import open_volume
+from cathsim.anatomy.volume.files.source import VolumeSource
 from cathsim.fluoroscopy.body import THORAX, Ellipsoid, MeasuredBody
 from cathsim.fluoroscopy.patient.hounsfield import BONE_FACTOR, WATER
 from cathsim.fluoroscopy.scene import SCENES, XRayScene, scene

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA, vessel_name
-from cathsim.anatomy.volume import nifti, nrrd_file
+from cathsim.anatomy.volume.files import nifti, nrrd_file
+from cathsim.anatomy.volume.files.source import VolumeSource
 from cathsim.anatomy.volume.labels import Key, LabelChoice, Labels, choose_labels
-from cathsim.anatomy.volume.source import VolumeSource
 
 SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES)
 _MOST_LITRES = 5.0  # of all vessels together

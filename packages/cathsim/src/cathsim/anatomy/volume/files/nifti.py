@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.source import Slab, VolumeSource
+from cathsim.anatomy.volume.files.source import Slab, VolumeSource
 
 SUFFIXES = (".nii", ".nii.gz")
 SLAB_BYTES = 1 << 23

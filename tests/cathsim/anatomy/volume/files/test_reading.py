@@ -11,9 +11,9 @@ import pytest
 
 from cathsim.anatomy.importing import import_anatomy, is_anatomy_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.volume.files.reading import open_volume, read_labels
 from cathsim.anatomy.volume.labels import AORTASEG24, choose_labels
 from cathsim.anatomy.volume.rasterising import save_nifti, save_slicer
-from cathsim.anatomy.volume.reading import open_volume, read_labels
 
 nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
 nrrd = pytest.importorskip("nrrd", reason="label volumes need pynrrd")

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.nifti import BROKEN, SLAB_BYTES
-from cathsim.anatomy.volume.source import UNIT_METRES, Slab, VolumeSource
+from cathsim.anatomy.volume.files.nifti import BROKEN, SLAB_BYTES
+from cathsim.anatomy.volume.files.source import UNIT_METRES, Slab, VolumeSource
 
 SUFFIXES = (".nrrd", ".nhdr")
 _SPACES = {

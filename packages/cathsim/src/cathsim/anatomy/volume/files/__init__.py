@@ -1,0 +1,1 @@
+"""Files of label volumes: NIfTI, NRRD, folders of them, and the labels and voxels that they hold."""
