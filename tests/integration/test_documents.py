@@ -317,6 +317,7 @@ def test_readme_lists_every_folder_of_the_repository() -> None:
         "docs",
         "tests",
         "benchmarks",
+        "examples",
     }
 
 
