@@ -53,7 +53,9 @@ ray: setup  ## Ray for sweeps over a cluster (hydra/launcher=ray), 240 MB more
 
 lerobot:  ## LeRobot in an environment of its own, which reads exported data sets in a test, 8 GB
 	@test -x $(LEROBOT)/bin/python || $(PYTHON) -m venv $(LEROBOT)
-	@$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check lerobot==0.4.4
+	@# and what cathsim needs, which a test of EnvHub's entry imports from this tree
+	@$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check lerobot==0.4.4 mujoco==4.0.0 \
+		annotated-types pydantic pyyaml scikit-image scipy trimesh
 
 all: setup  ## every stage, then the report: runs/<name>/report/index.html
 	@$(GL) $(PY) -m pipeline.chain all -- budget=$(BUDGET) name=$(NAME) $(ARGS)
