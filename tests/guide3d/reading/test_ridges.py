@@ -37,10 +37,10 @@ def test_a_tip_on_a_wire_cuts_it() -> None:
 
 
 def test_weak_marks_and_empty_maps_are_no_pieces() -> None:
-    weak = 0.4 * soft_line((256, 256), [[20, 128], [230, 128]])
+    weak = 0.2 * soft_line((256, 256), [[20, 128], [230, 128]])
     assert len(find_pieces(weak, NO_CUTS, RidgeSettings())) == 0
     assert len(find_pieces(np.zeros((256, 256), np.float32), NO_CUTS, RidgeSettings())) == 0
-    assert len(find_pieces(weak, NO_CUTS, RidgeSettings(high=0.35))) == 1
+    assert len(find_pieces(weak, NO_CUTS, RidgeSettings(high=0.15))) == 1
 
 
 def test_a_ring_is_opened() -> None:

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from guide3d.geometry.polyline import Array, arc_length, distances_to
 from guide3d.opencv import cv2
 from guide3d.reading.centreline import CentrelineSettings, centre_line
-from guide3d.reading.links import LinkSettings, bridges, link_costs
+from guide3d.reading.links import LinkSettings, link_costs
+from guide3d.reading.path_drawing import path_line, to_tip
 from guide3d.reading.path_search import Path, SearchSettings, search
+from guide3d.reading.proximal_end import ProximalEndSettings, to_border
 from guide3d.reading.ridges import Map, Pieces, RidgeSettings, find_pieces
 from guide3d.setting_kinds import PixelDistance, Share, Weight, settings
 
@@ -46,6 +48,7 @@ class CurveReadingSettings:
     links: LinkSettings = field(default_factory=LinkSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
     centreline: CentrelineSettings = field(default_factory=CentrelineSettings)
+    proximal: ProximalEndSettings = field(default_factory=ProximalEndSettings)
     tip_cost: Weight = 60.0
     tip_reach_px: PixelDistance = 14.0
     tip_least: Share = 0.1
@@ -104,6 +107,17 @@ class Prior:
     points_px: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What curves are made from: the smoothed map of wires, peaks of the tip map with their heights, and distance
+    from the border on a coarse map."""
+
+    pieces: Pieces
+    smooth: Map
+    tips: tuple[Array, Array]
+    away: Map
+
+
 def read_curves(
     wire: Map,
     tip: Map | None = None,
@@ -131,7 +145,8 @@ def read_curves(
     smooth: Map = cv2.GaussianBlur(np.asarray(wire, np.float32), (0, 0), chosen.ridges.blur_px).astype(np.float32)
     places, heights = _peaks(tip, chosen)
     pieces = find_pieces(smooth, places, chosen.ridges)
-    inside = _inside(pieces, wire.shape, outside, chosen)
+    away = _from_border(wire.shape, outside)
+    inside = _inside(pieces, away, chosen)
     tipness = _tipness(pieces, places, heights, chosen)
     start = chosen.border_tip * (1.0 - inside) + chosen.tip_cost * (1.0 - tipness)
     stop = chosen.loose_end * inside * (1.0 - _at(catheter, pieces.ends))
@@ -140,19 +155,19 @@ def read_curves(
     if prior is not None and len(pieces):
         worth, start = _with_prior(pieces, start, prior, chosen)
     links = link_costs(pieces, smooth, chosen.links, toll)
-    tips = (places, heights)
+    scene = _Scene(pieces, smooth, (places, heights), away)
     paths = _paths(pieces, worth, links, start, stop, chosen)
     if not paths or worth[list(paths[0].pieces)].sum() < chosen.least_px:
         return CurvesOfImage([], [])
     candidates: list[ImageCurve] = []
     for path in _varied(paths, pieces, chosen):
-        curve = _curve(pieces, path, smooth, tips, chosen)
+        curve = _curve(scene, path, chosen)
         if all(_differ(curve, other) for other in candidates):
             candidates.append(curve)
         if len(candidates) == chosen.search.candidates:
             break
     candidates.sort(key=lambda curve: -curve.score)
-    return CurvesOfImage(candidates, _others(pieces, worth, links, (start, stop), paths[0], smooth, tips, chosen))
+    return CurvesOfImage(candidates, _others(scene, worth, links, (start, stop), paths[0], chosen))
 
 
 def _paths(
@@ -182,13 +197,11 @@ def _varied(paths: list[Path], pieces: Pieces, settings: CurveReadingSettings) -
 
 
 def _others(
-    pieces: Pieces,
+    scene: _Scene,
     worth: Array,
     links: list[list[tuple[int, float]]],
     costs: tuple[Array, Array],
     best: Path,
-    smooth: Map,
-    tips: tuple[Array, Array],
     settings: CurveReadingSettings,
 ) -> list[ImageCurve]:
     """Reads what is left when the pieces of a path are taken out, as long as that is a wire."""
@@ -198,12 +211,12 @@ def _others(
         free = [[(end, cost) for end, cost in onward if end // 2 not in used] for onward in links]
         start = costs[0].copy()
         start[[end for piece in used for end in (2 * piece, 2 * piece + 1)]] = np.inf
-        paths = _paths(pieces, worth, free, start, costs[1], settings)
+        paths = _paths(scene.pieces, worth, free, start, costs[1], settings)
         if not paths or not np.isfinite(paths[0].score):
             break
         if worth[list(paths[0].pieces)].sum() < settings.second_px:
             break
-        others.append(_curve(pieces, paths[0], smooth, tips, settings))
+        others.append(_curve(scene, paths[0], settings))
         used |= paths[0].pieces
     return others
 
@@ -229,16 +242,19 @@ def _peaks(tip: Map | None, settings: CurveReadingSettings) -> tuple[Array, Arra
     return np.array(places), np.array(heights)
 
 
-def _inside(
-    pieces: Pieces, shape: tuple[int, ...], outside: NDArray[np.bool_] | None, settings: CurveReadingSettings
-) -> Array:
-    """Tells (2 k,) of each end how far it is inside the field, from 0 at its border to 1."""
+def _from_border(shape: tuple[int, ...], outside: NDArray[np.bool_] | None) -> Map:
+    """Distance px from the border of the field, on a map that is `_COARSE` times smaller."""
     height, width = (-(-side // _COARSE) for side in shape)
     exposed = np.ones(shape, np.uint8) if outside is None else (~outside).astype(np.uint8)
     coarse = cv2.resize(exposed, (width, height), interpolation=cv2.INTER_NEAREST)
     away = cv2.distanceTransform(np.pad(coarse, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    return np.asarray((away - 0.5) * _COARSE, np.float32)
+
+
+def _inside(pieces: Pieces, away: Map, settings: CurveReadingSettings) -> Array:
+    """Tells (2 k,) of each end how far it is inside the field, from 0 at its border to 1."""
     column, row = (pieces.ends / _COARSE).astype(int).T
-    return np.asarray(np.clip((away[row, column] - 0.5) * _COARSE / settings.border_px - 1.0, 0.0, 1.0))
+    return np.asarray(np.clip(away[row, column] / settings.border_px - 1.0, 0.0, 1.0))
 
 
 def _leaving(pieces: Pieces, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -280,44 +296,11 @@ def _with_prior(pieces: Pieces, start: Array, prior: Prior, settings: CurveReadi
     return worth, start - 0.5 * settings.tip_cost * close
 
 
-def _curve(
-    pieces: Pieces, path: Path, smooth: Map, tips: tuple[Array, Array], settings: CurveReadingSettings
-) -> ImageCurve:
-    parts: list[Array] = []
-    for number, entry in enumerate(path.entries):
-        if number:
-            parts.append(_gap(pieces, path.entries[number - 1] ^ 1, entry))
-        points = pieces.points[entry // 2]
-        parts.append(points[::-1] if entry % 2 else points)
-    line = np.concatenate(parts)
-    line, height = _to_tip(line, *tips, settings)
-    points, confidence, deviation = centre_line(line, smooth, settings.centreline)
+def _curve(scene: _Scene, path: Path, settings: CurveReadingSettings) -> ImageCurve:
+    line, height = to_tip(path_line(scene.pieces, path), *scene.tips, settings.tip_reach_px)
+    line = to_border(line, scene.smooth, scene.away, _COARSE, settings.proximal)
+    points, confidence, deviation = centre_line(line, scene.smooth, settings.centreline)
     return ImageCurve(points, confidence, deviation, path.score, height)
-
-
-def _gap(pieces: Pieces, leave: int, enter: int) -> Array:
-    """Points (n, 2) px between the ends of two pieces, about one a px."""
-    start, end = pieces.ends[[leave]], pieces.ends[[enter]]
-    length = float(np.hypot(*(end - start).T)[0])
-    if length < 6.0:
-        return np.empty((0, 2))
-    return bridges(start, end, pieces.outward[[leave]], -pieces.outward[[enter]], int(length))[0]
-
-
-def _to_tip(line: Array, places: Array, heights: Array, settings: CurveReadingSettings) -> tuple[Array, float]:
-    """Moves the beginning of a path to the peak of the tip map, where one lies near it."""
-    if not len(places):
-        return line, 0.0
-    away = np.hypot(*(places - line[0]).T)
-    value = heights * np.exp(-0.5 * (away / settings.tip_reach_px) ** 2)
-    peak = int(value.argmax())
-    if away[peak] > 2.0 * settings.tip_reach_px:
-        return line, 0.0
-    reach = min(len(line) - 2, round(2.0 * settings.tip_reach_px))
-    at = int(np.hypot(*(line[: reach + 1] - places[peak]).T).argmin())
-    if at > 0:
-        return np.concatenate([places[peak : peak + 1], line[at + 1 :]]), float(heights[peak])
-    return np.concatenate([places[peak : peak + 1], line]), float(heights[peak])
 
 
 def _differ(curve: ImageCurve, other: ImageCurve) -> bool:

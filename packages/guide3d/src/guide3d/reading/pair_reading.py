@@ -45,8 +45,8 @@ class PairReadingSettings:
     coverage: Weight = 300.0
     sample_px: PixelDistance = 4.0
     doubtful_px: PixelDistance = 3.0
-    common_px: PixelDistance = 0.5
-    tip_px: PixelDistance = 4.0
+    common_px: PixelDistance = 0.3
+    tip_px: PixelDistance = 2.0
     tip_mm: Millimetres = 3.0
     refused_px: PixelDistance = 8.0
     least_coverage: Share = 0.5

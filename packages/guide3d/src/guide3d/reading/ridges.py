@@ -32,13 +32,13 @@ class RidgeSettings:
     pieces: most pieces that are kept, the most probable ones
     """
 
-    low: Share = 0.3
-    high: Share = 0.5
+    low: Share = 0.12
+    high: Share = 0.3
     blur_px: Positive = 1.0
     spur_px: PixelDistance = 7.0
     direction_px: PixelDistance = 14.0
     junction_px: PixelDistanceOrNone = 3.0
-    worth_above: Share = 0.25
+    worth_above: Share = 0.1
     pieces: int = 48
 
 
