@@ -21,7 +21,9 @@ distances the image's diagonal; a pair without a result counts 100 mm. Times are
     order_mean_px              distance at equal shares of both lengths: large where the order is wrong
     tip_median_px, _mean_px    distance of the first points
     map_dice, _recall, ...     the same of the network's map (probability of 0.5), its skeleton for recall and precision
-    pair_mean_mm               mean nearest distance (both ways) of the curve in space from that of the annotation
+    pair_mean_mm               mean nearest distance (both ways) of the curve in space from that of the annotation, up
+                               to the length of the shorter one: annotations end before the border of the image
+    pair_whole_mm              the same of both curves in full
     pair_tip_median_mm         distance of the tips in space
     ms_an_image, ms_a_pair     time from pixels to curve; to the curve in space
 """
@@ -182,6 +184,13 @@ def chosen_rig(rigs: list[Rig], said: str, annotations: Sequence[tuple[Array, Ar
     return min(rigs, key=lambda rig: float(np.median(epipolar_residuals(*rig.cameras, annotations))))
 
 
+def in_common(a: Array, b: Array) -> tuple[Array, Array]:
+    """Cuts the longer of two curves, tip first, to the length of the shorter one."""
+    length = min(float(arc_length(curve)[-1]) for curve in (a, b))
+    along = np.append(np.arange(0.0, length, 0.5), length)
+    return at_length(a, along), at_length(b, along)
+
+
 def pair_figures(
     images: list[Annotated],
     pairs: list[tuple[str, int, int]],
@@ -203,7 +212,14 @@ def pair_figures(
             distortions = None
     rows = []
     for (name, a, b), annotation in zip(pairs, annotations, strict=True):
-        row: dict[str, Any] = {"pair": name, "mean_mm": FAILED_MM, "tip_mm": FAILED_MM, "accepted": False, "ms": 0.0}
+        row: dict[str, Any] = {
+            "pair": name,
+            "mean_mm": FAILED_MM,
+            "whole_mm": FAILED_MM,
+            "tip_mm": FAILED_MM,
+            "accepted": False,
+            "ms": 0.0,
+        }
         try:
             truth = reconstruct(*rig.cameras, *annotation).curve_mm
             views = [readings[a], readings[b]]
@@ -213,7 +229,8 @@ def pair_figures(
             found = combine([view for view in views if view is not None], rig.cameras, distortions)
             row["ms"] = 1e3 * (time.process_time() - started)
             row |= {
-                "mean_mm": min(chamfer(truth, found.curve_mm), FAILED_MM),
+                "mean_mm": min(chamfer(*in_common(truth, found.curve_mm)), FAILED_MM),
+                "whole_mm": min(chamfer(truth, found.curve_mm), FAILED_MM),
                 "tip_mm": min(mete(truth, found.curve_mm), FAILED_MM),
                 "accepted": found.accepted,
                 "residual_px": found.residual_px,
@@ -266,13 +283,16 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     for key in ("curve", "tip"):
         total[f"{key}_median_px"] = float(np.median([row[f"{key}_mean_px"] for row in rows]))
     total["ms_an_image"] = float(np.mean([row["ms"] for row in rows if row["ms"]])) if any(readings) else None
-    total |= dict.fromkeys(("pair_mean_mm", "pair_tip_median_mm", "pair_worst_mm", "pairs_accepted", "ms_a_pair"))
+    total |= dict.fromkeys(
+        ("pair_mean_mm", "pair_whole_mm", "pair_tip_median_mm", "pair_worst_mm", "pairs_accepted", "ms_a_pair")
+    )
     intervals = {key: interval([row[key] for row in rows]) for key in (*IN_IMAGE, *OF_MAP)}
     intervals["tip_median_px"] = interval([row["tip_mean_px"] for row in rows], np.median)
     if pairs and arguments.cameras is not None:
         space = pair_figures(images, pairs, readings, arguments.cameras, json.dumps(content.get("units", "")))
         mean, tip = ([row[key] for row in space["rows"]] for key in ("mean_mm", "tip_mm"))
         total["pair_mean_mm"], total["pair_worst_mm"] = float(np.mean(mean)), max(mean)
+        total["pair_whole_mm"] = float(np.mean([row["whole_mm"] for row in space["rows"]]))
         total["pair_tip_median_mm"] = float(np.median(tip))
         total["pairs_accepted"] = sum(row["accepted"] for row in space["rows"])
         took = [2.0 * (total["ms_an_image"] or 0.0) + row["ms"] for row in space["rows"]]

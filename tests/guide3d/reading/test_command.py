@@ -173,3 +173,16 @@ def test_an_inverted_and_a_deep_image_are_read(data: Path, tmp_path: Path, capsy
 def test_the_command_runs_as_a_module() -> None:
     done = subprocess.run([sys.executable, "-m", "guide3d.read", "--help"], capture_output=True, text=True, check=True)
     assert "--cameras FOLDER" in done.stdout
+
+
+def test_of_several_sets_that_fit_the_last_by_name_is_taken(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "cameras"
+    folder.mkdir()
+    for name, cameras in (("2024-01", SCENE.cameras), ("2024-03", SCENE.cameras), ("2024-05", SCENE.cameras[::-1])):
+        for detector, camera in zip(("16710", "16709"), cameras, strict=True):
+            write_camera(camera, folder / f"{name}_{detector}.txt")
+    words = [str(data / "a.png"), str(data / "b.png"), "--cameras", str(folder), "--output", str(tmp_path / "out")]
+    assert command.main(words) == 0
+    assert "2024-03_*.txt was taken of several sets" in capsys.readouterr().err

@@ -46,6 +46,7 @@ from guide3d.reading.output.space_page import space_page
 from guide3d.reading.pair_reading import FRAMES, PairReading, combine
 from guide3d.reading.rig_folder import Rig, distortions_of, rigs_in
 from guide3d.reading.sequence import FrameReading, read_pairs, read_sequence
+from guide3d.reconstruction.matching import clearly_better
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +110,9 @@ def _run(given: argparse.Namespace) -> None:
         )
         _write_sequence(given, list(frames), source_a, source_b)
         return
-    rig, reading = _fitting(given, first, geometry, network)
+    _, reading = _fitting(given, first, geometry, network)
     if not reading.accepted:
         raise ValueError(next((text for text in reading.messages if _is_refusal(text)), "; ".join(reading.messages)))
-    if len(geometry.rigs) > 1:
-        _say([f"of {len(geometry.rigs)} sets of cameras, {rig.name} fits the images best"])
     _write_pair(given, first, reading)
 
 
@@ -198,7 +197,7 @@ def _geometry(given: argparse.Namespace, a: Source, b: Source) -> _Geometry:
 def _fitting(
     given: argparse.Namespace, images: Sequence[Image], geometry: _Geometry, network: MapReader
 ) -> tuple[Rig, PairReading]:
-    """The set of cameras that fits two images best, and their reading; the images are read once."""
+    """The set of cameras that fits two images, and their reading; the images are read once."""
     for name, path, image, camera in zip("AB", (given.a, given.b), images, geometry.rigs[0].cameras, strict=True):
         if image.shape[:2] != (camera.height, camera.width):
             raise ValueError(
@@ -223,7 +222,14 @@ def _fitting(
             wrong = error
     if not fits:
         raise wrong or ValueError("no cameras")
-    return min(fits, key=lambda fit: (not fit[1].accepted, fit[1].residual_px))
+    best = min(fits, key=lambda fit: (not fit[1].accepted, fit[1].residual_px))
+    if len(fits) > 1:
+        # one pair of images hardly tells sets of one rig apart: among those that fit, the last by name is the newest
+        fitting = [fit for fit in fits if not clearly_better(best[1].residual_px, fit[1].residual_px)]
+        best = max(fitting, key=lambda fit: (fit[1].accepted, fit[0].name))
+        listed = ", ".join(f"{rig.name} ({reading.residual_px:.2f} px)" for rig, reading in fits)
+        _say([f"{best[0].name} was taken of several sets of cameras: {listed}; keep the one that is meant"])
+    return best
 
 
 def _is_refusal(text: str) -> bool:

@@ -21,6 +21,7 @@ class LinkSettings:
     empty_per_px: cost of a px of gap without any probability
     bending_px: cost of bending energy, which has the unit 1/px: a turn by one radian over n px has energy 1 / n
     kink: additional cost of a rad by which a link turns more than `kink_from`, if its gap is shorter than `kink_px`
+    unseen_turn: additional cost of a rad beyond `unseen_from` by which a link turns, to and fro, in a longer gap
     shortest_px: gaps count as this long when they bend
     dearest: links that cost more are not tried
     most: links that are tried from each end
@@ -32,6 +33,8 @@ class LinkSettings:
     kink: Weight = 80.0
     kink_from: Angle = 1.2
     kink_px: PixelDistance = 16.0
+    unseen_turn: Weight = 20.0
+    unseen_from: Angle = 0.6
     shortest_px: PixelDistance = 12.0
     dearest: Positive = 120.0
     most: int = 8
@@ -61,7 +64,10 @@ def link_costs(
     bending = bending_energy(out, into, gap, settings.shortest_px) * settings.bending_px
     # a wire that crosses another goes on; it does not kink and go on as the other
     sharp = np.abs(_turn(out, into)) - settings.kink_from
-    bending += settings.kink * np.maximum(sharp, 0.0) * np.clip(2.0 - length / settings.kink_px, 0.0, 1.0)
+    short = np.clip(2.0 - length / settings.kink_px, 0.0, 1.0)
+    bending += settings.kink * np.maximum(sharp, 0.0) * short
+    unseen = np.abs(_turn(out, gap)) + np.abs(_turn(gap, into)) - settings.unseen_from
+    bending += settings.unseen_turn * np.maximum(unseen, 0.0) * (1.0 - short)
     near = bending < settings.dearest
     leave, enter, length, bending = leave[near], enter[near], length[near], bending[near]
     if not len(leave):
