@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
+from cathsim.planning.manoeuvres import Manoeuvre
 from cathsim.planning.sampling import TWO_DEVICES, ExpertSettings, SamplingExpert
 from cathsim.simulation import Simulation
 
@@ -122,5 +123,40 @@ def test_a_tip_that_gets_no_nearer_is_drawn_back(make_env: MakeEnv) -> None:
 
 
 def test_two_devices_wait_and_check_and_a_wire_does_not() -> None:
-    assert (TWO_DEVICES.confirm, TWO_DEVICES.patience) == (4, 4)
+    assert (TWO_DEVICES.confirm, TWO_DEVICES.patience, TWO_DEVICES.most_force) == (4, 4, 2.0)
     assert (ExpertSettings().confirm, ExpertSettings().patience) == (0, 0)
+    assert ExpertSettings().most_force == 1000.0
+
+
+def test_forces_beyond_the_most_cost_more_than_any_distance_gains(make_env: MakeEnv) -> None:
+    env = make_env(target="lcca")
+    env.reset(seed=0)
+    env.simulation.reset(insertion=0.12)
+    state, plan = env.simulation.state(), np.tile([1.0, 0.0], (8, 1))
+    free = SamplingExpert(env, settings=SMALL, threads=1)
+    largest = free._largest_force(free._copies[0], state, plan)
+    assert largest > 0.0
+    limit = 0.5 * largest
+    bound = SamplingExpert(env, settings=dataclasses.replace(SMALL, most_force=limit), threads=1)
+    costs = [expert._cost(expert._copies[0], state, plan) for expert in (free, bound)]
+    assert costs[1] - costs[0] == pytest.approx(largest - limit)
+    through = Manoeuvre(np.zeros(3), plan, 0)
+    endings = [expert._ending(expert._copies[0], state, through) for expert in (free, bound)]
+    assert endings[0][1] > endings[1][1] or endings[0][0] < endings[1][0], "the manoeuvre ends where the force is"
+
+
+def test_a_retreat_is_drawn_again_until_one_is_gentle(make_env: MakeEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = make_env(target="lcca")
+    env.reset(seed=0)
+    expert = SamplingExpert(env, settings=dataclasses.replace(SMALL, most_force=2.0), threads=1)
+    forces = iter([5.0, 3.0, 1.0])
+    drawn: list[np.ndarray] = []
+
+    def told(self: SamplingExpert, copy: Simulation, state: np.ndarray, plan: np.ndarray) -> float:
+        drawn.append(plan)
+        return next(forces)
+
+    monkeypatch.setattr(SamplingExpert, "_largest_force", told)
+    chosen = expert._gentle_retreat(env.simulation.state(), 0.0)
+    assert len(drawn) == 3
+    assert chosen is drawn[2]

@@ -37,6 +37,8 @@ class ExpertSettings:
     # cost of a newton of contact force above `free_force`, in metres of distance to the target
     force_cost: Annotated[float, Interval(ge=0, le=1000), Unit("m/N")] = 0.004
     free_force: Annotated[float, Interval(ge=0, le=1000), Unit("N")] = 0.15  # N
+    # contact force beyond which a plan costs a metre a newton, and a manoeuvre ends; the default is no limit
+    most_force: Annotated[float, Interval(ge=0, le=1000), Unit("N")] = 1000.0
     # lead of the wire before the catheter beyond which a plan costs a metre a metre: a wire far ahead strays
     most_lead: Annotated[float, Interval(ge=0, le=10), Unit("m")] = 0.08
     primitives: bool = False  # tries the motions of an operator first, and samples around the best of them
@@ -53,9 +55,10 @@ class ExpertSettings:
 
 
 STUCK = 0.004  # m: a plan that gains less is none
-TWO_DEVICES = ExpertSettings(samples=32, elites=6, primitives=True, confirm=4, patience=4)
+TWO_DEVICES = ExpertSettings(samples=32, elites=6, primitives=True, confirm=4, patience=4, most_force=2.0)
 _REFUTED = 1.0  # m, cost of a plan that is not confirmed, or not valid
 _PASSED = 0.015  # m: a wire that is fed and is so much further from the target than it was gets no nearer
+_RETREATS = 8  # that are drawn, until one stays below the largest force
 
 
 class SamplingExpert:
@@ -212,9 +215,32 @@ class SamplingExpert:
                 self._plan = tried.plan[:steps]
                 break
         else:
-            self._plan, self._nearest = retreat(self._generator, self._actions, self._pace, lead=lead), np.inf
+            self._plan, self._nearest = self._gentle_retreat(state, lead), np.inf
         self._left = len(self._plan)
         self.escapes += 1
+
+    def _gentle_retreat(self, state: np.ndarray, lead: float) -> np.ndarray:
+        """The first random retreat that stays below the largest force, else the one of the least."""
+        plans: list[np.ndarray] = []
+        forces: list[float] = []
+        for _ in range(_RETREATS):
+            plans.append(retreat(self._generator, self._actions, self._pace, lead=lead))
+            forces.append(self._largest_force(self._copies[0], state, plans[-1]))
+            self.rollouts += 1
+            if forces[-1] <= self.settings.most_force:
+                break
+        return plans[int(np.argmin(forces))]
+
+    def _largest_force(self, copy: Simulation, state: np.ndarray, plan: np.ndarray) -> float:
+        """Largest contact force of a plan, N; infinite where it is not valid."""
+        copy.restore(state)
+        largest = 0.0
+        for action in plan.tolist():
+            self._advance(copy, action)
+            if not copy.valid:
+                return np.inf
+            largest = max(largest, copy.summary.force_max)
+        return largest
 
     def _costs(self, state: np.ndarray, plans: np.ndarray) -> np.ndarray:
         """Costs of plans (n, horizon, actions) from a state, in metres. Shape (n,)."""
@@ -248,16 +274,17 @@ class SamplingExpert:
     def _cost(self, copy: Simulation, state: np.ndarray, plan: np.ndarray) -> float:
         settings = self.settings
         copy.restore(state)
-        force = 0.0
+        force = excess = 0.0
         for step, action in enumerate(plan.tolist()):
             self._advance(copy, action)
             if not copy.valid:
                 return _REFUTED
             force += max(copy.summary.force_max - settings.free_force, 0.0) / len(plan)
-            if self._reached(copy):
+            excess = max(excess, copy.summary.force_max - settings.most_force)
+            if self._reached(copy) and excess == 0.0:
                 return -1.0 + 0.01 * step + settings.force_cost * force
         strayed = max(copy.device_lead - settings.most_lead, 0.0) if isinstance(copy, DualSimulation) else 0.0
-        return self._remaining(copy) + settings.force_cost * force + strayed
+        return self._remaining(copy) + settings.force_cost * force + strayed + excess
 
     def _ending(self, copy: Simulation, state: np.ndarray, tried: Manoeuvre) -> Ending:
         """Least cost of a manoeuvre while its wire is fed, in metres, and after how many steps."""
@@ -266,7 +293,7 @@ class SamplingExpert:
         force, nearest, best = 0.0, np.inf, (_REFUTED, len(tried.plan))
         for step, action in enumerate(tried.plan.tolist()):
             self._advance(copy, action)
-            if not copy.valid:
+            if not copy.valid or copy.summary.force_max > settings.most_force:
                 break
             force += max(copy.summary.force_max - settings.free_force, 0.0) / len(tried.plan)
             if self._reached(copy):
