@@ -17,6 +17,7 @@ from guide3d.reading.ridges import Map
 _UNSURE = 0.5  # confidence below which a point counts as guessed
 _GUESSED = 0.15  # share of guessed points worth a message
 _TIP_UNSURE = 0.3
+_NEGATIVE_SHARE = 0.25  # of the image's side: certain wire that makes a negative; short bright lines are common
 _FAINT_PX = 120.0  # score below which the negative of an image is tried, too
 
 
@@ -121,7 +122,7 @@ def read(
     if _score(found) < _FAINT_PX:
         negative = replace(grey, pixels=255 - grey.pixels, outside=np.zeros_like(grey.outside))
         other = _curves(network, negative, before, settings)
-        if _score(other) > 2.0 * max(_score(found), 0.0) + 60.0:
+        if _score(other) > 2.0 * max(_score(found), 0.0) + _NEGATIVE_SHARE * min(grey.pixels.shape):
             found = other
             notes.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
     candidates = [_given(grey, curve) for curve in found.candidates]
