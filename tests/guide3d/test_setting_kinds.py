@@ -19,10 +19,19 @@ from guide3d.learning import training
 from guide3d.learning.build import ShapeSize
 from guide3d.learning.losses import ShapeLoss
 from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.reader.training import ReaderRecipe
 from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.learning.segmentation_samples import SegmentationAugmentation
 from guide3d.learning.shape_samples import ShapeAugmentation
 from guide3d.modeling.spherical import SphericalForm
+from guide3d.random_fluoroscopy.settings import FluoroscopySettings
+from guide3d.reading.centreline import CentrelineSettings
+from guide3d.reading.curve_reading import CurveReadingSettings
+from guide3d.reading.links import LinkSettings
+from guide3d.reading.pair_reading import PairReadingSettings
+from guide3d.reading.path_search import SearchSettings
+from guide3d.reading.proximal_end import ProximalEndSettings
+from guide3d.reading.ridges import RidgeSettings
 from guide3d.reconstruction import curve_fitting
 from guide3d.reconstruction.matching import MatchingSettings
 from guide3d.reconstruction.reconstruction import ReconstructionSettings
@@ -48,6 +57,16 @@ EVERYTHING: dict[Any, str] = {
     SegmentationAugmentation(): "gain=0 noise=0 offset=0 on_wire=0",
     training.NetworkFitSettings(): "clip=0 patience=0 plateau_patience=0 weight_decay=0",
     shape_recipe("desk"): "",
+    CentrelineSettings(): "blend_px=0 growth=0",
+    LinkSettings(): "empty_per_px=0 kink=0 kink_from=-1 kink_from=0 unseen_from=-1 unseen_from=0 unseen_turn=0",
+    ProximalEndSettings(): "longest_px=0 turn=-1 turn=0",
+    RidgeSettings(): "high=0 junction_px=0 low=0 worth_above=0",
+    SearchSettings(): "twice_per_px=0",
+    CurveReadingSettings(): "border_link=0 border_tip=0 loose_end=0 tip_cost=0 tip_least=0 tip_link=0",
+    PairReadingSettings(): "coverage=0 least_coverage=0 residual_per_px=0",
+    FluoroscopySettings(): "along_edge=0 anatomy=0 background=0 beads=0 catheter=0 contrast=0 field=0 given_course=0 "
+    "in_vessel=0 jpeg=0 markers=0 near_tip=0 near_wire=0 no_wire=0 noise=0 tip_change=0 two_devices=0",
+    ReaderRecipe(): "average=0 catheter=0 dice=0 tip=0 warm_up=0 weight_decay=0",
 }
 RECIPES = (fgrn_recipe("desk"), segmentation_recipe("unet", "desk"))  # with dictionaries: not to be hashed
 

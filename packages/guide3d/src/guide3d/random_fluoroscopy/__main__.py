@@ -17,11 +17,11 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from guide3d.atomic_file import whole_file
 from guide3d.dataset.dataset import Dataset
+from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.setting_kinds import seed

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from guide3d.geometry.polyline import Array
 from guide3d.opencv import cv2
 from guide3d.reading.ridges import Map, Pieces
-from guide3d.setting_kinds import Angle, PixelDistance, Positive, Weight, settings
+from guide3d.setting_kinds import Angle, Count, PixelDistance, Positive, Weight, settings
 
 _SAMPLES = 12  # of a gap
 
@@ -37,7 +37,7 @@ class LinkSettings:
     unseen_from: Angle = 0.6
     shortest_px: PixelDistance = 12.0
     dearest: Positive = 120.0
-    most: int = 8
+    most: Count = 8
 
 
 def link_costs(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
-from guide3d.setting_kinds import PixelDistance, Positive, Weight, settings
+from guide3d.setting_kinds import Count, PixelDistance, Positive, Weight, settings
 
 _States = dict[tuple[int, int, int], tuple[float, tuple[int, ...]]]  # end, pieces walked once and twice: score, entries
 
@@ -26,13 +26,13 @@ class SearchSettings:
     deepest: most pieces of a path
     """
 
-    starts: int = 10
-    beam: int = 24
-    candidates: int = 5
+    starts: Count = 10
+    beam: Count = 24
+    candidates: Count = 5
     twice_px: PixelDistance = 90.0
     twice_per_px: Weight = 0.2
     fold: Positive = 8.0
-    deepest: int = 40
+    deepest: Count = 40
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from skimage.morphology import skeletonize
 
 from guide3d.geometry.polyline import Array
 from guide3d.opencv import cv2
-from guide3d.setting_kinds import PixelDistance, PixelDistanceOrNone, Positive, Share, settings
+from guide3d.setting_kinds import Count, PixelDistance, PixelDistanceOrNone, Positive, Share, settings
 
 Map = NDArray[np.float32]
 
@@ -39,7 +39,7 @@ class RidgeSettings:
     direction_px: PixelDistance = 14.0
     junction_px: PixelDistanceOrNone = 3.0
     worth_above: Share = 0.1
-    pieces: int = 48
+    pieces: Count = 48
 
 
 @dataclass(frozen=True, eq=False)
