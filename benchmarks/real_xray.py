@@ -46,6 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.morphology import skeletonize
 
+from guide3d.calibration.folder import Rig, distortions_of, rigs_in
 from guide3d.geometry.metrics import chamfer, mete
 from guide3d.geometry.polyline import Array, arc_length, at_length, checked, distances_to, resample
 from guide3d.image_file import read_grey_levels, write_png
@@ -53,7 +54,6 @@ from guide3d.opencv import cv2
 from guide3d.reading.image_reading import ImageReading, MapReader, read, shipped_reader
 from guide3d.reading.output.overlay import draw_reading
 from guide3d.reading.pair_reading import combine
-from guide3d.reading.rig_folder import Rig, distortions_of, rigs_in
 from guide3d.reconstruction.reconstruction import reconstruct
 from guide3d.reconstruction.view_checks import epipolar_residuals, undistorted_or_raw
 

@@ -57,7 +57,7 @@ EVERYTHING: dict[Any, str] = {
     SegmentationAugmentation(): "gain=0 noise=0 offset=0 on_wire=0",
     training.NetworkFitSettings(): "clip=0 patience=0 plateau_patience=0 weight_decay=0",
     shape_recipe("desk"): "",
-    CentrelineSettings(): "blend_px=0 growth=0",
+    CentrelineSettings(): "blend_points=0 growth=0",
     LinkSettings(): "empty_per_px=0 kink=0 kink_from=-1 kink_from=0 unseen_from=-1 unseen_from=0 unseen_turn=0",
     ProximalEndSettings(): "longest_px=0 turn=-1 turn=0",
     RidgeSettings(): "high=0 junction_px=0 low=0 worth_above=0",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from guide3d.calibration.folder import cameras_in, distortions_in, distortions_of_sheets
+from guide3d.calibration.folder import cameras_in, distortions_of
 from guide3d.dataset.annotation_files import DETECTOR
 from guide3d.dataset.camera_checks import swapped_cameras, undistorted_or_raw
 from guide3d.dataset.dataset import Dataset
@@ -35,7 +35,7 @@ def own_source(settings: Guide3dSettings, folder: Path) -> Source:
     images = None if settings.image_root is None else str(Path(settings.image_root).resolve())
     beside = Path(settings.calibration) if settings.calibration else (root if root.is_dir() else root.parent)
     try:
-        cameras, maps = cameras_in(beside), distortions_in(beside) or distortions_of_sheets(beside)
+        cameras, maps = cameras_in(beside), distortions_of(beside)
         if cameras is not None:
             for camera, view in zip(cameras, VIEWS, strict=True):
                 write_opencv_yaml(camera, folder / CALIBRATION / f"camera_{DETECTOR[view]}.yaml")

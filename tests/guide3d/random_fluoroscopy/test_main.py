@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from guide3d.dataset.dataset import Dataset
-from guide3d.random_fluoroscopy.__main__ import main
+from guide3d.random_fluoroscopy.__main__ import RECORD, main
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from tests.guide3d.learning.drawn_data import SIDE, draw
 
@@ -50,6 +50,19 @@ def test_bad_settings_are_refused_in_one_sentence(tmp_path: Path, capsys: pytest
     assert "noise" in capsys.readouterr().err
     assert main([*words, "[1]"]) == 2
     assert "expected a JSON object" in capsys.readouterr().err
+    assert main([*words, '{"noises": 3}']) == 2
+    assert "'noises' is unknown: expected fields among" in capsys.readouterr().err
+
+
+def test_images_of_another_kind_are_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draw(tmp_path / "data", acquisitions=1, frames=1)
+    words = [str(tmp_path / "data"), "--output", str(tmp_path / "new"), "--settings"]
+    assert main([*words, CLEAN]) == 0
+    assert main([*words, CLEAN, "--seed", "1"]) == 2
+    assert "holds images of another seed" in capsys.readouterr().err
+    (tmp_path / "new" / RECORD).unlink()
+    assert main([*words, CLEAN]) == 2
+    assert "not of random fluoroscopy" in capsys.readouterr().err
 
 
 def test_wires_must_be_polylines() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,21 @@ def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     """A PNG of an image (h, w) or, in red, green and blue, (h, w, 3)."""
     _, data = cv2.imencode(".png", image if image.ndim == 2 else image[..., ::-1])
     return data.tobytes()
+
+
+def write_image(image: NDArray[Any], path: str | Path) -> None:
+    """Writes an image (h, w) of the kind that the path's ending says, PNG without one; whole or not at all.
+
+    Raises:
+        ImageError: no such kind of image.
+    """
+    ending = Path(path).suffix or ".png"
+    try:
+        _, data = cv2.imencode(ending, image)
+    except cv2.error:
+        raise ImageError(f"image {path} cannot be written: {ending} is no kind of image") from None
+    with whole_file(path) as file:
+        file.write(data.tobytes())
 
 
 def write_png(image: NDArray[np.uint8] | NDArray[np.uint16], path: str | Path) -> None:

@@ -54,6 +54,13 @@ def test_a_training_goes_on_where_it_stopped(tmp_path: Path) -> None:
         torch.testing.assert_close(again.state_dict()[name], value)
 
 
+def test_a_checkpoint_of_other_courses_is_refused(tmp_path: Path) -> None:
+    courses = [np.stack([np.linspace(0.0, 100.0, 50)] * 2, axis=1)]
+    train_reader(small_recipe(2), tmp_path, processes=0, courses=courses)
+    with pytest.raises(ValueError, match="other settings"):
+        train_reader(small_recipe(2), tmp_path, processes=0, courses=[1.1 * courses[0]])
+
+
 def test_a_training_begins_with_given_weights(tmp_path: Path) -> None:
     recipe = replace(small_recipe(1), learning_rate=1e-9, weight_decay=0.0)
     torch.manual_seed(99)

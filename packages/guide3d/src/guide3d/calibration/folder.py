@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from guide3d.calibration.perforated_sheet import find_holes
@@ -14,43 +15,54 @@ _CAMERA_ENDINGS = ("txt", "yaml", "yml")
 _SHEET_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 
-def cameras_in(folder: Path) -> tuple[Camera, Camera] | None:
-    """Cameras A (detector 16710) and B (16709) of a folder, or of its sub-folder "calibration".
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Two cameras that were calibrated together.
 
-    Args:
-        folder: with *16710*.txt and *16709*.txt (world unit cm), or .yaml; or with camera_a.* and camera_b.* of
-            another rig, as `python -m guide3d.dicom` writes them.
+    name: that of their files, with a star for the detector
+    cameras: A (detector 16710) and B (16709)
+    """
+
+    name: str
+    cameras: tuple[Camera, Camera]
+
+
+def cameras_in(folder: Path) -> tuple[Camera, Camera] | None:
+    """Cameras A (detector 16710) and B (16709) of a folder that has one set of them, as `rigs_in` finds it.
 
     Returns:
         Both; None where there is neither.
 
     Raises:
         FileNotFoundError: only one of them is there, or no such folder.
-        ValueError: several files of one detector, or one that cannot be understood.
+        ValueError: several sets of cameras, or a file that cannot be understood.
     """
-    if not folder.is_dir():
-        raise FileNotFoundError(f"{folder} is missing: expected a folder with camera files")
-    for place in (folder / "calibration", folder):
-        files = {
-            view: _only(place, detector, _CAMERA_ENDINGS) or _only(place, f"camera_{view}", _CAMERA_ENDINGS)
-            for view, detector in DETECTOR.items()
-        }
-        found = {view: file for view, file in files.items() if file is not None}
-        if len(found) == 1:
-            ((view, file),) = found.items()
-            missing = "b" if view == "a" else "a"
-            wanted = f"*{DETECTOR[missing]}*" if DETECTOR[view] in file.name else f"camera_{missing}"
-            raise FileNotFoundError(
-                f"{place} holds {file.name} only: the file of camera {missing.upper()}, {wanted}.txt or .yaml, "
-                "is missing"
-            )
-        if found:
-            a, b = (
-                read_camera(file) if file.suffix == ".txt" else read_opencv_yaml(file)
-                for file in (found["a"], found["b"])
-            )
-            return a, b
-    return None
+    files = _camera_files(folder)
+    if len(files) > 1:
+        names = ", ".join(name for name, _ in files)
+        raise ValueError(f"{folder} holds several sets of cameras ({names}): keep the one that is meant")
+    return _rig(*files[0]).cameras if files else None
+
+
+def rigs_in(folder: Path) -> list[Rig]:
+    """All sets of cameras of a folder, or of its sub-folder "calibration", by name.
+
+    Args:
+        folder: with *16710*.txt and *16709*.txt (world unit cm), or .yaml, several of the same name otherwise; or with
+            camera_a.* and camera_b.* of another rig, as `python -m guide3d.dicom` writes them.
+
+    Returns:
+        At least one.
+
+    Raises:
+        FileNotFoundError: no such folder, no cameras in it, or only one of a set.
+        ValueError: files that do not make sets, or one that cannot be understood.
+    """
+    files = _camera_files(folder)
+    if not files:
+        wanted = " and ".join(f"*{detector}*.txt" for detector in DETECTOR.values())
+        raise FileNotFoundError(f"{folder} holds no cameras: expected {wanted}, or .yaml")
+    return [_rig(*one) for one in files]
 
 
 def distortions_in(folder: Path) -> tuple[Distortion, Distortion] | None:
@@ -90,6 +102,63 @@ def distortions_of_sheets(folder: Path) -> tuple[Distortion, Distortion] | None:
     frame = "bounding box" if texts else "least squares"
     a, b = (Distortion.from_holes(find_holes(eight_bits(read_grey_levels(file))), frame=frame) for file in sheets)
     return a, b
+
+
+def distortions_of(folder: Path) -> tuple[Distortion, Distortion] | None:
+    """Both detectors' distortion maps of a folder, or those measured by its X-rays of perforated sheets.
+
+    Returns:
+        Those of cameras A and B; None where there is neither.
+
+    Raises:
+        ValueError: a map or a sheet that cannot be read.
+    """
+    return distortions_in(folder) or distortions_of_sheets(folder)
+
+
+def _rig(name: str, files: dict[str, Path]) -> Rig:
+    a, b = (
+        read_camera(files[view]) if files[view].suffix == ".txt" else read_opencv_yaml(files[view]) for view in DETECTOR
+    )
+    return Rig(name, (a, b))
+
+
+def _camera_files(folder: Path) -> list[tuple[str, dict[str, Path]]]:
+    """Name and both files of each set of cameras, by name; none where there are no cameras."""
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is missing: expected a folder with camera files")
+    for place in (folder / "calibration", folder):
+        for tag in ("{detector}", "camera_{view}"):
+            sets: dict[str, dict[str, Path]] = {}
+            for view, detector in DETECTOR.items():
+                part = tag.format(detector=detector, view=view)
+                for ending in _CAMERA_ENDINGS:
+                    for file in sorted(place.glob(f"*{part}*.{ending}")):
+                        sets.setdefault(file.name.replace(part, "*"), {})[view] = file
+            whole = {name: files for name, files in sorted(sets.items()) if len(files) == len(DETECTOR)}
+            if whole:
+                return list(whole.items())
+            if sets:
+                return [_set_of(place, list(sets.values()), tag)]
+    return []
+
+
+def _set_of(place: Path, sets: list[dict[str, Path]], tag: str) -> tuple[str, dict[str, Path]]:
+    """The only file of either view, whatever they are called."""
+    found = {view: [files[view] for files in sets if view in files] for view in DETECTOR}
+    for view, files in found.items():
+        part = tag.format(detector=DETECTOR[view], view=view)
+        if not files:
+            other = next(file for them in found.values() for file in them)
+            wanted = f"*{part}*" if part.isdigit() else part
+            raise FileNotFoundError(
+                f"{place} holds {other.name} only: the file of camera {view.upper()}, {wanted}.txt or .yaml, is missing"
+            )
+        if len(files) > 1:
+            names = ", ".join(file.name for file in files)
+            raise ValueError(f"{place} holds several files of *{part}* ({names}): keep the one that is meant")
+    a, b = (files[0] for files in found.values())
+    return f"{a.name}, {b.name}", {"a": a, "b": b}
 
 
 def _only(folder: Path, name: str, endings: tuple[str, ...]) -> Path | None:

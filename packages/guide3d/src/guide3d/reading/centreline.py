@@ -9,7 +9,7 @@ from guide3d.geometry.polyline import Array, arc_length, at_length
 from guide3d.opencv import cv2
 from guide3d.reading.ridges import Map
 from guide3d.reconstruction.curve_fitting import smoothed
-from guide3d.setting_kinds import PixelDistance, PixelDistanceOrNone, Positive, Weight, settings
+from guide3d.setting_kinds import PixelDistance, Positive, Weight, settings
 
 
 @settings
@@ -21,6 +21,8 @@ class CentrelineSettings:
     stiffness_px: length over which the line is smoothed
     noise_px: standard deviation of a point on a probable ridge
     growth: growth of the standard deviation by distance from the nearest probable point
+    sure: confidence from which a point counts as probable
+    blend_points: standard deviation of the Gaussian that smooths the confidence along the line, in points
     """
 
     spacing_px: PixelDistance = 2.0
@@ -29,7 +31,7 @@ class CentrelineSettings:
     noise_px: PixelDistance = 0.7
     growth: Weight = 0.12
     sure: Positive = 0.5
-    blend_px: PixelDistanceOrNone = 2.0
+    blend_points: Weight = 2.0
 
 
 def centre_line(path: Array, probability: Map, settings: CentrelineSettings) -> tuple[Array, Array, Array]:
@@ -56,7 +58,7 @@ def centre_line(path: Array, probability: Map, settings: CentrelineSettings) -> 
         line = smoothed(target, weight, stiffness)
     line = at_length(line, np.linspace(0.0, arc_length(line)[-1], count))
     _, weight = _off_ridge(line, _normals(line, settings), probability, 2.0)
-    confidence = np.clip(gaussian_filter1d(weight, settings.blend_px, mode="nearest"), 0.0, 1.0)
+    confidence = np.clip(gaussian_filter1d(weight, settings.blend_points, mode="nearest"), 0.0, 1.0)
     return line, confidence, _deviation(line, confidence, settings)
 
 

@@ -24,10 +24,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from guide3d.calibration.folder import Rig, distortions_of, rigs_in
 from guide3d.geometry.distortion import Distortion
 from guide3d.image_file import write_png
 from guide3d.reading.image_reading import ImageReading, MapReader, read, shipped_reader
@@ -44,9 +46,10 @@ from guide3d.reading.output.curve_files import (
 from guide3d.reading.output.overlay import draw_reading
 from guide3d.reading.output.space_page import space_page
 from guide3d.reading.pair_reading import FRAMES, PairReading, combine
-from guide3d.reading.rig_folder import Rig, distortions_of, rigs_in
 from guide3d.reading.sequence import FrameReading, read_pairs, read_sequence
 from guide3d.reconstruction.matching import clearly_better
+
+_TOLD_EVERY_S = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +96,7 @@ def _run(given: argparse.Namespace) -> None:
     source_a = Source(given.a)
     if given.b is None:
         if given.video:
-            _write_sequence(given, list(read_sequence(source_a.images(), _reader(given))), source_a, None)
+            _write_sequence(given, _told(read_sequence(source_a.images(), _reader(given))), source_a, None)
         else:
             _one(given, source_a)
         return
@@ -108,12 +111,24 @@ def _run(given: argparse.Namespace) -> None:
         frames = read_pairs(
             source_a.images(), source_b.images(), rig.cameras, geometry.distortions, given.frame, network
         )
-        _write_sequence(given, list(frames), source_a, source_b)
+        _write_sequence(given, _told(frames), source_a, source_b)
         return
     _, reading = _fitting(given, first, geometry, network)
     if not reading.accepted:
-        raise ValueError(next((text for text in reading.messages if _is_refusal(text)), "; ".join(reading.messages)))
+        raise ValueError(reading.refusal)
     _write_pair(given, first, reading)
+
+
+def _told(frames: Iterable[FrameReading]) -> list[FrameReading]:
+    """All frames of a sequence; every few seconds stderr says how many were read."""
+    read_so_far: list[FrameReading] = []
+    told = time.monotonic()
+    for frame in frames:
+        read_so_far.append(frame)
+        if time.monotonic() - told > _TOLD_EVERY_S:
+            told = time.monotonic()
+            sys.stderr.write(f"guide3d.read: {len(read_so_far)} frames\n")
+    return read_so_far
 
 
 def _one(given: argparse.Namespace, source: Source) -> None:
@@ -230,10 +245,6 @@ def _fitting(
         listed = ", ".join(f"{rig.name} ({reading.residual_px:.2f} px)" for rig, reading in fits)
         _say([f"{best[0].name} was taken of several sets of cameras: {listed}; keep the one that is meant"])
     return best
-
-
-def _is_refusal(text: str) -> bool:
-    return "look swapped" in text or "do not show one wire" in text or text.startswith("rejected")
 
 
 def _reader(given: argparse.Namespace) -> MapReader:

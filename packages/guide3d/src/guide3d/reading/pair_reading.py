@@ -32,11 +32,13 @@ class PairReadingSettings:
 
     residual_per_px: what a px of epipolar residual costs a pair of candidates, in px of certain wire
     coverage: what it costs to match nothing of a curve, in px as well
+    sample_px: spacing of the points that are matched
     doubtful_px: epipolar residual above which other readings are tried: images already undistorted, cameras swapped
     common_px: standard deviation of an image's curve that the fit does not see, for it is common to many points
     tip_px: standard deviation of a tip along its curve
     tip_mm: how far from the tip that counts
     refused_px: epipolar residual above which the two curves are not of one wire under these cameras
+    least_coverage: share of the wire below which they are not, either
     """
 
     reading: CurveReadingSettings | None = None
@@ -62,7 +64,7 @@ class PairReading:
     undistorted_px: per view (m, 2) the curve that was reconstructed
     reconstruction: with residuals and matched points
     residual_px: epipolar residual of the two curves
-    accepted: whether the two curves are of one wire under these cameras
+    refusal: why the two curves are not of one wire under these cameras, as a sentence; empty where they are
     messages: what to be careful about, as sentences
     """
 
@@ -72,8 +74,13 @@ class PairReading:
     undistorted_px: tuple[Array, Array]
     reconstruction: Reconstruction
     residual_px: float
-    accepted: bool
+    refusal: str
     messages: list[str]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the two curves are of one wire under these cameras."""
+        return not self.refusal
 
     @property
     def sd_mm(self) -> Array:
@@ -164,12 +171,11 @@ def combine(
     of_views = [f"image {name}: {text}" for name, view in zip(VIEWS, read_as, strict=True) for text in view.messages]
     messages = of_views + messages
     covariance = wire.covariance_mm2 + _reading_covariance(cameras, wire, points, read_as, chosen)
-    for warning in wire.warnings:
-        if not warning.startswith(("the cameras look swapped", "the tips miss")) or accepted:
-            messages.append(warning)
-    return PairReading(
-        wire.curve_mm, covariance, read_as, points, wire, best.residual_px, accepted and wire.accepted, messages
-    )
+    refusal = doubt
+    if accepted:  # otherwise the reconstruction's warnings say the same once more
+        messages += wire.warnings
+        refusal = "" if wire.accepted else "; ".join(wire.warnings)
+    return PairReading(wire.curve_mm, covariance, read_as, points, wire, best.residual_px, refusal, messages)
 
 
 def _view(

@@ -157,7 +157,6 @@ def _described(pieces: list[tuple[Array, tuple[bool, bool]]], probability: Map, 
     worth = []
     for points, _ in pieces:
         column, row = points.astype(int).T
-        # the smoothed map is lower than the map on thin wires: what surrounds a pixel counts by its largest value
         worth.append(float((probability[row, column] - settings.worth_above).sum()))
     order = [k for k in np.argsort(worth)[::-1][: settings.pieces] if worth[k] > 0]
     kept = [pieces[k] for k in order]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
@@ -119,7 +120,8 @@ def train_reader(
         The averaged network, and steps, seconds (of this run), processor seconds and the last loss.
 
     Raises:
-        ValueError: the checkpoint in `folder` is of another recipe or seed, or the loss is not finite.
+        ValueError: the checkpoint in `folder` is of another recipe, seed, courses, backgrounds or start, or the loss is
+            not finite.
     """
     torch.manual_seed(seed)
     network = _made(recipe)
@@ -128,9 +130,9 @@ def train_reader(
     averaged = _made(recipe)
     averaged.load_state_dict(network.state_dict())
     optimiser = torch.optim.AdamW(network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
-    identity = json.dumps(
-        {"recipe": asdict(recipe), "seed": seed, "given": len(courses) + len(backgrounds), "start": start is not None}
-    )
+    given = _digest([*courses, *backgrounds, *(value.numpy() for value in (start or {}).values())])
+    counts = [len(courses), len(backgrounds), len(start or {})]
+    identity = json.dumps({"recipe": asdict(recipe), "seed": seed, "counts": counts, "given": given})
     path = folder / CHECKPOINT
     step = 0
     if path.is_file():
@@ -174,6 +176,14 @@ def train_reader(
         "processor_seconds": time.process_time() - own, "bfloat16": reduced,
     }  # fmt: skip
     return averaged.eval(), report
+
+
+def _digest(arrays: Sequence[NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(f"{array.shape} {array.dtype}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def _made(recipe: ReaderRecipe) -> ReaderNetwork:
