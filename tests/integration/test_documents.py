@@ -21,9 +21,11 @@ PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
 READMES = [PROJECT_ROOT / "packages" / package / "README.md" for package in PACKAGES]
 PAGES = sorted(DOCS.rglob("*.md"))
 STAGES = {path.stem for path in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml")}
-DOCUMENTS = [PROJECT_ROOT / "README.md", *READMES, *PAGES]
+TOP = [PROJECT_ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
+CONTENTS = DOCS / "index.md"
+DOCUMENTS = [*TOP, *READMES, *PAGES]
 WORD_LIMIT = 1_200
-FOLDERS = ("pipeline/", "packages/", "benchmarks/", "tests/", "conf/", "docs/")
+FOLDERS = ("pipeline/", "packages/", "benchmarks/", "tests/", "conf/", "docs/", "examples/")
 DOTTED = re.compile(rf"(?:{'|'.join((*PACKAGES, 'pipeline'))})(?:\.\w+)+")
 # Groups of entry points, which look like modules and are none.
 ENTRY_POINTS = {"cathsim.recorders"}
@@ -276,7 +278,7 @@ def table_column(text: str, header: str) -> list[str]:
 
 
 def test_tables_of_stages_are_complete() -> None:
-    for document in (ARCHITECTURE, PROJECT_ROOT / "README.md", DOCS / "pipeline" / "stages.md"):
+    for document in (ARCHITECTURE, DOCS / "pipeline" / "stages.md"):
         listed = [cell.strip("`") for cell in table_column(read(document), "stage")]
         assert set(listed) == STAGES, relative(document)
         assert len(listed) == len(STAGES)
@@ -294,9 +296,48 @@ def test_every_table_of_the_report_is_listed_with_its_stage_and_module() -> None
         assert f'"{name}"' in read(Path(str(source.origin))), f"{module} makes no table {name}"
 
 
-def test_every_page_of_the_documents_is_listed_in_the_readme() -> None:
+def test_every_page_of_the_documents_is_listed_in_the_contents() -> None:
+    text = read(CONTENTS)
+    pages = [page.relative_to(DOCS).as_posix() for page in PAGES if page != CONTENTS]
+    assert not [page for page in pages if f"]({page})" not in text]
+    assert "](docs/index.md)" in read(PROJECT_ROOT / "README.md")
+
+
+def news() -> list[str]:
+    """The lines of the readme that say what is new."""
+    section = re.search(r"^## What is new\n(.*?)^## ", read(PROJECT_ROOT / "README.md"), re.DOTALL | re.MULTILINE)
+    assert section
+    return re.findall(r"^- .*$", section[1], re.MULTILINE)
+
+
+@pytest.mark.parametrize("line", news(), ids=lambda line: line[4:30])
+def test_figures_of_the_readme_stand_in_the_results(line: str) -> None:
+    (link,) = re.findall(r"\]\((docs/results/[\w.]+)\)", line)
+    figures = re.findall(r"\d+(?:\.\d+)?", re.sub(r"\]\([^)]*\)|\*\*.*?\*\*|95 %|Simmons 2", "", line))
+    found = set(re.findall(r"\d+(?:\.\d+)?", read(PROJECT_ROOT / link)))
+    assert figures
+    assert not sorted(set(figures) - found)
+    assert re.search(r"\(\d[\d.]* to \d[\d.]*\)", line), "an interval"
+
+
+def test_readme_is_short_and_shows_a_small_film() -> None:
     text = read(PROJECT_ROOT / "README.md")
-    assert not [relative(page) for page in PAGES if page.parent.name != "results" and relative(page) not in text]
+    assert len(text.split()) <= WORD_LIMIT
+    before_news = text.split("## What is new")[0]
+    (film,) = re.findall(r"!\[[^\]]+\]\(([^)]+\.gif)\)", before_news)
+    assert (PROJECT_ROOT / film).stat().st_size < 1_000_000
+    assert len(news()) == 5
+
+
+def test_the_thesis_is_cited() -> None:
+    citation = yaml.safe_load(read(PROJECT_ROOT / "CITATION.cff"))
+    (thesis,) = citation["references"]
+    (author,) = thesis["authors"]
+    cited = (author["given-names"], author["family-names"], thesis["title"], thesis["institution"]["name"])
+    assert all(part in read(PROJECT_ROOT / "README.md").replace("\n", " ") for part in (*cited, str(thesis["year"])))
+    version = re.search(r'^version = "(.+)"$', read(PROJECT_ROOT / "pyproject.toml"), re.MULTILINE)
+    assert version
+    assert citation["version"] == version[1]
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page.parent.name == "results"], ids=relative)

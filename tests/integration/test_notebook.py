@@ -29,7 +29,7 @@ NOTEBOOK = DOCS / "tutorial.ipynb"
 PAGES = (
     "pipeline/logs.md", "pipeline/viewers.md", "guide3d/overview.md", "guide3d/dataset.md",
     "guide3d/reconstruction.md", "guide3d/networks.md", "splineformer/network.md", "splineformer/navigation.md",
-    "enn/policies.md", "enn/networks.md", "enn/training.md", "enn/imitation.md",
+    "enn/policies.md", "enn/networks.md", "enn/training.md", "enn/imitation.md", "getting_started.md",
 )  # fmt: skip
 
 
@@ -149,7 +149,7 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
             shutil.copy("mine.mcap", "episode.mcap")
     assert results["pipeline/logs.md"]["force"].shape == (41,)
     assert used == set(SMALLER)
-    assert results["../README.md"]["policy"].keys == ("feeder",)
+    assert results["getting_started.md"]["policy"].keys == ("feeder",)
     assert results["enn/policies.md"]["own"].keys == ("offset", "shape", "feeder")
     assert results["enn/imitation.md"]["policy"].keys == ("image",)
     assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]

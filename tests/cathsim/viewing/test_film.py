@@ -27,6 +27,24 @@ def test_a_film_has_every_second_step_and_the_last(tmp_path: Path) -> None:
         assert getattr(shown, "n_frames", 1) == 3
 
 
+def test_films_of_two_anatomies_are_appended(tmp_path: Path) -> None:
+    films = []
+    for phantom in ("type_1", "type_2"):
+        environment = NavigateEnv(phantom, "bca", observation="tip")
+        environment.reset(seed=0)
+        film = Film()
+        film.add(environment)
+        film.close()
+        films.append(film)
+    films[0].append(films[1])
+    films[0].write(tmp_path / "both.gif")
+    with Image.open(tmp_path / "both.gif") as shown:
+        assert getattr(shown, "n_frames", 1) == 2
+        first = np.asarray(shown.convert("L"), float)
+        shown.seek(1)
+        assert (np.abs(np.asarray(shown.convert("L"), float) - first) > 30).mean() > 0.02, "another arch"
+
+
 def test_a_gif_keeps_the_colours_of_its_palette(tmp_path: Path) -> None:
     frames = [np.full((4, 6, 3), value, np.uint8) for value in (0, 255)]
     write_gif(tmp_path / "two.gif", frames, [0, 0, 0, 255, 255, 255], 10.0)

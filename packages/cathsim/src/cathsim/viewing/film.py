@@ -55,6 +55,10 @@ class Film:
             frame = np.concatenate((frame, self._view.render(simulation, goal)), axis=1)
         self._frames.append(frame)
 
+    def append(self, other: Film) -> None:
+        """Adds the frames of a film of the same size, such as of an episode in another anatomy."""
+        self._frames += other._frames
+
     def _open(self, simulation: Simulation) -> None:
         from cathsim.observations.fluoroscopes import Fluoroscope
         from cathsim.viewing.camera_view import RenderingUnavailableError, View
