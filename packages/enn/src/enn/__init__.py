@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from enn.reinforcement.encoded import EncodedEnvs as EncodedEnvs
     from enn.reinforcement.training import Training as Training
     from enn.reinforcement.training_settings import TrainingSettings as TrainingSettings
+    from enn.shipped import load as load
+    from enn.shipped import models as models
     from enn.trajectory import Trajectory as Trajectory
 
 __version__ = "0.1.0"
@@ -40,7 +42,9 @@ _HOME = {
     "Trajectory": "trajectory",
     "fit_encoder": "encoder",
     "layer_table": "networks.features",
+    "load": "shipped",
     "modality_keys": "networks.features",
+    "models": "shipped",
     "scripted_samples": "encoder",
 }
 

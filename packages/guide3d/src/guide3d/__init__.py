@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         reconstruct,
         reconstruct_greedy,
     )
+    from guide3d.shipped import load, models
 
 __version__ = "0.1.0"
 
@@ -34,6 +35,8 @@ _HOME = {
     "read_camera": "geometry.camera",
     "Dataset": "dataset.dataset",
     "Distortion": "geometry.distortion",
+    "load": "shipped",
+    "models": "shipped",
     "ImageReading": "reading.image_reading",
     "PairReading": "reading.pair_reading",
     "read": "reading.image_reading",
@@ -55,6 +58,8 @@ __all__ = [
     "ReconstructionSettings",
     "__version__",
     "fit_bspline",
+    "load",
+    "models",
     "read",
     "read_camera",
     "read_pair",

@@ -20,6 +20,7 @@ _HOMES = {
     "curve_errors": "splineformer.comparison.curve_errors",
     "attention_map": "splineformer.attention",
     "export_onnx": "splineformer.export",
+    "models": "splineformer.shipped",
     "recipe_of": "splineformer.learning.recipes",
     "train": "splineformer.learning.training",
 }

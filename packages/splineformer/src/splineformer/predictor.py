@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array, arc_length
 from guide3d.learning.model_file import UNFIT, read_model, write_model
+from guide3d.shipped import shipped_file
 from splineformer.build import described, rebuilt
 from splineformer.image_input import Picture, picture_of, pixels_of_shares
 from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
@@ -22,6 +23,7 @@ from splineformer.modeling.image_head import WIRES
 from splineformer.tokens import FEWEST_TOKENS, curve_of_tokens, sampled
 
 KIND = "splineformer"
+PRETRAINED = "ordered"  # the variant that is shipped
 SOURCE_PX = 1024
 _BATCH = 8
 _LENGTH_SAMPLES = 400
@@ -115,6 +117,20 @@ class Predictor:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} cannot be used: {reason}") from error
         return cls(network, source_px=source_px, **options)
+
+    @classmethod
+    def pretrained(cls, name: str = PRETRAINED, **options: Any) -> Predictor:
+        """Loads a network that is shipped with the package; the options are those of a new predictor.
+
+        Args:
+            name: one of `splineformer.models()`.
+
+        Raises:
+            ValueError: there is none of this name, or its file is damaged or of a format that this version does not
+                read.
+        """
+        with shipped_file(name, "splineformer") as path:
+            return cls.load(path, **options)
 
     def save(self, path: Path | str, **metadata: Any) -> None:
         """Writes the network with its settings and metadata (numbers and strings), whole or not at all."""

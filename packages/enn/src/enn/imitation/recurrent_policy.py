@@ -194,6 +194,11 @@ class RecurrentController:
         self._action = np.zeros(ACTIONS, np.float32)
         self._left = 0
 
+    @property
+    def view(self) -> Any:
+        """What the perception keeps of the episode; None before the first decision."""
+        return self._view
+
     def __call__(self, observation: Observation, info: Mapping[str, Any] | None = None) -> NDArray[np.float32]:
         """The (2,) action of this step."""
         if self._view is None:

@@ -1,0 +1,54 @@
+"""Image policy: a recurrent policy and the perception that it learnt with, from one file, ready to steer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from enn.imitation.image_perception import ImagePerception, load_image_policy
+from enn.imitation.recurrent_policy import RecurrentController, RecurrentPolicy
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePolicy:
+    """A policy that steers by images alone.
+
+    Attributes:
+        policy: features to actions.
+        perception: images to features.
+    """
+
+    policy: RecurrentPolicy
+    perception: ImagePerception
+
+    @classmethod
+    def load(cls, path: Path | str, device: torch.device | str = "cpu") -> ImagePolicy:
+        """Reads a policy that sees images, and its perception, onto a device.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file is damaged, holds something else, or is of another architecture.
+        """
+        return cls(*load_image_policy(path, device))
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the observations that it sees."""
+        return self.perception.keys
+
+    @property
+    def action_repeat(self) -> int:
+        """Environment steps that each action is meant for."""
+        return self.policy.settings.action_repeat
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What its file says of its training."""
+        return self.policy.metadata
+
+    def controller(self) -> RecurrentController:
+        """The policy over episodes; call its `reset()` at the start of each."""
+        return self.perception.controller(self.policy)

@@ -1,0 +1,89 @@
+"""Shipped policies: trained weights in the installed package, found by name and without a network connection.
+
+A policy is two files in ``enn/weights``: ``<name>.pt``, and ``<name>.md``, its card, which says what it sees, what it
+was trained on, how well it did, and where it fails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import enn
+from enn.imitation.image_policy import ImagePolicy
+from enn.imitation.recurrent_policy import FORMAT as IMAGE_FORMAT
+from enn.model_file import decoded
+from enn.policy import FORMAT, Policy
+
+_SUFFIX, _CARD = ".pt", ".md"
+_READERS: dict[str, Callable[[Path, torch.device | str], Policy | ImagePolicy]] = {
+    FORMAT: Policy.load,
+    IMAGE_FORMAT: ImagePolicy.load,
+}
+
+
+def models() -> dict[str, str]:
+    """The shipped policies: name to a sentence that says what each does."""
+    return {name: _sentence(name) for name in sorted(_names())}
+
+
+def card(name: str) -> str:
+    """The card of a shipped policy, as Markdown.
+
+    Raises:
+        ValueError: there is none of this name; the message lists those that there are.
+    """
+    _require(name)
+    return files("enn.weights").joinpath(name + _CARD).read_text(encoding="utf-8")
+
+
+def load(name: str, device: torch.device | str = "cpu") -> Policy | ImagePolicy:
+    """Loads a shipped policy onto a device.
+
+    Args:
+        name: one of `models`.
+
+    Returns:
+        With `keys`, the observations that it sees, `action_repeat`, and `controller()`, which steers an episode.
+
+    Raises:
+        ValueError: there is none of this name, or its file is damaged or of a format that this version does not read.
+    """
+    _require(name)
+    with as_file(files("enn.weights") / (name + _SUFFIX)) as path:
+        form = _format_of(path)
+        if form is not None and form not in _READERS:
+            raise ValueError(
+                f"the model {name!r} has format {form}, but enn {enn.__version__} reads {' and '.join(_READERS)}: "
+                "install the version of enn that it was shipped with"
+            )
+        # a file without a format is damaged: the reader says so
+        return _READERS.get(str(form), Policy.load)(path, device)
+
+
+def _names() -> list[str]:
+    entries = files("enn.weights").iterdir()
+    return [entry.name.removesuffix(_SUFFIX) for entry in entries if entry.name.endswith(_SUFFIX)]
+
+
+def _require(name: str) -> None:
+    known = sorted(_names())
+    if name not in known:
+        raise ValueError(f"there is no model {name!r}: choose from {', '.join(known) or 'none, as none is shipped'}")
+
+
+def _sentence(name: str) -> str:
+    """The first paragraph below the title of a card."""
+    return " ".join(card(name).split("\n\n")[1].split())
+
+
+def _format_of(path: Path) -> Any:
+    try:
+        content = decoded(path.read_bytes())
+    except Exception:  # a damaged file: what torch raises is not of one kind
+        return None
+    return content.get("format") if isinstance(content, dict) else None
