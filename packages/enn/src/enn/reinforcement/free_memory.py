@@ -1,7 +1,8 @@
-"""Memory that a process may still take."""
+"""Memory that a process may still take, and what it holds without need."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 from pathlib import Path
 
@@ -20,6 +21,16 @@ def available_bytes() -> int:
     except (OSError, ValueError):
         pass  # no control groups here
     return there
+
+
+def trim_heap() -> None:
+    """Gives the free pages inside the heap back to the system, where its C library does not do so by itself (glibc).
+
+    A training over many anatomies otherwise grows to more than twice of what it holds.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(ctypes.c_size_t(0))
 
 
 def _machine() -> int:

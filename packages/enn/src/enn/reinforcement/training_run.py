@@ -22,6 +22,7 @@ from enn.model_file import UNFIT
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointFolder, random_states, restore_random_states
 from enn.reinforcement.evaluation import BestPolicy
+from enn.reinforcement.free_memory import trim_heap
 from enn.reinforcement.proximal_policy import PpoLearner
 from enn.reinforcement.replay import demonstration_replay
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
@@ -234,6 +235,7 @@ class TrainingRun:
         last = self.curve[-1]["decisions"] if self.curve else 0
         if self.decisions >= self.next_row or (over and last < self.decisions):
             self._row()
+            trim_heap()
             while self.next_row <= self.decisions:
                 self.next_row += self.settings.curve_every
         waited = time.perf_counter() - self.saved >= self.settings.checkpoint_seconds
