@@ -32,7 +32,8 @@ from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
 from cathsim.metrics.load_cell import MINI40, step_forces
 from cathsim.physics_checks.two_devices import cantilever_cases, coaxial_error_deg, default_pair
 from cathsim.physics_checks.unguided import steps_per_second
-from cathsim.planning.sampling import TWO_DEVICES, ExpertSettings, SamplingExpert
+from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
+from cathsim.planning.sampling import SamplingExpert
 from cathsim.presets import ACCURACY
 from cathsim.simulation import CONTROL_STEP
 

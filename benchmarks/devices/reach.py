@@ -32,7 +32,8 @@ import numpy as np
 from cathsim import NavigateEnv, load_guidewire, load_phantom
 from cathsim.anatomy.generator.recipe import draw_recipe
 from cathsim.metrics.intervals import wilson_interval
-from cathsim.planning.sampling import TWO_DEVICES, SamplingExpert
+from cathsim.planning.expert_settings import TWO_DEVICES
+from cathsim.planning.sampling import SamplingExpert
 
 TARGET, WIRE_LENGTH = "lcca", 0.36
 FIRST_SEED = 33_000

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from cathsim import NavigateEnv
 from cathsim.devices.rod import WIRE
 from cathsim.devices.simulation import DualSimulation
-from cathsim.planning.sampling import TWO_DEVICES, SamplingExpert
+from cathsim.planning.expert_settings import TWO_DEVICES
+from cathsim.planning.sampling import SamplingExpert
 
 Array = NDArray[np.float64]
 

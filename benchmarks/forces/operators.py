@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim import NavigateEnv
-from cathsim.planning.sampling import TWO_DEVICES, SamplingExpert
+from cathsim.planning.expert_settings import TWO_DEVICES
+from cathsim.planning.sampling import SamplingExpert
 from cathsim.planning.scripted_motions import MAX_ADVANCE, MAX_TURN, RandomMoves
 
 if TYPE_CHECKING:

@@ -72,8 +72,10 @@ def planned_training(
     """The job of one training of a stage's table.
 
     Args:
-        settings: of the stage; its variant "desk" sees through an encoder.
+        settings: of the stage; its variant "desk" sees through an encoder, unless the observations are compact.
     """
+    from enn.networks.features import COMPACT
+
     held_out_seeds(seed, settings.evaluation_episodes)  # refuses too many, or too large a seed, before any work
     expert_seeds(seed, expert_episodes)
     encoder = context.path / ENCODERS / task.phantom / f"{'+'.join(keys)}.pt"
@@ -84,7 +86,7 @@ def planned_training(
         settings=training,
         task=task,
         keys=keys,
-        encoder=None if settings.variant == THESIS else encoder,
+        encoder=None if settings.variant == THESIS or set(keys) <= set(COMPACT) else encoder,
         demonstrations=demonstrations(task, context) if settings.demonstrations else (),
         evaluation_episodes=settings.evaluation_episodes,
         expert_episodes=expert_episodes,

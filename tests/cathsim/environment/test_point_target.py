@@ -14,7 +14,8 @@ import pytest
 
 from cathsim import ENVIRONMENT, NavigateEnv, NavigationTask, Phantom
 from cathsim.many_anatomies import NavigateManyEnv
-from cathsim.planning.sampling import ExpertSettings, SamplingExpert
+from cathsim.planning.expert_settings import ExpertSettings
+from cathsim.planning.sampling import SamplingExpert
 from cathsim.vector import ThreadedVectorEnv
 
 MakeEnv = Callable[..., NavigateEnv]

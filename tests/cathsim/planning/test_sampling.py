@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.planning.manoeuvres import Manoeuvre
-from cathsim.planning.sampling import TWO_DEVICES, ExpertSettings, SamplingExpert
-from cathsim.simulation import Simulation
+from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
+from cathsim.planning.plan_trials import PlanTrials
+from cathsim.planning.sampling import SamplingExpert
 
 MakeEnv = Callable[..., NavigateEnv]
 SMALL = ExpertSettings(horizon=6, execute=3, samples=8, elites=3, rounds=2)
@@ -84,27 +84,6 @@ def test_bad_settings_are_refused(make_env: MakeEnv) -> None:
         SamplingExpert(make_env(actions="tip_motors"))
 
 
-def test_claims_are_checked_in_the_environments_own_steps(make_env: MakeEnv, monkeypatch: pytest.MonkeyPatch) -> None:
-    env = make_env(target="lcca", accuracy="accurate")
-    expert = SamplingExpert(env, seed=0, settings=dataclasses.replace(SMALL, confirm=2), threads=1)
-    env.reset(seed=0)
-    env.simulation.reset(insertion=0.12)
-    own = expert._own
-    assert own is not None
-    assert own.numerics == env.simulation.numerics
-    real = SamplingExpert._cost
-
-    def claiming(self: SamplingExpert, copy: Simulation, state: np.ndarray, plan: np.ndarray) -> float:
-        return real(self, copy, state, plan) if copy is own else -0.9
-
-    monkeypatch.setattr(SamplingExpert, "_cost", claiming)
-    plans = np.zeros((4, 3, 2))
-    costs = expert._costs(env.simulation.state(), plans)
-    here = env.task.remaining(env.phantom, env.simulation.tip_in_vessel)
-    assert costs[:2] == pytest.approx(here, abs=0.002)
-    assert (costs[2:] == 1.0).all(), "claims that were not checked are not believed"
-
-
 def test_a_tip_that_gets_no_nearer_is_drawn_back(make_env: MakeEnv) -> None:
     env = make_env(target="lcca")
     expert = SamplingExpert(env, seed=0, settings=dataclasses.replace(SMALL, patience=2), threads=1)
@@ -128,23 +107,6 @@ def test_two_devices_wait_and_check_and_a_wire_does_not() -> None:
     assert ExpertSettings().most_force == 1000.0
 
 
-def test_forces_beyond_the_most_cost_more_than_any_distance_gains(make_env: MakeEnv) -> None:
-    env = make_env(target="lcca")
-    env.reset(seed=0)
-    env.simulation.reset(insertion=0.12)
-    state, plan = env.simulation.state(), np.tile([1.0, 0.0], (8, 1))
-    free = SamplingExpert(env, settings=SMALL, threads=1)
-    largest = free._largest_force(free._copies[0], state, plan)
-    assert largest > 0.0
-    limit = 0.5 * largest
-    bound = SamplingExpert(env, settings=dataclasses.replace(SMALL, most_force=limit), threads=1)
-    costs = [expert._cost(expert._copies[0], state, plan) for expert in (free, bound)]
-    assert costs[1] - costs[0] == pytest.approx(largest - limit)
-    through = Manoeuvre(np.zeros(3), plan, 0)
-    endings = [expert._ending(expert._copies[0], state, through) for expert in (free, bound)]
-    assert endings[0][1] > endings[1][1] or endings[0][0] < endings[1][0], "the manoeuvre ends where the force is"
-
-
 def test_a_retreat_is_drawn_again_until_one_is_gentle(make_env: MakeEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     env = make_env(target="lcca")
     env.reset(seed=0)
@@ -152,11 +114,11 @@ def test_a_retreat_is_drawn_again_until_one_is_gentle(make_env: MakeEnv, monkeyp
     forces = iter([5.0, 3.0, 1.0])
     drawn: list[np.ndarray] = []
 
-    def told(self: SamplingExpert, copy: Simulation, state: np.ndarray, plan: np.ndarray) -> float:
+    def told(self: PlanTrials, state: np.ndarray, plan: np.ndarray) -> float:
         drawn.append(plan)
         return next(forces)
 
-    monkeypatch.setattr(SamplingExpert, "_largest_force", told)
+    monkeypatch.setattr(PlanTrials, "largest_force", told)
     chosen = expert._gentle_retreat(env.simulation.state(), 0.0)
     assert len(drawn) == 3
     assert chosen is drawn[2]

@@ -27,6 +27,8 @@ SPACE = gymnasium.spaces.Dict(
         "joints": gymnasium.spaces.Box(-np.inf, np.inf, (336,), np.float32),
         "image": PICTURE,
         "mask": PICTURE,
+        "roadmap": gymnasium.spaces.Box(-np.inf, np.inf, (71,), np.float32),
+        "history": gymnasium.spaces.Box(-np.inf, np.inf, (18,), np.float32),
         "internal": gymnasium.spaces.Box(-np.inf, np.inf, (40,), np.float32),
         "sequential": gymnasium.spaces.Box(0, 255, (3, 128, 128), np.uint8),
     }
@@ -71,6 +73,7 @@ def test_the_tables_are_those_of_the_networks_inside_the_extractor() -> None:
         ("I", ("joints",)),
         ("V+M", ("image", "mask")),
         ("I+V+M", ("joints", "image", "mask")),
+        ("R", ("roadmap", "history")),
         ("sequential", ("sequential",)),
     ],
 )
@@ -80,12 +83,12 @@ def test_modality_sets_name_observations(modalities: str, keys: tuple[str, ...])
 
 @pytest.mark.parametrize("wrong", ["", "M+V", "I+X", "joints"])
 def test_an_unknown_modality_set_is_refused_with_the_valid_ones(wrong: str) -> None:
-    with pytest.raises(ValueError, match=r"I, V, M, I\+V, I\+M, V\+M, I\+V\+M, internal, image, sequential"):
+    with pytest.raises(ValueError, match=r"I, V, M, I\+V, I\+M, V\+M, I\+V\+M, R, internal, image, sequential"):
         modality_keys(wrong)
 
 
 @pytest.mark.parametrize("variant", ["thesis", "desk"])
-@pytest.mark.parametrize("modalities", ["I", "V", "M", "V+M", "I+V", "I+V+M", "sequential", "internal"])
+@pytest.mark.parametrize("modalities", ["I", "V", "M", "V+M", "I+V", "I+V+M", "R", "sequential", "internal"])
 def test_every_set_gives_a_compact_vector(variant: str, modalities: str) -> None:
     keys = modality_keys(modalities)
     extractor = MultimodalExtractor(SPACE, keys, variant)
@@ -141,7 +144,7 @@ def test_gradients_reach_every_modality() -> None:
 def test_bad_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="unknown variant 'lab'; there are thesis, desk"):
         MultimodalExtractor(SPACE, variant="lab")
-    with pytest.raises(ValueError, match="wants 'tip', but the observation has image"):
+    with pytest.raises(ValueError, match="wants 'tip', but the observation has history, image"):
         MultimodalExtractor(SPACE, ("image", "tip"))
     with pytest.raises(ValueError, match=r"128 .* or 256 .*, got 64"):
         MultimodalExtractor(SPACE, ("image",), image_features=64)

@@ -58,6 +58,15 @@ def test_desk_sees_through_an_encoder_and_the_thesis_does_not(place: StageContex
     assert thesis.settings.batch_size == 256
 
 
+def test_a_roadmap_needs_no_encoder(place: StageContext) -> None:
+    task = Task(wire_length_mm=360.0, catheter="simmons2")
+    job = plan(settings(modality="R", target="lcca", phantom="random_33009", task=task), place)[0]
+    assert (job.name, job.encoder) == ("random_33009/lcca/R/seed0", None)
+    assert job.keys == ("roadmap", "history")
+    assert job.settings.extractor == "vectors"
+    assert job.settings.normalise
+
+
 def test_run_seeds_share_no_training(place: StageContext) -> None:
     seeds = [seed for run in range(4) for seed in training_seeds(run, 2, 3)]
     assert len(set(seeds)) == len(seeds)

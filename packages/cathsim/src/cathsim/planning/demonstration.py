@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from cathsim.many_anatomies import NavigateManyEnv
-from cathsim.planning.sampling import TWO_DEVICES, ExpertSettings, SamplingExpert
+from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
+from cathsim.planning.sampling import SamplingExpert
 
 ROLLOUTS = 1200  # of the expert, after which a demonstration counts as failed
 

@@ -12,8 +12,9 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-MODALITIES = {"I": ("joints",), "V": ("image",), "M": ("mask",)}
-MODALITY_SETS = ("I", "V", "M", "I+V", "I+M", "V+M", "I+V+M")
+MODALITIES = {"I": ("joints",), "V": ("image",), "M": ("mask",), "R": ("roadmap", "history")}
+MODALITY_SETS = ("I", "V", "M", "I+V", "I+M", "V+M", "I+V+M", "R")
+COMPACT = MODALITIES["R"]  # a few numbers in the tip's frame: nothing is left for an encoder to do
 OBSERVATIONS = ("internal", "image", "sequential")  # of the reinforcement-learning chapter
 VARIANTS = ("thesis", "desk", "baselines")
 IMAGE_FEATURES = (128, 256)  # the thesis's table, its text
@@ -25,7 +26,8 @@ def modality_keys(modalities: str) -> tuple[str, ...]:
     """Names of the observations of a modality set.
 
     Args:
-        modalities: such as "I+V+M": I are the joints, V the image, M the mask; or one of the baselines' observations.
+        modalities: such as "I+V+M": I are the joints, V the image, M the mask; "R", the way ahead and the walls in the
+            tip's frame, with the last movements; or one of the baselines' observations.
 
     Raises:
         ValueError: there is no such set; names those that there are.
