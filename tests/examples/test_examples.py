@@ -1,0 +1,83 @@
+"""The examples run, in small sizes, and do what they say."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from cathsim import load_phantom
+from pipeline.episodes import EpisodeReader
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+HER = "her"  # has a test of its own
+
+
+@pytest.fixture
+def example(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The module of an example; on the path, so that its own processes find it."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    monkeypatch.delitem(sys.modules, request.param, raising=False)
+    return importlib.import_module(request.param)
+
+
+def of(name: str) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("example", [name], indirect=True)
+
+
+def test_every_example_has_a_test() -> None:
+    tested = {"own_anatomy", "own_policy", "own_reward", "own_data", "own_xray_pair", "sweep", HER}
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == tested
+
+
+@of("own_anatomy")
+def test_an_arch_of_own_measures_and_a_mesh_are_entered(
+    example: ModuleType, tmp_path: Path, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    assert example.main(steps=20)["insertion"] == pytest.approx(0.04, abs=0.002)
+    mesh = tmp_path / "arch.stl"
+    load_phantom("low_tortuosity", resolution=2e-3).lumen_mesh.export(mesh)
+    assert example.main(str(mesh), steps=5)["insertion"] == pytest.approx(0.01, abs=0.002)
+
+
+@of("own_policy")
+def test_a_policy_is_scored(example: ModuleType) -> None:
+    summary = example.main(episodes=2, steps=30)
+    assert summary.episodes == 2
+    assert summary.episode_length_steps.mean == 30
+    policy = example.TurnWhenStuck(seed=0)
+    actions = [policy({"distance": 0.1})[0] for _ in range(24)]
+    assert actions[:5] == [1.0] * 5, "fed at first"
+    assert -1.0 in actions, "drawn back when the tip comes no nearer"
+
+
+@of("own_reward")
+def test_the_reward_is_that_of_the_step(example: ModuleType) -> None:
+    info = {"progress": 0.002, "force": 0.05, "action": [1.0, -0.5]}
+    assert example.gentle_progress(info) == pytest.approx(0.2 - 0.1 - 0.005)
+    assert 0.0 < example.main(decisions=20) < 0.3
+
+
+@of("own_data")
+def test_logs_are_written_read_and_learnt_from(example: ModuleType, tmp_path: Path) -> None:
+    errors = example.main(str(tmp_path), episodes=2, steps=20, epochs=8)
+    assert errors[-1] < errors[0]
+    with EpisodeReader(tmp_path / "001.mcap") as log:
+        assert log.info.operator == "mine"
+
+
+@of("own_xray_pair")
+def test_a_drawn_pair_is_read_in_space(example: ModuleType) -> None:
+    error_mm = example.main()
+    assert error_mm < 1.0
+
+
+@of("sweep")
+def test_every_combination_is_run(example: ModuleType) -> None:
+    results = example.main(wires=("default",), catheters=(None,), targets=("bca", "lcca"), steps=2)
+    assert list(results) == [("default", None, "bca"), ("default", None, "lcca")]
+    assert all(steps == 2 and not reached for reached, steps, _ in results.values())
