@@ -16,6 +16,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
+from pipeline.jobs.engines.settings import SETTINGS
 from pipeline.settings.checks import shown, validated
 from pipeline.settings.kinds import (
     BranchNames,
@@ -69,6 +70,7 @@ class RunConfig:
     name: FolderName = "${budget.name}"  # the run folder below runs_dir
     runs_dir: PathText = "runs"
     seed: Seed = 0
+    engine: Any = None  # where jobs run: settings of pipeline.jobs.engines.settings; null: on this machine
     force: bool = False  # run even when the results are up to date
 
     @property
@@ -94,6 +96,8 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     OmegaConf.register_new_resolver("own_file", _own_file, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=RunConfig)
+    for name, settings in SETTINGS.items():
+        store.store(group="schema/engine", name=name, node=settings)
     for name in available_stages() if stages is None else stages:
         store.store(group="schema/stage", name=name, node=settings_of(name))
 

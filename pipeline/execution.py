@@ -12,6 +12,9 @@ from typing import Any
 
 from pipeline.config import RunConfig
 from pipeline.jobs.costs import OWN_PROCESS, CostMeter, keep_cost
+from pipeline.jobs.engines.choice import chosen_engine
+from pipeline.jobs.engines.settings import LOCAL
+from pipeline.jobs.engines.shared_files import end_earlier_jobs
 from pipeline.jobs.gpus import CPU, check_device
 from pipeline.settings.checks import settings_that_matter
 from pipeline.stages import Stage, StageContext, load_stage, missing_module, stage_module
@@ -43,7 +46,8 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     stage = load_stage(config.stage.name)
     stage.prepare(config.stage)
     stage.check(config.stage)
-    check_device(getattr(config.stage, "device", CPU))  # every stage with networks has one
+    if config.engine is None or config.engine.name == LOCAL:
+        check_device(getattr(config.stage, "device", CPU))  # every stage with networks has one
     run_path = Path(config.runs_dir) / config.name
     request = RunRequest(tuple(overrides), in_sweep, config.seed, config.budget_name)
     inputs = {name: require_input(run_path, name, stage.name, request) for name in stage.reads}
@@ -51,6 +55,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     variant = request.variant(seeded=stage.seeded)
     folder = RunFolder(run_path / "@".join([stage.name, *([variant_of(variant)] if variant else [])]), identity)
     with folder.locked():
+        end_earlier_jobs(folder.path)
         if not config.force and folder.is_up_to_date():
             _LOGGER.info("%s: up to date in %s", stage.name, folder.path)
             return Outcome.UP_TO_DATE
@@ -59,7 +64,8 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         started, meter = time.monotonic(), CostMeter()
         context = _context(config, folder, run_path, {name: path for name, (path, _) in inputs.items()})
         try:
-            stage.run(config.stage, context)
+            with chosen_engine(config.engine):
+                stage.run(config.stage, context)
         except ModuleNotFoundError as error:  # packages import their heavier dependencies where they need them
             raise missing_module(stage.name, error) from error
         except ImportError as error:  # e.g. native code that was built from other sources; it says what to do

@@ -12,6 +12,7 @@ from omegaconf.errors import ValidationError as OmegaConfValidationError
 from pydantic import ValidationError
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig
+from pipeline.jobs.engines.settings import ENGINES, LOCAL, SETTINGS
 from pipeline.settings.checks import sentence
 from pipeline.stages import available_stages, settings_of
 from pipeline.store.atomic_files import is_no_room
@@ -19,7 +20,7 @@ from pipeline.store.errors import PipelineError
 from pipeline.task import PARTS, TASK
 
 ARCH_TASK = "arch_task"
-_CHOSEN = ("stage", "budget", "experiment")  # by name
+_CHOSEN = ("stage", "budget", "engine", "experiment")  # by name
 _LONGEST_PATH = 200  # characters of a path that are shown
 _PERMISSION = "change its permissions, or choose another folder by runs_dir=PATH"
 _WRONG_KIND = "a file lies where a folder is needed, or a folder where a file is: move it away"
@@ -109,6 +110,8 @@ def _missing_choice(config: str) -> str:
         valid = list(available_stages())
     elif group == "budget":
         valid = list(BUDGETS)
+    elif group == "engine":
+        valid = list(ENGINES)
     else:
         valid = sorted(p.stem for p in folder.glob("*.yaml")) if folder.is_dir() else []
     name = group.rsplit("/", 1)[-1] or "configuration"
@@ -130,7 +133,7 @@ def _number_chosen(overrides: list[str]) -> str:
         group, _, choice = override.lstrip("+~").partition("=")
         if group in (*_CHOSEN, TASK) and not re.search(r"[A-Za-z_]{2}", choice):
             return _only_by_key() if group == TASK else _missing_choice(f"{group}/{choice}")
-    return "a stage, a budget or an experiment is chosen by its name: see --help"
+    return "a stage, a budget, an engine or an experiment is chosen by its name: see --help"
 
 
 def _only_by_key() -> str:
@@ -148,6 +151,11 @@ def _unknown_key(key: str, overrides: list[str]) -> str:
         names = [f"{owner}.{name}" for name in PARTS]
     elif key.startswith("stage."):
         names = [f"stage.{f.name}" for f in dataclasses.fields(settings) if f.name != "name"] if settings else []
+    elif key.startswith("engine."):
+        engine = next((o.split("=", 1)[1] for o in overrides if o.startswith("engine=")), LOCAL)
+        names = [f"engine.{f.name}" for f in dataclasses.fields(SETTINGS.get(engine, SETTINGS[LOCAL]))]
+        if engine == LOCAL:
+            return f"unknown setting {key!r}: engine={LOCAL} has none; engine=ray and engine=slurm have some"
     else:
         names = [f.name for f in dataclasses.fields(RunConfig)] + ["experiment", "stage.KEY"]
     close = difflib.get_close_matches(key, names, n=1)

@@ -48,6 +48,7 @@ experiments: {experiments} (experiment=NAME sets several values at once)
 options
   name=RUN          run folder below runs_dir; default: the budget's name
   seed=N            seed of every random draw; default 0; the results of others lie in runs/RUN/STAGE@seed=N/
+  engine=local      where jobs run: local, ray (a Ray cluster) or slurm; results are the same
   force=true        run although the results are up to date
   stage.KEY=VALUE   a setting of the stage, e.g. 'stage.phantoms=[type_1,bovine]'; --cfg job shows all of them
   -m, --multirun    sweep: 'seed=0,1,2' runs three jobs, each in runs/RUN/STAGE@seed=N/;

@@ -21,7 +21,7 @@ from pipeline.store.manifest import Manifest, read_manifest
 
 _LONGEST_VARIANT = 100
 # Overrides that already choose the folder, or cannot change a result.
-_NOT_IN_VARIANT = {"stage", "name", "runs_dir", "force"}
+_NOT_IN_VARIANT = {"stage", "name", "runs_dir", "force", "engine"}
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -46,7 +46,8 @@ def variant_of(overrides: Sequence[str]) -> str:
 def effective_overrides(overrides: Sequence[str]) -> list[str]:
     """The overrides that can change a result, sorted, without Hydra's signs for adding and deleting."""
     bare = (override.lstrip("+~") for override in overrides)
-    return sorted(override for override in bare if override.split("=", 1)[0] not in _NOT_IN_VARIANT)
+    keys = {override: override.split("=", 1)[0] for override in bare}
+    return sorted(word for word, key in keys.items() if key not in _NOT_IN_VARIANT and not key.startswith("engine."))
 
 
 @dataclass(frozen=True)

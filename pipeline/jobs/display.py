@@ -33,6 +33,10 @@ class JobState:
         """Its process has started."""
         self.status, self._started = "running", time.monotonic()
 
+    def wait(self) -> None:
+        """It has to start once more, and goes on from its checkpoint."""
+        self.status, self._seen = "waiting", False
+
     def update(self, fraction: float, text: str) -> None:
         """Takes the job's progress.
 

@@ -15,24 +15,21 @@ How a job ends early:
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import multiprocessing
-import os
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing import forkserver
-from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from enn.reinforcement.free_memory import available_bytes
 from pipeline.jobs.costs import keep_cost
 from pipeline.jobs.display import JobDisplay, JobState
-from pipeline.jobs.gpus import CPU, Gpu, GpuShare, find_gpus, gpus_of
-from pipeline.jobs.worker import Message, Report, work
+from pipeline.jobs.engines.choice import make_engine
+from pipeline.jobs.engines.interface import AGAIN, ENDED, STARTED, Engine, Notes
+from pipeline.jobs.gpus import CPU, Gpu, find_gpus
+from pipeline.jobs.job import Job
+from pipeline.jobs.worker import Message, Report
 from pipeline.store.errors import StageError
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.run_folder import RunFolder
@@ -41,43 +38,19 @@ __all__ = ["Job", "Report", "run_jobs"]
 
 SECONDS_TO_STOP = 60.0  # that a job may take to write its checkpoint
 _SECONDS_BETWEEN_LOOKS = 0.25
-_GB = 1e9
-# One thread a process: the jobs already use every core.
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 _LOGGER = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Job:
-    """A piece of work."""
-
-    key: str  # its name in messages and in the run folder; no two of a stage share one
-    # a module's function: what it is given, and where it reports its progress, to a JSON value
-    run: Callable[[Any, Report], Any]
-    given: Any = None  # to `run`; picklable
-    after: tuple[str, ...] = ()  # keys of jobs that must be done before
-    weight: float = 1.0  # how long it takes beside the others, for the estimate of the end
-    memory_gb: float = 0.0  # memory that it is expected to need; 0: too little to mind
-    # GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none
-    gpu_gb: float = 0.0
-    gpus: int = 1  # how many GPUs it computes on
-
-
 @dataclass
-class _Running:
+class _Taken:
+    """A job that the engine has taken."""
+
     job: Job
-    process: Any
-    connection: Connection
     state: JobState
     failure: str | None = None
     result: Any = None
     answered: bool = False
-
-
-def available_workers() -> int:
-    """How many processes may run beside each other: one a core that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_jobs(
@@ -91,15 +64,17 @@ def run_jobs(
     find: Callable[[], Sequence[Gpu]] = find_gpus,
     available: Callable[[], int] = available_bytes,
 ) -> dict[str, Any]:
-    """Runs the jobs that are not done yet, several beside each other.
+    """Runs the jobs that are not done yet, several beside each other, by the engine that was chosen.
 
     A job starts when there is room for the memory that it needs; beside GPUs, also on one of them. It sees no other.
 
     Args:
         folder: of the stage; keeps what is done.
         jobs: all of the stage, in the order in which they should start.
-        workers: processes beside each other; 0: one a core.
-        preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
+        workers: jobs beside each other; 0: as many as the engine has room for, on one machine one a core.
+        preload: modules that every job needs; on one machine they are imported once, and the jobs' processes start with
+            them.
+        find: lists the GPUs of this machine.
         available: counts the bytes of memory that may still be taken.
 
     Returns:
@@ -111,23 +86,14 @@ def run_jobs(
     """
     _check_order(jobs)
     todo = _to_do(folder, jobs)
-    states = [JobState(job.key, job.weight, done=job not in todo) for job in jobs]
-    display = JobDisplay(label, states, workers=workers or available_workers())
     failures: dict[str, str] = {}
     if todo:
-        share = GpuShare([] if device == CPU else gpus_of(device, find()))
-        if share.gpus:
-            for job in todo:
-                share.require_room(job.key, job.gpu_gb, job.gpus)
-        room_gb = available() / _GB
-        for job in todo:
-            if job.memory_gb > room_gb:
-                raise StageError(
-                    f"{job.key} needs about {job.memory_gb:.1f} GB of memory, {room_gb:.1f} GB are available: end "
-                    "other programs, or make it smaller (stage.decisions or the side of the images, for a training)"
-                )
-        with display, _one_thread():
-            failures = _Pool(folder, todo, display, preload, share, room_gb).run()
+        engine = make_engine(folder, workers=workers, preload=preload, device=device, find=find, available=available)
+        with engine:
+            engine.check(todo)
+            states = [JobState(job.key, job.weight, done=job not in todo) for job in jobs]
+            with JobDisplay(label, states, workers=engine.capacity) as display:
+                failures = _Pool(folder, todo, display, engine).run()
     if failures:
         raise StageError(_sentence(label, failures, len(jobs)))
     return {job.key: folder.result_of(job.key) for job in jobs}
@@ -161,64 +127,21 @@ def _sentence(label: str, failures: dict[str, str], total: int) -> str:
     )
 
 
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-@contextlib.contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    """Lets what starts inside inherit that Ctrl-C means nothing: a job still importing would print a traceback."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 class _Pool:
-    """The processes of the jobs under way."""
+    """The jobs of a stage: which may start, which are under way, which have failed."""
 
-    def __init__(
-        self,
-        folder: RunFolder,
-        todo: Sequence[Job],
-        display: JobDisplay,
-        preload: Sequence[str],
-        share: GpuShare,
-        room_gb: float,
-    ) -> None:
-        self._room_gb = room_gb
-        self._folder, self._waiting, self._display, self._share = folder, list(todo), display, share
-        self._running: list[_Running] = []
+    def __init__(self, folder: RunFolder, todo: Sequence[Job], display: JobDisplay, engine: Engine) -> None:
+        self._folder, self._waiting, self._display, self._engine = folder, list(todo), display, engine
+        self._taken: dict[str, _Taken] = {}
         self._failures: dict[str, str] = {}
+        self._messages: deque[tuple[str, Message]] = deque()  # an interruption in the middle loses none
         self._stopping = False
-        # A forked copy of this process would inherit the lock, the log's file and the threads of libraries.
-        if multiprocessing.get_start_method(allow_none=True) not in (None, *multiprocessing.get_all_start_methods()):
-            # joblib's workers name a method of their own, which the processes they start do not know
-            multiprocessing.set_start_method("spawn", force=True)
-        self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["pipeline.jobs.worker", *preload])
-        with _ctrl_c_ignored():
-            forkserver.ensure_running()
 
     def run(self) -> dict[str, str]:
         """Runs everything; returns key to reason of those that failed."""
         try:
-            while self._waiting or self._running:
-                self._start_what_can()
+            while self._waiting or self._taken:
+                self._submit_what_can()
                 self._listen(_SECONDS_BETWEEN_LOOKS)
                 self._display.show()
                 stop_if_interrupted()
@@ -226,81 +149,58 @@ class _Pool:
             self._stop()
         return self._failures
 
-    def _start_what_can(self) -> None:
+    def _submit_what_can(self) -> None:
         for job in list(self._waiting):
             broken = [key for key in job.after if key in self._failures]
             if broken:
                 self._waiting.remove(job)
                 self._fail(job.key, f"it needs {broken[0]}")
-            elif len(self._running) < self._display.workers and self._is_ready(job) and self._has_memory(job):
-                gpus = self._gpus(job)
-                if gpus is not None:
-                    self._waiting.remove(job)
-                    self._start(job, gpus)
-
-    def _has_memory(self, job: Job) -> bool:
-        return job.memory_gb + sum(running.job.memory_gb for running in self._running) <= self._room_gb
+            elif self._is_ready(job) and self._engine.submit(job, Notes.of(self._folder, job)):
+                self._waiting.remove(job)
+                self._taken[job.key] = _Taken(job, self._display.states[job.key])
 
     def _is_ready(self, job: Job) -> bool:
         return all(self._folder.result_of(key) is not None for key in job.after)
 
-    def _gpus(self, job: Job) -> tuple[str, ...] | None:
-        """What the job's GPUs are called: none where it needs none; None while they have no room for it."""
-        if not (self._share.gpus and job.gpu_gb):
-            return ()
-        taken = self._share.take(job.key, job.gpu_gb, job.gpus)
-        return None if taken is None else tuple(gpu.visible for gpu in taken)
-
-    def _start(self, job: Job, gpus: tuple[str, ...]) -> None:
-        ours, theirs = self._context.Pipe()
-        notes = (self._folder.path, self._folder.journal(job.key))
-        process = self._context.Process(target=work, args=(job.run, job.given, theirs, notes, gpus), name=job.key)
-        process.start()
-        theirs.close()  # or the end of the job's process would not end the connection
-        self._running.append(_Running(job, process, ours, self._display.states[job.key]))
-        self._display.states[job.key].start()
-
     def _listen(self, timeout_s: float) -> None:
-        ready = wait([running.connection for running in self._running], timeout_s)
-        for running in [r for r in self._running if r.connection in ready]:
-            try:
-                while running.connection.poll():
-                    self._take(running, running.connection.recv())
-            except (EOFError, OSError):
-                self._ended(running)
+        if not self._messages:
+            self._messages.extend(self._engine.listen(timeout_s))
+        while self._messages:
+            key, message = self._messages.popleft()
+            self._take(self._taken[key], message)
 
-    def _take(self, running: _Running, message: Message) -> None:
+    def _take(self, taken: _Taken, message: Message) -> None:
+        key = taken.job.key
         if message.cost is not None:
-            keep_cost(self._folder.path, running.job.key, message.cost)
-        if message.kind == "progress":
-            running.state.update(message.fraction, message.text)
-            if message.gpu_bytes:
-                self._share.measured(running.job.key, message.gpu_bytes)
+            keep_cost(self._folder.path, key, message.cost)
+        if message.kind == STARTED:
+            taken.state.start()
+        elif message.kind == AGAIN:
+            taken.state.wait()
+            _LOGGER.warning("%s: %s", key, message.text)
+        elif message.kind == "progress":
+            taken.state.update(message.fraction, message.text)
         elif message.kind == "log":
-            _LOGGER.log(message.level, "%s: %s", running.job.key, message.text)
+            _LOGGER.log(message.level, "%s: %s", key, message.text)
         elif message.kind == "failed":
-            running.answered, running.failure = True, message.text
+            taken.answered, taken.failure = True, message.text
             if message.traceback:
-                _LOGGER.error("%s failed:\n%s", running.job.key, message.traceback.rstrip())
+                _LOGGER.error("%s failed:\n%s", key, message.traceback.rstrip())
         elif message.kind == "done":
-            running.answered, running.result = True, message.result
+            taken.answered, taken.result = True, message.result
+        elif message.kind == ENDED:
+            self._ended(taken, message.text)
 
-    def _ended(self, running: _Running) -> None:
-        """A job's process has closed its connection: done, failed, stopped or killed."""
-        self._running.remove(running)
-        running.process.join(SECONDS_TO_STOP)
-        running.connection.close()
-        self._share.give_back(running.job.key)
-        if running.answered and running.failure is None:
-            self._folder.mark_done(running.job.key, running.result)
-            running.state.finish()
+    def _ended(self, taken: _Taken, how: str) -> None:
+        key = taken.job.key
+        del self._taken[key]
+        if taken.answered and taken.failure is None:
+            self._folder.mark_done(key, taken.result)
+            taken.state.finish()
         elif self._stopping:
             return  # what is left unfinished is finished by the next run
-        elif running.answered:
-            self._fail(running.job.key, running.failure or "unknown error")
         else:
-            code = running.process.exitcode or 0
-            self._fail(running.job.key, f"its process was killed by signal {-code}" if code < 0 else "it was stopped")
+            self._fail(key, taken.failure or "unknown error" if taken.answered else how)
 
     def _fail(self, key: str, reason: str) -> None:
         self._failures[key] = reason
@@ -313,14 +213,7 @@ class _Pool:
         One that was just done counts as done.
         """
         self._stopping = True
-        for running in self._running:
-            with contextlib.suppress(OSError):
-                running.connection.send("stop")
+        self._engine.stop()
         deadline = time.monotonic() + SECONDS_TO_STOP
-        try:
-            while self._running and time.monotonic() < deadline:
-                self._listen(_SECONDS_BETWEEN_LOOKS)
-        finally:
-            for running in self._running:
-                running.process.kill()
-                running.process.join()
+        while self._taken and time.monotonic() < deadline:
+            self._listen(_SECONDS_BETWEEN_LOOKS)

@@ -74,7 +74,7 @@ class FinishedItems:
 
     def journal(self, key: str) -> Path:
         """Where another process that works on an item notes its files: see `pipeline.store.written_files.noted`."""
-        return self._place / f"files-{_safe(key)}.txt"
+        return self._place / f"files-{safe_name(key)}.txt"
 
     def mark_done(self, key: str, result: Any = None) -> None:
         """Records that an item is finished, with the files noted for it; call it after they are written.
@@ -131,7 +131,7 @@ class FinishedItems:
         return len(items) - len(broken)
 
     def _record(self, key: str) -> Path:
-        return self._place / f"item-{_safe(key)}.json"
+        return self._place / f"item-{safe_name(key)}.json"
 
     def _remove(self, record: Path) -> None:
         for name in _written(record):
@@ -175,6 +175,7 @@ def _remove_files(folder: Path, *, keep: Set[str]) -> None:
             Path(place).rmdir()
 
 
-def _safe(key: str) -> str:
+def safe_name(key: str) -> str:
+    """The name of an item as a part of a file's name; no two items share one."""
     readable = re.sub(r"[^A-Za-z0-9_.-]", "_", key)[:_LONGEST_NAME]
     return f"{readable}-{hash_value(key)[:10]}"

@@ -1,0 +1,172 @@
+"""The engine of one machine: a process a job, with one thread for numerics, as many beside each other as have room."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing import forkserver
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from pipeline.jobs.engines.interface import ENDED, STARTED, Engine, Notes
+from pipeline.jobs.gpus import GpuShare
+from pipeline.jobs.job import Job
+from pipeline.jobs.worker import Message, work
+from pipeline.store.errors import StageError
+
+SECONDS_TO_JOIN = 60.0  # that a process may take to end once it has closed its connection
+# One thread a process: the jobs already use every core.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+
+@dataclass
+class _Running:
+    job: Job
+    process: Any
+    connection: Connection
+
+
+class LocalEngine(Engine):
+    """Processes of this machine."""
+
+    def __init__(self, workers: int, preload: Sequence[str], share: GpuShare, room_gb: float) -> None:
+        """Args:
+        workers: processes beside each other.
+        preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
+        room_gb: memory that jobs may take.
+        """
+        self.capacity, self._share, self._room_gb = workers, share, room_gb
+        self._running: list[_Running] = []
+        self._messages: list[tuple[str, Message]] = []
+        self._open = contextlib.ExitStack()
+        self._open.enter_context(_one_thread())
+        # A forked copy of this process would inherit the lock, the log's file and the threads of libraries.
+        if multiprocessing.get_start_method(allow_none=True) not in (None, *multiprocessing.get_all_start_methods()):
+            # joblib's workers name a method of their own, which the processes they start do not know
+            multiprocessing.set_start_method("spawn", force=True)
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload(["pipeline.jobs.worker", *preload])
+        with _ctrl_c_ignored():
+            forkserver.ensure_running()
+
+    def check(self, jobs: Sequence[Job]) -> None:
+        """Refuses jobs for which a GPU or the memory is too small."""
+        if self._share.gpus:
+            for job in jobs:
+                self._share.require_room(job.key, job.gpu_gb, job.gpus)
+        for job in jobs:
+            if job.memory_gb > self._room_gb:
+                raise StageError(
+                    f"{job.key} needs about {job.memory_gb:.1f} GB of memory, {self._room_gb:.1f} GB are available: "
+                    "end other programs, or make it smaller (stage.decisions or the side of the images, for a training)"
+                )
+
+    def submit(self, job: Job, notes: Notes) -> bool:
+        """Starts a job when a core, the memory and the GPUs that it needs are free."""
+        if len(self._running) >= self.capacity or not self._has_memory(job):
+            return False
+        gpus = self._gpus(job)
+        if gpus is None:
+            return False
+        ours, theirs = self._context.Pipe()
+        given = (job.run, job.given, theirs, (notes.folder, notes.journal), gpus)
+        process = self._context.Process(target=work, args=given, name=job.key)
+        process.start()
+        theirs.close()  # or the end of the job's process would not end the connection
+        self._running.append(_Running(job, process, ours))
+        self._messages.append((job.key, Message(STARTED)))
+        return True
+
+    def _has_memory(self, job: Job) -> bool:
+        return job.memory_gb + sum(running.job.memory_gb for running in self._running) <= self._room_gb
+
+    def _gpus(self, job: Job) -> tuple[str, ...] | None:
+        """What the job's GPUs are called: none where it needs none; None while they have no room for it."""
+        if not (self._share.gpus and job.gpu_gb):
+            return ()
+        taken = self._share.take(job.key, job.gpu_gb, job.gpus)
+        return None if taken is None else tuple(gpu.visible for gpu in taken)
+
+    def listen(self, timeout_s: float) -> list[tuple[str, Message]]:
+        """Waits for messages of the jobs' processes."""
+        ready = wait([running.connection for running in self._running], timeout_s)
+        for running in [r for r in self._running if r.connection in ready]:
+            key = running.job.key
+            try:
+                while running.connection.poll():
+                    message: Message = running.connection.recv()
+                    if message.gpu_bytes:
+                        self._share.measured(key, message.gpu_bytes)
+                    self._messages.append((key, message))
+            except (EOFError, OSError):
+                self._messages.append((key, self._ended(running)))
+        messages, self._messages = self._messages, []
+        return messages
+
+    def _ended(self, running: _Running) -> Message:
+        """A job's process has closed its connection: done, failed, stopped or killed."""
+        self._running.remove(running)
+        running.process.join(SECONDS_TO_JOIN)
+        running.connection.close()
+        self._share.give_back(running.job.key)
+        return Message(ENDED, how_it_ended(running.process.exitcode))
+
+    def stop(self) -> None:
+        """Asks the jobs under way to stop."""
+        for running in self._running:
+            with contextlib.suppress(OSError):
+                running.connection.send("stop")
+
+    def close(self) -> None:
+        """Kills what is still running."""
+        for running in self._running:
+            running.process.kill()
+            running.process.join()
+        self._open.close()
+
+
+def available_workers() -> int:
+    """How many processes may run beside each other: one a core that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def how_it_ended(code: int | None) -> str:
+    """Words the end of a process that has not answered.
+
+    Args:
+        code: as `multiprocessing.Process.exitcode`.
+    """
+    code = code or 0
+    return f"its process was killed by signal {-code}" if code < 0 else "it was stopped"
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextlib.contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    """Lets what starts inside inherit that Ctrl-C means nothing: a job still importing would print a traceback."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

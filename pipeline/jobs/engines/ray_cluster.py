@@ -1,0 +1,177 @@
+"""A Ray cluster: every job is a task with its CPUs, GPUs and memory named; which machine runs it is Ray's choice."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pipeline.jobs.engines import sending
+from pipeline.jobs.engines.cluster import Cluster, Needs
+from pipeline.jobs.engines.sending import Errand
+from pipeline.jobs.engines.settings import RaySettings
+from pipeline.store.errors import StageError
+
+ADDRESS = "RAY_ADDRESS"
+_GB = 1e9
+_SECONDS_TO_CONNECT = 5.0
+_SECONDS_TO_PROBE = 60.0
+_START = "start one with `ray start --head`, or name another by engine.address=HOST:PORT or RAY_ADDRESS"
+
+
+class RayCluster(Cluster):
+    """A cluster that is running already."""
+
+    def __init__(self, settings: RaySettings, shared: Path) -> None:
+        """Args:
+        shared: folder that all machines must see.
+
+        Raises:
+            StageError: Ray is not installed, there is no cluster at the address, or a machine does not see the folder.
+        """
+        try:
+            import ray
+        except ModuleNotFoundError as error:
+            if error.name != "ray":
+                raise
+            raise StageError(
+                "engine=ray needs Ray, which is not installed: run `make ray`, or take engine=local"
+            ) from (error)
+        self._ray: Any = ray
+        worker: Any = ray._private.worker
+        if hasattr(worker, "print_to_stdstream"):  # prints a page of a lost machine's log; the engine says a sentence
+            worker.print_to_stdstream = _say_nothing
+        self._connect(settings.address or os.environ.get(ADDRESS))
+        # The function goes to the machines by value: what one of them lacks is then named by it, not by Ray.
+        ray.cloudpickle.register_pickle_by_value(sending)
+        self._run: Any = ray.remote(max_retries=0)(sending.run_errand)
+        total = ray.cluster_resources()
+        self.capacity, self.has_gpus = max(int(total.get("CPU", 1)), 1), total.get("GPU", 0) > 0
+        try:
+            self.require_shared(shared)
+        except BaseException:
+            self.close()
+            raise
+
+    def _connect(self, address: str | None) -> None:
+        if address is not None and address not in ("auto", "local"):
+            _require_listening(address)
+        try:
+            with _signals_kept():
+                self._ray.init(
+                    address="auto" if address in (None, "local") else address,
+                    namespace="endonav", log_to_driver=False, logging_level="ERROR", configure_logging=False,
+                )  # fmt: skip
+        except ConnectionError as error:
+            where = "on this machine" if address is None else f"at {address}"
+            raise StageError(f"there is no Ray cluster {where}: {_START}") from error
+        except (RuntimeError, ValueError) as error:  # another version of Ray or Python, an address that is none
+            reason = " ".join(str(error).split())
+            raise StageError(f"the Ray cluster cannot be used ({reason}): {_START}") from error
+
+    def require_shared(self, *shared: Path) -> None:
+        """Refuses a cluster where a machine does not see some folders.
+
+        Raises:
+            StageError: naming one, and what it does not see.
+        """
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+        paths = [str(path) for path in shared]
+        look: Any = self._ray.remote(num_cpus=0, max_retries=0)(sending.unseen)
+        asked = {
+            look.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=True)).remote(
+                *paths
+            ): node["NodeManagerHostname"]
+            for node in self._alive()
+        }
+        ready, _ = self._ray.wait(list(asked), num_returns=len(asked), timeout=_SECONDS_TO_PROBE)
+        for answer in ready:
+            try:
+                missing = self._ray.get(answer)
+            except self._ray.exceptions.RayError:  # lost in this moment; its jobs would be, too
+                continue
+            if missing is not None:
+                raise StageError(
+                    f"machine {asked[answer]} of the Ray cluster does not see {missing}: put the project, its "
+                    "environment and runs_dir on a file system that all machines share"
+                )
+
+    def _alive(self) -> list[dict[str, Any]]:
+        return [node for node in self._ray.nodes() if node["Alive"]]
+
+    def fits(self, needs: Needs) -> bool:
+        """Whether a machine has so much in all."""
+        return any(
+            node["Resources"].get("CPU", 0) >= needs.cpus
+            and node["Resources"].get("GPU", 0) >= needs.gpus
+            and node["Resources"].get("memory", 0) >= needs.memory_gb * _GB
+            for node in self._alive()
+        )
+
+    def submit(self, name: str, errand: Errand, needs: Needs) -> Any:
+        """Submits a task; Ray starts it when a machine has room for it."""
+        task = self._run.options(name=name, num_cpus=needs.cpus, num_gpus=needs.gpus, memory=int(needs.memory_gb * _GB))
+        return task.remote(**asdict(errand))
+
+    def ended(self, handle: Any) -> str | None:
+        """How a task has ended; Ray says so of one whose machine or process is gone, too."""
+        ready, _ = self._ray.wait([handle], timeout=0)
+        if not ready:
+            return None
+        try:
+            return str(self._ray.get(handle) or "")
+        except self._ray.exceptions.RayError as error:
+            return _first_line(error)
+
+    def cancel(self, handle: Any) -> None:
+        """Cancels a task; its process ends, and the job's with it."""
+        with contextlib.suppress(self._ray.exceptions.RayError, ValueError):
+            self._ray.cancel(handle, force=True)
+
+    def close(self) -> None:
+        """Leaves the cluster."""
+        with _signals_kept():
+            self._ray.shutdown()
+
+
+def _say_nothing(*unused: Any, **also_unused: Any) -> None:
+    """In place of what Ray prints."""
+
+
+def _first_line(error: BaseException) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
+def _require_listening(address: str) -> None:
+    """Refuses an address where nobody answers, for which Ray itself would wait for minutes.
+
+    Raises:
+        StageError: naming the address.
+    """
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not host or not port.isdecimal():
+        raise StageError(f"{address!r} is no address of a Ray cluster, HOST:PORT such as 10.0.0.5:6379: {_START}")
+    try:
+        with socket.create_connection((host, int(port)), timeout=_SECONDS_TO_CONNECT):
+            pass
+    except (OSError, OverflowError) as error:
+        raise StageError(f"there is no Ray cluster at {address}: {_START}") from error
+
+
+@contextlib.contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Keeps what this process does at Ctrl-C and SIGTERM: Ray has a handler of its own."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if signal.getsignal(number) is not handler:
+                signal.signal(number, handler)

@@ -1,0 +1,26 @@
+"""A job: a piece of a stage's work, and what it needs of a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pipeline.jobs.worker import Report
+
+
+@dataclass(frozen=True)
+class Job:
+    """A piece of work."""
+
+    key: str  # its name in messages and in the run folder; no two of a stage share one
+    # a module's function: what it is given, and where it reports its progress, to a JSON value
+    run: Callable[[Any, Report], Any]
+    given: Any = None  # to `run`; picklable
+    after: tuple[str, ...] = ()  # keys of jobs that must be done before
+    weight: float = 1.0  # how long it takes beside the others, for the estimate of the end
+    memory_gb: float = 0.0  # memory that it is expected to need; 0: too little to mind
+    # GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none
+    gpu_gb: float = 0.0
+    gpus: int = 1  # how many GPUs it computes on
+    cpus: int = 1  # cores that it keeps busy
