@@ -9,11 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.report.results import read_figures
+from pipeline.report.words import in_words
 from pipeline.store.atomic_files import atomic_path
 
 FIGURES_FOLDER = "figures"
 _BASE64 = 4 / 3  # characters a byte
-_COLUMN_PIXELS = 1200
+_DOTS = 2  # of a picture on a pixel of the page, so that it is sharp on screens with two dots a pixel
+_COLUMN_PIXELS = 900  # of the page
+_LONGEST_CAPTION = 130  # characters
+_MOVING = (".gif", ".mp4", ".webm")
 _MEDIA_TYPES = {
     ".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".gif": "image/gif", ".webp": "image/webp",
     ".svg": "image/svg+xml", ".mp4": "video/mp4", ".webm": "video/webm",
@@ -29,17 +33,33 @@ class ShownFigure:
     group: str
     source: str  # a data URI, or a path relative to the page
     media_type: str
-    is_wide: bool = False  # too wide to be read in a column
+    stage: str = ""  # beside whose tables it is shown
+    size: tuple[int, int] | None = None  # width and height, px of a PNG or GIF; None for others
+    is_film: bool = False
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether it is too wide to be read in a column of the page."""
+        return self.size is not None and not self.is_film and self.size[0] > _DOTS * _COLUMN_PIXELS
+
+    @property
+    def caption_parts(self) -> tuple[str, str]:
+        """The caption, and what of a long one is folded: all but its first sentence."""
+        if len(self.caption) <= _LONGEST_CAPTION:
+            return self.caption, ""
+        first, _, rest = self.caption.partition(". ")
+        return (f"{first}.", rest) if rest else (self.caption, "")
+
+    @property
+    def shown_size(self) -> tuple[int, int] | None:
+        """Largest width and height on the page: two dots of a picture a pixel, one of a film."""
+        dots = 1 if self.is_film else _DOTS
+        return None if self.size is None else (max(1, self.size[0] // dots), max(1, self.size[1] // dots))
 
     @property
     def embedded_bytes(self) -> int:
         """Its bytes in the page; 0 where it lies beside the page."""
         return len(self.source) if self.source.startswith("data:") else 0
-
-    @property
-    def is_film(self) -> bool:
-        """Whether it is a film, which the page shows with controls."""
-        return self.media_type.startswith("video/")
 
 
 def gather_figures(
@@ -71,13 +91,20 @@ def gather_figures(
             with atomic_path(report / relative) as temporary:
                 shutil.copyfile(file, temporary)
             source = relative.as_posix()
-        group = figure.group or stage
-        shown.append(ShownFigure(figure.title, figure.caption, group, source, media_type, _is_wide(file)))
+        shown.append(ShownFigure(
+            in_words(figure.title), in_words(figure.caption), in_words(figure.group or stage),
+            source, media_type, stage=figure.stage or stage.partition("@")[0], size=_size(file),
+            is_film=file.suffix.lower() in _MOVING,
+        ))  # fmt: skip
     return shown
 
 
-def _is_wide(file: Path) -> bool:
-    """Whether a PNG is wider than a column of the page can show it; its head gives the width."""
+def _size(file: Path) -> tuple[int, int] | None:
+    """Width and height of a PNG or GIF, which its head gives; None for other kinds."""
     with file.open("rb") as stream:
-        head = stream.read(20)
-    return head.startswith(b"\x89PNG") and int.from_bytes(head[16:20], "big") > _COLUMN_PIXELS
+        head = stream.read(24)
+    if head.startswith(b"\x89PNG"):
+        return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    if head.startswith(b"GIF8"):
+        return int.from_bytes(head[6:8], "little"), int.from_bytes(head[8:10], "little")
+    return None

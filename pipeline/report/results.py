@@ -15,7 +15,7 @@
     [{"title": "Phantom type_1", "caption": "Lumen from the front.", "file": "type_1/picture.png"}]
 
 ``file`` is relative to the stage's folder: PNG, JPEG, GIF, WebP, SVG, MP4 or WebM. ``group`` (optional) heads several
-figures.
+figures; ``stage`` (optional) is the stage beside whose tables it is shown, where that is another one.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ class Figure:
     caption: str
     file: str  # relative to the stage's folder
     group: str = ""
+    stage: str = ""  # beside whose tables it is shown; "": that of the folder
 
 
 def _read(path: Path, otherwise: Any) -> Any:

@@ -11,10 +11,12 @@ from typing import Any
 import yaml
 
 from pipeline.report.results import SAMPLES, Cell, Table, pool
+from pipeline.report.words import column_words, group_words, plain, row_words
 
 _THESIS = Path(__file__).with_name("thesis.yaml")
 KINDS = ("results", "settings", "literature", "own")
 NOT_RUN = "not run"
+_LONGEST_CELL = 60  # characters; longer texts stand beneath a table
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,9 @@ class ReportTable:
     rows: tuple[Row, ...]
 
     def has_words(self, column: Column) -> bool:
-        """Whether any cell of a column, thesis or measured, is text, which reads better from the left."""
-        return any(isinstance(side.get(column.key), str) for row in self.rows for side in (row.thesis, row.measured))
+        """Whether any shown cell of a column, thesis or measured, is text, which reads better from the left."""
+        cells = [side.get(column.key) for row in self.shown_rows for side in (row.thesis, row.measured)]
+        return any(isinstance(cell, str) and len(cell) <= _LONGEST_CELL for cell in cells)
 
     @property
     def cells(self) -> int:
@@ -70,6 +73,18 @@ class ReportTable:
     def measured_cells(self) -> int:
         """How many cells have been measured."""
         return sum(row.measured.get(c.key) is not None for row in self.rows for c in self.columns)
+
+    @property
+    def sentences(self) -> list[tuple[str, str]]:
+        """What was measured in so many words that it stands beneath the table: rows' labels and texts."""
+        cells = [(row.label, row.measured.get(c.key)) for row in self.rows for c in self.columns]
+        return [(label, cell) for label, cell in cells if isinstance(cell, str) and len(cell) > _LONGEST_CELL]
+
+    @property
+    def shown_rows(self) -> list[Row]:
+        """Its rows without those that stand beneath it."""
+        beneath = {label for label, _ in self.sentences}
+        return [row for row in self.rows if row.label not in beneath or row.in_thesis]
 
     @property
     def has_run(self) -> bool:
@@ -156,8 +171,8 @@ def report_tables(measured: dict[str, Table]) -> list[ReportTable]:
     tables = [_merge(key, spec, groups, measured.get(key, {})) for key, spec in specs.items()]
     for key, rows in measured.items():
         if key not in specs:
-            columns = {c: {"label": c} for cells in rows.values() for c in cells if c != SAMPLES}
-            spec = _Spec(title=key.replace("_", " "), chapter="Beyond the thesis", label="not in the thesis",
+            columns = {c: _further(c) for cells in rows.values() for c in cells if c != SAMPLES}
+            spec = _Spec(title=plain(key), chapter="Beyond the thesis", label="not in the thesis",
                          kind="own", columns=columns, rows={})  # fmt: skip
             tables.append(_merge(key, spec, groups, rows))
     return [table for table in tables if table.kind != "own" or table.rows]
@@ -167,15 +182,14 @@ def _merge(key: str, spec: _Spec, groups: dict[str, str], measured: Table) -> Re
     columns = [Column(key=name, **column) for name, column in spec.columns.items()]
     known = set(spec.columns)
     further = dict.fromkeys(c for cells in measured.values() for c in cells if c not in known and c != SAMPLES)
-    columns += [Column(key=name, label=name.replace("_", " ")) for name in further]
+    columns += [Column(key=name, **_further(name)) for name in further]
     rows = []
     for name in [*spec.rows, *(row for row in measured if row not in spec.rows)]:
         group, _, short = name.rpartition("/")
         cells = measured.get(name, {})
         samples = cells.get(SAMPLES)
         rows.append(Row(
-            key=name, label=spec.labels.get(short, short),
-            group=", ".join(groups.get(part, part) for part in group.split("/")),
+            key=name, label=row_words(short, {**groups, **spec.labels}), group=group_words(group, groups, spec.labels),
             thesis=dict(zip(spec.columns, spec.rows.get(name, []), strict=False)),
             measured={c.key: cells.get(c.key) for c in columns},
             samples=int(samples) if isinstance(samples, int | float) else None, in_thesis=name in spec.rows,
@@ -184,6 +198,11 @@ def _merge(key: str, spec: _Spec, groups: dict[str, str], measured: Table) -> Re
     rows.sort(key=lambda row: order.index(row.group))  # own rows join their group
     return ReportTable(key=key, title=spec.title, chapter=spec.chapter, label=spec.label, kind=spec.kind,
                        stage=spec.stage, note=spec.note, columns=tuple(columns), rows=tuple(rows))  # fmt: skip
+
+
+def _further(key: str) -> dict[str, Any]:
+    label, unit = column_words(key)
+    return {"label": label, "unit": unit}
 
 
 def metrics(tables: list[ReportTable]) -> dict[str, dict[str, dict[str, Any]]]:

@@ -12,7 +12,7 @@ from annotated_types import Ge, Le
 
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.learning.section import LearningSection, learning_section
-from pipeline.report.page import PAGE, StageRecord, render_page
+from pipeline.report.page.rendering import PAGE, StageRecord, render_page
 from pipeline.report.results import Table, read_notes
 from pipeline.report.table_formats import as_csv, as_latex
 from pipeline.report.tables import join_sweep, metrics, report_tables

@@ -32,6 +32,7 @@ PATHS_SHOWN = 10  # of each who steered
 _LOGGER = logging.getLogger(__name__)
 TARGETS = ("bca", "lcca", "lsa")
 _STEERED = {"enn": "ENN", "expert": "Sampling expert", "human": "Human"}
+_STAGE_WORDS = {"baselines": "baselines", "enn": "ENN", "imitation": "imitation", "unseen": "unseen anatomies"}
 _LABELS = {"baselines": "cathsim_results", "enn": "ablation", "imitation": "imitation"}  # stage -> table with its words
 
 
@@ -87,7 +88,7 @@ def _training(material: Material, folder: Path) -> list[Figure]:
             "The training's own reward (the tables have the thesis's), exploration included, and success of the "
             f"evaluated policy. {spread if seeds > 1 else 'One seed.'}"
         )
-        shown.append(Figure(f"Training curves, {stage}", caption, file, CURVES_GROUP))
+        shown.append(Figure(f"Training curves, {_STAGE_WORDS.get(stage, stage)}", caption, file, CURVES_GROUP, stage))
     return shown
 
 
@@ -107,7 +108,7 @@ def _lengths(material: Material, folder: Path) -> list[Figure]:
         "Dashed: people at the console, mean ± one standard deviation." if human else "There are no human episodes."
     )
     caption = f"Evaluated episode length by checkpoint; failures count with the step limit. {beside}"
-    return [Figure("Episode length during training", caption, file, CURVES_GROUP)]
+    return [Figure("Episode length during training", caption, file, CURVES_GROUP, "enn")]
 
 
 def _largest_forces(material: Material, folder: Path) -> list[Figure]:
@@ -126,7 +127,7 @@ def _largest_forces(material: Material, folder: Path) -> list[Figure]:
     caption = (
         f"Largest resultant contact force of each of {count} evaluation episodes. Box: quartiles; whiskers: 5 and 95 %."
     )
-    return [Figure("Largest forces of the baselines", caption, file, FORCES_GROUP)]
+    return [Figure("Largest forces of the baselines", caption, file, FORCES_GROUP, "baselines")]
 
 
 def _heat(material: Material, folder: Path) -> list[Figure]:
@@ -145,7 +146,7 @@ def _heat(material: Material, folder: Path) -> list[Figure]:
         title = f"{task_words(phantom, target)}: contact forces of the baselines"
         forces.draw_heat(np.asarray(vessel.lumen_mesh.vertices, np.float64), episodes, folder / file, title=title)
         caption = f"{contacts} contacts of {len(episodes)} of {len(of_task)} deterministic episodes, all rows together."
-        shown.append(Figure(title, caption, file, FORCES_GROUP))
+        shown.append(Figure(title, caption, file, FORCES_GROUP, "baselines"))
     return shown
 
 
@@ -174,7 +175,7 @@ def _paths(material: Material, folder: Path) -> list[Figure]:
             f"Paths of the tip, at most {PATHS_SHOWN} episodes each; they end in a dot on success, in a cross "
             "otherwise. The target's sphere of success is dashed."
         )
-        shown.append(Figure(f"{task_words(phantom, target)}: paths of the tip", caption, file, PATHS_GROUP))
+        shown.append(Figure(f"{task_words(phantom, target)}: paths of the tip", caption, file, PATHS_GROUP, "enn"))
     return shown
 
 
@@ -204,7 +205,7 @@ def _front(material: Material, folder: Path) -> list[Figure]:
         f"{EXPERT_ROW} without and with a cost of the force in its reward; a number is what a newton costs in a step. "
         "Bars: standard deviation over the training seeds."
     )
-    return [Figure("Success against force", caption, "front.png", BEYOND_GROUP)]
+    return [Figure("Success against force", caption, "front.png", BEYOND_GROUP, "enn")]
 
 
 def _generalisation(material: Material, folder: Path) -> list[Figure]:
@@ -223,7 +224,7 @@ def _generalisation(material: Material, folder: Path) -> list[Figure]:
         "Deterministic episodes on anatomies that were in no training; what each policy sees names its curve. The "
         "points of the roadmap's curve had equally many decisions; the main policy and the students stand alone."
     )
-    return [Figure("Success against training anatomies", caption, "generalisation.png", BEYOND_GROUP)]
+    return [Figure("Success against training anatomies", caption, "generalisation.png", BEYOND_GROUP, "unseen")]
 
 
 def _evenly(evaluations: Sequence[Evaluation], most: int) -> list[Evaluation]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.report.plots.canvas import MM, new_figure, save_figure
+from pipeline.report.words import in_words
 from pipeline.store.atomic_files import atomic_path
 
 if TYPE_CHECKING:
@@ -64,5 +65,5 @@ def draw_planned_path(phantom: Phantom, target: str, file: Path, *, entry: str =
 
     path = plan_path(phantom.grid, phantom.entry(entry).position, phantom.target(target).position)
     with atomic_path(file) as temporary:
-        picture(path, phantom.grid, temporary, title=f"{phantom.name}, {target.upper()}")
+        picture(path, phantom.grid, temporary, title=in_words(f"{phantom.name}, {target.upper()}"))
     return path.length

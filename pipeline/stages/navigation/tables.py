@@ -59,6 +59,7 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
         for one in of_first:
             main[row][f"{one['target']}_success_pct"] = one["success_pct"]
             main[row][f"{one['target']}_time_s"] = one["time_s"]
+            main[row]["n"] = one["n"]
     trials: dict[str, dict[str, Any]] = {}
     for row in rows:
         for one in outcomes[row]["tests"]:

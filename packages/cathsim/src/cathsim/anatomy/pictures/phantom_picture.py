@@ -70,7 +70,7 @@ def draw_phantom(phantom: Phantom, path: Path | None = None, *, pixel: float = 5
     panels[0].set_ylabel("mm, towards the head")
     size = (high - low) * 1e3
     extents = f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm (left-right, front-back, height)"
-    figure.suptitle(f"{phantom.name}: {extents}", fontsize=12)
+    figure.suptitle(f"{phantom.name.replace('_', ' ')}: {extents}", fontsize=12)
     if path is not None:
         figure.savefig(path)
     return figure

@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
 from pipeline.report.figures import ShownFigure
+from pipeline.report.headlines import headlines
+from pipeline.report.page.layout import arrange, choose_film
 from pipeline.report.table_formats import format_cell
 from pipeline.report.tables import NOT_RUN, ReportTable
+from pipeline.report.words import place_in_thesis, row_words
 from pipeline.store.manifest import Manifest
 
 PAGE = "index.html"
 _TEMPLATE = Path(__file__).with_name("page.html.j2")
+_STYLE = Path(__file__).with_name("page.css")
+
+
+_STAGES = {
+    "phantoms": "Phantoms", "expert": "Sampling expert", "validate": "Validation", "user_study": "User study",
+    "guide3d": "Guide3D", "shape": "Shape prediction", "splineformer": "SplineFormer", "force": "Force prediction",
+    "navigation": "Autonomous navigation",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -53,21 +63,18 @@ def render_page(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.filters["cell"] = format_cell
+    environment.filters["place"] = place_in_thesis
+    environment.filters["stage_words"] = lambda stage: row_words(stage.partition("@")[0], _STAGES)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
+    compared = headlines(tables)
+    film = choose_film(figures)
     return template.render(
         run=run, budget=budget, seeds=", ".join(map(str, seeds)), written=written, records=records,
         is_smoke="smoke" in budget.split("+"), not_run=NOT_RUN, git=git, versions=versions, machine=machine,
-        remarks=dict(remarks or {}), made=dict(made or {}),
-        chapters=[(name, list(group)) for name, group in groupby(_by_chapter(tables), key=lambda t: t.chapter)],
-        figure_groups=[(name, list(group)) for name, group in groupby(figures, key=lambda f: f.group)],
-        measured=sum(t.measured_cells for t in tables), cells=sum(max(t.cells, t.measured_cells) for t in tables),
-        tables_run=sum(t.has_run for t in tables), table_count=len(tables),
+        remarks=dict(remarks or {}), made=dict(made or {}), style=_STYLE.read_text(encoding="utf-8"), film=film,
+        compared=[one for one in compared if one.here], open_headlines=[one for one in compared if not one.here],
+        chapters=arrange(tables, [figure for figure in figures if figure is not film]),
     )  # fmt: skip
-
-
-def _by_chapter(tables: Sequence[ReportTable]) -> list[ReportTable]:
-    order = list(dict.fromkeys(table.chapter for table in tables))
-    return sorted(tables, key=lambda table: order.index(table.chapter))
 
 
 def wall_time(seconds: float) -> str:

@@ -1,0 +1,209 @@
+"""Headline results: the thesis's beside those measured here, with 95 % intervals, and which of them is better."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from pipeline.report.results import Cell
+from pipeline.report.table_formats import format_cell
+from pipeline.report.tables import Column, ReportTable
+
+_SPECS = Path(__file__).with_name("headlines.yaml")
+BETTER, EQUAL, WORSE, OPEN = "better", "equal", "worse", "open"
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class HeadlineSpec:
+    """A headline as ``headlines.yaml`` holds it."""
+
+    label: str
+    table: str
+    row: str
+    column: str
+    share: bool = False
+    samples: int | None = None  # behind the thesis's cell
+    over: str = ""
+    level: float | None = None
+
+
+@dataclass(frozen=True)
+class Headline:
+    """A line of the first table.
+
+    Attributes:
+        label: what was measured, in words.
+        chapter: of the thesis.
+        table: key of the table that has the cell.
+        thesis, here: both values in words, with their unit; `here` is empty where nothing was measured.
+        interval: 95 % interval of the measured value in words; empty where its samples are unknown or fewer than two.
+        samples: behind the measured value.
+        verdict: "better", "equal" or "worse", "open" for a mean of a single sample; empty where nothing was measured.
+    """
+
+    label: str
+    chapter: str
+    table: str
+    thesis: str
+    here: str
+    interval: str
+    samples: int | None
+    verdict: str
+
+
+@functools.cache
+def headline_specs() -> tuple[HeadlineSpec, ...]:
+    """The headlines of ``headlines.yaml``, in the thesis's order."""
+    return tuple(HeadlineSpec(**entry) for entry in yaml.safe_load(_SPECS.read_text(encoding="utf-8")))
+
+
+def headlines(tables: Sequence[ReportTable]) -> list[Headline]:
+    """Compares every headline.
+
+    Args:
+        tables: all of the report.
+
+    Raises:
+        KeyError: ``headlines.yaml`` names a table, row or column that is not there.
+    """
+    by_key = {table.key: table for table in tables}
+    return [_headline(spec, by_key[spec.table]) for spec in headline_specs()]
+
+
+def _headline(spec: HeadlineSpec, table: ReportTable) -> Headline:
+    rows = {row.key: row for row in table.rows}
+    row, column = rows[spec.row], next(column for column in table.columns if column.key == spec.column)
+    thesis, here, unit = row.thesis[column.key], row.measured.get(column.key), column.unit
+    if spec.over:
+        base = rows[spec.over]
+        thesis, here = _share_of(thesis, base.thesis[column.key]), _share_of(here, base.measured.get(column.key))
+        column, unit = Column(column.key, column.label, "%", column.better, 1), "%"
+    if not isinstance(here, int | float | list):
+        return Headline(spec.label, table.chapter, table.key, _words(thesis, column, unit), "", "", None, "")
+    if spec.share:
+        thesis, here = _mean(thesis), _mean(here)
+    samples = None if spec.over else row.samples
+    interval = share_interval(_mean(here), samples) if spec.share else mean_interval(here, samples)
+    return Headline(
+        label=spec.label, chapter=table.chapter, table=table.key, thesis=_words(thesis, column, unit),
+        here=_words(here, column, unit), interval=_interval_words(interval, column, unit), samples=samples,
+        verdict=compare(
+            thesis, here, thesis_samples=spec.samples, samples=samples, share=spec.share, level=spec.level,
+            higher_is_better=column.better != "lower", decimals=column.decimals,
+        ),
+    )  # fmt: skip
+
+
+def compare(
+    thesis: Cell, here: Cell, *, thesis_samples: int | None, samples: int | None, share: bool = False,
+    level: float | None = None, higher_is_better: bool = True, decimals: int | None = None,
+) -> str:  # fmt: skip
+    """Says whether a measured value is better than the thesis's, equal to it, or worse; "open" for a single sample.
+
+    Where the measured value has an interval, it is "equal" when the 95 % interval of the difference holds zero:
+    Newcombe's for shares, Welch's for means. A thesis's value with unknown samples is taken as exact. Single numbers
+    are equal when they print alike; p values are equal on the same side of their level.
+
+    Args:
+        thesis, here: number, or mean and standard deviation; shares in percent.
+        thesis_samples, samples: behind either; None where unknown.
+
+    Source: Newcombe 1998, "Interval estimation for the difference between independent proportions", method 10.
+    """
+    sign = 1.0 if higher_is_better else -1.0
+    difference = _mean(here) - _mean(thesis)
+    if level is not None:
+        sides = (_mean(here) >= level) - (_mean(thesis) >= level)
+        return EQUAL if not sides else BETTER if sides > 0 else WORSE
+    if share and samples:
+        low, high = difference_of_shares(_mean(here), samples, _mean(thesis), thesis_samples)
+    elif isinstance(here, list) and samples == 1:
+        return OPEN
+    elif isinstance(here, list) and samples:
+        low, high = _difference_of_means(here, samples, thesis, thesis_samples)
+    else:
+        same = format_cell(_mean(here), decimals) == format_cell(_mean(thesis), decimals)
+        low = high = 0.0 if same else difference
+    if low <= 0.0 <= high:
+        return EQUAL
+    return BETTER if sign * difference > 0 else WORSE
+
+
+def share_interval(percent: float, samples: int | None) -> Interval | None:
+    """Wilson's 95 % interval of a share, %; None where its samples are unknown."""
+    from cathsim.metrics.intervals import wilson_interval
+
+    if not samples:
+        return None
+    low, high = wilson_interval(round(percent / 100 * samples), samples)
+    return 100 * low, 100 * high
+
+
+def mean_interval(cell: Cell, samples: int | None) -> Interval | None:
+    """Student's 95 % interval of a mean; None for a number alone, or fewer than two samples."""
+    from scipy.stats import t
+
+    if not isinstance(cell, list) or not samples or samples < 2:
+        return None
+    half = float(t.ppf(0.975, samples - 1)) * math.sqrt(_squared_error(cell, samples))
+    return cell[0] - half, cell[0] + half
+
+
+def difference_of_shares(here: float, samples: int, thesis: float, thesis_samples: int | None) -> Interval:
+    """Newcombe's 95 % interval of the difference of two shares, percent; unknown samples make a share exact."""
+    low, high = share_interval(here, samples) or (here, here)
+    thesis_low, thesis_high = share_interval(thesis, thesis_samples) or (thesis, thesis)
+    difference = here - thesis
+    return (
+        difference - math.hypot(here - low, thesis_high - thesis),
+        difference + math.hypot(high - here, thesis - thesis_low),
+    )
+
+
+def _difference_of_means(here: list[float], samples: int, thesis: Cell, thesis_samples: int | None) -> Interval:
+    from scipy.stats import t
+
+    own = _squared_error(here, samples)
+    known = isinstance(thesis, list) and thesis_samples is not None and thesis_samples > 1
+    other = _squared_error(thesis, thesis_samples) if known else 0.0  # type: ignore[arg-type]
+    parts = own**2 / (samples - 1) + (other**2 / (thesis_samples - 1) if known else 0.0)  # type: ignore[operator]
+    difference = here[0] - _mean(thesis)
+    if not parts:
+        return difference, difference
+    half = float(t.ppf(0.975, (own + other) ** 2 / parts)) * math.sqrt(own + other)
+    return difference - half, difference + half
+
+
+def _squared_error(cell: list[float], samples: int) -> float:
+    """Squared standard error of a mean, whose standard deviation has n in its denominator."""
+    return cell[1] ** 2 / (samples - 1)
+
+
+def _mean(cell: Cell) -> float:
+    if isinstance(cell, str) or cell is None:
+        raise TypeError(f"expected a number or a pair in a headline, got {cell!r}")
+    return float(cell[0] if isinstance(cell, list) else cell)
+
+
+def _share_of(cell: Cell, base: Cell) -> float | None:
+    if not isinstance(cell, int | float) or not isinstance(base, int | float) or not base:
+        return None
+    return 100.0 * cell / base
+
+
+def _words(cell: Cell, column: Column, unit: str) -> str:
+    return " ".join(filter(None, (format_cell(cell, column.decimals), unit)))
+
+
+def _interval_words(interval: Interval | None, column: Column, unit: str) -> str:
+    if interval is None:
+        return ""
+    low, high = (format_cell(bound, column.decimals) for bound in interval)
+    return " ".join(filter(None, (f"{low} to {high}", unit)))
