@@ -10,6 +10,7 @@ PY := $(VENV)/bin/python
 BUDGET ?= desk
 NAME ?= $(BUDGET)
 ARGS ?=
+DEMO ?=
 TEST_JOBS ?= 2
 GPU ?=
 
@@ -66,10 +67,8 @@ smoke:  ## the whole chain in minutes; its numbers mean nothing
 thesis-check: setup  ## every stage of BUDGET=thesis in minutes, and what each job took (ARGS=stage.device=cuda on a GPU)
 	@$(GL) $(PY) -m pipeline.thesis_check $(ARGS)
 
-demo: setup  ## an expert episode into the BCA: its log, its films, the report
-	@$(RUN) stage=phantoms name=demo 'stage.phantoms=[type_1]'
-	@$(RUN) stage=expert experiment=demo $(ARGS)
-	@$(RUN) stage=report name=demo
+demo: setup  ## the shipped navigator in an unseen arch, or in yours (DEMO=arch.stl): film, log, page
+	@$(GL) $(PY) -m pipeline.demo $(if $(DEMO),--anatomy "$(DEMO)") $(ARGS)
 
 # after the stages that it reads
 $(STAGES): setup

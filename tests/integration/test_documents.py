@@ -360,6 +360,7 @@ def test_readme_lists_every_folder_of_the_repository() -> None:
         "tests",
         "benchmarks",
         "examples",
+        "models",
     }
 
 

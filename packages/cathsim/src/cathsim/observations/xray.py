@@ -33,16 +33,17 @@ class ContrastRun(NamedTuple):
 
 
 def fluoroscope_of(
-    phantom: Phantom, size: int, wire_radius: float, catheter: Catheter | None = None
+    phantom: Phantom, size: int, wire_radius: float, catheter: Catheter | None = None, view: str = VIEW
 ) -> BiplaneFluoroscope:
-    """The frontal X-ray camera over a phantom while the devices move.
+    """An X-ray camera over a phantom while the devices move.
 
     Args:
         size: side of the images, px.
         wire_radius: m.
-        catheter: over the wire, or None.
+        catheter: over the wire, or None; with one the view is frontal.
+        view: one of `cathsim.fluoroscopy.projector.VIEWS`.
     """
-    bare = _fluoroscope(phantom, size, wire_radius, MOVING)
+    bare = _fluoroscope(phantom, size, wire_radius, MOVING, view)
     return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter)
 
 
@@ -52,10 +53,10 @@ def _with_catheter(phantom: Phantom, size: int, wire_radius: float, catheter: Ca
 
 
 @kept_with_owner
-def _fluoroscope(phantom: Phantom, size: int, wire_radius: float, filling: str) -> BiplaneFluoroscope:
+def _fluoroscope(phantom: Phantom, size: int, wire_radius: float, filling: str, view: str = VIEW) -> BiplaneFluoroscope:
     centre = phantom.bounds.mean(axis=0)
     detector = PAIRS["guide3d"](centre, size)[0].detector  # light, blur and noise of the navigation's first camera
-    camera = XRayCamera(Projector.view(VIEW, phantom.bounds, size), DetectorDistortion.none(size, size), detector)
+    camera = XRayCamera(Projector.view(view, phantom.bounds, size), DetectorDistortion.none(size, size), detector)
     return BiplaneFluoroscope.over(phantom, [camera], scene("bath", filling), wire_material("default", wire_radius))
 
 

@@ -182,6 +182,11 @@ class EgocentricView:
         self._entry = (int(traced[-1, 0]), int(traced[-1, 1])) if len(traced) else None
         self._before: tuple[Array, Array, float] | None = None
 
+    @property
+    def lumen(self) -> Array:
+        """Probability of the lumen that the episode began with. Shape (size, size)."""
+        return self._lumen
+
     def wire(self, image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Array:
         """The wire's axis from tip to entry, rows and columns over the image's side. Shape (n, 2)."""
         traced = trace_wire(mask[0] > 0, self._entry)

@@ -1,0 +1,110 @@
+"""The demo's command: arguments, the episode with its film and log, the page, and every failure as one sentence."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from pipeline.store.errors import PipelineError
+
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+LOG, GIF, MP4 = "episode.mcap", "film.gif", "film.mp4"
+MODELS = ("navigator", "generalist")  # that can steer
+_SEEDS = 1_000  # of unseen arches
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the command line.
+
+    Returns:
+        The exit code: 0 the episode was played, whether or not the target was reached, 1 a file cannot be written,
+        2 wrong arguments or an anatomy that cannot be used, 130 after Ctrl-C.
+    """
+    options = _parser().parse_args(arguments)
+    # Learning libraries start as many threads as there are cores, which is slower beside other work.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    try:
+        run(options)
+    except KeyboardInterrupt:
+        return _say("interrupted: the same command begins again", EXIT_INTERRUPTED)
+    except (PipelineError, ValueError) as error:
+        return _say(" ".join(str(error).split()), EXIT_USAGE)
+    except OSError as error:
+        return _say(
+            f"{error.filename or options.output}: {error.strerror}: give another folder by --output", EXIT_FAILED
+        )
+    return 0
+
+
+def run(options: argparse.Namespace) -> None:
+    """Plays the episode and writes log, films and page.
+
+    Raises:
+        ConfigurationError: a model, anatomy or target that there is not.
+        ValueError: a file that is no anatomy.
+        OSError: something cannot be written.
+    """
+    from pipeline.demo.film import DemoFilm
+    from pipeline.demo.page import write_page
+    from pipeline.demo.steering import open_scene
+    from pipeline.recording.record import record_episode
+
+    began = time.monotonic()
+    print(f"demo: loading the {options.model} and the anatomy", flush=True)  # noqa: T201 - progress of a command
+    scene = open_scene(
+        options.model, anatomy=options.anatomy, unit=options.unit, seed=options.seed, target=options.target
+    )
+    print(f"demo: {scene.title}", flush=True)  # noqa: T201 - progress of a command
+    folder = Path(options.output)
+    folder.mkdir(parents=True, exist_ok=True)
+    film = DemoFilm(scene)
+    try:
+        metrics = record_episode(
+            scene.environment,
+            scene.steer,
+            folder / LOG,
+            seed=scene.start_seed,
+            operator="policy",
+            configuration={"stage": "demo", "row": options.model, "mode": "deterministic"},
+            film=film,
+        )
+        film.write(folder / GIF)
+        film.write_mp4(folder / MP4)
+    finally:
+        film.close()
+        scene.environment.close()
+    page = write_page(folder, scene, asdict(metrics), film.curves, {"log": LOG, "gif": GIF, "mp4": MP4})
+    outcome = "reached the target" if metrics.success else "did not reach the target"
+    print(  # noqa: T201 - the last word of a command line
+        f"demo: {outcome} in {metrics.steps / 10:.1f} s of simulated time, largest force {metrics.force_max:.2f} N; "
+        f"{time.monotonic() - began:.0f} s in all\nopen {page}"
+    )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("python -m pipeline.demo", description=__doc__)
+    parser.add_argument(
+        "--anatomy", metavar="FILE", help="surface, label volume or folder with an aorta; default: a random arch"
+    )
+    parser.add_argument("--unit", choices=("m", "cm", "mm", "inch"), help="of a surface; detected when left out")
+    parser.add_argument("--target", help="branch to steer to; default: the first of bca, lcca, lsa that is there")
+    parser.add_argument("--model", default=MODELS[0], choices=MODELS, help=f"that steers (default {MODELS[0]})")
+    parser.add_argument("--seed", type=_seed, default=0, help="of the random arch and the start, 0 to 999 (default 0)")
+    parser.add_argument("--output", default="runs/demo", metavar="FOLDER", help="(default runs/demo)")
+    return parser
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) >= _SEEDS:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to {_SEEDS - 1}, got {text!r}")
+    return int(text)
+
+
+def _say(sentence: str, code: int) -> int:
+    print(sentence, file=sys.stderr)  # noqa: T201 - the last word of a command line
+    return code

@@ -1,0 +1,179 @@
+"""The demo's episode: an anatomy that the policy was not trained in, what it sees of it, and what it reads there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.anatomies.known import TARGETS
+from pipeline.seeds import held_out_seeds, unseen_arches
+from pipeline.stages.unseen.task import UnseenTask
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import TASK, Task
+
+if TYPE_CHECKING:
+    from cathsim import NavigateEnv
+    from enn.imitation.image_policy import ImagePolicy
+    from enn.imitation.recurrent_policy import RecurrentController
+    from enn.policy import Policy, PolicyController
+
+_ARCHES = 1_000
+
+
+@dataclass(frozen=True)
+class ImageReading:
+    """What a policy of images goes by at a moment; places are columns and rows as shares of the image's side.
+
+    Attributes:
+        wire: from the tip on. Shape (n, 2).
+        way: ahead of the tip. Shape (m, 2).
+        lumen: probability of the vessel. Shape (size, size).
+    """
+
+    wire: np.ndarray
+    way: np.ndarray
+    lumen: np.ndarray
+
+
+class WatchedEnvironment:
+    """An environment that keeps its last observation; everything else is the environment's own."""
+
+    def __init__(self, environment: Any) -> None:
+        self.environment = environment
+        self.observation: Any = None
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "environment":
+            raise AttributeError(name)
+        return getattr(self.environment, name)
+
+    def reset(self, **further: Any) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode."""
+        self.observation, info = self.environment.reset(**further)
+        return self.observation, info
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advances by 0.1 s."""
+        outcome = self.environment.step(action)
+        self.observation = outcome[0]
+        return outcome
+
+
+class Scene:
+    """A policy in an environment, an episode at a time.
+
+    Args:
+        model: the policy's name.
+        environment: as the policy sees it.
+        anatomy: what it is, for people.
+        start_seed: of the episode's start.
+    """
+
+    def __init__(
+        self, model: str, policy: Policy | ImagePolicy, environment: Any, anatomy: str, start_seed: int
+    ) -> None:
+        self.model, self.policy, self.anatomy, self.start_seed = model, policy, anatomy, start_seed
+        self.environment: Any = WatchedEnvironment(environment)  # that of the policy in everything but its class
+        self.steer: PolicyController | RecurrentController = policy.controller()
+        self.steer.reset()
+        self._first_view: Any = None
+        self._roadmap: Any = None
+
+    @property
+    def by_images(self) -> bool:
+        """Whether the policy sees nothing but images."""
+        from enn.imitation.image_policy import ImagePolicy
+
+        return isinstance(self.policy, ImagePolicy)
+
+    @property
+    def target(self) -> str:
+        """The target's name."""
+        return str(self.environment.task.target_name)
+
+    @property
+    def title(self) -> str:
+        """Who steers where, in a line."""
+        return f"the {self.model} steers to the {self.target.upper()} of {self.anatomy}"
+
+    def read_off_image(self) -> ImageReading:
+        """What a policy of images reads off the last image."""
+        controller: Any = self.steer
+        perception, seen = controller.perception, self.environment.observation
+        if controller.view is None and self._first_view is None:  # before its first decision
+            self._first_view = perception.begin(seen)
+        view = controller.view or self._first_view
+        wire = view.wire(seen["image"], perception.mask(seen))
+        way, _ = view.way(wire[0])
+        return ImageReading(wire[:, ::-1], way[:, ::-1], view.lumen)
+
+    def read_off_scan(self) -> tuple[np.ndarray, np.ndarray]:
+        """Wire and way as a policy by a roadmap has them: (n, 3) m from the tip on, and the next 50 mm, (50, 3) m."""
+        from cathsim.observations.roadmap import Roadmap
+
+        if self._roadmap is None:
+            self._roadmap = Roadmap(self.environment.simulation, self.environment.task.target)
+        wire = np.asarray(self.environment.simulation.wire_points())
+        return wire, self._roadmap.way(wire[0])[0]
+
+
+def open_scene(
+    model: str, *, anatomy: str | None = None, unit: str | None = None, seed: int = 0, target: str | None = None
+) -> Scene:
+    """A shipped policy in a file's anatomy, or in a random arch that no policy was trained in.
+
+    Args:
+        model: name of the policy.
+        anatomy: path of a surface, a label volume or a folder; None: the random arch of the seed.
+        unit: of a surface; None: detected.
+        seed: of the arch among the unseen ones, and of the episode's start.
+        target: None: the first of `TARGETS` that the anatomy has.
+
+    Raises:
+        ConfigurationError: there is no such file or target, or the model says nothing of its task.
+        ValueError: there is no such model, or the file cannot be imported.
+    """
+    import enn
+
+    policy = enn.load(model)
+    if TASK not in policy.metadata:
+        raise ConfigurationError(
+            f"the model {model!r} does not say which task it was trained for: choose another model"
+        )
+    task = UnseenTask(TARGETS, Task(**policy.metadata[TASK]))
+    place: int | AnatomyFile
+    if anatomy is None:
+        place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
+        known = list(TARGETS)
+    else:
+        place, described = _file(anatomy, unit), Path(anatomy).name
+        known = list(place.load().targets)
+    chosen = target or next((name for name in TARGETS if name in known), None)
+    if chosen is None or chosen not in known:
+        wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
+        raise ConfigurationError(f"{described} has {wanted}: choose --target from {', '.join(known) or 'none'}")
+    return Scene(model, policy, _environment(task, place, chosen, policy), described, held_out_seeds(0, _ARCHES)[seed])
+
+
+def _environment(task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy) -> NavigateEnv:
+    """The environment with what the policy sees among its observations."""
+    from cathsim.observations.xray import XrayEnvironment
+    from enn.imitation.image_perception import XRAY_KEYS
+
+    if policy.keys == XRAY_KEYS:
+        bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
+        return XrayEnvironment(bare, task.task.image_size_px)  # type: ignore[return-value]
+    return task.test_environment(place, target, task.task.wire, policy.keys)
+
+
+def _file(path: str, unit: str | None) -> AnatomyFile:
+    if not Path(path).exists():
+        raise ConfigurationError(
+            f"there is no anatomy {path}: give the path of a surface (STL, OBJ, PLY, VTP, GLB), of a label volume "
+            "(NIfTI, NRRD), or of a folder with one file a vessel"
+        )
+    return AnatomyFile.of(path, unit, None, None)

@@ -1,0 +1,47 @@
+"""Untrained policies in the place of the shipped ones: what they do means nothing, but they see what those see."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from enn import shipped
+from enn.imitation.egocentric import VIEW_SIZE
+from enn.imitation.image_perception import ImagePerception
+from enn.imitation.lumen_segmentation import LumenSegmenter
+from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
+from enn.imitation.wire_segmentation import WireSegmenter
+from enn.networks.network import NetworkSettings, build_network
+from enn.policy import Policy
+from pipeline.stages.unseen.task import ROADMAP_KEYS, UnseenTask
+from pipeline.task import TASK, Task
+
+TASK_OF_DEMO = Task(wire_length_mm=380.0, image_size_px=64, max_steps=7)
+CARD = "# {0}\n\nSteers `{0}`.\n\n| file |\n\n**What it sees.** The `image`\nalone.\n\n**Figures.** None.\n"
+
+
+def ship(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Puts two untrained policies where enn finds the shipped ones; gives their folder."""
+    monkeypatch.setattr(shipped, "files", lambda package: folder / package)
+    weights = folder / "enn.weights"
+    metadata = {TASK: asdict(TASK_OF_DEMO)}
+    perception = ImagePerception(LumenSegmenter(4, 32), WireSegmenter(4))
+    settings = RecurrentPolicySettings(features=VIEW_SIZE, hidden=8, action_repeat=3)
+    RecurrentPolicy(settings, perception=perception.content()).save(weights / "navigator.pt", **metadata)
+    environment = UnseenTask(("bca",), TASK_OF_DEMO).test_environment("type_1", "bca", "default", ROADMAP_KEYS)
+    spaces = environment.observation_space, environment.action_space
+    network = NetworkSettings(hidden=(8, 8), keys=ROADMAP_KEYS)
+    Policy(network, build_network(network, *spaces), *spaces, action_repeat=3, metadata=metadata).save(
+        weights / "generalist.pt"
+    )
+    for name in ("navigator", "generalist"):
+        (weights / f"{name}.md").write_text(CARD.format(name))
+    return weights
+
+
+def inside(places: np.ndarray) -> bool:
+    """Whether some of the places, shares of an image's side, lie in it."""
+    return bool(((places >= 0) & (places <= 1)).all(axis=1).any())

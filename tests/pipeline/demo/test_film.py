@@ -1,0 +1,54 @@
+"""The demo's film: every panel shows the moment, and what the policy reads is drawn on the view that it sees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.demo.film import LUMEN, STRIDE, TARGET, TITLE_PX, VIEW_PX, WAY, WIRE, DemoFilm
+from pipeline.demo.steering import open_scene
+from tests.pipeline.demo.small_policies import ship
+
+
+def shows(panel: np.ndarray, colour: tuple[int, int, int]) -> bool:
+    """Whether some pixels have nearly a colour."""
+    return bool((np.abs(panel.astype(int) - colour).max(axis=2) < 40).any())
+
+
+@pytest.mark.parametrize("model", ["navigator", "generalist"])
+def test_panels_show_what_is_read(model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ship(tmp_path, monkeypatch)
+    scene = open_scene(model, seed=2)
+    film = DemoFilm(scene)
+    environment = scene.environment
+    by_images = model == "navigator"
+    if by_images:  # an untrained network finds neither wire nor lumen
+        mask, lumen = np.zeros((1, 64, 64), np.uint8), np.zeros((64, 64), np.float32)
+        mask[0, 40:, 32], lumen[:, 20:44] = 255, 1.0
+        perception = scene.steer.perception  # type: ignore[union-attr]
+        monkeypatch.setattr(perception, "mask", lambda seen: mask)
+        monkeypatch.setattr(perception.segmenter, "lumen", lambda image: lumen)
+    observation, info = environment.reset(seed=scene.start_seed)
+    film.add(environment)
+    for _ in range(STRIDE):
+        observation, _, _, _, info = environment.step(scene.steer(observation, info))
+        film.add(environment)
+    first, last = film._frames
+    frontal, lateral = (panel[TITLE_PX:] for panel in (last[:, :VIEW_PX], last[:, VIEW_PX : 2 * VIEW_PX]))
+    assert shows(frontal, TARGET)
+    assert shows(lateral, TARGET)
+    assert shows(frontal, WAY)
+    assert shows(frontal, WIRE)
+    assert shows(lateral, WIRE) is not by_images
+    assert shows(frontal, LUMEN) is by_images
+    assert first.shape == last.shape
+    assert (first != last).any()
+    assert {name: len(values) for name, values in film.curves.items()} == {
+        "distance_mm": STRIDE + 1,
+        "force_n": STRIDE + 1,
+    }
+    assert 10 < film.curves["distance_mm"][0] < 500
+    film.close()
+    environment.close()

@@ -1,0 +1,60 @@
+"""The demo's scene: the policy sees what it was trained on, and what it reads lies in the image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import enn
+from pipeline.demo.steering import open_scene
+from pipeline.seeds import training_arches, unseen_arches
+from pipeline.store.errors import ConfigurationError
+from tests.pipeline.demo.small_policies import TASK_OF_DEMO, inside, ship
+
+
+@pytest.fixture(autouse=True)
+def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return ship(tmp_path / "shipped", monkeypatch)
+
+
+def test_the_navigator_sees_images_alone() -> None:
+    scene = open_scene("navigator", seed=5, target="lcca")
+    assert scene.by_images
+    assert scene.title == "the navigator steers to the LCCA of random arch 40005"
+    observation, info = scene.environment.reset(seed=scene.start_seed)
+    assert set(observation) == {"image", "plain", "contrast", "goal_image"}
+    before = scene.read_off_image()
+    scene.steer(observation, info)
+    after = scene.read_off_image()
+    size = TASK_OF_DEMO.image_size_px
+    for read in (before, after):
+        assert read.lumen.shape == (size, size)
+        assert inside(read.wire)
+        assert inside(read.way)
+    np.testing.assert_array_equal(before.wire, after.wire)
+
+
+def test_the_generalist_goes_by_the_scan() -> None:
+    scene = open_scene("generalist", seed=5)
+    assert not scene.by_images
+    scene.environment.reset(seed=scene.start_seed)
+    wire, way = scene.read_off_scan()
+    assert way.shape == (50, 3)
+    np.testing.assert_allclose(wire[0], scene.environment.simulation.wire_points()[0])
+    assert np.linalg.norm(way[0] - wire[0]) < 5e-3
+
+
+def test_the_arch_was_not_trained_in() -> None:
+    assert not set(unseen_arches(1_000)) & {seed for run in range(20) for seed in training_arches(run, 1_000)}
+
+
+def test_what_there_is_not_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigurationError, match="random arch 40000 has no target 'spleen': choose --target from bca"):
+        open_scene("navigator", target="spleen")
+    policy = enn.load("navigator")
+    policy.metadata.clear()
+    monkeypatch.setattr(enn, "load", lambda name: policy)
+    with pytest.raises(ConfigurationError, match="'navigator' does not say which task it was trained for"):
+        open_scene("navigator")
