@@ -26,7 +26,7 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 
-.PHONY: help setup ray lerobot all smoke demo thesis-check test lint format bench-quick fuzz clean clean-all console $(STAGES)
+.PHONY: help setup ray lerobot all smoke demo thesis-check test lint format bench-quick fuzz docs wheels clean clean-all console $(STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
@@ -98,9 +98,13 @@ bench-quick: setup  ## every benchmark, at most 50 s each
 fuzz: setup  ## damaged files, settings and messages for 10 minutes (ARGS='--seconds 60 --seed 1 --output fuzz.json')
 	@$(PY) -m tests.fuzz $(ARGS)
 
+wheels: setup  ## wheels and sources of all five distributions in dist/, manylinux where auditwheel can
+	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -e .[wheels]
+	@$(PY) benchmarks/pipeline/wheels.py --output dist $(ARGS)
+
 clean:  ## remove caches and build products; runs and the environment stay
 	@find . -path ./$(VENV) -prune -o -type d \( -name __pycache__ -o -name '*.egg-info' \) -prune -exec rm -rf {} +
-	@rm -rf .pytest_cache .mypy_cache .ruff_cache build dist packages/*/build packages/*/dist
+	@rm -rf .pytest_cache .mypy_cache .ruff_cache build dist site packages/*/build packages/*/dist
 
 clean-all: clean  ## also remove the environment and every run
 	@rm -rf $(VENV) runs

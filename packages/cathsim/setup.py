@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import CCompilerError, CompileError, ExecError, LinkError, PlatformError
 
@@ -15,7 +16,7 @@ NATIVE = Path("src/cathsim/native")
 def mujoco_include() -> str:
     spec = importlib.util.find_spec("mujoco")
     if spec is None or spec.origin is None:
-        sys.exit("cathsim: building needs the mujoco package (its C headers): pip install mujoco==4.0.0")
+        sys.exit("cathsim: building needs the mujoco package (its C headers): pip install 'mujoco>=4.0,<5'")
     return str(Path(spec.origin).parent / "include")
 
 
@@ -38,6 +39,13 @@ class BuildNative(build_ext):
             )
 
 
+class PlatformWheel(bdist_wheel):
+    """One wheel for every Python of a platform: the native code is called by ctypes and calls nothing of Python's."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        return "py3", "none", super().get_tag()[2]
+
+
 setup(
     ext_modules=[
         Extension(
@@ -51,5 +59,5 @@ setup(
             libraries=["m", "pthread"],
         )
     ],
-    cmdclass={"build_ext": BuildNative},
+    cmdclass={"bdist_wheel": PlatformWheel, "build_ext": BuildNative},
 )

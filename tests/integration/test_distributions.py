@@ -130,6 +130,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "installed"
 
 
+@pytest.fixture(scope="module")
+def wheels(installed: Path) -> dict[str, Path]:
+    """The wheel of each distribution."""
+    return {path.name.split("-")[0]: path for path in (installed.parent / "wheels").glob("*.whl")}
+
+
 def run_installed(installed: Path, cwd: Path, *arguments: str) -> str:
     """Runs Python with the unpacked wheels and the libraries; -S leaves this tree's editable installs out."""
     libraries = Path(numpy.__file__).parents[1]
@@ -158,6 +164,25 @@ def test_the_pipeline_runs_from_its_wheel(installed: Path, tmp_path: Path) -> No
     # Results of the installed code and of this tree are told apart by the code alone.
     assert manifest.identity.code_hash == SourceClosure().hash("pipeline.stages.phantoms")
     assert "Type" in (run / "report" / "index.html").read_text()
+
+
+@pytest.mark.slow
+def test_the_command_runs_from_its_wheel(installed: Path, tmp_path: Path) -> None:
+    (entries,) = installed.glob("endonav-*.dist-info/entry_points.txt")
+    assert "endonav = pipeline.command:main" in entries.read_text()
+    assert "stages" in run_installed(installed, tmp_path, "-m", "pipeline.command", "--help")
+    listed = run_installed(installed, tmp_path, "-m", "pipeline.command", "models")
+    assert "guide3d reader: " in listed
+    assert "stage=STAGE" in run_installed(installed, tmp_path, "-m", "pipeline.command", "stages")
+
+
+@pytest.mark.slow
+def test_native_wheels_are_for_every_python_and_one_platform(wheels: dict[str, Path]) -> None:
+    tags = {name: path.stem.split("-")[2:] for name, path in wheels.items()}
+    assert set(tags) == {"endonav", *(f"endonav_{name}" for name in DISTRIBUTIONS)}
+    for name, (python, abi, platform) in tags.items():
+        assert (python, abi) == ("py3", "none")
+        assert (platform != "any") == (name in ("endonav_cathsim", "endonav_guide3d")), name
 
 
 @pytest.mark.slow

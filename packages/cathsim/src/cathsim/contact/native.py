@@ -97,7 +97,7 @@ def mujoco_library() -> ctypes.CDLL:
     """The MuJoCo library that the Python bindings have loaded."""
     path = _find(Path(mujoco.__file__).parent, "libmujoco*")
     if path is None:
-        raise ImportError("cathsim found no libmujoco inside the mujoco package: reinstall mujoco==4.0.0")
+        raise ImportError("cathsim found no libmujoco inside the mujoco package: reinstall mujoco")
     return ctypes.CDLL(str(path))
 
 
@@ -124,8 +124,9 @@ def library() -> ctypes.CDLL:
     if native.cathsim_header_version() != mujoco.mj_version():
         built, running = native.cathsim_header_version(), mujoco.mj_version()
         raise ImportError(
-            f"cathsim's native code was built for MuJoCo {built} and {running} is running: "
-            "reinstall cathsim with 'pip install --force-reinstall --no-deps ./packages/cathsim'"
+            f"cathsim's native code was built for MuJoCo {built} and {running} is running: install that MuJoCo, or "
+            "build cathsim for this one with 'pip install --force-reinstall --no-deps --no-build-isolation --no-binary "
+            ":all: endonav-cathsim', in a checkout with ./packages/cathsim as the last word"
         )
     pointer, number = ctypes.c_void_p, ctypes.c_double
     native.cathsim_vessel_register.argtypes = (*2 * (pointer,), number, *2 * (pointer,), *2 * (number,), ctypes.c_int)

@@ -1,0 +1,123 @@
+"""The command `endonav`, which an installation brings: stages, episodes, models, a demonstration and the console."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+
+from pipeline.installation import gl_backend
+
+_FINE, _USAGE, _INTERRUPTED = 0, 2, 130
+_PACKAGES = ("enn", "guide3d", "splineformer")  # that ship models
+_DEMO = (
+    ("stage=phantoms", "name=demo", "stage.phantoms=[type_1]"),
+    ("stage=expert", "experiment=demo"),
+    ("stage=report", "name=demo"),
+)
+_HELP = """\
+endonav COMMAND [ARGUMENTS]
+
+  stages [stage=NAME ...]  run a stage; without arguments list stages, budgets and options
+  chain all|STAGE ...      run stages one after the other
+  episodes COMMAND FILE    look at episode logs, check, film and export them
+  models [NAME]            list the trained models that are shipped, or print the card of one
+  demo                     an expert's episode into the BCA: its log, films and report in runs/demo
+  console                  steer the wire yourself, in the browser (needs endonav-cathsim[console])
+
+Every command has --help. Results go to runs/ in the folder in which it is called.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line; gives the exit code of what it called, 2 for wrong usage."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        _say(_HELP)
+        return _FINE if words else _USAGE
+    if words[0] not in _COMMANDS:
+        _say(f"endonav has no command {words[0]!r}: choose from {', '.join(_COMMANDS)}", error=True)
+        return _USAGE
+    if "MUJOCO_GL" not in os.environ and (backend := gl_backend()):
+        os.environ["MUJOCO_GL"] = backend
+    try:
+        return _COMMANDS[words[0]](words[1:])
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    except ModuleNotFoundError as error:
+        _say(f"endonav {words[0]} needs the module {error.name}: install what brings it, then try again", error=True)
+        return _USAGE
+
+
+def _stages(arguments: list[str]) -> int:
+    from pipeline.launch import main as launch
+
+    return launch(arguments or ["--help"])
+
+
+def _chain(arguments: list[str]) -> int:
+    from pipeline.chain import main as chain
+
+    return chain(arguments or ["--help"])
+
+
+def _episodes(arguments: list[str]) -> int:
+    from pipeline.episodes.__main__ import main as episodes
+
+    return episodes(arguments)
+
+
+def _models(arguments: list[str]) -> int:
+    """Lists the shipped models, or prints cards."""
+    shipped = {}
+    for name in _PACKAGES:
+        package = importlib.import_module(f"{name}.shipped")
+        shipped |= {f"{name} {model}": (sentence, package) for model, sentence in package.models().items()}
+    if not arguments or arguments[0] in ("-h", "--help"):
+        _say("\n".join(f"{name}: {sentence}" for name, (sentence, _) in shipped.items()) or "no model is shipped")
+        return _FINE
+    found = [(full.split()[1], package) for full, (_, package) in shipped.items() if full.split()[1] == arguments[-1]]
+    if not found:
+        known = ", ".join(full.split()[1] for full in shipped) or "none, as none is shipped"
+        _say(f"there is no model {arguments[-1]!r}: choose from {known}", error=True)
+        return _USAGE
+    _say("\n".join(package.card(name) for name, package in found))
+    return _FINE
+
+
+def _demo(arguments: list[str]) -> int:
+    """Runs the three stages of the demonstration; overrides go to the expert's."""
+    if arguments and arguments[0] in ("-h", "--help"):
+        _say("endonav demo [stage.KEY=VALUE ...]: an expert's episode, its films and the report in runs/demo")
+        return _FINE
+    for overrides in _DEMO:
+        own = arguments if overrides[0] == "stage=expert" else []
+        if code := subprocess.run([sys.executable, "-m", "pipeline", *overrides, *own], check=False).returncode:
+            return code
+    return _FINE
+
+
+def _console(arguments: list[str]) -> int:
+    from pipeline.console import main as console
+
+    return console(arguments)
+
+
+_COMMANDS: dict[str, Callable[[list[str]], int]] = {
+    "stages": _stages,
+    "chain": _chain,
+    "episodes": _episodes,
+    "models": _models,
+    "demo": _demo,
+    "console": _console,
+}
+
+
+def _say(text: str, *, error: bool = False) -> None:
+    print(text.rstrip(), file=sys.stderr if error else sys.stdout, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""The command `endonav`: each word goes to what it names, and wrong ones are one sentence."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import pytest
+
+from pipeline import command
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", os.environ.get("MUJOCO_GL", "egl"))
+
+
+@pytest.mark.parametrize("words", [[], ["--help"]])
+def test_help_names_every_command(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(words) == (0 if words else 2)
+    printed = capsys.readouterr().out
+    assert all(f"\n  {name}" in printed for name in command._COMMANDS)
+
+
+def test_an_unknown_command_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["stage"]) == 2
+    assert capsys.readouterr().err == (
+        "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, console\n"
+    )
+
+
+def test_stages_and_chain_without_arguments_list_the_stages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["stages"]) == 0
+    assert "phantoms" in capsys.readouterr().out
+    assert command.main(["chain"]) == 0
+    assert "--inputs" in capsys.readouterr().out
+
+
+def test_episodes_are_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["episodes", "info", "nothing.mcap"]) == 2
+    assert "nothing.mcap is no file" in capsys.readouterr().err
+
+
+def test_models_are_listed_and_have_cards(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["models"]) == 0
+    assert "guide3d reader: Finds guidewires" in capsys.readouterr().out
+    assert command.main(["models", "reader"]) == 0
+    assert capsys.readouterr().out.startswith("#")
+    assert command.main(["models", "nothing"]) == 2
+    assert "there is no model 'nothing': choose from " in capsys.readouterr().err
+
+
+def test_the_demonstration_runs_three_stages_and_stops_at_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[list[str]] = []
+
+    class Done:
+        def __init__(self, returncode: int) -> None:
+            self.returncode = returncode
+
+    def run(words: list[str], **_: Any) -> Done:
+        called.append(words[3:])
+        return Done(7 if words[3] == "stage=expert" and "stage.episodes=-1" in words else 0)
+
+    monkeypatch.setattr(command.subprocess, "run", run)
+    assert command.main(["demo"]) == 0
+    assert [words[0] for words in called] == ["stage=phantoms", "stage=expert", "stage=report"]
+    called.clear()
+    assert command.main(["demo", "stage.episodes=-1"]) == 7
+    assert [words[0] for words in called] == ["stage=phantoms", "stage=expert"]
+
+
+def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def missing(arguments: list[str]) -> int:
+        raise ModuleNotFoundError("No module named 'uvicorn'", name="uvicorn")
+
+    monkeypatch.setitem(command._COMMANDS, "console", missing)
+    assert command.main(["console"]) == 2
+    assert "endonav console needs the module uvicorn" in capsys.readouterr().err
