@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from pipeline.installation import gl_backend
 
@@ -71,7 +72,7 @@ def _episodes(arguments: list[str]) -> int:
 
 def _models(arguments: list[str]) -> int:
     """Lists the shipped models, or prints cards."""
-    shipped = {}
+    shipped: dict[str, tuple[str, Any]] = {}
     for name in _PACKAGES:
         package = importlib.import_module(f"{name}.shipped")
         shipped |= {f"{name} {model}": (sentence, package) for model, sentence in package.models().items()}
