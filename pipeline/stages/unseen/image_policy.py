@@ -13,7 +13,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +28,7 @@ from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, training_arch
 from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests
 from pipeline.store.atomic_files import write_json, write_text
+from pipeline.task import TASK
 
 if TYPE_CHECKING:
     from enn.imitation.advised_episodes import EpisodeStart
@@ -84,7 +85,7 @@ def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
         policy, perception = load_image_policy(file, report.device)
     else:
         policy, perception, rounds = _train(job, report.part(0.0, 0.8, "training"), report.device)
-        policy.save(file)
+        policy.save(file, **job.origin.configuration("training"), **{TASK: asdict(job.task.task)})
         spent = _write_record(job, rounds)
         forget_rounds(job.own_folder)
 
