@@ -98,6 +98,12 @@ bench-quick: setup  ## every benchmark, at most 50 s each
 fuzz: setup  ## damaged files, settings and messages for 10 minutes (ARGS='--seconds 60 --seed 1 --output fuzz.json')
 	@$(PY) -m tests.fuzz $(ARGS)
 
+docs: setup  ## the documentation site, in site/
+	@$(PY) -c "import mkdocs, mkdocstrings" 2>/dev/null || $(PY) -m pip install -qq --disable-pip-version-check \
+		--no-build-isolation -c constraints.txt -e .[docs]
+	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --quiet
+	@echo "open site/index.html"
+
 wheels: setup  ## wheels and sources of all five distributions in dist/, manylinux where auditwheel can
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -e .[wheels]
 	@$(PY) benchmarks/pipeline/wheels.py --output dist $(ARGS)

@@ -305,6 +305,33 @@ def test_every_page_of_the_documents_is_listed_in_the_contents() -> None:
     assert "](docs/index.md)" in read(PROJECT_ROOT / "README.md")
 
 
+def nav_pages(entry: object) -> Iterator[str]:
+    """The pages of a part of the site's navigation."""
+    if isinstance(entry, str):
+        yield entry
+    for part in entry if isinstance(entry, list) else entry.values() if isinstance(entry, dict) else ():
+        yield from nav_pages(part)
+
+
+def test_the_site_s_navigation_has_every_page_once() -> None:
+    listed = list(nav_pages(yaml.safe_load(read(PROJECT_ROOT / "mkdocs.yml"))["nav"]))
+    pages = {page.relative_to(DOCS).as_posix() for page in PAGES}
+    assert len(listed) == len(set(listed))
+    assert pages <= set(listed)
+    outside = {"about.md", "tutorial.md", "models.md", "contributing.md", "changelog.md"}
+    outside |= {f"{folder}/{package}.md" for folder in ("packages", "api") for package in PACKAGES}
+    assert set(listed) - pages == outside
+
+
+def test_every_film_is_shown_and_small() -> None:
+    films = sorted((DOCS / "pictures").rglob("*.gif"))
+    shown = read(DOCS / "gallery.md")
+    assert films
+    for film in films:
+        assert f"]({film.relative_to(DOCS).as_posix()})" in shown
+        assert film.stat().st_size < 1_000_000, relative(film)
+
+
 def news() -> list[str]:
     """The lines of the readme that say what is new."""
     section = re.search(r"^## What is new\n(.*?)^## ", read(PROJECT_ROOT / "README.md"), re.DOTALL | re.MULTILINE)

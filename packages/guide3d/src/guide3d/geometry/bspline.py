@@ -60,7 +60,7 @@ class BSplineCurve:
         return self.at(np.linspace(*self.domain, count))
 
     def to_tck(self, u: ArrayLike | None = None) -> dict[str, Any]:
-        """Returns the curve in the public layout: {"tck": {"t", "c" [d][n], "k"}, "u"}, plain lists.
+        """Returns the curve in the public layout: {"tck": {"t", "c", "k"}, "u"}, plain lists, "c" d of n numbers.
 
         Args:
             u: parameters of the points the curve was fitted to; the curve's own two ends where None.

@@ -1,0 +1,73 @@
+"""Pages of the documentation site that are no pages below docs/: links, the notebook, the packages' interfaces."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+pytest.importorskip("mkdocs", reason="the documentation site is built by make docs, which installs MkDocs")
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.fixture(scope="module")
+def site() -> ModuleType:
+    specification = importlib.util.spec_from_file_location("site_pages", DOCS / "site_pages.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("page", "link", "expected"),
+    [
+        ("about.md", "[a](docs/cathsim/goals.md#x)", "[a](cathsim/goals.md#x)"),
+        ("about.md", "![film](docs/pictures/navigation.gif)", "![film](pictures/navigation.gif)"),
+        ("about.md", "see [examples/](examples) and [MIT](LICENSE)", "see examples/ and MIT"),
+        ("cathsim/goals.md", "[r](../../packages/cathsim/README.md)", "[r](../packages/cathsim.md)"),
+        ("packages/enn.md", "[p](../../docs/enn/policies.md)", "[p](../enn/policies.md)"),
+        ("models.md", "[c](../packages/guide3d/src/guide3d/weights/reader.md)", "[c](models/reader.md)"),
+        (
+            "index.md",
+            "[n](tutorial.ipynb), [w](https://example.org/x.md)",
+            "[n](tutorial.md), [w](https://example.org/x.md)",
+        ),
+    ],
+)
+def test_links_lead_to_pages_of_the_site(site: ModuleType, page: str, link: str, expected: str) -> None:
+    assert site.with_links_of_the_site(link, page) == expected
+
+
+def test_code_is_left_alone_but_for_its_language(site: ModuleType) -> None:
+    code = "```python no-run\nx = names[0](LICENSE)\n```"
+    assert site.with_links_of_the_site(code, "about.md") == "```python\nx = names[0](LICENSE)\n```"
+
+
+def test_the_notebook_becomes_a_page_with_its_pictures(site: ModuleType) -> None:
+    text, pictures = site.notebook_page(json.loads((DOCS / "tutorial.ipynb").read_text(encoding="utf-8")))
+    assert list(pictures) == ["tutorial_0.png", "tutorial_1.png"]
+    assert all(picture.startswith(b"\x89PNG") for picture in pictures.values())
+    assert "![output](tutorial_1.png)" in text
+    assert "reached after" in text
+
+
+def test_every_module_has_an_entry_among_the_interfaces(site: ModuleType) -> None:
+    pages = dict(site.api_pages())
+    assert {"api/cathsim.md", "api/enn.md", "api/guide3d.md", "api/splineformer.md"} <= set(pages)
+    assert "::: cathsim.environment\n" in pages["api/cathsim.md"]
+    assert "[goals](cathsim/goals.md)" in pages["api/cathsim.md"]
+    assert "::: guide3d.geometry.camera\n" in pages["api/guide3d/geometry.md"]
+    assert not [page for page, text in pages.items() if "::: " not in text]
+
+
+@pytest.mark.parametrize(
+    ("heading", "anchor"), [("Task, and more", "task-and-more"), ("What `x_y` is: 2 mm", "what-x_y-is-2-mm")]
+)
+def test_anchors_are_those_of_links(site: ModuleType, heading: str, anchor: str) -> None:
+    assert site.slug(heading.replace("`", "")) == anchor
