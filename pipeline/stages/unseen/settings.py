@@ -40,7 +40,7 @@ class UnseenSettings(ChosenAnatomies):
 
     name: str = "unseen"
     own_entry: PathText = DESCENDING  # filled in: where wires come in in `phantoms`
-    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca"])  # of every policy
+    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])  # of every policy
     own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
     anatomies: Count = 32  # random arches that the roadmap policy is trained on
     curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each

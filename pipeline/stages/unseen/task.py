@@ -16,14 +16,16 @@ if TYPE_CHECKING:
     from cathsim.many_anatomies import NavigateManyEnv
 
 ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows: what a policy sees
-TEST_PHANTOM, WIDE_PHANTOM = "random", "random_wide"
+TEST_PHANTOM = "random"
+# kinds of the training's arches by turns: as tested, with rare shapes as often as common ones, and like scans
+TRAINING_KINDS = (TEST_PHANTOM, "random_wide", TEST_PHANTOM, "random_scan", "random_scan")
 ROADMAP_KEYS = ("roadmap", "history")  # what a policy with a roadmap sees
 RESOLUTION = 1e-3  # m: at 1.5 mm thin walls open, and ways become short cuts
 
 
 def training_arch(seed: int) -> tuple[str, int]:
-    """The training anatomy of a seed: by turns one like those of the tests, and one of rare shapes as often as not."""
-    return (WIDE_PHANTOM if seed % 2 else TEST_PHANTOM), seed
+    """The training anatomy of a seed: its kind and the seed."""
+    return TRAINING_KINDS[seed % len(TRAINING_KINDS)], seed
 
 
 @dataclass(frozen=True)

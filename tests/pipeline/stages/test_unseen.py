@@ -68,8 +68,9 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     assert by_image[0].after == by_image[1].after == ("roadmap",)
     built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
     tested = [("random", seed) for seed in unseen_arches(50)]
-    validated = [("random", seed) for seed in validation_arches(16)]
-    trained = [(("random", "random_wide")[seed % 2], seed) for seed in range(3000, 3020)]
+    validated = [training_arch(seed) for seed in validation_arches(16)]
+    kinds = ("random", "random_wide", "random", "random_scan", "random_scan")
+    trained = [(kinds[seed % 5], seed) for seed in range(3000, 3020)]
     assert built == [*trained, *validated, *tested]
     assert jobs["roadmap"].given.validated == tuple(seed for _, seed in validated)
     without = {job.key for job in plan(settings(image=False, xray=False), tmp_path, 3, "smoke")}
@@ -124,7 +125,7 @@ def test_plan_demonstrates_in_training_anatomies(tmp_path: Path) -> None:
     shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
     assert sorted(seed for given in shown for seed in given.shown) == list(range(1000, 1005))
     assert {"demonstrations/0", "demonstrations/1"} <= set(jobs["roadmap 4"].after)
-    assert jobs["roadmap 4"].given.settings.reset_bank_cases == 8
+    assert jobs["roadmap 4"].given.settings.reset_bank_cases == 12
     none = plan(settings(demonstrations=0), tmp_path, 1, "desk")
     assert not [job.key for job in none if job.key.startswith("demonstrations")]
     assert jobs["roadmap"].given.demonstrated
@@ -141,18 +142,18 @@ def test_plan_lays_starts_in_every_training_anatomy(tmp_path: Path) -> None:
 
 
 def test_laid_starts_lie_before_the_target_and_are_laid_once(tmp_path: Path) -> None:
-    job = StartsJob(tmp_path / "starts", TASK, (4,), seed=0)
+    job = StartsJob(tmp_path / "starts", TASK, (5,), seed=0)
     laid = lay_starts(job, Report())
     assert laid["anatomies"] == 1
     assert laid["states"] >= 8
-    written = (job.folder / "4.npz").stat().st_mtime_ns
+    written = (job.folder / "5.npz").stat().st_mtime_ns
     assert lay_starts(job, Report()) == laid
-    assert (job.folder / "4.npz").stat().st_mtime_ns == written
+    assert (job.folder / "5.npz").stat().st_mtime_ns == written
 
-    (starts,) = read_starts(job.folder, (4,), TASK.targets)
+    (starts,) = read_starts(job.folder, (5,), TASK.targets)
     assert len(starts) == laid["states"]
     assert (starts[:, -1] == 0).all()
-    environment = TASK.training_environment((4,), ("tip",))
+    environment = TASK.training_environment((5,), ("tip",))
     begun = environment.start_state()
     remaining = []
     for start in starts:
