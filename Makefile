@@ -102,7 +102,7 @@ docs: setup  ## the documentation site, in site/
 	@$(PY) -c "import mkdocs, mkdocstrings" 2>/dev/null || $(PY) -m pip install -qq --disable-pip-version-check \
 		--no-build-isolation -c constraints.txt -e .[docs]
 	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --quiet
-	@echo "open site/index.html"
+	@echo "site/index.html; with search: $(PY) -m http.server -d site"
 
 wheels: setup  ## wheels and sources of all five distributions in dist/, manylinux where auditwheel can
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -e .[wheels]

@@ -34,6 +34,7 @@ OUTSIDE = {
     NOTEBOOK: "tutorial.md",
 }
 SOURCES = {page: source for source, page in OUTSIDE.items()}
+PICTURE = re.compile(r"docs/tutorial_\d+\.png")  # of the notebook, made when the site is built
 FENCED = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 
@@ -48,6 +49,7 @@ def site_path(source: str) -> str | None:
     if source in OUTSIDE:
         return OUTSIDE[source]
     inside = source.startswith("docs/") and not source.endswith(".py") and (ROOT / source).is_file()
+    inside = inside or bool(PICTURE.fullmatch(source))
     return source.removeprefix("docs/") if inside else None
 
 
@@ -107,7 +109,11 @@ def api_pages() -> Iterator[tuple[str, str]]:
             if inner:
                 links = [f"[{one.name}]({posixpath.relpath(pages[one], posixpath.dirname(page))})" for one in inner]
                 lines += ["Folders: " + ", ".join(links), ""]
-            lines += [f"::: {name}", "    options: {members: false, show_root_heading: false}", ""]
+            lines += [
+                f"::: {name}",
+                "    options: {members: false, show_root_heading: false, show_root_toc_entry: false}",
+                "",
+            ]
             for module in sorted(folder.glob("*.py")):
                 if not module.stem.startswith("_"):
                     lines += [
@@ -116,6 +122,7 @@ def api_pages() -> Iterator[tuple[str, str]]:
                         f"::: {name}.{module.stem}",
                         "    options:",
                         "      show_root_heading: false",
+                        "      show_root_toc_entry: false",
                         "",
                     ]
             yield page, "\n".join(lines)

@@ -32,6 +32,7 @@ def site() -> ModuleType:
         ("about.md", "see [examples/](examples) and [MIT](LICENSE)", "see examples/ and MIT"),
         ("cathsim/goals.md", "[r](../../packages/cathsim/README.md)", "[r](../packages/cathsim.md)"),
         ("packages/enn.md", "[p](../../docs/enn/policies.md)", "[p](../enn/policies.md)"),
+        ("tutorial.md", "![output](tutorial_0.png)", "![output](tutorial_0.png)"),
         ("models.md", "[c](../packages/guide3d/src/guide3d/weights/reader.md)", "[c](models/reader.md)"),
         (
             "index.md",
