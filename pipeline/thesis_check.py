@@ -39,7 +39,7 @@ def main(overrides: Sequence[str]) -> int:
     """
     command = ["python", "-m", "pipeline.thesis_check", *overrides]
     code = chain.main(["all", "--", "budget=thesis", f"experiment={EXPERIMENT}", *overrides])
-    run = Path(_chosen(overrides, "runs_dir", "runs")) / _chosen(overrides, "name", EXPERIMENT)
+    run = Path(chain.chosen_value(overrides, "runs_dir", "runs")) / chain.chosen_value(overrides, "name", EXPERIMENT)
     if not run.is_dir():
         return code
     found = rows(run)
@@ -48,10 +48,6 @@ def main(overrides: Sequence[str]) -> int:
     write_json(run / JSON, {"rows": [dict(zip(COLUMNS, row, strict=True)) for row in found], **provenance(command)})
     print(text)  # noqa: T201 - the command's answer
     return code or (0 if all(row[-1] == OK for row in found) else _EXIT_FAILED)
-
-
-def _chosen(overrides: Sequence[str], key: str, default: str) -> str:
-    return next((word.partition("=")[2] for word in reversed(overrides) if word.startswith(f"{key}=")), default)
 
 
 def rows(run: Path) -> list[Row]:

@@ -172,7 +172,7 @@ class _Pool:
     def _take(self, taken: _Taken, message: Message) -> None:
         key = taken.job.key
         if message.cost is not None:
-            keep_cost(self._folder.path, key, message.cost)
+            keep_cost(self._folder.path, key, message.cost, taken.job.after)
         if message.kind == STARTED:
             taken.state.start()
         elif message.kind == AGAIN:

@@ -20,7 +20,7 @@ from pipeline.store.errors import StageError
 ADDRESS = "RAY_ADDRESS"
 _GB = 1e9
 _SECONDS_TO_CONNECT = 5.0
-_SECONDS_TO_PROBE = 60.0
+_SECONDS_TO_PROBE = 120.0
 _START = "start one with `ray start --head`, or name another by engine.address=HOST:PORT or RAY_ADDRESS"
 
 
@@ -127,7 +127,7 @@ class RayCluster(Cluster):
         try:
             return str(self._ray.get(handle) or "")
         except self._ray.exceptions.RayError as error:
-            return _first_line(error)
+            return _first_sentence(error)
 
     def cancel(self, handle: Any) -> None:
         """Cancels a task; its process ends, and the job's with it."""
@@ -144,9 +144,9 @@ def _say_nothing(*unused: Any, **also_unused: Any) -> None:
     """In place of what Ray prints."""
 
 
-def _first_line(error: BaseException) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+def _first_sentence(error: BaseException) -> str:
+    first = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    return f"{type(error).__name__}: {first.partition('. ')[0].rstrip('.')}" if first else type(error).__name__
 
 
 def _require_listening(address: str) -> None:

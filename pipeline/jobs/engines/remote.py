@@ -23,7 +23,7 @@ from pipeline.jobs.engines.interface import AGAIN, ENDED, LOST, STARTED, Engine,
 from pipeline.jobs.engines.local import ONE_THREAD
 from pipeline.jobs.engines.sending import Errand, Order
 from pipeline.jobs.engines.settings import ClusterSettings
-from pipeline.jobs.engines.shared_files import ENDED_FILE, LEASE_S, REVOKED, STOP, Driver, MessageReader
+from pipeline.jobs.engines.shared_files import ENDED_FILE, REVOKED, STOP, Driver, MessageReader
 from pipeline.jobs.gpus import AUTO, CPU
 from pipeline.jobs.job import Job
 from pipeline.jobs.worker import Message
@@ -58,25 +58,23 @@ class RemoteEngine(Engine):
     """Jobs on the machines of a cluster."""
 
     def __init__(
-        self, stage: Path, cluster: Cluster, settings: ClusterSettings, *, device: str = CPU, at_once: int = 0,
-        lease_s: float = LEASE_S,
+        self, stage: Path, cluster: Cluster, settings: ClusterSettings, *, device: str = CPU, at_once: int = 0
     ) -> None:  # fmt: skip
         """Args:
         stage: its folder, which this process has locked.
         device: `stage.device`.
         at_once: jobs in the queue; 0: no limit.
-        lease_s: that a job works on without a sign of this process.
         """
         if ":" in device:
             raise StageError(f"stage.device={device} names a GPU of one machine: on a cluster take cuda, auto or cpu")
-        self._stage, self._cluster, self._settings, self._lease_s = stage.absolute(), cluster, settings, lease_s
+        self._stage, self._cluster, self._settings = stage.absolute(), cluster, settings
         self._on_gpus = device != CPU and (device != AUTO or cluster.has_gpus)
         self._at_once = at_once
         self.capacity = min(at_once or cluster.capacity, cluster.capacity)
         self._attempts: dict[str, _Attempt] = {}
         self._messages: list[tuple[str, Message]] = []
         self._stopping, self._looked = False, float("-inf")
-        self._driver = Driver(self._stage).start()
+        self._driver = Driver(self._stage, settings.lease_s).start()
         for old in self._driver.path.parent.iterdir():  # of earlier runs, which have ended
             if old.is_dir():
                 shutil.rmtree(old, ignore_errors=True)
@@ -111,7 +109,7 @@ class RemoteEngine(Engine):
             notes=(notes.folder.absolute(), notes.journal.absolute()),
             job=pickle.dumps((job.run, job.given)),
             gpu=needs.gpus > 0,
-            lease_s=self._lease_s,
+            lease_s=self._settings.lease_s,
         )
         carried = {name: value for name, value in os.environ.items() if name.startswith(_CARRIED)}
         errand = Errand(str(place), sys.executable, os.getcwd(), {**carried, **ONE_THREAD}, pickle.dumps(order))
@@ -169,7 +167,7 @@ class RemoteEngine(Engine):
             self._end(attempt, f"it was lost {attempt.number} times, at last because {why}")
         else:
             attempt.over = True
-            attempt.again_at = time.monotonic() + self._lease_s
+            attempt.again_at = time.monotonic() + self._settings.lease_s
             self._write(attempt, REVOKED)
             self._cluster.cancel(attempt.handle)
             text = f"lost ({why}); it is done again, time {attempt.number + 1} of {self._settings.retries + 1}"

@@ -28,10 +28,10 @@ from pipeline.jobs.worker import Message
 
 JOBS = ".jobs"
 MESSAGES, STOP, REVOKED, ENDED_FILE = "messages.jsonl", "stop", "revoked", "ended"
-LEASE_S = 60.0  # that a job works on without a sign of its driver; then that may be gone, and another at work
 _SECONDS_BETWEEN_BEATS = 2.0
 _SECONDS_BETWEEN_LOOKS = 0.5
 _DRIVER = "driver.json"
+_LONGEST_LEASE_S = 60.0  # where the earlier driver's file cannot be read
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -39,11 +39,12 @@ _LOGGER = logging.getLogger(__name__)
 class Driver:
     """The sign of life of a stage's process, which its jobs look for."""
 
-    def __init__(self, stage: Path) -> None:
+    def __init__(self, stage: Path, lease_s: float) -> None:
         """Args:
         stage: its folder.
+        lease_s: that its jobs work on without one.
         """
-        self.path, self.token = stage / JOBS / _DRIVER, uuid.uuid4().hex
+        self.path, self.token, self._lease_s = stage / JOBS / _DRIVER, uuid.uuid4().hex, lease_s
         self._beats = 0
         self._ended = threading.Event()
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -68,16 +69,19 @@ class Driver:
 
     def _beat(self) -> None:
         self._beats += 1
-        self.path.write_text(json.dumps({"token": self.token, "beat": self._beats}), encoding="utf-8")
+        self.path.write_text(
+            json.dumps({"token": self.token, "beat": self._beats, "lease_s": self._lease_s}), encoding="utf-8"
+        )
 
 
 class Lease:
     """Whether a job may work on: its driver lives, is the one that sent it out, and has not revoked it."""
 
-    def __init__(self, attempt: Path, token: str, lease_s: float = LEASE_S) -> None:
+    def __init__(self, attempt: Path, token: str, lease_s: float) -> None:
         """Args:
         attempt: the folder of this attempt.
         token: of the driver that sent it out.
+        lease_s: that it works on without a sign of its driver, which then may be gone, and another at work.
         """
         self._attempt, self._token, self._lease_s = attempt, token, lease_s
         self._driver = attempt.parent / _DRIVER
@@ -148,7 +152,7 @@ def _message(values: dict[str, Any]) -> Message:
     return Message(**values, cost=None if cost is None else Cost(**cost))
 
 
-def end_earlier_jobs(stage: Path, lease_s: float = LEASE_S) -> None:
+def end_earlier_jobs(stage: Path) -> None:
     """Waits until no job works in a stage's folder that a driver sent out which is gone; call it holding the lock.
 
     Those that live see that there is another driver and end at once; a machine that was lost is waited for as long as a
@@ -160,7 +164,8 @@ def end_earlier_jobs(stage: Path, lease_s: float = LEASE_S) -> None:
     jobs = stage / JOBS
     if not jobs.is_dir():
         return
-    Driver(stage)  # before looking: a job that starts later sees that its token is another
+    lease_s = float((_read(jobs / _DRIVER) or {}).get("lease_s", _LONGEST_LEASE_S))
+    Driver(stage, lease_s)  # before looking: a job that starts later sees that its token is another
     started = [path.parent for path in jobs.glob(f"*/{MESSAGES}")]
     alive = [attempt for attempt in started if not (attempt / ENDED_FILE).exists()]
     if not alive:

@@ -11,6 +11,7 @@ from typing import Any
 
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Report
+from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
 
@@ -43,10 +44,10 @@ def train(toy: Toy, report: Report) -> dict[str, Any]:
             time.sleep(toy.seconds_a_step)
             count += 1
             if count % toy.checkpoint_every == 0:
-                checkpoint.write_text(json.dumps(count))
+                write_text(checkpoint, json.dumps(count))
             report(count / toy.steps, f"count {count}")
     except KeyboardInterrupt:
-        checkpoint.write_text(json.dumps(count))
+        write_text(checkpoint, json.dumps(count))
         raise
     return {"began": begun, "count": count, "process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
 

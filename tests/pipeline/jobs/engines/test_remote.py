@@ -33,12 +33,12 @@ def folder(tmp_path: Path) -> RunFolder:
 def on_cluster(monkeypatch: pytest.MonkeyPatch) -> Made:
     """Has jobs run on a cluster of processes."""
 
-    def choose(*, retries: int = 2, lease_s: float = 20.0, **arguments: object) -> ProcessCluster:
+    def choose(*, retries: int = 2, **arguments: object) -> ProcessCluster:
         cluster = ProcessCluster(**arguments)
 
         def make(folder: RunFolder, *, workers: int, device: str, **unused: object) -> RemoteEngine:
-            settings = RaySettings(retries=retries)
-            return RemoteEngine(folder.path, cluster, settings, device=device, at_once=workers, lease_s=lease_s)
+            settings = RaySettings(retries=retries, lease_s=20.0)
+            return RemoteEngine(folder.path, cluster, settings, device=device, at_once=workers)
 
         monkeypatch.setattr(pool, "make_engine", make)
         return cluster
@@ -155,13 +155,13 @@ def test_a_new_driver_ends_the_jobs_of_one_that_is_gone(folder: RunFolder, tmp_p
     toy = Toy(tmp_path / "toy", steps=10_000, seconds_a_step=0.01)
     with folder.locked():
         folder.prepare()
-        engine = RemoteEngine(folder.path, cluster, RaySettings(), lease_s=30.0)
+        engine = RemoteEngine(folder.path, cluster, RaySettings(lease_s=30.0))
         job = Job("a", train, toy)
         assert engine.submit(job, Notes.of(folder, job))
         wait_for_file(toy.folder / "checkpoint.json")
         engine._driver.close()  # as if it had been killed; its job works on
         began = time.monotonic()
-        end_earlier_jobs(folder.path, lease_s=30.0)
+        end_earlier_jobs(folder.path)
         assert time.monotonic() - began < 25  # at once, not when the lease is over
         (ended,) = (folder.path / JOBS).glob(f"*/{ENDED_FILE}")
         left = (toy.folder / "checkpoint.json").read_text()
@@ -178,7 +178,7 @@ def test_a_job_without_a_sign_of_its_driver_ends(folder: RunFolder, tmp_path: Pa
     toy = Toy(tmp_path / "toy", steps=10_000, seconds_a_step=0.01)
     with folder.locked():
         folder.prepare()
-        engine = RemoteEngine(folder.path, cluster, RaySettings(), lease_s=2.0)
+        engine = RemoteEngine(folder.path, cluster, RaySettings(lease_s=5.0))
         job = Job("a", train, toy)
         engine.submit(job, Notes.of(folder, job))
         wait_for_file(toy.folder / "checkpoint.json")
@@ -186,7 +186,7 @@ def test_a_job_without_a_sign_of_its_driver_ends(folder: RunFolder, tmp_path: Pa
         cluster.processes[0].join(60)
         assert cluster.processes[0].exitcode == 0
         text = next((folder.path / JOBS).glob("*/messages.jsonl")).read_text()
-        assert "no sign of its driver for 2 s" in text
+        assert "no sign of its driver for 5 s" in text
     cluster.close()
 
 
