@@ -1,8 +1,9 @@
 """Estimates of a chain of stages on several machines: hours, critical path, memory, from the times of its jobs.
 
 Times of jobs come from the manifests of a finished run, each job's own processor time and memory, or, for stages that
-did not run, from the table `jobs` of the budget (`conf/budget`), which says where its figures come from. A schedule is
-made of them as by the chain: one stage after the other, the jobs of a stage beside each other, the longest ones first.
+did not run, from the table `jobs` of the budget (`conf/budget`), which says where its figures come from, or from its
+`minutes` on two cores, as if more machines were no help. A schedule is made of them as by the chain: one stage after the
+other, the jobs of a stage beside each other, the longest ones first.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from pipeline.store.manifest import Manifest, read_manifest
 
 MACHINES = (1, 8, 64)
 CORES = 16  # of a machine
-_S_AN_HOUR, _MB_A_GB = 3600.0, 1e3
+_S_AN_HOUR, _MIN_AN_HOUR, _MB_A_GB = 3600.0, 60.0, 1e3
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class TimedStage:
     name: str
     own_hours: float
     jobs: tuple[TimedJob, ...]
-    measured: bool  # in a run of this budget; otherwise from the budget's table
+    origin: str  # of the times: a run, the budget's table, its minutes
 
     @property
     def hours(self) -> float:
@@ -83,7 +84,7 @@ def timed_stages(names: Sequence[str], budget: str, run: Path | None = None) -> 
     Returns:
         The stages whose times are known, in order, and the names of the others.
     """
-    table = _table(budget)
+    table, minutes = _entry(budget, "jobs"), _entry(budget, "minutes")
     found, unknown = [], []
     for name in names:
         manifest = None if run is None else read_manifest(run / name)
@@ -91,6 +92,8 @@ def timed_stages(names: Sequence[str], budget: str, run: Path | None = None) -> 
             found.append(_of_run(manifest))
         elif name in table:
             found.append(_of_table(name, table[name]))
+        elif name in minutes:
+            found.append(TimedStage(name, float(minutes[name]) / _MIN_AN_HOUR, (), "minutes"))
         else:
             unknown.append(name)
     return found, unknown
@@ -107,7 +110,7 @@ def _of_run(manifest: Manifest) -> TimedStage:
             jobs.append(TimedJob(key, hours, float(cost["memory_mb"]) / _MB_A_GB, tuple(cost.get(AFTER, ()))))
     keys = {job.key for job in jobs}
     known = [replace(job, after=tuple(key for key in job.after if key in keys)) for job in jobs]
-    return TimedStage(manifest.stage, own, tuple(known), measured=True)
+    return TimedStage(manifest.stage, own, tuple(known), f"run {manifest.run}")
 
 
 def _is_check(manifest: Manifest) -> bool:
@@ -115,10 +118,10 @@ def _is_check(manifest: Manifest) -> bool:
     return any(word.startswith("experiment=") for word in manifest.overrides)
 
 
-def _table(budget: str) -> Mapping[str, Any]:
+def _entry(budget: str, key: str) -> dict[str, Any]:
     sizes: Any = OmegaConf.load(CONFIG_DIRECTORY / "budget" / f"{budget}.yaml")
-    table: Any = OmegaConf.to_container(sizes.get("jobs") or OmegaConf.create({}))
-    return dict(table)
+    entry: Any = OmegaConf.to_container(sizes.get(key) or OmegaConf.create({}))
+    return dict(entry)
 
 
 def _of_table(name: str, entry: Mapping[str, Any]) -> TimedStage:
@@ -136,7 +139,7 @@ def _of_table(name: str, entry: Mapping[str, Any]) -> TimedStage:
         keys[kind] = [f"{kind}/{number}" for number in range(int(count))]
         after = tuple(key for other in before for key in keys[str(other)])
         jobs += [TimedJob(key, float(hours), float(memory_gb), after) for key in keys[kind]]
-    return TimedStage(name, float(entry.get("own", 0.0)), tuple(jobs), measured=False)
+    return TimedStage(name, float(entry.get("own", 0.0)), tuple(jobs), "table")
 
 
 def critical_path(stages: Sequence[TimedStage]) -> tuple[float, list[str]]:
@@ -173,9 +176,8 @@ def report(names: Sequence[str], budget: str, run: Path, cores: int = CORES) -> 
     rows = [header, ["---"] * len(header)]
     for stage in stages:
         longest = max((job.hours for job in stage.jobs), default=0.0)
-        origin = f"run {run.name}" if stage.measured else "table"
         spans = [_hours(stage.makespan(count * cores)) for count in MACHINES]
-        rows.append([stage.name, origin, str(len(stage.jobs)), _hours(stage.hours), _hours(longest), *spans])
+        rows.append([stage.name, stage.origin, str(len(stage.jobs)), _hours(stage.hours), _hours(longest), *spans])
     spans = [_hours(sum(stage.makespan(count * cores) for stage in stages)) for count in MACHINES]
     rows.append(["all", "", str(sum(len(stage.jobs) for stage in stages)),
                  _hours(sum(stage.hours for stage in stages)), "", *spans])  # fmt: skip

@@ -34,7 +34,7 @@ NETWORKS = ("unet", "transunet", "swinunet", "shape", "published", "ordered")
 PPO_EPOCHS = 10  # of stable-baselines3
 # row: keys of the observation, side of the images, algorithm
 ROWS: dict[str, tuple[tuple[str, ...], int, str]] = {
-    **{f"enn {name}": (modality_keys(name), 80, "sac") for name in ("I", "V", "V+M", "I+V")},
+    **{f"enn {name}": (modality_keys(name), 80, "sac") for name in ("I", "V", "V+M", "I+V", "I+V+M")},
     **{
         f"baselines {algorithm}_{key}": ((key,), 128, algorithm)
         for algorithm in ("sac", "ppo")
