@@ -2,8 +2,8 @@
 
 Times of jobs come from the manifests of a finished run, each job's own processor time and memory, or, for stages that
 did not run, from the table `jobs` of the budget (`conf/budget`), which says where its figures come from, or from its
-`minutes` on two cores, as if more machines were no help. A schedule is made of them as by the chain: one stage after the
-other, the jobs of a stage beside each other, the longest ones first.
+`minutes` on two cores, as if more machines were no help. A schedule is made of them as by the chain: one stage after
+the other, the jobs of a stage beside each other, the longest ones first.
 """
 
 from __future__ import annotations
