@@ -13,9 +13,10 @@ import posixpath
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mkdocs.structure.files import File, Files
+if TYPE_CHECKING:
+    from mkdocs.structure.files import Files
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
@@ -136,6 +137,8 @@ def on_config(config: Any) -> Any:
 
 def on_files(files: Files, config: Any) -> Files:
     """Adds the generated pages."""
+    from mkdocs.structure.files import File
+
     for source, page in OUTSIDE.items():
         if source != NOTEBOOK:
             files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))

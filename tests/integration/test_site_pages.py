@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-pytest.importorskip("mkdocs", reason="the documentation site is built by make docs, which installs MkDocs")
-
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+DOCS = PROJECT_ROOT / "docs"
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +73,15 @@ def test_every_module_has_an_entry_among_the_interfaces(site: ModuleType) -> Non
 )
 def test_anchors_are_those_of_links(site: ModuleType, heading: str, anchor: str) -> None:
     assert site.slug(heading.replace("`", "")) == anchor
+
+
+@pytest.mark.slow
+def test_the_site_is_built_strictly(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocstrings", reason="make docs installs MkDocs")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")],
+        cwd=PROJECT_ROOT, capture_output=True, text=True, timeout=900, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, (done.stdout + done.stderr)[-2000:]
+    assert "NavigateEnv" in (tmp_path / "site" / "api" / "cathsim.html").read_text(encoding="utf-8")
+    assert (tmp_path / "site" / "tutorial_1.png").stat().st_size > 10_000
