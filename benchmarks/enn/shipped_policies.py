@@ -1,0 +1,132 @@
+"""A shipped policy in anatomies that it has never seen: random arches, and files of one's own.
+
+    python benchmarks/enn/shipped_policies.py [--policy generalist] [--arches 50] [--draw]
+    python benchmarks/enn/shipped_policies.py --anatomies scan.stl labels.nii.gz --episodes 5 --max-steps 600 --draw
+
+Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, and one JSON object
+as its last line. Arch k begins with seed 5,000,000,000 + 10 k + the target's number, which no training has used.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+import enn
+from cathsim.metrics.intervals import wilson_interval
+from cathsim.observations.xray import XrayEnvironment
+from enn.policy import Policy
+from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
+from pipeline.stages.unseen.task import UnseenTask
+from pipeline.task import task_in_random_arches
+
+TARGETS = ("bca", "lcca", "lsa")
+FILE_TARGETS = (*TARGETS, "rsa", "rcca")
+FIRST_ARCH, FIRST_SEED = 40_100, 5_000_000_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """How an episode went."""
+
+    success: bool
+    steps: int
+    forces: np.ndarray  # of each step, N
+
+
+def arguments() -> argparse.Namespace:
+    """Understands the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--policy", default="generalist", help=f"among {', '.join(enn.models())}")
+    parser.add_argument("--arches", type=int, default=50, help="random arches, one episode each and target")
+    parser.add_argument("--first", type=int, default=FIRST_ARCH, help="seed of the first arch")
+    parser.add_argument(
+        "--anatomies", type=Path, nargs="+", default=[], metavar="PATH", help="instead of random arches"
+    )
+    parser.add_argument("--episodes", type=int, default=5, help="in each file and towards each target")
+    parser.add_argument("--max-steps", type=int, default=300)
+    parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
+    parser.add_argument("--quick", action="store_true", help="one arch")
+    return parser.parse_args()
+
+
+def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int | AnatomyFile, int]]]]:
+    """Name of the anatomy, target, and anatomy and seed of each episode."""
+    if given.anatomies:
+        for path in given.anatomies:
+            place = AnatomyFile(str(path))
+            there = [target for target in load_anatomy(place).targets if target in FILE_TARGETS]
+            for number, target in enumerate(there):
+                first = FIRST_SEED + 100 * number
+                yield path.name, target, [(place, first + episode) for episode in range(given.episodes)]
+        return
+    for number, target in enumerate(TARGETS):
+        arches = range(given.first, given.first + (1 if given.quick else given.arches))
+        yield "random", target, [(arch, FIRST_SEED + 10 * arch + number) for arch in arches]
+
+
+def play(task: UnseenTask, policy: Any, place: int | AnatomyFile, target: str, seed: int, draw: bool) -> Outcome:
+    """Plays one episode."""
+    if isinstance(policy, Policy):
+        environment: Any = task.test_environment(place, target, "default", policy.keys)
+        controller: Any = policy.controller(deterministic=not draw, seed=seed)
+    else:
+        side = task.task.image_size_px
+        environment = XrayEnvironment(task.test_environment(place, target, "default", ("goal_image",)), side)
+        controller = policy.controller()
+    observation, info = environment.reset(seed=seed)
+    controller.reset()
+    forces: list[float] = []
+    ended = success = False
+    while not ended:
+        observation, _, success, truncated, info = environment.step(controller(observation, info))
+        forces.append(float(info["force"]))
+        ended = success or truncated
+    environment.close()
+    return Outcome(bool(success), len(forces), np.array(forces))
+
+
+def main() -> None:
+    """Runs the command line."""
+    given = arguments()
+    try:
+        policy = enn.load(given.policy)
+        task = UnseenTask(TARGETS, dataclasses.replace(task_in_random_arches(), max_steps=given.max_steps,
+                                                       start_rotation_deg=180.0))  # fmt: skip
+        rows = []
+        for name, target, episodes in cells(given):
+            outcomes = [play(task, policy, place, target, seed, given.draw) for place, seed in episodes]
+            won = sum(one.success for one in outcomes)
+            low, high = wilson_interval(won, len(outcomes))
+            row = {
+                "anatomy": name, "target": target, "reached": won, "episodes": len(outcomes),
+                "interval_pct": [round(100 * low), round(100 * high)],
+                "steps": round(float(np.mean([one.steps for one in outcomes])), 1),
+                "force_mean_n": round(float(np.mean([one.forces.mean() for one in outcomes])), 3),
+                "force_p95_n": round(float(np.mean([np.percentile(one.forces, 95) for one in outcomes])), 3),
+                "force_max_n": round(max(float(one.forces.max()) for one in outcomes), 2),
+            }  # fmt: skip
+            rows.append(row)
+            share = f"{100 * won / len(outcomes):3.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+            force = ", ".join(f"{row[key]:.2f}" for key in ("force_mean_n", "force_p95_n", "force_max_n"))
+            print(
+                f"{name:24} {target:5} {won} of {len(outcomes)}  {share}  {row['steps']:.0f} steps  {force} N",
+                flush=True,
+            )
+    except (OSError, ValueError) as error:
+        sys.exit(str(error))
+    print(json.dumps({"policy": given.policy, "drawn": given.draw, "rows": rows}))
+
+
+if __name__ == "__main__":
+    main()
