@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,11 +12,6 @@ from pipeline.installation import gl_backend
 
 _FINE, _USAGE, _INTERRUPTED = 0, 2, 130
 _PACKAGES = ("enn", "guide3d", "splineformer")  # that ship models
-_DEMO = (
-    ("stage=phantoms", "name=demo", "stage.phantoms=[type_1]"),
-    ("stage=expert", "experiment=demo"),
-    ("stage=report", "name=demo"),
-)
 _HELP = """\
 endonav COMMAND [ARGUMENTS]
 
@@ -25,7 +19,7 @@ endonav COMMAND [ARGUMENTS]
   chain all|STAGE ...      run stages one after the other
   episodes COMMAND FILE    look at episode logs, check, film and export them
   models [NAME]            list the trained models that are shipped, or print the card of one
-  demo                     an expert's episode into the BCA: its log, films and report in runs/demo
+  demo                     a shipped policy steers through an unseen arch or yours: film, log and page in runs/demo
   console                  steer the wire yourself, in the browser (needs endonav-cathsim[console])
 
 Every command has --help. Results go to runs/ in the folder in which it is called.
@@ -89,15 +83,9 @@ def _models(arguments: list[str]) -> int:
 
 
 def _demo(arguments: list[str]) -> int:
-    """Runs the three stages of the demonstration; overrides go to the expert's."""
-    if arguments and arguments[0] in ("-h", "--help"):
-        _say("endonav demo [stage.KEY=VALUE ...]: an expert's episode, its films and the report in runs/demo")
-        return _FINE
-    for overrides in _DEMO:
-        own = arguments if overrides[0] == "stage=expert" else []
-        if code := subprocess.run([sys.executable, "-m", "pipeline", *overrides, *own], check=False).returncode:
-            return code
-    return _FINE
+    from pipeline.demo.command import main as demo
+
+    return demo(arguments)
 
 
 def _console(arguments: list[str]) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import imageio_ffmpeg
 import numpy as np
 
 from cathsim.viewing.film import Film, write_gif
@@ -20,6 +21,7 @@ STRIDE = 2
 LATERAL = "lateral"
 # red, green, blue
 WIRE, WAY, LUMEN, TARGET = (255, 214, 10), (80, 220, 120), (90, 165, 255), (255, 92, 92)
+TRUE_WIRE = (226, 226, 236)
 _TITLE_BACK, _TITLE_INK = (24, 27, 31), (232, 236, 240)
 _GIF_SHARE, _GIF_STRIDE, _COLOURS = 0.62, 2, 64
 _WINDOW, _LIGHTEST = (2, 98), 235.0  # percentiles of the first image's grey levels, shown as 0 and as this
@@ -69,7 +71,9 @@ class DemoFilm(Film):
             self._draw_scan(frontal, environment, "frontal")
             title = "frontal X-ray, for you; it sees a roadmap"
         lateral = self._grey(self._xray(environment, LATERAL), LATERAL)
-        if not self.scene.by_images:
+        if self.scene.by_images:  # the wire's shadow is faint through the shoulders
+            _line(lateral, self._project(environment, LATERAL, simulation.wire_points()), TRUE_WIRE)
+        else:
             self._draw_scan(lateral, environment, LATERAL)
         for panel, view in ((frontal, "frontal"), (lateral, LATERAL)):
             _ring(panel, self._project(environment, view, goal[None])[0], TARGET)
@@ -83,8 +87,8 @@ class DemoFilm(Film):
         """A grey image as a panel: with more contrast, the same through the film; its pixels stay visible."""
         if view not in self._windows:
             inside = image[(image > 0) & (image < 255)]
-            low, high = np.percentile(inside, _WINDOW) if inside.size else (0.0, 255.0)
-            self._windows[view] = float(low), max(float(high - low), 1.0)
+            low, high = np.percentile(inside, _WINDOW).tolist() if inside.size else (0.0, 255.0)
+            self._windows[view] = low, max(high - low, 1.0)
         low, width = self._windows[view]
         shown = np.clip((image - low) * (_LIGHTEST / width), 0, 255).astype(np.uint8)
         large = cv2.resize(shown, (VIEW_PX, VIEW_PX), interpolation=cv2.INTER_NEAREST)
@@ -146,8 +150,6 @@ class DemoFilm(Film):
 
     def write_mp4(self, path: Path) -> None:
         """Writes the film as H.264, which browsers play; its last frame stays for a while."""
-        import imageio_ffmpeg
-
         height, width = self._frames[0].shape[:2]
         writer = imageio_ffmpeg.write_frames(
             str(path), (width, height), fps=FRAMES_PER_SECOND, codec="libx264", pix_fmt_in="rgb24",

@@ -8,13 +8,13 @@ from typing import Any
 
 import jinja2
 
-from pipeline.demo.film import LUMEN, TARGET, WAY, WIRE
+from pipeline.demo.film import LUMEN, TARGET, TRUE_WIRE, WAY, WIRE
 from pipeline.demo.steering import Scene
 from pipeline.store.atomic_files import write_text
 
 PAGE = "index.html"
 _TEMPLATE = Path(__file__).with_name("page.html.j2")
-_WIDTH, _HEIGHT = 560, 120  # of a plot, px
+_WIDTH, _HEIGHT = 490, 120  # of a plot, px
 _STEPS_A_SECOND = 10
 
 
@@ -58,7 +58,7 @@ def write_page(
         last_s=(len(curves["distance_mm"]) - 1) / _STEPS_A_SECOND,
         colours={
             name: f"rgb{colour}"
-            for name, colour in {"wire": WIRE, "way": WAY, "lumen": LUMEN, "target": TARGET}.items()
+            for name, colour in {"wire": WIRE, "way": WAY, "lumen": LUMEN, "target": TARGET, "true": TRUE_WIRE}.items()
         },
     )
     write_text(page, text)

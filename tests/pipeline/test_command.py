@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from typing import Any
 
 import pytest
 
@@ -50,23 +49,9 @@ def test_models_are_listed_and_have_cards(capsys: pytest.CaptureFixture[str]) ->
     assert "there is no model 'nothing': choose from " in capsys.readouterr().err
 
 
-def test_the_demonstration_runs_three_stages_and_stops_at_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    called: list[list[str]] = []
-
-    class Done:
-        def __init__(self, returncode: int) -> None:
-            self.returncode = returncode
-
-    def run(words: list[str], **_: Any) -> Done:
-        called.append(words[3:])
-        return Done(7 if words[3] == "stage=expert" and "stage.episodes=-1" in words else 0)
-
-    monkeypatch.setattr(command.subprocess, "run", run)
-    assert command.main(["demo"]) == 0
-    assert [words[0] for words in called] == ["stage=phantoms", "stage=expert", "stage=report"]
-    called.clear()
-    assert command.main(["demo", "stage.episodes=-1"]) == 7
-    assert [words[0] for words in called] == ["stage=phantoms", "stage=expert"]
+def test_the_demonstration_takes_its_own_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["demo", "--anatomy", "nowhere.stl", "--model", "generalist"]) == 2
+    assert "there is no anatomy nowhere.stl" in capsys.readouterr().err
 
 
 def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.demo.film import LUMEN, STRIDE, TARGET, TITLE_PX, VIEW_PX, WAY, WIRE, DemoFilm
+from pipeline.demo.film import LUMEN, STRIDE, TARGET, TITLE_PX, TRUE_WIRE, VIEW_PX, WAY, WIRE, DemoFilm
 from pipeline.demo.steering import open_scene
 from tests.pipeline.demo.small_policies import ship
 
@@ -42,6 +42,7 @@ def test_panels_show_what_is_read(model: str, tmp_path: Path, monkeypatch: pytes
     assert shows(frontal, WAY)
     assert shows(frontal, WIRE)
     assert shows(lateral, WIRE) is not by_images
+    assert shows(lateral, TRUE_WIRE)
     assert shows(frontal, LUMEN) is by_images
     assert first.shape == last.shape
     assert (first != last).any()

@@ -33,5 +33,5 @@ def test_parts_of_a_card_are_plain_text() -> None:
 
 
 def test_a_plot_spans_its_width_and_height() -> None:
-    assert plot([0.0, 2.0, 1.0]) == "0.0,120.0 280.0,0.0 560.0,60.0"
+    assert plot([0.0, 2.0, 1.0]) == "0.0,120.0 245.0,0.0 490.0,60.0"
     assert plot([0.0]) == "0.0,120.0"
