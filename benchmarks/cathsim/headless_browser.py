@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-KEYS = {"ArrowUp": 38, "ArrowDown": 40, "ArrowLeft": 37, "ArrowRight": 39, "Shift": 16,
-        "a": 65, "d": 68, "p": 80, "r": 82, "s": 83, "w": 87}  # fmt: skip
+KEYS = {"ArrowUp": 38, "ArrowDown": 40, "ArrowLeft": 37, "ArrowRight": 39, "Shift": 16, " ": 32,
+        "a": 65, "c": 67, "d": 68, "f": 70, "m": 77, "p": 80, "r": 82, "s": 83, "w": 87}  # fmt: skip
 _PAUSE = 0.03  # s between two looks
-_SHOWN = "window.consoleStatistics?.frame && {...consoleStatistics.frame, wire: 0, catheter: 0, picture: 0}"
+_SHOWN = "window.consoleStatistics?.frame && {...consoleStatistics.frame, wire: 0, catheter: 0, pictures: 0}"
 
 
 class BrowserError(RuntimeError):
@@ -55,7 +55,7 @@ def wait_until(condition: Callable[[], Any], seconds: float) -> Any:
 
 @contextlib.contextmanager
 def running_console(*arguments: str, environment: Mapping[str, str] | None = None) -> Iterator[str]:
-    """A console in a process of its own, at a free port.
+    """A console in a process of its own, at a free port, without the expert's scores.
 
     Args:
         arguments: of its command line.
@@ -67,7 +67,7 @@ def running_console(*arguments: str, environment: Mapping[str, str] | None = Non
     Raises:
         BrowserError: it did not start.
     """
-    command = [sys.executable, "-m", "cathsim.console", "--port", "0", *arguments]
+    command = [sys.executable, "-m", "cathsim.console", "--port", "0", "--no-expert", *arguments]
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     try:
         line = process.stdout.readline() if process.stdout else ""
@@ -189,7 +189,8 @@ class Tab:
             name: one of `KEYS`.
             down: pressed.
         """
-        code = f"Key{name.upper()}" if len(name) == 1 else "ShiftLeft" if name == "Shift" else name
+        letter = f"Key{name.upper()}" if len(name) == 1 else name
+        code = {"Shift": "ShiftLeft", " ": "Space"}.get(name, letter)
         kind = "rawKeyDown" if down else "keyUp"
         self.call("Input.dispatchKeyEvent", type=kind, key=name, code=code, windowsVirtualKeyCode=KEYS[name])
 
@@ -222,6 +223,22 @@ class Tab:
         ]
         points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
         self.call("Input.dispatchTouchEvent", type="touchStart" if points else "touchEnd", touchPoints=points)
+
+    def drag(self, selector: str, by: tuple[float, float]) -> None:
+        """Drags with the left mouse button from an element's middle.
+
+        Args:
+            selector: of the element.
+            by: px to the right and down.
+        """
+        x, y = self.value(
+            f"(() => {{ const box = document.querySelector({json.dumps(selector)}).getBoundingClientRect();"
+            " return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+        )
+        pressed = {"button": "left", "buttons": 1}
+        self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, clickCount=1, **pressed)
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x + by[0], y=y + by[1], **pressed)
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x + by[0], y=y + by[1], button="left")
 
     def frame(self) -> dict[str, Any]:
         """The numbers of the picture on the screen."""

@@ -94,6 +94,20 @@ def test_an_episode_is_on_disk_when_time_is_up_and_the_answers_lie_beside_it(tab
     beside = recorded.with_name(f"{recorded.stem}.questionnaire.json")
     wait_until(beside.is_file, 5)
     assert list(json.loads(beside.read_text())["answers"].values())[:7] == [1, 2, 3, 4, 5, 1, 2]
+    wait_until(lambda: tab.value("sessionStorage.getItem('questionnaire answered')"), 5)
+
+
+def test_the_questionnaire_comes_once_a_session(tab: Tab) -> None:
+    if not tab.value("sessionStorage.getItem('questionnaire answered')"):
+        pytest.skip("needs the answers of the test before")
+    restart(tab)
+    tab.key("ArrowUp", down=True)
+    wait_until(lambda: tab.value("document.getElementById('end').open"), 30)
+    tab.key("ArrowUp", down=False)
+    assert tab.value("document.getElementById('questions').hidden")
+    shown = tab.value("document.getElementById('end-numbers').textContent")
+    assert "peak force" in shown
+    assert "X-ray" in shown
 
 
 def test_a_finished_procedure_is_replayed(tab: Tab) -> None:
@@ -196,13 +210,90 @@ def test_two_fingers_steer_two_devices_on_a_phone(tab: Tab) -> None:
     shown = tab.value("""(() => {
       const pads = document.getElementById("pads").getBoundingClientRect();
       const picture = document.getElementById("fluoroscopy").getBoundingClientRect();
-      return [pads.bottom <= innerHeight + 1, picture.bottom < pads.top];
+      const xray = document.getElementById("xray").getBoundingClientRect();
+      return [pads.bottom <= innerHeight + 1, picture.top >= 0, picture.bottom <= xray.top + 1,
+        xray.bottom <= pads.top + 1];
     })()""")
-    assert shown == [True, True], "pads and fluoroscopy are on the screen together"
+    assert shown == [True] * 4, "fluoroscopy, pedal and pads are on the screen together"
     tab.desktop()
     choose_catheter(tab, "")
     assert steered(tab) == [0, 0] or steered(tab) == [0, 0, 0, 0]
     assert "lead_mm" not in tab.frame()
+
+
+def grey(tab: Tab, screen: str) -> float:
+    """Mean grey level of the middle of a fluoroscopic screen."""
+    return float(
+        tab.value(f"""(() => {{
+          const pen = document.getElementById("{screen}").getContext("2d");
+          const data = pen.getImageData(100, 100, 280, 280).data;
+          return data.reduce((sum, x, k) => sum + (k % 4 ? 0 : x), 0) / (data.length / 4);
+        }})()""")
+    )
+
+
+def tap(tab: Tab, key: str) -> None:
+    tab.key(key, down=True)
+    tab.key(key, down=False)
+
+
+def test_vessels_are_seen_after_an_injection_and_on_the_roadmap(tab: Tab) -> None:
+    restart(tab)
+    wait_until(lambda: tab.frame()["contrast"] == 0, 10)
+    plain = [grey(tab, screen) for screen in ("fluoroscopy", "second")]
+    tap(tab, "c")
+    wait_until(lambda: grey(tab, "fluoroscopy") < plain[0] - 2 and grey(tab, "second") < plain[1] - 2, 10)
+    wait_until(lambda: tab.frame()["contrast"] == 0 and abs(grey(tab, "fluoroscopy") - plain[0]) < 0.5, 20)
+    tap(tab, "m")
+    wait_until(lambda: grey(tab, "fluoroscopy") > plain[0] + 1, 5)
+    tap(tab, "m")
+    wait_until(lambda: not tab.frame()["roadmap"], 5)
+
+
+def test_the_pedal_holds_the_last_image_and_counts_the_dose(tab: Tab) -> None:
+    restart(tab)
+    tap(tab, "f")
+    wait_until(lambda: not tab.frame()["beam"], 5)
+    held = grey(tab, "fluoroscopy")
+    tab.key("ArrowUp", down=True)
+    wait_until(lambda: tab.frame()["insertion_mm"] > 10, 10)
+    assert grey(tab, "fluoroscopy") == held
+    assert tab.frame()["dose_s"] == 0
+    tab.key(" ", down=True)
+    wait_until(lambda: tab.frame()["dose_s"] > 0.3, 10)
+    tab.key(" ", down=False)
+    tab.key("ArrowUp", down=False)
+    wait_until(lambda: not tab.frame()["beam"], 5)
+    tap(tab, "f")
+    wait_until(lambda: tab.frame()["beam"], 5)
+
+
+def test_c_arms_turn_by_dragging_and_zoom_by_the_wheel(tab: Tab) -> None:
+    restart(tab)
+    tab.drag("#fluoroscopy", (-75, 40))
+    wait_until(lambda: tab.value("consoleStatistics.task.views.a.primary_deg") == -30, 10)
+    assert tab.value("consoleStatistics.task.views.a.secondary_deg") == 10
+    assert tab.value("document.getElementById('angles-a').textContent") == "RAO 30° CRAN 10°"
+    tab.call("Input.dispatchMouseEvent", type="mouseWheel", x=1100, y=300, deltaX=0, deltaY=-700)
+    wait_until(lambda: tab.value("consoleStatistics.task.views.b.zoom") > 1.9, 10)
+    for screen in ("fluoroscopy", "second"):
+        tab.value(f"document.getElementById('{screen}').dispatchEvent(new MouseEvent('dblclick'))")
+    wait_until(lambda: tab.value("consoleStatistics.task.views.b.zoom") == 1, 10)
+    tab.value("document.getElementById('swap').click()")
+    assert tab.value("document.getElementById('second').hidden && !document.getElementById('space').hidden")
+    tab.value("document.getElementById('swap').click()")
+
+
+def test_wire_and_time_limit_are_chosen_on_the_page(tab: Tab) -> None:
+    for select, value in (("wire", "stiff"), ("limit-choice", "150")):
+        tab.value(
+            f"(() => {{ const select = document.getElementById('{select}'); select.value = '{value}';"
+            " select.dispatchEvent(new Event('change')); })()"
+        )
+        wait_until(lambda: tab.frame()["state"] == "ready", 20)
+    wait_until(lambda: tab.value("consoleStatistics.task.max_steps") == 150, 20)
+    assert tab.value("consoleStatistics.task.wire") == "stiff"
+    assert tab.value("document.getElementById('limit').textContent") == "15"
 
 
 def test_a_second_window_is_told_that_the_controls_are_taken(tab: Tab, address: str) -> None:

@@ -24,7 +24,7 @@ def test_a_picture_is_read_back_as_the_page_reads_it(state: str) -> None:
     assert message[:4] == b"FRME"
     assert length % 4 == 0, "JavaScript's float arrays begin at multiples of 4"
     header = json.loads(message[8 : 8 + length])
-    assert header == {"state": state, "step": 7, "points": 29}
+    assert header == {"state": state, "step": 7, "points": 29, "jpeg_bytes": [6]}
     read = np.frombuffer(message, "<f4", 3 * 29, 8 + length).reshape(-1, 3)
     np.testing.assert_array_equal(read, points.astype(np.float32))
     assert message[8 + length + 12 * 29 :] == b"\xff\xd8jpeg"
@@ -33,9 +33,11 @@ def test_a_picture_is_read_back_as_the_page_reads_it(state: str) -> None:
 def test_the_catheters_points_follow_the_wires() -> None:
     rng = np.random.default_rng(2)
     wire, catheter = rng.normal(size=(7, 3)), rng.normal(size=(4, 3))
-    message = frame_message({"state": "ready"}, wire, b"\xff\xd8jpeg", catheter)
+    message = frame_message({"state": "ready"}, wire, b"\xff\xd8jpeg", catheter=catheter)
     length = struct.unpack_from("<I", message, 4)[0]
-    assert json.loads(message[8 : 8 + length]) == {"state": "ready", "points": 7, "catheter_points": 4}
+    assert json.loads(message[8 : 8 + length]) == {
+        "state": "ready", "points": 7, "jpeg_bytes": [6], "catheter_points": 4
+    }  # fmt: skip
     read = np.frombuffer(message, "<f4", 3 * 11, 8 + length).reshape(-1, 3)
     np.testing.assert_array_equal(read, np.concatenate((wire, catheter)).astype(np.float32))
     assert message[8 + length + 12 * 11 :] == b"\xff\xd8jpeg"

@@ -242,3 +242,45 @@ def test_unknown_names_are_refused_before_anything_starts(page: Any) -> None:
     for wrong in ({"seed": -1}, {"seed": 2**70}, {"max_steps": 0}, {"max_steps": 10**9}):
         with pytest.raises(ValueError, match=f"{next(iter(wrong))} must lie in"):
             Setup(**wrong)  # type: ignore[arg-type]
+
+
+def test_c_arms_turn_beside_the_loop(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
+    first = wait_until(lambda: page.messages_of("task"))[0]["views"]
+    assert (first["a"]["primary_deg"], first["b"]["primary_deg"]) == (0.0, 90.0)
+    for zoom in (1.0, 2.0):  # only the latest counts
+        loop.request({"type": "view", "camera": "b", "primary_deg": -30.0, "secondary_deg": 10.0, "zoom": zoom})
+    views = wait_until(lambda: [m for m in page.messages_of("views") if m["views"]["b"]["zoom"] == 2.0])[-1]["views"]
+    assert (views["b"]["primary_deg"], views["b"]["secondary_deg"]) == (-30.0, 10.0)
+    assert views["a"] == first["a"]
+    with pytest.raises(ValueError, match="secondary_deg should be less than or equal to 50, got 80"):
+        loop.request({"type": "view", "camera": "a", "primary_deg": 0.0, "secondary_deg": 80.0, "zoom": 1.0})
+
+
+def test_pedal_contrast_and_roadmap(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
+    wait_until(lambda: page.headers)
+    loop.request({"type": "inject"})
+    wait_until(lambda: page.last["contrast"] > 0.9)
+    assert page.last["injections"] == 1
+    loop.request({"type": "roadmap", "on": True})
+    wait_until(lambda: page.last["roadmap"])
+    loop.request({"type": "pedal", "on": False})
+    wait_until(lambda: not page.last["beam"])
+    finish(loop, page, wait_until)
+    ended = page.messages_of("ended")[0]
+    assert (ended["dose_s"], ended["injections"], ended["compared"]) == (0.0, 1, False)
+    loop.request({"type": "pedal", "on": True})
+    loop.request({"type": "restart"})
+    wait_until(lambda: page.last["state"] == "ready" and page.last["injections"] == 0)
+    hold(loop, 9)
+    wait_until(lambda: page.last["dose_s"] > 0.2)
+
+
+def test_wire_and_time_limit_are_chosen(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
+    task = wait_until(lambda: page.messages_of("task"))[0]
+    assert {"default", "stiff", "floppy"} <= set(task["wires"])
+    chosen = {"type": "choose", "phantom": "type_1", "target": "bca", "wire": "stiff", "max_steps": 9}
+    loop.request(chosen)
+    wait_until(lambda: page.messages_of("task")[-1]["wire"] == "stiff")
+    assert page.messages_of("task")[-1]["max_steps"] == 9
+    with pytest.raises(ValueError, match="unknown wire 'rope'; there are"):
+        loop.request({**chosen, "wire": "rope"})

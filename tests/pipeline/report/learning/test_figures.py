@@ -52,7 +52,7 @@ def test_each_figure_appears_when_there_is_something_for_it(tmp_path: Path, monk
     figures = draw_learning(given, folder)
     assert [figure.title for figure in figures] == [
         "Training curves, baselines",
-        "Training curves, enn",
+        "Training curves, ENN",
         "Episode length during training",
         "Largest forces of the baselines",
         "Type I arch, BCA: contact forces of the baselines",

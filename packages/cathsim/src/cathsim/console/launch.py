@@ -47,6 +47,7 @@ def parser(prog: str, *, folder: Path | None) -> argparse.ArgumentParser:
     add("--token", help="that the address must carry; made up for an open --host when it is not given")
     if folder is not None:
         add("--record", type=Path, default=folder, metavar="FOLDER", help="where episodes go (default %(default)s)")
+    add("--no-expert", action="store_true", help="do not compute the sampling expert's score beside the procedure")
     add("--no-record", action="store_true", help="keep no episodes")
     return arguments
 
@@ -145,7 +146,7 @@ def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder
             max_steps=options.max_steps,
             seed=options.seed,
         )
-        loop = RealTimeLoop(setup, desk, recorder, note=str(folder))
+        loop = RealTimeLoop(setup, desk, recorder, note=str(folder), compared=not options.no_expert)
     except ValueError as error:
         raise LaunchError(str(error)) from error
     port = taken.getsockname()[1]

@@ -1,7 +1,8 @@
 """Binary messages to the page over the websocket: pictures and surfaces.
 
 A picture is `FRME`, the length of a JSON header (uint32), the header padded with spaces to a multiple of 4, the wire's
-points (float32, n x 3, m), those of the catheter where there is one, and a JPEG; the header counts the points. A
+points (float32, n x 3, m), those of the catheter where there is one, and the JPEGs of the views, one behind the other;
+the header counts the points and the bytes of each JPEG. A
 surface is `MESH`, the numbers of vertices and faces (uint32), vertices and normals (float32, m), faces (uint32).
 Numbers are little-endian.
 """
@@ -19,20 +20,21 @@ FRAME_MAGIC, SURFACE_MAGIC = b"FRME", b"MESH"
 
 
 def frame_message(
-    header: Mapping[str, Any], points: np.ndarray, jpeg: bytes, catheter: np.ndarray | None = None
+    header: Mapping[str, Any], points: np.ndarray, *jpegs: bytes, catheter: np.ndarray | None = None
 ) -> bytes:
     """Packs a picture.
 
     Args:
         points: of the wire, from its tip on, m, world frame. Shape (n, 3).
-        jpeg: the fluoroscopic image.
+        jpegs: the fluoroscopic images, a view each.
         catheter: points of the catheter, as the wire's. Shape (k, 3); None: there is none.
     """
-    counts = {"points": len(points)} | ({} if catheter is None else {"catheter_points": len(catheter)})
+    counts: dict[str, Any] = {"points": len(points), "jpeg_bytes": [len(jpeg) for jpeg in jpegs]}
+    counts |= {} if catheter is None else {"catheter_points": len(catheter)}
     text = json.dumps({**header, **counts}).encode()
     text += b" " * (-len(text) % 4)
     devices = [points.astype("<f4").tobytes(), b"" if catheter is None else catheter.astype("<f4").tobytes()]
-    return b"".join((FRAME_MAGIC, struct.pack("<I", len(text)), text, *devices, jpeg))
+    return b"".join((FRAME_MAGIC, struct.pack("<I", len(text)), text, *devices, *jpegs))
 
 
 def surface_message(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> bytes:

@@ -33,6 +33,21 @@ class _Choose(_Request):
     phantom: _Name
     target: _Name
     catheter: _Name | None = None  # a catheter of the shelf; None: no catheter; left out: that of before
+    wire: _Name = ""  # left out: that of before
+    max_steps: Annotated[int, Field(ge=1, le=10_000)] = 300  # left out: that of before
+
+
+class _View(_Request):
+    type: Literal["view"]
+    camera: Literal["a", "b"]
+    primary_deg: Annotated[float, Field(ge=-120, le=120)]
+    secondary_deg: Annotated[float, Field(ge=-50, le=50)]
+    zoom: Annotated[float, Field(ge=1, le=4)]
+
+
+class _Switch(_Request):
+    type: Literal["pedal", "roadmap"]
+    on: bool
 
 
 class _Answers(_Request):
@@ -41,19 +56,19 @@ class _Answers(_Request):
 
 
 class _Plain(_Request):
-    type: Literal["release", "restart", "replay"]
+    type: Literal["release", "restart", "replay", "inject"]
 
 
-KINDS = ("controls", "release", "choose", "restart", "replay", "answers")
+KINDS = ("controls", "release", "choose", "restart", "replay", "answers", "view", "pedal", "roadmap", "inject")
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(
-    Annotated[_Controls | _Choose | _Answers | _Plain, Field(discriminator="type")]
+    Annotated[_Controls | _Choose | _View | _Switch | _Answers | _Plain, Field(discriminator="type")]
 )
 
 
 def read_request(text: str) -> dict[str, Any]:
     """Reads what the page asks for, in JSON; the request has fields that its type has, each of its kind, and no other.
 
-    `catheter`, the one field that may be left out, is then not in the result.
+    A field that may be left out (`catheter`, `wire`, `max_steps`) is then not in the result.
 
     Raises:
         ValueError: it is no request; one sentence says why.

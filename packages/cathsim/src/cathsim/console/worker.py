@@ -10,12 +10,14 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, replace
 from typing import Any, Protocol
 
 from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
 from cathsim.console.catheters import Offer, find_offer, offered
 from cathsim.console.controls import ControlPanel, Controls
+from cathsim.console.expert import ExpertScores
 from cathsim.console.inbox import Inbox
 from cathsim.console.messages import frame_message
 from cathsim.console.picture import FluoroscopyMonitor, surface_of
@@ -23,13 +25,16 @@ from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, 
 from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
 from cathsim.console.requests import check_request
+from cathsim.console.xray import FIRST_VIEWS, CArm, XRayRoom
 from cathsim.environment import NavigateEnv
-from cathsim.simulation import CONTROL_STEP
+from cathsim.guidewire import GUIDEWIRES
+from cathsim.simulation import CONTROL_STEP, Simulation
 from cathsim.validation import Count, Seed, settings
 
 PICTURES = 3  # a control step
 FRAME = CONTROL_STEP / PICTURES  # s
 REPLAY = "replay"
+OWN_WIRE = "own wire"  # of a file; a page learns no paths
 _SECONDS_TO_NEXT_START = 1.0
 _BEHIND = 0.15  # s: a loop that is further behind than this does not hurry to catch up
 _MM = 1e3
@@ -84,6 +89,7 @@ class RealTimeLoop(threading.Thread):
     Args:
         recorder: keeps the episodes, or None.
         note: what the page says about recording.
+        compared: the page is told the sampling expert's score for each procedure's task.
 
     Raises:
         ValueError: the phantom, target, wire, catheter or accuracy is unknown.
@@ -97,6 +103,7 @@ class RealTimeLoop(threading.Thread):
         *,
         note: str = "",
         phantoms: Sequence[str] = PHANTOMS,
+        compared: bool = False,
     ) -> None:
         super().__init__(name="console", daemon=True)
         self._setup, self._page, self._recorder, self._note = setup, page, recorder, note
@@ -106,11 +113,16 @@ class RealTimeLoop(threading.Thread):
         self._stopped = threading.Event()
         self._seed = setup.seed
         self._frame = 0
-        self._drawn: tuple[Sample, Sample, float, bytes] | None = None  # the last picture and what it shows
+        self._drawn: tuple[tuple[Any, ...], tuple[bytes, ...]] | None = None  # what the last pictures show, and they
+        self._room = XRayRoom()
+        self._views = dict(FIRST_VIEWS)  # wanted
+        self._builder = ThreadPoolExecutor(1, "views")  # a turned C-arm takes 0.35 s: too long for the loop
+        self._expert = ExpertScores(self._compare) if compared else None
         self._shown: tuple[Procedure, float] | None = None  # the replayed one and its time, s
         self._finished: Procedure | None = None
         self._sequence = 0
         self._offers = offered(setup.catheter)
+        self._own_wire = None if setup.wire in GUIDEWIRES else setup.wire
         phantom = load_phantom(setup.phantom)
         environment = setup.environment(phantom, setup.target, setup.catheter)
         self._catheter = find_offer(self._offers, setup.catheter) if setup.catheter else None
@@ -140,7 +152,21 @@ class RealTimeLoop(threading.Thread):
                 raise ValueError(f"unknown phantom {request['phantom']!r}; there are {', '.join(self._phantoms)}")
             name = request.get("catheter", self._catheter.name if self._catheter else None)
             catheter = None if name is None else find_offer(self._offers, name)
-            self._inbox.put(kind, lambda: self._choose(request["phantom"], request["target"], catheter))
+            wire = request.get("wire", self._setup.wire)
+            wire = self._own_wire if wire == OWN_WIRE and self._own_wire else wire
+            if wire != self._setup.wire and wire not in (*GUIDEWIRES, self._own_wire):
+                raise ValueError(f"unknown wire {wire!r}; there are {', '.join(GUIDEWIRES)}")
+            setup = replace(self._setup, wire=wire, max_steps=request.get("max_steps", self._setup.max_steps))
+            self._inbox.put(kind, lambda: self._choose(setup, request["phantom"], request["target"], catheter))
+        elif kind == "view":
+            view = CArm(request["primary_deg"], request["secondary_deg"], request["zoom"])
+            self._inbox.put(f"view {request['camera']}", lambda: self._turn(request["camera"], view))
+        elif kind == "pedal":
+            self._room.beam = request["on"]
+        elif kind == "roadmap":
+            self._room.roadmap = request["on"]
+        elif kind == "inject":
+            self._inbox.put(kind, self._room.inject)
         elif kind == "answers":
             answers = check_answers(request["answers"])
             self._inbox.put(kind, lambda: self._answer(answers))
@@ -164,6 +190,9 @@ class RealTimeLoop(threading.Thread):
         self._inbox.put("stop")
         if self.is_alive():
             self.join(timeout=10.0)
+        self._builder.shutdown(wait=False, cancel_futures=True)
+        if self._expert is not None:
+            self._expert.close()
 
     # -- the loop's own thread ----------------------------------------------------------------------------------------
 
@@ -212,13 +241,51 @@ class RealTimeLoop(threading.Thread):
         return False
 
     def _open(self, environment: NavigateEnv) -> None:
-        self._environment, self._monitor = environment, FluoroscopyMonitor(environment.simulation)
+        self._environment = environment
+        self._monitors = {name: FluoroscopyMonitor(environment.simulation, view) for name, view in self._views.items()}
         self._begin()
 
     def _begin(self) -> None:
         self._procedure = Procedure(self._environment, self._recorder, seed=self._seed)
         self._seed += 1
         self._frame, self._shown = 0, None
+        self._drawn = None
+        self._room.restart()
+
+    def _turn(self, camera: str, view: CArm) -> None:
+        """Builds a view beside the loop; the latest one wanted of a camera is shown."""
+        self._views[camera] = view
+        simulation = self._environment.simulation
+
+        def build() -> None:
+            if self._views[camera] == view:  # else a later one is wanted
+                built = FluoroscopyMonitor(simulation, view)
+                self._inbox.put(f"turned {camera}", lambda: self._turned(camera, built, simulation))
+
+        self._builder.submit(build)
+
+    def _turned(self, camera: str, built: FluoroscopyMonitor, simulation: Simulation) -> None:
+        if simulation is self._environment.simulation:
+            self._monitors[camera] = built
+            self._drawn = None
+            self._say(type="views", views=self._view_marks())
+
+    def _view_marks(self) -> dict[str, Any]:
+        task = self._environment.task
+        return {name: {**asdict(one.view), "mark": one.mark(task)} for name, one in self._monitors.items()}
+
+    def _expert_task(self, seed: int) -> dict[str, Any]:
+        setup, environment = self._setup, self._environment
+        catheter = self._catheter.source if self._catheter else None
+        return {
+            "phantom": environment.phantom.name, "target": environment.task.target_name, "wire": setup.wire,
+            "catheter": catheter, "accuracy": setup.accuracy, "max_steps": setup.max_steps, "seed": seed,
+        }  # fmt: skip
+
+    def _compare(self, task: dict[str, Any], score: dict[str, Any]) -> None:
+        """Tells the page the expert's score of the procedure that is shown; called from another thread."""
+        if task["target"] == self._environment.task.target_name:
+            self._say(type="expert", **score)
 
     def _say(self, **message: Any) -> None:
         self._page.say(message)
@@ -244,25 +311,30 @@ class RealTimeLoop(threading.Thread):
             success_radius=task.success_radius,
             max_steps=task.max_steps,
             control_step=CONTROL_STEP,
-            mark=self._monitor.mark(task),
-            size=self._monitor.size,
+            mark=self._monitors["a"].mark(task),
+            views=self._view_marks(),
+            wire=self._setup.wire if self._setup.wire in GUIDEWIRES else OWN_WIRE,
+            wires=[*([OWN_WIRE] if self._own_wire else []), *GUIDEWIRES],
+            beam=self._room.beam,
+            roadmap=self._room.roadmap,
+            size=self._monitors["a"].size,
             bounds=[low.tolist(), high.tolist()],
             recording=self._note if self._recorder else "",
             criteria=[asdict(criterion) for criterion in CRITERIA],
         )
 
-    def _choose(self, phantom: str, target: str, catheter: Offer | None) -> None:
+    def _choose(self, setup: Setup, phantom: str, target: str, catheter: Offer | None) -> None:
         self._say(type="loading", phantom=phantom)
         try:
             loaded = load_phantom(phantom)
             if target not in loaded.targets:
                 target = next(iter(loaded.targets))
-            environment = self._setup.environment(loaded, target, catheter.source if catheter else None)
+            environment = setup.environment(loaded, target, catheter.source if catheter else None)
         except ValueError:
             self._send_task()  # the page shows again what there is
             raise
         another = loaded is not self._environment.phantom
-        self._catheter, self._finished = catheter, None
+        self._setup, self._catheter, self._finished = setup, catheter, None
         self.panel.release()
         self._procedure.break_off()
         self._open(environment)
@@ -306,6 +378,8 @@ class RealTimeLoop(threading.Thread):
         if starts and procedure.state != ENDED and (procedure.state == RUNNING or self.panel.touched):
             controls = self.panel.take()
             self._sequence = controls.sequence
+            if procedure.state == READY and self._expert is not None:
+                self._expert.ask(self._expert_task(self._setup.seed))
             procedure.step(*controls.wire, controls.catheter)
         samples = procedure.samples
         if procedure.state == READY:
@@ -330,9 +404,17 @@ class RealTimeLoop(threading.Thread):
 
     def _show(self, state: str, earlier: Sample, later: Sample, share: float, step: int) -> None:
         wire, catheter = devices_between(earlier, later, share, self._environment.simulation.wire.links)
-        drawn = self._drawn
-        if drawn is None or drawn[0] is not earlier or drawn[1] is not later or drawn[2] != share:
-            drawn = self._drawn = (earlier, later, share, self._monitor.jpeg(wire, catheter))
+        room = self._room
+        room.advance(FRAME, counting=state == RUNNING)
+        shown = (id(earlier), id(later), share, room.contrast, room.roadmap)
+        if self._drawn is None or ((room.beam or state == REPLAY) and self._drawn[0] != shown):
+            self._drawn = (
+                shown,
+                tuple(
+                    one.jpeg(wire, catheter, contrast=room.contrast, roadmap=room.roadmap)
+                    for one in self._monitors.values()
+                ),
+            )
         header: dict[str, Any] = {
             "state": state,
             "step": step,
@@ -343,6 +425,11 @@ class RealTimeLoop(threading.Thread):
             "rotation_rad": later.rotation,
             "distance_mm": later.distance * _MM,
             "sequence": self._sequence,
+            "beam": room.beam,
+            "dose_s": room.dose,
+            "contrast": room.contrast,
+            "roadmap": room.roadmap,
+            "injections": room.injections,
         }
         if later.devices is not None:
             header |= {
@@ -351,7 +438,7 @@ class RealTimeLoop(threading.Thread):
                 "lead_mm": later.devices.lead * _MM,
                 "feeder_forces_n": later.devices.feeder_forces,
             }
-        self._page.show(frame_message(header, wire, drawn[3], catheter))
+        self._page.show(frame_message(header, wire, *self._drawn[1], catheter=catheter))
 
     def _send_end(self) -> None:
         procedure = self._finished = self._procedure
@@ -364,4 +451,8 @@ class RealTimeLoop(threading.Thread):
             metrics=metrics,
             recorded=str(procedure.path) if procedure.path else "",
             trouble=procedure.trouble,
+            dose_s=self._room.dose,
+            injections=self._room.injections,
+            expert=self._expert.score(self._expert_task(self._setup.seed)) if self._expert else None,
+            compared=self._expert is not None,
         )

@@ -6,6 +6,8 @@ import { Space } from "/page/space.js";
 const $ = (id) => document.getElementById(id);
 const FORCE_LIMIT = 2; // N, at which a step counts as unsafe
 const RECONNECT = 1500; // ms
+const ANSWERED = "questionnaire answered"; // in this session of the browser
+const LIMITS = [150, 300, 600, 1200]; // control steps
 const STATES = { ready: "READY", running: "LIVE", ended: "ENDED", replay: "REPLAY" };
 const PROMPTS = { ready: "Press ↑ to begin: the clock starts with the first touch", ended: "R: another one · P: replay" };
 const decoder = new TextDecoder();
@@ -18,7 +20,7 @@ let socket = null, sequence = 0, task = null, newest = null, drawing = false, re
 
 let space = null;
 try { space = new Space($("space")); } catch (error) { $("label-space").textContent = error.message; }
-const fluoroscopy = $("fluoroscopy").getContext("2d");
+const screens = { a: $("fluoroscopy").getContext("2d"), b: $("second").getContext("2d") };
 
 const controls = new Controls({ send: sendControls, tell, device: (name) => { $("device").textContent = name; } });
 
@@ -55,7 +57,9 @@ function hear(message) {
   else if (message.type === "notice") tell(message.text, message.kind);
   else if (message.type === "loading") { setState("", "LOADING"); $("label-prompt").textContent = `building ${message.phantom} …`; }
   else if (message.type === "ended") showEnd(message);
-  else if (message.type === "saved") tell(`Answers saved in ${message.path}`);
+  else if (message.type === "views") { task.views = message.views; markTargets(); }
+  else if (message.type === "expert") showExpert(message);
+  else if (message.type === "saved") { sessionStorage.setItem(ANSWERED, "1"); tell(`Answers saved in ${message.path}`); }
   else if (message.type === "restarted") closeEnd();
 }
 
@@ -76,7 +80,8 @@ function look(data) {
   const points = Array.from({ length: inner + outer }, (_, k) => [flat[3 * k], flat[3 * k + 1], flat[3 * k + 2]]);
   frame.wire = points.slice(0, inner);
   frame.catheter = points.slice(inner);
-  frame.picture = new Blob([new Uint8Array(data, 8 + length + 12 * (inner + outer))], { type: "image/jpeg" });
+  let from = 8 + length + 12 * (inner + outer);
+  frame.pictures = frame.jpeg_bytes.map((size) => new Blob([new Uint8Array(data, (from += size) - size, size)], { type: "image/jpeg" }));
   statistics.received++;
   newest = frame;
   if (!drawing) draw();
@@ -90,9 +95,12 @@ async function draw() {
     const frame = newest;
     newest = null;
     try {
-      const image = await createImageBitmap(frame.picture);
-      fluoroscopy.drawImage(image, 0, 0, fluoroscopy.canvas.width, fluoroscopy.canvas.height);
-      image.close();
+      for (const [k, screen] of [screens.a, screens.b].entries()) {
+        if (screen.canvas.hidden) continue;
+        const image = await createImageBitmap(frame.pictures[k]);
+        screen.drawImage(image, 0, 0, screen.canvas.width, screen.canvas.height);
+        image.close();
+      }
     } catch { continue; }
     drawSpace(frame);
     gauges(frame);
@@ -115,7 +123,7 @@ async function draw() {
 let spaceShown = "", spaceAt = 0;
 function drawSpace(frame) {
   const now = performance.now(), key = `${frame.state} ${frame.time_s}`;
-  if (!space || (key === spaceShown && !space.changed)) return;
+  if (!space || $("space").hidden || (key === spaceShown && !space.changed)) return;
   if (now - spaceAt < (statistics.fps < 25 ? 95 : space.slow ? 60 : 0)) return;
   space.draw(frame.wire, frame.catheter);
   spaceShown = key;
@@ -139,6 +147,13 @@ function gauges(frame) {
   put("rotation", degrees(frame.rotation_rad));
   if (frame.lead_mm !== undefined) deviceGauge(frame);
   put("label-prompt", PROMPTS[frame.state] ?? "");
+  put("dose", frame.dose_s.toFixed(1));
+  put("injections", frame.injections);
+  put("label-beam", frame.beam ? `☢ X-RAY ${frame.dose_s.toFixed(1)} s` : "LAST IMAGE HELD");
+  $("label-beam").dataset.on = frame.beam;
+  $("pedal").classList.toggle("held", frame.beam);
+  $("roadmap").classList.toggle("held", frame.roadmap);
+  $("inject").classList.toggle("held", frame.contrast > 0);
   $("recording").hidden = !(task?.recording && frame.state === "running");
 }
 
@@ -175,17 +190,21 @@ function setTask(message) {
   const catheters = message.catheters.map(({ name, shape, french }) => new Option(french ? `${shape} ${french}F` : shape, name));
   $("catheter").replaceChildren(new Option("none", ""), ...catheters);
   $("catheter").value = message.catheter ?? "";
+  choices($("wire"), message.wires, message.wire);
+  const limits = [...new Set([...LIMITS, message.max_steps])].sort((x, y) => x - y);
+  $("limit-choice").replaceChildren(...limits.map((steps) => new Option(`${+(steps * message.control_step).toFixed(1)} s`, steps)));
+  $("limit-choice").value = message.max_steps;
   const device = message.catheter ? ` · ${$("catheter").selectedOptions[0].text.toUpperCase()}` : "";
   put("label-task", `${message.phantom.replaceAll("_", " ").toUpperCase()} → ${message.target.toUpperCase()}${device}`);
   document.body.dataset.devices = message.devices;
   controls.steer(message.devices);
   put("limit", (message.max_steps * message.control_step).toFixed(0));
-  fluoroscopy.canvas.width = fluoroscopy.canvas.height = message.size;
+  for (const { canvas } of Object.values(screens)) canvas.width = canvas.height = message.size;
   space?.setTask(message);
   $("replay").disabled = !message.replayable;
   fillQuestions(message.criteria);
   closeEnd();
-  markTarget();
+  markTargets();
 }
 
 const words = (name) => (name.length < 5 ? name.toUpperCase() : name.replaceAll("_", " "));
@@ -196,13 +215,21 @@ function choices(select, names, chosen) {
 
 // The ring of the target lies on a canvas of its own, sharp at any size of the monitor; the bright corners are shaded, as
 // a collimator would.
-function markTarget() {
-  const canvas = $("overlay"), ratio = devicePixelRatio || 1;
+function markTargets() {
+  markTarget($("overlay"), "a");
+  markTarget($("second-overlay"), "b");
+}
+
+function markTarget(canvas, camera) {
+  const ratio = devicePixelRatio || 1;
   canvas.width = canvas.clientWidth * ratio;
   canvas.height = canvas.clientHeight * ratio;
   const pen = canvas.getContext("2d");
   pen.clearRect(0, 0, canvas.width, canvas.height);
-  if (!task) return;
+  if (!task || canvas.hidden) return;
+  const { mark, primary_deg: primary, secondary_deg: secondary, zoom } = task.views[camera];
+  put(`angles-${camera}`, $("space").hidden || camera === "a" ? `${angleWords(primary, secondary)}${zoom > 1 ? ` · ${zoom.toFixed(1)}×` : ""}` : "3-D");
+  if (camera === "a") for (const id of ["side-left", "side-right"]) $(id).hidden = Math.abs(primary) > 45;
   const scale = Math.min(canvas.width, canvas.height) / task.size;
   const left = (canvas.width - scale * task.size) / 2, top = (canvas.height - scale * task.size) / 2;
   const middle = [canvas.width / 2, canvas.height / 2], side = scale * task.size;
@@ -212,8 +239,8 @@ function markTarget() {
   shade.addColorStop(1, "#000f");
   pen.fillStyle = shade;
   pen.fillRect(left - 2, top - 2, side + 4, side + 4);
-  const [u, v] = task.mark.pixel.map((x, k) => [left, top][k] + (x + 0.5) * scale);
-  const radius = task.mark.radius * scale;
+  const [u, v] = mark.pixel.map((x, k) => [left, top][k] + (x + 0.5) * scale);
+  const radius = mark.radius * scale;
   pen.strokeStyle = "#2fe08a";
   pen.lineWidth = 1.6 * ratio;
   pen.setLineDash([5 * ratio, 4 * ratio]);
@@ -229,7 +256,82 @@ function markTarget() {
   pen.fillStyle = "#5cf0ab";
   pen.fillText(task.target.toUpperCase(), u + radius + 6 * ratio, v);
 }
-new ResizeObserver(markTarget).observe($("overlay"));
+for (const id of ["overlay", "second-overlay"]) new ResizeObserver(markTargets).observe($(id));
+
+const angleWords = (primary, secondary) => {
+  const side = Math.round(primary), tilt = Math.round(secondary);
+  return `${side ? `${side > 0 ? "LAO" : "RAO"} ${Math.abs(side)}°` : tilt ? "" : "FRONTAL"}${tilt ? ` ${tilt > 0 ? "CRAN" : "CAUD"} ${Math.abs(tilt)}°` : ""}`.trim();
+};
+
+// -- the C-arms, pedal, contrast medium, roadmap ----------------------------------------------------------------------
+
+// Dragging turns a C-arm about its patient, the wheel or two fingers zoom, a double click goes back.
+const FIRST = { a: [0, 0, 1], b: [90, 0, 1] };
+function turnable(canvas, camera) {
+  const fingers = new Map();
+  let wanted = null, sent = 0, spread = 0;
+  const current = () => wanted ?? [task.views[camera].primary_deg, task.views[camera].secondary_deg, task.views[camera].zoom];
+  const within = (x, low, high) => Math.max(low, Math.min(high, x));
+  const ask = (primary, secondary, zoom) => {
+    wanted = [within(primary, -120, 120), within(secondary, -50, 50), within(zoom, 1, 4)];
+    put(`angles-${camera}`, `${angleWords(wanted[0], wanted[1])} · ${wanted[2].toFixed(1)}×`);
+    if (!sent) sent = setTimeout(() => { // the loop builds a view in a third of a second
+      sent = 0;
+      send({ type: "view", camera, primary_deg: wanted[0], secondary_deg: wanted[1], zoom: wanted[2] });
+    }, 150);
+  };
+  canvas.addEventListener("pointerdown", (event) => { fingers.set(event.pointerId, [event.clientX, event.clientY]); canvas.setPointerCapture?.(event.pointerId); spread = 0; });
+  for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, (event) => { fingers.delete(event.pointerId); spread = 0; });
+  canvas.addEventListener("pointermove", (event) => {
+    const from = fingers.get(event.pointerId);
+    if (!from || !task) return;
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    const [primary, secondary, zoom] = current();
+    if (fingers.size === 2) {
+      const [p, q] = [...fingers.values()], now = Math.hypot(p[0] - q[0], p[1] - q[1]);
+      if (spread) ask(primary, secondary, (zoom * now) / spread);
+      spread = now;
+    } else ask(primary + (event.clientX - from[0]) * 0.4, secondary + (event.clientY - from[1]) * 0.25, zoom);
+  });
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    const [primary, secondary, zoom] = current();
+    ask(primary, secondary, zoom * Math.exp(-event.deltaY * 0.001));
+  }, { passive: false });
+  canvas.addEventListener("dblclick", () => ask(...FIRST[camera]));
+  return () => { wanted = null; }; // the console's word counts again
+}
+turnable($("fluoroscopy"), "a");
+turnable($("second"), "b");
+
+const pedal = { kept: true, held: false };
+function press() { send({ type: "pedal", on: pedal.kept || pedal.held }); }
+function keepPedal() { pedal.kept = !(statistics.frame?.beam ?? true); press(); }
+function inject() { send({ type: "inject" }); }
+function roadmap() { send({ type: "roadmap", on: !statistics.frame?.roadmap }); }
+for (const [id, act] of [["pedal", keepPedal], ["inject", inject], ["roadmap", roadmap]]) {
+  $(id).addEventListener("click", () => { act(); $(id).blur(); });
+}
+addEventListener("keydown", (event) => spaceBar(event, true));
+addEventListener("keyup", (event) => spaceBar(event, false));
+function spaceBar(event, down) {
+  if (event.code !== "Space" || !controls.enabled || event.target.closest?.("select, input, summary, dialog")) return;
+  event.preventDefault();
+  if (event.repeat) return;
+  pedal.held = down;
+  press();
+}
+addEventListener("blur", () => { if (pedal.held) { pedal.held = false; press(); } });
+
+$("swap").addEventListener("click", () => {
+  const inSpace = $("space").hidden && space;
+  $("space").hidden = !inSpace;
+  $("second").hidden = $("second-overlay").hidden = Boolean(inSpace);
+  $("swap").textContent = inSpace ? "X-ray" : "3-D";
+  $("swap").blur();
+  if (space) space.changed = true;
+  markTargets();
+});
 
 let before = { drawn: 0, at: performance.now() };
 setInterval(() => {
@@ -243,10 +345,13 @@ setInterval(() => {
 
 // -- choices, restart, replay -----------------------------------------------------------------------------------------
 
-for (const id of ["phantom", "target", "catheter"]) {
+for (const id of ["phantom", "target", "catheter", "wire", "limit-choice"]) {
   $(id).addEventListener("change", () => {
     controls.release();
-    send({ type: "choose", phantom: $("phantom").value, target: $("target").value, catheter: $("catheter").value || null });
+    send({
+      type: "choose", phantom: $("phantom").value, target: $("target").value, catheter: $("catheter").value || null,
+      wire: $("wire").value, max_steps: Number($("limit-choice").value),
+    });
     $(id).blur(); // the keys steer the devices again
   });
 }
@@ -257,6 +362,9 @@ addEventListener("keydown", (event) => {
   if (event.target.closest?.("select, input")) return;
   if (event.code === "KeyR") restart();
   if (event.code === "KeyP" && !$("replay").disabled) replay();
+  if (event.code === "KeyF") keepPedal();
+  if (event.code === "KeyC") inject();
+  if (event.code === "KeyM") roadmap();
 });
 
 function restart() { send({ type: "restart" }); document.activeElement?.blur(); }
@@ -293,25 +401,44 @@ $("questionnaire").addEventListener("input", () => {
   $("save-answers").disabled = Object.keys(answers()).length < task.criteria.length;
 });
 
-function showEnd({ success, invalid, time_s: time, metrics, recorded, trouble }) {
+const scoreRows = ({ time_s: time, metrics }) => ({
+  time: `${time.toFixed(1)} s`,
+  ...(metrics && {
+    "mean force": `${metrics.force_mean.toFixed(2)} N`, "peak force": `${metrics.force_max.toFixed(2)} N`,
+    "safe steps": `${(100 * metrics.safety).toFixed(0)} %`, "way of the tip": `${(100 * metrics.path_length).toFixed(1)} cm`,
+  }),
+});
+
+// The numbers of the operator, and those of the sampling expert in the same task once they are there.
+let ended = null;
+function fillNumbers() {
+  const { expert, compared } = ended, own = { ...scoreRows(ended), "X-ray": `${ended.dose_s.toFixed(1)} s`, contrast: `${ended.injections}×` };
+  const other = expert ? scoreRows(expert) : {};
+  const cells = (kind, texts) => texts.map((text) => Object.assign(document.createElement(kind), { textContent: text }));
+  const line = (...items) => { const row = document.createElement("tr"); row.append(...items); return row; };
+  const head = compared ? [line(...cells("th", ["", "you", expert ? (expert.success ? "expert" : "expert, not there") : "expert …"]))] : [];
+  $("end-numbers").replaceChildren(...head, ...Object.entries(own).map(([name, value]) =>
+    line(...cells("th", [name]), ...cells("td", compared ? [value, other[name] ?? "–"] : [value]))));
+}
+
+function showExpert(score) {
+  statistics.expert = score;
+  if (ended) { ended.expert = score; fillNumbers(); }
+}
+
+function showEnd(message) {
+  const { success, invalid, recorded, trouble } = message;
+  ended = message;
   controls.enable(false);
   $("replay").disabled = false;
   const dialog = $("end");
   dialog.dataset.success = success;
   $("end-title").textContent = success ? `${task.target.toUpperCase()} reached` : invalid ? "The simulation failed" : "Time is up";
-  const numbers = { time: `${time.toFixed(1)} s` };
-  if (metrics) Object.assign(numbers, {
-    "mean force": `${metrics.force_mean.toFixed(2)} N`, "peak force": `${metrics.force_max.toFixed(2)} N`,
-    "safe steps": `${(100 * metrics.safety).toFixed(0)} %`, "way of the tip": `${(100 * metrics.path_length).toFixed(1)} cm`,
-  });
-  $("end-numbers").replaceChildren(...Object.entries(numbers).map(([name, value]) => {
-    const item = document.createElement("div");
-    item.append(Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: value }));
-    return item;
-  }));
+  fillNumbers();
   $("end-recorded").textContent = trouble || (recorded ? `Recorded in ${recorded}` : "Not recorded");
-  $("questions").hidden = !recorded;
-  $("save-answers").hidden = !recorded;
+  const asked = recorded && !sessionStorage.getItem(ANSWERED); // once a session
+  $("questions").hidden = !asked;
+  $("save-answers").hidden = !asked;
   for (const input of document.querySelectorAll("#criteria input")) input.checked = false;
   $("save-answers").disabled = true;
   if (!dialog.open) dialog.showModal();
@@ -321,6 +448,7 @@ function showEnd({ success, invalid, time_s: time, metrics, recorded, trouble })
 function closeEnd() {
   controls.enable(true);
   if ($("end").open) $("end").close("closed");
+  ended = null;
 }
 
 $("end").addEventListener("close", () => {
