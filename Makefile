@@ -47,7 +47,7 @@ $(INSTALLED): $(INSTALL_INPUTS)
 	@$(PY) pipeline/installation.py after $(if $(GPU),--gpu)
 	@touch $@
 
-ray: setup  ## Ray for sweeps over a cluster (hydra/launcher=ray), 240 MB more
+ray: setup  ## Ray, for a cluster: engine=ray, and sweeps by hydra/launcher=ray; 240 MB more
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -e .[ray]
 	@# Its pins on an old cloudpickle and on cloud services' libraries are needed for none of its local and cluster use.
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-deps -c constraints.txt hydra-ray-launcher
