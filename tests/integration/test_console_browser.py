@@ -212,7 +212,7 @@ def test_two_fingers_steer_two_devices_on_a_phone(tab: Tab) -> None:
       const picture = document.getElementById("fluoroscopy").getBoundingClientRect();
       const xray = document.getElementById("xray").getBoundingClientRect();
       return [pads.bottom <= innerHeight + 1, picture.top >= 0, picture.bottom <= xray.top + 1,
-        xray.bottom <= pads.top + 1];
+        document.getElementById("pedal").getBoundingClientRect().bottom <= pads.top + 1];
     })()""")
     assert shown == [True] * 4, "fluoroscopy, pedal and pads are on the screen together"
     tab.desktop()

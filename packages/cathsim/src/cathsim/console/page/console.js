@@ -416,7 +416,7 @@ function fillNumbers() {
   const other = expert ? scoreRows(expert) : {};
   const cells = (kind, texts) => texts.map((text) => Object.assign(document.createElement(kind), { textContent: text }));
   const line = (...items) => { const row = document.createElement("tr"); row.append(...items); return row; };
-  const head = compared ? [line(...cells("th", ["", "you", expert ? (expert.success ? "expert" : "expert, not there") : "expert …"]))] : [];
+  const head = compared ? [line(...cells("th", ["", "you", expert ? (expert.success ? "expert" : "expert (missed)") : "expert …"]))] : [];
   $("end-numbers").replaceChildren(...head, ...Object.entries(own).map(([name, value]) =>
     line(...cells("th", [name]), ...cells("td", compared ? [value, other[name] ?? "–"] : [value]))));
 }
