@@ -131,7 +131,7 @@ class LeRobotWriter:
     def _write_pictures(self, camera: str, episode: ExportEpisode) -> tuple[dict[str, Any], Statistics]:
         """Write an episode's pictures; give where they lie in the film, and their statistics."""
         key, film = _video_key(camera), self._films.get(camera)
-        if film is not None and film.path.stat().st_size > VIDEO_MB * 2**20:
+        if film is not None and film.written_bytes > VIDEO_MB * 2**20:
             film.close()
             film = None
             self._film_files[camera] += 1

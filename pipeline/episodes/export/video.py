@@ -51,6 +51,11 @@ class GreyVideo:
         """How pixels are stored."""
         return "yuv444p" if self._size[0] % 2 or self._size[1] % 2 else "yuv420p"
 
+    @property
+    def written_bytes(self) -> int:
+        """Size of the file so far; the encoder makes it some time after the first frames came."""
+        return self.path.stat().st_size if self.path.exists() else 0
+
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Write the next frame, (height, width) uint8."""
         self._ffmpeg.send(np.ascontiguousarray(picture))

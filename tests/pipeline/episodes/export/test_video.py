@@ -20,6 +20,7 @@ def test_pictures_come_back(size: tuple[int, int], stored: str, tmp_path: Path) 
         film.add(picture)
     film.close()
     film.close()
+    assert film.written_bytes == (tmp_path / "deep" / "a.mp4").stat().st_size
     frames = imageio_ffmpeg.read_frames(str(tmp_path / "deep" / "a.mp4"), pix_fmt="gray", bits_per_pixel=8)
     meta = next(frames)
     assert meta["fps"] == 7.5
@@ -28,3 +29,11 @@ def test_pictures_come_back(size: tuple[int, int], stored: str, tmp_path: Path) 
     assert len(found) == len(pictures)
     for one, picture in zip(found, pictures, strict=True):
         assert np.abs(one.astype(int) - picture).mean() < 3
+
+
+def test_a_film_of_which_nothing_is_written_yet_has_no_size(tmp_path: Path) -> None:
+    film = GreyVideo(tmp_path / "a.mp4", (48, 64), 7.5)
+    film.path = tmp_path / "later.mp4"
+    assert film.written_bytes == 0
+    film.add(np.zeros((48, 64), np.uint8))
+    film.close()
