@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from pipeline.seeds import ARCHES
 from pipeline.store.errors import PipelineError
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 LOG, GIF, MP4 = "episode.mcap", "film.gif", "film.mp4"
 MODELS = ("navigator", "generalist")  # that can steer
-_SEEDS = 1_000  # of unseen arches
+_SEEDS = ARCHES["test"].width  # of unseen arches
 
 
 def main(arguments: Sequence[str]) -> int:

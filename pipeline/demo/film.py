@@ -6,10 +6,10 @@ import logging
 from pathlib import Path
 from typing import Any
 
-import cv2
 import imageio_ffmpeg
 import numpy as np
 
+from cathsim.opencv import cv2
 from cathsim.viewing.film import Film, write_gif
 from pipeline.demo.steering import Scene
 from pipeline.store.atomic_files import atomic_path

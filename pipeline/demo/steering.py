@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.anatomies.known import TARGETS
-from pipeline.seeds import held_out_seeds, unseen_arches
+from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
 from pipeline.stages.unseen.task import UnseenTask
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import TASK, Task
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from enn.imitation.recurrent_policy import RecurrentController
     from enn.policy import Policy, PolicyController
 
-_ARCHES = 1_000
+_ARCHES = ARCHES["test"].width
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,7 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
             shutil.copy("mine.mcap", "episode.mcap")
     assert results["pipeline/logs.md"]["force"].shape == (41,)
     assert used == set(SMALLER)
-    assert results["getting_started.md"]["policy"].keys == ("feeder",)
+    assert results["getting_started.md"]["policy"].keys == ("roadmap", "history")
     assert results["enn/policies.md"]["own"].keys == ("offset", "shape", "feeder")
     assert results["enn/imitation.md"]["policy"].keys == ("image",)
     assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]

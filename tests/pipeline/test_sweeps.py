@@ -21,6 +21,7 @@ def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
     if launcher == "ray":
         pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="Ray's launcher is not installed: make ray")
         pipeline_process.environment["HOME"] = str(pipeline_process.folder)  # Ray keeps a token of its own there
+        pipeline_process.environment["RAY_ADDRESS"] = "local"  # and not a cluster that another test started
     overrides = ["-m", "stage=report", "budget=smoke", "name=sweep", "seed=3,4", f"hydra/launcher={launcher}"]
     if launcher == "joblib":
         overrides.append("hydra.launcher.n_jobs=2")
@@ -38,6 +39,7 @@ def expert_run(tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) ->
     """A run with the episodes that learning reads, of one arch and one target."""
     process = PipelineProcess(tmp_path_factory.mktemp("sweep"), {**os.environ, "CATHSIM_CACHE": str(anatomy_cache)})
     process.environment["HOME"] = str(process.folder)  # Ray keeps a token of its own there
+    process.environment["RAY_ADDRESS"] = "local"  # and not a cluster that another test started
     for stage in (
         ["stage=phantoms", "stage.phantoms=[type_1]"],
         ["stage=expert", "stage.phantoms=[type_1]", "stage.targets=[bca]", "stage.episodes=1"],

@@ -272,7 +272,7 @@ def test_environment_takes_a_name_a_flow_or_none_and_the_expert_plans_with_it(ma
     env = make_env(blood="pulsatile", observation="tip")
     env.reset(seed=0)
     expert = SamplingExpert(env, seed=0, threads=1)
-    assert [copy.blood for copy in expert._copies] == [PULSATILE]
+    assert [copy.blood for copy in expert.trials._copies] == [PULSATILE]
     expert.close()
     steps = []
     for blood in (None, "steady", PULSATILE, "pulsatile"):

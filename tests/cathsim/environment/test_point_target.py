@@ -164,7 +164,7 @@ def test_the_expert_follows_the_target_of_an_episode(make_env: MakeEnv, point: t
         assert np.array_equal(first, second)
         env.step(first)
         fresh.step(second)
-    assert np.array_equal(experts[0]._goal, point)
+    assert np.array_equal(experts[0].environment.goal, point)
 
 
 class Progress(NavigationTask):
