@@ -97,7 +97,7 @@ def test_two_files_add_a_stage(project: Path, in_project: Callable[..., subproce
     assert manifest.config == {"name": "count", "numbers": 2, "until": 0, "step": 4, "threads": 0}
     assert "up to date" in in_project(*python, "pipeline", "stage=count", *words, "stage.threads=2").stdout
     assert in_project(*python, "pipeline", "stage=report", "budget=smoke", "name=run").returncode == 0
-    assert ">count<" in (project / "runs" / "run" / "report" / "index.html").read_text()
+    assert ">Count<" in (project / "runs" / "run" / "report" / "index.html").read_text()
 
 
 @pytest.mark.parametrize(
