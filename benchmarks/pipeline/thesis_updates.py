@@ -25,7 +25,7 @@ import torch
 from stable_baselines3 import PPO, SAC
 
 from enn.networks.features import MultimodalExtractor, modality_keys
-from enn.reinforcement.training_settings import THESIS_PPO, THESIS_SAC
+from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 from guide3d.learning.build import SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, build_segmenter, build_shape_network
 from guide3d.learning.recipes import segmentation_recipe
 from splineformer.build import build, size_of

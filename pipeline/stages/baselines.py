@@ -65,7 +65,7 @@ def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrain
 def training_settings(settings: BaselinesSettings, algorithm: str, observation: str) -> TrainingSettings:
     """Hyper-parameters of a row of the table: "ppo" or "sac" on "internal", "image" or "sequential"."""
     from enn.reinforcement import DESK_PPO, DESK_SAC
-    from enn.reinforcement.training_settings import thesis_baseline
+    from enn.reinforcement.training.settings import thesis_baseline
 
     ppo = algorithm == "ppo"
     preset = DESK_PPO if ppo else DESK_SAC

@@ -89,7 +89,7 @@ def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob
 def training_settings(settings: EnnSettings, keys: tuple[str, ...] = ()) -> TrainingSettings:
     """SAC or PPO of the variant with the stage's budget; `keys` are the observations that the thesis's network sees."""
     from enn.reinforcement import DESK_PPO, DESK_SAC
-    from enn.reinforcement.training_settings import THESIS_PPO, THESIS_SAC
+    from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 
     desk, thesis = (DESK_SAC, THESIS_SAC) if settings.algorithm == "sac" else (DESK_PPO, THESIS_PPO)
     preset = thesis if settings.variant == THESIS else desk

@@ -20,7 +20,7 @@ from enn.imitation.sequence_cloning import SequenceCloningSettings
 from enn.networks.encoder_network import EncoderSettings
 from enn.networks.image_network import ImageSettings
 from enn.networks.network import NetworkSettings
-from enn.reinforcement.training_settings import DESK_PPO, DESK_SAC, TrainingSettings
+from enn.reinforcement.training.settings import DESK_PPO, DESK_SAC, TrainingSettings
 from tests.number_fields import accepted, parametrised
 
 # settings to the bad numbers that are good ones there

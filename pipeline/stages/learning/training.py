@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 RECORD, CURVE = "training.json", "training.csv"
 # What every job imports: once, before the jobs' processes are forked.
-PRELOAD = ("cathsim", "enn.reinforcement.training", "enn.encoder", "pipeline.recording.record")
+PRELOAD = ("cathsim", "enn.reinforcement.training.training", "enn.encoder", "pipeline.recording.record")
 _SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
 _SECONDS_A_DECISION = 1e-2
 _SAMPLES_SHARE = 0.4  # of the time that an encoder takes

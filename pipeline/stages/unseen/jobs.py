@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 POLICY = "policy.pt"
 PRELOAD = (
     "cathsim.many_anatomies",
-    "enn.reinforcement.training",
+    "enn.reinforcement.training.training",
     "enn.imitation.advised_episodes",
     "pipeline.recording.record",
 )

@@ -25,7 +25,7 @@ def test_a_score_has_the_metrics_of_a_procedure() -> None:
 
 def test_scores_come_from_a_process_of_their_own(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-    told: list[dict[str, Any]] = []
+    told: list[dict[str, Any] | None] = []
     arrived = threading.Event()
     scores = ExpertScores(lambda task, score: (told.append(score), arrived.set()))  # type: ignore[func-returns-value]
     assert scores.score(TASK) is None
@@ -38,10 +38,12 @@ def test_scores_come_from_a_process_of_their_own(anatomy_cache: Path, monkeypatc
 
 
 def test_a_task_that_fails_has_no_score() -> None:
-    scores = ExpertScores(lambda task, score: None)
+    told: list[dict[str, Any] | None] = []
+    arrived = threading.Event()
+    scores = ExpertScores(lambda task, score: (told.append(score), arrived.set()))  # type: ignore[func-returns-value]
     wrong = {**TASK, "target": "nowhere"}
     scores.ask(wrong)
-    assert scores._process is not None
-    scores._process.wait(120)
+    assert arrived.wait(120)
+    assert told == [None]
     assert scores.score(wrong) is None
     scores.close()

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cathsim.console.operator_setup import Setup
 from cathsim.console.questionnaire import CRITERIA
-from cathsim.console.worker import RealTimeLoop, Setup
+from cathsim.console.worker import RealTimeLoop
 
 Wait = Callable[..., Any]
 ANSWERS = {criterion.key: 5 for criterion in CRITERIA}
@@ -47,8 +48,8 @@ def test_the_page_is_told_the_task_and_the_clock_waits_for_the_operator(
     task = wait_until(lambda: page.messages_of("task"))[0]
     assert (task["phantom"], task["target"], task["recording"]) == ("type_1", "bca", "somewhere")
     assert {"bca", "lcca", "lsa"} <= set(task["targets"])
-    assert all(0 < x < task["size"] for x in task["mark"]["pixel"])
-    assert 5 < task["mark"]["radius"] < 60
+    assert all(0 < x < task["size"] for x in task["views"]["a"]["mark"]["pixel"])
+    assert 5 < task["views"]["a"]["mark"]["radius"] < 60
     assert page.surfaces == 1
     wait_until(lambda: len(page.headers) > 5)
     assert {(header["state"], header["step"]) for header in page.headers} == {("ready", 0)}

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from enn.policy import Policy as Policy
     from enn.reinforcement.encoded import EncodedEnvs as EncodedEnvs
     from enn.reinforcement.training import Training as Training
-    from enn.reinforcement.training_settings import TrainingSettings as TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings as TrainingSettings
     from enn.shipped import load as load
     from enn.shipped import models as models
     from enn.trajectory import Trajectory as Trajectory
@@ -38,7 +38,7 @@ _HOME = {
     "Policy": "policy",
     "Samples": "encoder",
     "Training": "reinforcement.training",
-    "TrainingSettings": "reinforcement.training_settings",
+    "TrainingSettings": "reinforcement.training.settings",
     "Trajectory": "trajectory",
     "fit_encoder": "encoder",
     "layer_table": "networks.features",

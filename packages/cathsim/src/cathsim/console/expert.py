@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -20,15 +21,18 @@ from cathsim.metrics import EpisodeMetrics
 ROLLOUTS = 1200  # after which the expert gives up
 _NICENESS = 5  # the console goes first
 
+_LOGGER = logging.getLogger(__name__)
+
 
 class ExpertScores:
     """Asks for the expert's score of tasks, each once.
 
     Args:
-        tell: called with task and score from a thread of its own once a score is there.
+        tell: called with task and score from a thread of its own once a score is there; with None where the expert
+            failed.
     """
 
-    def __init__(self, tell: Callable[[dict[str, Any], dict[str, Any]], None]) -> None:
+    def __init__(self, tell: Callable[[dict[str, Any], dict[str, Any] | None], None]) -> None:
         self._tell = tell
         self._scores: dict[str, dict[str, Any] | None] = {}  # None: it is being computed, or could not be
         self._process: subprocess.Popen[str] | None = None
@@ -48,7 +52,7 @@ class ExpertScores:
             self._scores[_key(task)] = None
             command = [sys.executable, "-m", "cathsim.console.expert", json.dumps(task)]
             self._process = subprocess.Popen(
-                command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL, text=True
+                command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
             )
             threading.Thread(target=self._wait, args=(task, self._process), daemon=True).start()
 
@@ -63,11 +67,16 @@ class ExpertScores:
         self._process = None
 
     def _wait(self, task: dict[str, Any], process: subprocess.Popen[str]) -> None:
-        output, _ = process.communicate()
-        with contextlib.suppress(ValueError):  # it was ended, or failed: there is no score to compare with
-            score = json.loads(output)
-            self._scores[_key(task)] = score
-            self._tell(task, score)
+        output, errors = process.communicate()
+        if process.returncode < 0:  # ended for another task, or with the console
+            return
+        if process.returncode:
+            _LOGGER.warning("no score of the expert: %s", (errors.strip().splitlines() or ["it failed"])[-1])
+            self._tell(task, None)
+            return
+        score = json.loads(output)
+        self._scores[_key(task)] = score
+        self._tell(task, score)
 
 
 def _key(task: Mapping[str, Any]) -> str:
@@ -91,8 +100,8 @@ def expert_score(task: Mapping[str, Any]) -> dict[str, Any]:
     from cathsim.simulation import CONTROL_STEP
 
     given = dict(task)
-    seed = given.pop("seed")
-    environment = NavigateEnv(given.pop("phantom"), given.pop("target"), observation="tip", **given)
+    seed, target = given.pop("seed"), given.pop("target")
+    environment = NavigateEnv(given.pop("phantom"), target, observation="tip", **given)
     _, info = environment.reset(seed=seed)
     settings = TWO_DEVICES if environment.feeders.devices == 2 else ExpertSettings()
     expert = SamplingExpert(environment, seed=seed, threads=1, settings=settings)
@@ -105,7 +114,7 @@ def expert_score(task: Mapping[str, Any]) -> dict[str, Any]:
         rewards.append(reward)
     expert.close()
     metrics = EpisodeMetrics.from_arrays(
-        np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=given.get("target", "")
+        np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=target
     )
     return {"success": bool(info["success"]), "time_s": len(forces) * CONTROL_STEP, "metrics": asdict(metrics)}
 

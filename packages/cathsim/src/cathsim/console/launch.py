@@ -131,8 +131,9 @@ def _recorder(factory: Any, folder: Path) -> Recorder:
 def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder | None, folder: Path) -> None:
     import uvicorn
 
+    from cathsim.console.operator_setup import Setup
     from cathsim.console.server import Desk, create_app
-    from cathsim.console.worker import RealTimeLoop, Setup
+    from cathsim.console.worker import RealTimeLoop
 
     open_to_others = not is_loopback(options.host)
     token = options.token or (secrets.token_urlsafe(16) if open_to_others else None)

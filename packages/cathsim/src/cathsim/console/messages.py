@@ -16,6 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from cathsim.anatomy import Phantom
+from cathsim.anatomy.surface import lumen_surface
+
+_STRIDE = 2  # grid nodes a node of the 3-D view's surface
 FRAME_MAGIC, SURFACE_MAGIC = b"FRME", b"MESH"
 
 
@@ -43,3 +47,9 @@ def surface_message(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray
     return b"".join(
         (head, vertices.astype("<f4").tobytes(), normals.astype("<f4").tobytes(), faces.astype("<u4").tobytes())
     )
+
+
+def surface_of(phantom: Phantom) -> bytes:
+    """The lumen's surface for the 3-D view, as a message."""
+    mesh = lumen_surface(phantom.grid.coarser(_STRIDE))
+    return surface_message(np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), np.asarray(mesh.faces))

@@ -10,26 +10,26 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from typing import Any, Protocol
 
-from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
+from cathsim.anatomy import PHANTOMS, load_phantom
 from cathsim.console.catheters import Offer, find_offer, offered
 from cathsim.console.controls import ControlPanel, Controls
 from cathsim.console.expert import ExpertScores
 from cathsim.console.inbox import Inbox
-from cathsim.console.messages import frame_message
-from cathsim.console.picture import FluoroscopyMonitor, surface_of
+from cathsim.console.messages import frame_message, surface_of
+from cathsim.console.operator_setup import Setup
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, devices_between
 from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
 from cathsim.console.requests import check_request
-from cathsim.console.xray import FIRST_VIEWS, CArm, XRayRoom
+from cathsim.console.xray.monitor import CArm
+from cathsim.console.xray.room import XRayRoom
+from cathsim.console.xray.views import Views
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import GUIDEWIRES
-from cathsim.simulation import CONTROL_STEP, Simulation
-from cathsim.validation import Count, Seed, settings
+from cathsim.simulation import CONTROL_STEP
 
 PICTURES = 3  # a control step
 FRAME = CONTROL_STEP / PICTURES  # s
@@ -52,35 +52,6 @@ class Page(Protocol):
     def say(self, message: dict[str, Any] | bytes) -> None:
         """A message that must arrive."""
         ...
-
-
-@settings
-class Setup:
-    """What the operator starts with."""
-
-    phantom: str = "type_1"  # name of the phantom
-    target: str = "bca"  # name of the target
-    wire: str = "default"  # preset of the guidewire
-    catheter: str | None = None  # a preset, or the path of a YAML file; None: the bare wire
-    accuracy: str = "accurate"  # preset of the time stepping
-    max_steps: Count = 300  # a procedure ends after so many control steps
-    seed: Seed = 0  # of the first procedure; each further one has the next
-
-    def environment(self, phantom: Phantom, target: str, catheter: str | None) -> NavigateEnv:
-        """The environment of a procedure; its image is that of other recorded episodes.
-
-        Raises:
-            ValueError: an unknown device, devices that do not fit, or a target out of their reach.
-        """
-        return NavigateEnv(
-            phantom,
-            target,
-            wire=self.wire,
-            catheter=catheter,
-            accuracy=self.accuracy,
-            observation="tip",
-            max_steps=self.max_steps,
-        )
 
 
 class RealTimeLoop(threading.Thread):
@@ -113,10 +84,8 @@ class RealTimeLoop(threading.Thread):
         self._stopped = threading.Event()
         self._seed = setup.seed
         self._frame = 0
-        self._drawn: tuple[tuple[Any, ...], tuple[bytes, ...]] | None = None  # what the last pictures show, and they
         self._room = XRayRoom()
-        self._views = dict(FIRST_VIEWS)  # wanted
-        self._builder = ThreadPoolExecutor(1, "views")  # a turned C-arm takes 0.35 s: too long for the loop
+        self._views = Views(self._room, self._inbox.put, self._send_views)
         self._expert = ExpertScores(self._compare) if compared else None
         self._shown: tuple[Procedure, float] | None = None  # the replayed one and its time, s
         self._finished: Procedure | None = None
@@ -160,7 +129,7 @@ class RealTimeLoop(threading.Thread):
             self._inbox.put(kind, lambda: self._choose(setup, request["phantom"], request["target"], catheter))
         elif kind == "view":
             view = CArm(request["primary_deg"], request["secondary_deg"], request["zoom"])
-            self._inbox.put(f"view {request['camera']}", lambda: self._turn(request["camera"], view))
+            self._inbox.put(f"view {request['camera']}", lambda: self._views.turn(request["camera"], view))
         elif kind == "pedal":
             self._room.beam = request["on"]
         elif kind == "roadmap":
@@ -190,7 +159,7 @@ class RealTimeLoop(threading.Thread):
         self._inbox.put("stop")
         if self.is_alive():
             self.join(timeout=10.0)
-        self._builder.shutdown(wait=False, cancel_futures=True)
+        self._views.close()
         if self._expert is not None:
             self._expert.close()
 
@@ -242,50 +211,32 @@ class RealTimeLoop(threading.Thread):
 
     def _open(self, environment: NavigateEnv) -> None:
         self._environment = environment
-        self._monitors = {name: FluoroscopyMonitor(environment.simulation, view) for name, view in self._views.items()}
+        self._views.open(environment.simulation)
         self._begin()
 
     def _begin(self) -> None:
         self._procedure = Procedure(self._environment, self._recorder, seed=self._seed)
         self._seed += 1
         self._frame, self._shown = 0, None
-        self._drawn = None
+        self._views.restart()
         self._room.restart()
 
-    def _turn(self, camera: str, view: CArm) -> None:
-        """Builds a view beside the loop; the latest one wanted of a camera is shown."""
-        self._views[camera] = view
-        simulation = self._environment.simulation
+    def _send_views(self) -> None:
+        self._say(type="views", views=self._views.marks(self._environment.task))
 
-        def build() -> None:
-            if self._views[camera] == view:  # else a later one is wanted
-                built = FluoroscopyMonitor(simulation, view)
-                self._inbox.put(f"turned {camera}", lambda: self._turned(camera, built, simulation))
-
-        self._builder.submit(build)
-
-    def _turned(self, camera: str, built: FluoroscopyMonitor, simulation: Simulation) -> None:
-        if simulation is self._environment.simulation:
-            self._monitors[camera] = built
-            self._drawn = None
-            self._say(type="views", views=self._view_marks())
-
-    def _view_marks(self) -> dict[str, Any]:
-        task = self._environment.task
-        return {name: {**asdict(one.view), "mark": one.mark(task)} for name, one in self._monitors.items()}
-
-    def _expert_task(self, seed: int) -> dict[str, Any]:
-        setup, environment = self._setup, self._environment
+    def _expert_task(self) -> dict[str, Any]:
+        environment = self._environment
         catheter = self._catheter.source if self._catheter else None
-        return {
-            "phantom": environment.phantom.name, "target": environment.task.target_name, "wire": setup.wire,
-            "catheter": catheter, "accuracy": setup.accuracy, "max_steps": setup.max_steps, "seed": seed,
-        }  # fmt: skip
+        return self._setup.task(environment.phantom.name, environment.task.target_name, catheter)
 
-    def _compare(self, task: dict[str, Any], score: dict[str, Any]) -> None:
-        """Tells the page the expert's score of the procedure that is shown; called from another thread."""
-        if task["target"] == self._environment.task.target_name:
-            self._say(type="expert", **score)
+    def _compare(self, task: dict[str, Any], score: dict[str, Any] | None) -> None:
+        """Tells the page the expert's score of the procedure that is shown; called from another thread.
+
+        Args:
+            score: None where none could be computed.
+        """
+        if task == self._expert_task():
+            self._say(type="expert", score=score)
 
     def _say(self, **message: Any) -> None:
         self._page.say(message)
@@ -311,13 +262,12 @@ class RealTimeLoop(threading.Thread):
             success_radius=task.success_radius,
             max_steps=task.max_steps,
             control_step=CONTROL_STEP,
-            mark=self._monitors["a"].mark(task),
-            views=self._view_marks(),
+            views=self._views.marks(task),
             wire=self._setup.wire if self._setup.wire in GUIDEWIRES else OWN_WIRE,
             wires=[*([OWN_WIRE] if self._own_wire else []), *GUIDEWIRES],
             beam=self._room.beam,
             roadmap=self._room.roadmap,
-            size=self._monitors["a"].size,
+            size=self._views.size,
             bounds=[low.tolist(), high.tolist()],
             recording=self._note if self._recorder else "",
             criteria=[asdict(criterion) for criterion in CRITERIA],
@@ -379,7 +329,7 @@ class RealTimeLoop(threading.Thread):
             controls = self.panel.take()
             self._sequence = controls.sequence
             if procedure.state == READY and self._expert is not None:
-                self._expert.ask(self._expert_task(self._setup.seed))
+                self._expert.ask(self._expert_task())
             procedure.step(*controls.wire, controls.catheter)
         samples = procedure.samples
         if procedure.state == READY:
@@ -406,15 +356,8 @@ class RealTimeLoop(threading.Thread):
         wire, catheter = devices_between(earlier, later, share, self._environment.simulation.wire.links)
         room = self._room
         room.advance(FRAME, counting=state == RUNNING)
-        shown = (id(earlier), id(later), share, room.contrast, room.roadmap)
-        if self._drawn is None or ((room.beam or state == REPLAY) and self._drawn[0] != shown):
-            self._drawn = (
-                shown,
-                tuple(
-                    one.jpeg(wire, catheter, contrast=room.contrast, roadmap=room.roadmap)
-                    for one in self._monitors.values()
-                ),
-            )
+        held = not (room.beam or state == REPLAY)
+        pictures = self._views.pictures((id(earlier), id(later), share), wire, catheter, held=held)
         header: dict[str, Any] = {
             "state": state,
             "step": step,
@@ -438,7 +381,7 @@ class RealTimeLoop(threading.Thread):
                 "lead_mm": later.devices.lead * _MM,
                 "feeder_forces_n": later.devices.feeder_forces,
             }
-        self._page.show(frame_message(header, wire, *self._drawn[1], catheter=catheter))
+        self._page.show(frame_message(header, wire, *pictures, catheter=catheter))
 
     def _send_end(self) -> None:
         procedure = self._finished = self._procedure
@@ -453,6 +396,6 @@ class RealTimeLoop(threading.Thread):
             trouble=procedure.trouble,
             dose_s=self._room.dose,
             injections=self._room.injections,
-            expert=self._expert.score(self._expert_task(self._setup.seed)) if self._expert else None,
+            expert=self._expert.score(self._expert_task()) if self._expert else None,
             compared=self._expert is not None,
         )

@@ -11,25 +11,25 @@ from enn.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from enn.reinforcement.checkpoint import CheckpointError as CheckpointError
-    from enn.reinforcement.training import Training as Training
-    from enn.reinforcement.training_result import Progress as Progress
-    from enn.reinforcement.training_result import TrainingResult as TrainingResult
-    from enn.reinforcement.training_settings import DESK_PPO as DESK_PPO
-    from enn.reinforcement.training_settings import DESK_SAC as DESK_SAC
-    from enn.reinforcement.training_settings import THESIS_PPO as THESIS_PPO
-    from enn.reinforcement.training_settings import THESIS_SAC as THESIS_SAC
-    from enn.reinforcement.training_settings import TrainingSettings as TrainingSettings
+    from enn.reinforcement.training.result import Progress as Progress
+    from enn.reinforcement.training.result import TrainingResult as TrainingResult
+    from enn.reinforcement.training.settings import DESK_PPO as DESK_PPO
+    from enn.reinforcement.training.settings import DESK_SAC as DESK_SAC
+    from enn.reinforcement.training.settings import THESIS_PPO as THESIS_PPO
+    from enn.reinforcement.training.settings import THESIS_SAC as THESIS_SAC
+    from enn.reinforcement.training.settings import TrainingSettings as TrainingSettings
+    from enn.reinforcement.training.training import Training as Training
 
 _HOME = {
     "CheckpointError": "checkpoint",
-    "DESK_PPO": "training_settings",
-    "DESK_SAC": "training_settings",
-    "Progress": "training_result",
-    "THESIS_PPO": "training_settings",
-    "THESIS_SAC": "training_settings",
-    "Training": "training",
-    "TrainingResult": "training_result",
-    "TrainingSettings": "training_settings",
+    "DESK_PPO": "training.settings",
+    "DESK_SAC": "training.settings",
+    "Progress": "training.result",
+    "THESIS_PPO": "training.settings",
+    "THESIS_SAC": "training.settings",
+    "Training": "training.training",
+    "TrainingResult": "training.result",
+    "TrainingSettings": "training.settings",
 }
 
 __all__ = list(_HOME)

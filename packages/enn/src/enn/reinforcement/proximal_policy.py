@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from enn.networks.network import network_class
 from enn.networks.normalisation import fit_normalisation
-from enn.reinforcement.training_settings import TrainingSettings
+from enn.reinforcement.training.settings import TrainingSettings
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 STORED = ("actions", "rewards", "episode_starts", "values", "log_probs")

@@ -17,7 +17,7 @@ from torch.nn import functional
 from enn.networks.network import action_distribution, network_class
 from enn.networks.normalisation import fit_normalisation
 from enn.reinforcement.replay import ReplayBuffer
-from enn.reinforcement.training_settings import TrainingSettings
+from enn.reinforcement.training.settings import TrainingSettings
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 LOG_2 = math.log(2.0)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from enn.reinforcement.proximal_policy import PpoLearner
     from enn.reinforcement.soft_actor_critic import SacLearner
-    from enn.reinforcement.training_settings import TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings
 
 
 def start_from(learner: SacLearner | PpoLearner, policy: Policy, settings: TrainingSettings, envs: VecEnv) -> None:

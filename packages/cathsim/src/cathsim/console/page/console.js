@@ -58,7 +58,7 @@ function hear(message) {
   else if (message.type === "loading") { setState("", "LOADING"); $("label-prompt").textContent = `building ${message.phantom} …`; }
   else if (message.type === "ended") showEnd(message);
   else if (message.type === "views") { task.views = message.views; markTargets(); }
-  else if (message.type === "expert") showExpert(message);
+  else if (message.type === "expert") showExpert(message.score);
   else if (message.type === "saved") { sessionStorage.setItem(ANSWERED, "1"); tell(`Answers saved in ${message.path}`); }
   else if (message.type === "restarted") closeEnd();
 }
@@ -184,6 +184,7 @@ function setState(state, label) {
 }
 
 function setTask(message) {
+  expertFailed = false;
   task = statistics.task = message;
   choices($("phantom"), message.phantoms, message.phantom);
   choices($("target"), message.targets, message.target);
@@ -416,13 +417,15 @@ function fillNumbers() {
   const other = expert ? scoreRows(expert) : {};
   const cells = (kind, texts) => texts.map((text) => Object.assign(document.createElement(kind), { textContent: text }));
   const line = (...items) => { const row = document.createElement("tr"); row.append(...items); return row; };
-  const head = compared ? [line(...cells("th", ["", "you", expert ? (expert.success ? "expert" : "expert (missed)") : "expert …"]))] : [];
+  const head = compared ? [line(...cells("th", ["", "you", expert ? (expert.success ? "expert" : "expert (missed)") : expertFailed ? "expert (failed)" : "expert …"]))] : [];
   $("end-numbers").replaceChildren(...head, ...Object.entries(own).map(([name, value]) =>
     line(...cells("th", [name]), ...cells("td", compared ? [value, other[name] ?? "–"] : [value]))));
 }
 
+let expertFailed = false;
 function showExpert(score) {
   statistics.expert = score;
+  expertFailed = score === null;
   if (ended) { ended.expert = score; fillNumbers(); }
 }
 

@@ -1,16 +1,13 @@
-"""The operator's pictures: fluoroscopic images as JPEG, and what the page needs to draw the vessel in 3-D."""
+"""The operator's X-ray pictures: what a C-arm sees, as JPEG."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 
-from cathsim.anatomy import Phantom
-from cathsim.anatomy.surface import lumen_surface
-from cathsim.console.messages import surface_message
-from cathsim.console.xray import CArm
 from cathsim.fluoroscopy import DeviceRenderer, FluoroscopyRenderer, Projector
 from cathsim.fluoroscopy.attenuation import CONTRAST, GAMMA, Keyed, expose, lumen_path_length
 from cathsim.fluoroscopy.body import THORAX, body_depth
@@ -18,11 +15,23 @@ from cathsim.navigation import NavigationTask
 from cathsim.observations.fluoroscopes import catheter_in, material_of, outside_sheath, wire_radius_of
 from cathsim.opencv import cv2
 from cathsim.simulation import Simulation
+from cathsim.validation import Unit, settings
 
 IMAGE_SIZE = 480  # px
 QUALITY = 88  # of the JPEG: 12 kB an image, no artefact to be seen beside the wire
 ROADMAP = 0.7  # of the contrast medium's attenuation, by which the roadmap brightens the vessels
-_STRIDE = 2  # grid nodes a node of the 3-D view's surface
+
+
+@settings
+class CArm:
+    """A view of a C-arm about the middle of the phantom."""
+
+    primary_deg: Annotated[float, Interval(ge=-120, le=120), Unit("degrees")] = 0.0  # LAO positive, RAO negative
+    secondary_deg: Annotated[float, Interval(ge=-50, le=50), Unit("degrees")] = 0.0  # cranial positive
+    zoom: Annotated[float, Interval(ge=1, le=4)] = 1.0  # 1: the whole phantom in the frontal view
+
+
+FIRST_VIEWS = {"a": CArm(), "b": CArm(primary_deg=90.0)}  # frontal and lateral
 
 
 class FluoroscopyMonitor:
@@ -113,9 +122,3 @@ def _projector(bounds: np.ndarray, view: CArm, size: int) -> Projector:
         primary_deg=view.primary_deg,
         secondary_deg=view.secondary_deg,
     )
-
-
-def surface_of(phantom: Phantom) -> bytes:
-    """The lumen's surface for the 3-D view, as a message."""
-    mesh = lumen_surface(phantom.grid.coarser(_STRIDE))
-    return surface_message(np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), np.asarray(mesh.faces))

@@ -23,8 +23,8 @@ from enn.reinforcement.training import (
     Training,
     TrainingSettings,
 )
-from enn.reinforcement.training_result import COLUMNS
-from enn.reinforcement.training_run import TrainingRun
+from enn.reinforcement.training.result import COLUMNS
+from enn.reinforcement.training.run import TrainingRun
 from tests.enn.reinforcement.small_training import SMALL
 
 

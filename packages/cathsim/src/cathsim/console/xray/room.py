@@ -1,29 +1,12 @@
-"""What an X-ray picture needs besides the devices: the C-arm's angles, the pedal, contrast medium, the roadmap."""
+"""What an X-ray picture needs besides devices and C-arm: the pedal, contrast medium, the roadmap."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
-
-from annotated_types import Interval
-
-from cathsim.validation import Unit, settings
 
 FILLING = 0.4  # s from the injection to a full lumen
 WASHOUT = 1.5  # s in which the concentration then falls to 1/e
 _LEAST = 0.02  # of the full concentration; less is not seen
-
-
-@settings
-class CArm:
-    """A view of a C-arm about the middle of the phantom."""
-
-    primary_deg: Annotated[float, Interval(ge=-120, le=120), Unit("degrees")] = 0.0  # LAO positive, RAO negative
-    secondary_deg: Annotated[float, Interval(ge=-50, le=50), Unit("degrees")] = 0.0  # cranial positive
-    zoom: Annotated[float, Interval(ge=1, le=4)] = 1.0  # 1: the whole phantom in the frontal view
-
-
-FIRST_VIEWS = {"a": CArm(), "b": CArm(primary_deg=90.0)}  # frontal and lateral
 
 
 def concentration(since: float) -> float:

@@ -10,20 +10,8 @@ from stable_baselines3.common.utils import get_device
 
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError
-from enn.reinforcement.training_result import Progress, TrainingResult, read_curve
-from enn.reinforcement.training_run import TrainingInputs, TrainingRun
-from enn.reinforcement.training_settings import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC, TrainingSettings
-
-__all__ = [
-    "DESK_PPO",
-    "DESK_SAC",
-    "THESIS_PPO",
-    "THESIS_SAC",
-    "Progress",
-    "Training",
-    "TrainingResult",
-    "TrainingSettings",
-]
+from enn.reinforcement.training.result import Progress, TrainingResult, read_curve
+from enn.reinforcement.training.run import TrainingInputs, TrainingRun
 
 
 class Training(TrainingInputs):

@@ -29,8 +29,8 @@ from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_ba
 from enn.reinforcement.sampling import SampledEnvs, without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.starting_policy import start_from
-from enn.reinforcement.training_result import COLUMNS, Progress, TrainingResult, replace_text, write_curve
-from enn.reinforcement.training_settings import TrainingSettings
+from enn.reinforcement.training.result import COLUMNS, Progress, TrainingResult, replace_text, write_curve
+from enn.reinforcement.training.settings import TrainingSettings
 from enn.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.console.picture import IMAGE_SIZE, FluoroscopyMonitor
 from cathsim.console.procedure import Procedure, devices_between
-from cathsim.console.xray import CArm
+from cathsim.console.xray.monitor import IMAGE_SIZE, CArm, FluoroscopyMonitor
 from cathsim.opencv import cv2
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from cathsim.console.xray import FILLING, WASHOUT, CArm, XRayRoom, concentration
+from cathsim.console.xray.monitor import CArm
+from cathsim.console.xray.room import FILLING, WASHOUT, XRayRoom, concentration
 
 
 def test_contrast_fills_and_washes_out() -> None:

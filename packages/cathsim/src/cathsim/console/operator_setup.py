@@ -1,0 +1,45 @@
+"""What the operator starts with: anatomy, target, devices, time stepping."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cathsim.anatomy import Phantom
+from cathsim.environment import NavigateEnv
+from cathsim.validation import Count, Seed, settings
+
+
+@settings
+class Setup:
+    """What the operator starts with."""
+
+    phantom: str = "type_1"  # name of the phantom
+    target: str = "bca"  # name of the target
+    wire: str = "default"  # preset of the guidewire
+    catheter: str | None = None  # a preset, or the path of a YAML file; None: the bare wire
+    accuracy: str = "accurate"  # preset of the time stepping
+    max_steps: Count = 300  # a procedure ends after so many control steps
+    seed: Seed = 0  # of the first procedure; each further one has the next
+
+    def environment(self, phantom: Phantom, target: str, catheter: str | None) -> NavigateEnv:
+        """The environment of a procedure; its image is that of other recorded episodes.
+
+        Raises:
+            ValueError: an unknown device, devices that do not fit, or a target out of their reach.
+        """
+        return NavigateEnv(
+            phantom,
+            target,
+            wire=self.wire,
+            catheter=catheter,
+            accuracy=self.accuracy,
+            observation="tip",
+            max_steps=self.max_steps,
+        )
+
+    def task(self, phantom: str, target: str, catheter: str | None) -> dict[str, Any]:
+        """What the sampling expert is asked to do beside a procedure, from the first start, as plain values."""
+        return {
+            "phantom": phantom, "target": target, "wire": self.wire, "catheter": catheter, "accuracy": self.accuracy,
+            "max_steps": self.max_steps, "seed": self.seed,
+        }  # fmt: skip

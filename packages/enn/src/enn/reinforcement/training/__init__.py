@@ -1,0 +1,34 @@
+"""A training from settings to the best policy, resumable at any moment.
+
+The names below are imported at first use, so that settings alone do not pull in torch.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from enn.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from enn.reinforcement.training.result import Progress as Progress
+    from enn.reinforcement.training.result import TrainingResult as TrainingResult
+    from enn.reinforcement.training.settings import DESK_PPO as DESK_PPO
+    from enn.reinforcement.training.settings import DESK_SAC as DESK_SAC
+    from enn.reinforcement.training.settings import THESIS_PPO as THESIS_PPO
+    from enn.reinforcement.training.settings import THESIS_SAC as THESIS_SAC
+    from enn.reinforcement.training.settings import TrainingSettings as TrainingSettings
+    from enn.reinforcement.training.training import Training as Training
+
+_HOME = {
+    "DESK_PPO": "settings",
+    "DESK_SAC": "settings",
+    "Progress": "result",
+    "THESIS_PPO": "settings",
+    "THESIS_SAC": "settings",
+    "Training": "training",
+    "TrainingResult": "result",
+    "TrainingSettings": "settings",
+}
+
+__all__ = list(_HOME)
+__getattr__ = lazy_names(__name__, _HOME)
