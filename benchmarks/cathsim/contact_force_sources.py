@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="gets every single row")
     chosen = parser.parse_args()
     rows: list[dict[str, Any]] = json.loads(chosen.out.read_text()) if chosen.out and chosen.out.exists() else []
+    chosen_size = {"draws": chosen.draws, "members": chosen.members}
+    if any({name: row.get(name) for name in chosen_size} != chosen_size for row in rows):
+        sys.exit(f"{chosen.out} holds rows of other --draws or --members: give another --out")
     there = {row["arch"] for row in rows}
     for arch in (arch for arch in TRAINING[: chosen.arches] if arch not in there):
         state = next(states_at_rest(load_phantom("random", seed=arch), 1, arch))
@@ -75,7 +79,7 @@ def main() -> None:
                 if case == NOTHING and draw:
                     continue
                 found = estimated(state, 10 * arch + draw, wrong, noise, chosen.members)
-                rows.append({"arch": arch, "draw": draw, "case": case, **found})
+                rows.append({"arch": arch, "draw": draw, "case": case, **chosen_size, **found})
         if chosen.out:
             chosen.out.write_text(json.dumps(rows))
     table = {case: summary([row for row in rows if row["case"] == case]) for case in cases()}

@@ -30,6 +30,7 @@ import numpy as np
 import torch
 from stable_baselines3 import SAC
 
+from benchmarks.enn.blank_environment import Blank
 from enn.encoder import EncoderSettings, encoder_report, fit_encoder, scripted_samples
 from enn.networks.features import MultimodalExtractor, modality_keys
 
@@ -45,23 +46,6 @@ SPACE = gymnasium.spaces.Dict(
         "features": gymnasium.spaces.Box(-np.inf, np.inf, (64,), np.float32),
     }
 )
-
-
-class Blank(gymnasium.Env[Any, Any]):
-    """Costs nothing: random observations of the thesis's shapes."""
-
-    action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-
-    def __init__(self, keys: tuple[str, ...]) -> None:
-        self.observation_space = gymnasium.spaces.Dict({key: SPACE[key] for key in keys})
-        self._observation = self.observation_space.sample()
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        return self._observation, {}
-
-    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        return self._observation, 0.0, False, False, {}
 
 
 def navigate(phantom: str) -> gymnasium.Env[Any, Any]:
@@ -99,7 +83,8 @@ def update_ms(keys: tuple[str, ...], variant: str | None, repeats: int) -> float
         arguments["features_extractor_kwargs"] = {"keys": keys, "variant": variant}
     batch = BATCH[variant or "desk"]
     sizes: dict[str, Any] = {"buffer_size": 300, "batch_size": batch, "learning_starts": 280}
-    model = SAC("MultiInputPolicy", Blank(keys), policy_kwargs=arguments, seed=0, device="cpu", **sizes)
+    blank = Blank(gymnasium.spaces.Dict({key: SPACE[key] for key in keys}), actions=2)
+    model = SAC("MultiInputPolicy", blank, policy_kwargs=arguments, seed=0, device="cpu", **sizes)
     model.learn(280)
     return cpu_ms(lambda: model.train(1, batch), repeats)
 

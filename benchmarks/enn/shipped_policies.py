@@ -101,6 +101,8 @@ def main() -> None:
     given = arguments()
     try:
         policy = enn.load(given.policy)
+        if given.draw and not isinstance(policy, Policy):
+            raise ValueError(f"--draw: {given.policy} sees images and always takes the best action")
         task = UnseenTask(TARGETS, dataclasses.replace(task_in_random_arches(), max_steps=given.max_steps,
                                                        start_rotation_deg=180.0))  # fmt: skip
         rows = []

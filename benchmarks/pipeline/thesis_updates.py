@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
+from benchmarks.enn.blank_environment import Blank
 from enn.networks.features import MultimodalExtractor, modality_keys
 from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 from guide3d.learning.build import SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, build_segmenter, build_shape_network
@@ -46,33 +47,22 @@ CHANNELS = {"image": 1, "mask": 1, "sequential": 3}
 ACTIONS = {"enn": 2, "baselines": 21}
 
 
-class Blank(gymnasium.Env[Any, Any]):
-    """Costs nothing: one random observation."""
-
-    def __init__(self, keys: tuple[str, ...], image_px: int, actions: int) -> None:
-        self.action_space = gymnasium.spaces.Box(-1, 1, (actions,), np.float32)
-        self.observation_space = gymnasium.spaces.Dict(
-            {
-                key: gymnasium.spaces.Box(-np.inf, np.inf, (NUMBERS[key],), np.float32)
-                if key in NUMBERS
-                else gymnasium.spaces.Box(0, 255, (CHANNELS[key], image_px, image_px), np.uint8)
-                for key in keys
-            }
-        )
-        self._observation = self.observation_space.sample()
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        return self._observation, {}
-
-    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        return self._observation, 0.0, False, False, {}
+def spaces_of(keys: tuple[str, ...], image_px: int) -> gymnasium.spaces.Dict:
+    """Observations of these names as the thesis has them."""
+    return gymnasium.spaces.Dict(
+        {
+            key: gymnasium.spaces.Box(-np.inf, np.inf, (NUMBERS[key],), np.float32)
+            if key in NUMBERS
+            else gymnasium.spaces.Box(0, 255, (CHANNELS[key], image_px, image_px), np.uint8)
+            for key in keys
+        }
+    )
 
 
 def update_ms(row: str, repeats: int) -> tuple[float, float]:
     """Median CPU time of an update, ms, and how many updates a decision needs."""
     keys, image_px, algorithm = ROWS[row]
-    environment = Blank(keys, image_px, ACTIONS[row.partition(" ")[0]])
+    environment = Blank(spaces_of(keys, image_px), ACTIONS[row.partition(" ")[0]])
     preset = THESIS_SAC if algorithm == "sac" else THESIS_PPO
     arguments: dict[str, Any] = {
         "net_arch": list(preset.hidden),

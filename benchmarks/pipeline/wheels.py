@@ -100,6 +100,11 @@ def run(command: list[str], cwd: Path | None = None, env: dict[str, str] | None 
     return done.stdout
 
 
+def built_in(output: Path) -> list[Path]:
+    """This project's distributions in a folder; other files there are left alone."""
+    return sorted(path for end in ("whl", "tar.gz") for path in output.glob(f"endonav*-*.{end}"))
+
+
 def megabytes(path: Path) -> float:
     """Size of a file, or of all files of a folder, MB."""
     files = [path] if path.is_file() else [one for one in path.rglob("*") if one.is_file() and not one.is_symlink()]
@@ -116,14 +121,15 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         output = Path(temporary) if arguments.quick else arguments.output.resolve()
-        shutil.rmtree(output, ignore_errors=True)
-        output.mkdir(parents=True)
+        output.mkdir(parents=True, exist_ok=True)
+        for earlier in built_in(output):
+            earlier.unlink()
         for folder in ("packages/guide3d",) if arguments.quick else FOLDERS:
             build(folder, output)
         if importlib.util.find_spec("auditwheel"):
             for wheel in sorted(output.glob("*-linux_*.whl")):
                 make_manylinux(wheel)
-        sizes = {path.name: megabytes(path) for path in sorted(output.iterdir())}
+        sizes = {path.name: megabytes(path) for path in built_in(output)}
         for name, size in sizes.items():
             print(f"{size:7.2f} MB  {name}")
         result = {

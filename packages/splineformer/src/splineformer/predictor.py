@@ -23,7 +23,7 @@ from splineformer.modeling.image_head import WIRES
 from splineformer.tokens import FEWEST_TOKENS, curve_of_tokens, sampled
 
 KIND = "splineformer"
-PRETRAINED = "ordered"  # the variant that is shipped
+PRETRAINED = "ordered"  # the name that shipped weights will have; none are shipped so far
 SOURCE_PX = 1024
 _BATCH = 8
 _LENGTH_SAMPLES = 400

@@ -40,16 +40,18 @@ def fluoroscope_of(
     Args:
         size: side of the images, px.
         wire_radius: m.
-        catheter: over the wire, or None; with one the view is frontal.
+        catheter: over the wire, or None.
         view: one of `cathsim.fluoroscopy.projector.VIEWS`.
     """
     bare = _fluoroscope(phantom, size, wire_radius, MOVING, view)
-    return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter)
+    return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter, view)
 
 
 @kept_with_owner
-def _with_catheter(phantom: Phantom, size: int, wire_radius: float, catheter: Catheter) -> BiplaneFluoroscope:
-    return _fluoroscope(phantom, size, wire_radius, MOVING).with_catheter(material_of(catheter))
+def _with_catheter(
+    phantom: Phantom, size: int, wire_radius: float, catheter: Catheter, view: str
+) -> BiplaneFluoroscope:
+    return _fluoroscope(phantom, size, wire_radius, MOVING, view).with_catheter(material_of(catheter))
 
 
 @kept_with_owner
