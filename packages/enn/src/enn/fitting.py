@@ -75,6 +75,9 @@ class FitError(ValueError):
 
 
 Loss = Callable[[NDArray[np.int64], bool, np.random.Generator], Tensor]  # samples, training, generator -> mean loss
+# Order of images in memory, for `Module.to`: with channels last, convolutions are 1.0 to 1.4 times as fast.
+CHANNELS_LAST: dict[str, Any] = {"memory_format": torch.channels_last}
+CHANNELS_FIRST: dict[str, Any] = {"memory_format": torch.contiguous_format}
 
 
 def fit(
@@ -101,6 +104,7 @@ def fit(
     Raises:
         FitError: a checkpoint of another architecture or other samples, or a loss that is not finite.
     """
+    module.to(**CHANNELS_LAST)
     generator = np.random.default_rng(seed)
     training, held_out = split(episodes, settings.validation_share, generator)
     report = FitReport(samples=len(training))
@@ -157,7 +161,7 @@ def fit(
                     _write(file, identity, module, best, optimiser, generator, report)
                 raise
     module.load_state_dict(best)
-    module.eval()
+    module.to(**CHANNELS_FIRST).eval()
     if file is not None:
         file.unlink(missing_ok=True)
     return report

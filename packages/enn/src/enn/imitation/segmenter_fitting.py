@@ -10,6 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from enn.fitting import CHANNELS_FIRST, CHANNELS_LAST
+
 _BATCH, _LEARNING_RATE = 8, 5e-3  # images an update; of Adam at its largest: it rises first and falls to nothing
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -37,7 +39,7 @@ def fitted(
     generator = np.random.default_rng(seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        network = make().to(device)
+        network = make().to(device, **CHANNELS_LAST)
     optimiser = torch.optim.Adam(network.parameters(), _LEARNING_RATE, fused=True)
     batches = -(-count // _BATCH)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _LEARNING_RATE, total_steps=epochs * batches)
@@ -53,4 +55,5 @@ def fitted(
             total += float(loss.detach()) * len(rows) / count
         if progress is not None:
             progress(epoch, total)
+    network.to(**CHANNELS_FIRST)
     return network.eval()

@@ -35,7 +35,9 @@ FORMAT = "guide3d-training-1"
 LAST, BEST = "last.pt", "best.pt"
 _RISE = 0.2  # share of a one-cycle schedule in which the rate rises
 _PRIME = 1_000_003
-_LAYOUT = torch.channels_last  # convolutions of images: 1.0 to 1.6 times as fast on a processor
+# Order in memory: with channels last, convolutions are 1.0 to 1.5 times as fast on a processor.
+_CHANNELS_LAST: dict[str, Any] = {"memory_format": torch.channels_last}
+_CHANNELS_FIRST: dict[str, Any] = {"memory_format": torch.contiguous_format}
 
 Indices = NDArray[np.int64]
 Batch = Mapping[str, Tensor]
@@ -141,7 +143,7 @@ def fit(
     """
     ranks = ranks or Ranks(0, 1, torch.device("cpu"))
     folder = Path(folder)
-    module.to(ranks.device, memory_format=_LAYOUT)
+    module.to(ranks.device, **_CHANNELS_LAST)
     optimiser = _optimiser(module, settings)
     plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
         optimiser, factor=settings.factor, patience=settings.plateau_patience
@@ -209,7 +211,7 @@ def fit(
         module.load_state_dict(read_content(folder / BEST))
     except (OSError, *UNFIT) as error:
         raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start again") from error
-    module.to(memory_format=torch.contiguous_format).eval()
+    module.to(**_CHANNELS_FIRST).eval()
     return report
 
 
