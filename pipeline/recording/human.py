@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cathsim.console.recorder import OPERATOR, episode_path, write_answers
+from cathsim.console.recorder import OPERATION, OPERATOR, OperationTotals, episode_path, write_answers
 from pipeline.episodes import EpisodeOutcome, EpisodeWriter
 from pipeline.episodes.annotate import annotate
 from pipeline.recording.record import (
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 FOLDER = "human"  # of a run: the episodes, which no stage may clear away
 SUFFIX = ".mcap"
 QUESTIONNAIRE = "questionnaire"  # the annotation's key
+ENDS_AT_FORCE_LIMIT = "ends_at_force_limit"  # key of a log's configuration
 
 
 def recordings(runs_dir: Path, run: str) -> Path:
@@ -40,6 +41,10 @@ class McapRecorder:
 
     An episode that is broken off is kept with the status "interrupted" and an unknown success. Every method raises an
     `EpisodeWriteError` where the log cannot be written.
+
+    Of the X-ray side a log has `xray_on`, `injections` and `force_warning` in every step (further scalars), the
+    operator's force limit in its configuration, and `fluoroscopy_time_s`, `injections` and `force_warnings` among the
+    outcome's metrics, also where it was broken off. Logs from before have none of them.
     """
 
     default_folder = recordings(Path("runs"), "desk")
@@ -49,6 +54,7 @@ class McapRecorder:
         self._log: EpisodeWriter | None = None
         self._begin: Callable[[NavigateEnv], EpisodeWriter] | None = None
         self._steps = 0
+        self._totals, self._control_dt = OperationTotals(), 0.0
 
     def start(self, environment: NavigateEnv, info: Mapping[str, Any], *, seed: int) -> None:
         """Keeps the state after reset; the log is opened with the first step, when the operator touches the controls.
@@ -57,19 +63,26 @@ class McapRecorder:
             environment: after its reset.
         """
         still = np.zeros(environment.action_space.shape or (), np.float32)
-        record = step_record(environment, 0, still, 0.0, info)
+        record = step_record(environment, 0, still, 0.0, info, further=_operation(info))
+        configuration = {
+            name: info[key]
+            for key, name in (("force_limit", "force_limit_n"), ("ends_at_force_limit", ENDS_AT_FORCE_LIMIT))
+            if key in info
+        }
         pictures = logged_pictures(environment)
         task, entry = environment.task, environment.simulation.entry
         phantom_mesh(environment.phantom, task.target, entry)  # made now, so that the first touch does not wait
 
         def begin(environment: NavigateEnv) -> EpisodeWriter:
             path = episode_path(self.folder, environment.phantom.name, task.target_name, SUFFIX)
-            description = describe_episode(environment, seed=seed, operator=OPERATOR)
+            description = describe_episode(environment, seed=seed, operator=OPERATOR, configuration=configuration)
+            self._control_dt = description.control_dt
             log = open_log(environment, path, description, overwrite=False)
             log.step(record, **pictures)
             return log
 
         self._begin, self._log, self._steps = begin, None, 0
+        self._totals = OperationTotals()
 
     def step(
         self,
@@ -91,7 +104,11 @@ class McapRecorder:
         if self._log is None:
             self._log = self._begin(environment)
         self._steps += 1
-        record = step_record(environment, self._steps, action, reward, info, terminated=terminated, truncated=truncated)
+        self._totals.add(info)
+        record = step_record(
+            environment, self._steps, action, reward, info,
+            terminated=terminated, truncated=truncated, further=_operation(info),
+        )  # fmt: skip
         try:
             log_step(self._log, record, environment)
         except BaseException:
@@ -110,9 +127,11 @@ class McapRecorder:
         log, self._log, self._begin = self._log, None, None
         if log is None:
             return None
+        totals = self._totals.metrics(self._control_dt)
         if metrics is None:
-            return log.finish(EpisodeOutcome(success=None, steps=self._steps, status="interrupted"))
-        return log.finish(EpisodeOutcome(success=metrics.success, steps=self._steps, metrics=asdict(metrics)))
+            return log.finish(EpisodeOutcome(success=None, steps=self._steps, metrics=totals, status="interrupted"))
+        found = {**asdict(metrics), **totals}
+        return log.finish(EpisodeOutcome(success=metrics.success, steps=self._steps, metrics=found))
 
     def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
         """Keeps a questionnaire in the log, and in a JSON file beside it.
@@ -123,3 +142,7 @@ class McapRecorder:
         beside = write_answers(episode, answers)
         annotate(episode, QUESTIONNAIRE, answers)
         return beside
+
+
+def _operation(info: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(info[name]) for name in OPERATION if name in info}

@@ -48,12 +48,14 @@ def step_record(
     *,
     terminated: bool = False,
     truncated: bool = False,
+    further: Mapping[str, float] | None = None,
 ) -> StepRecord:
     """The record of a step that the environment has just made.
 
     Args:
         step: its index; 0 is the state after reset.
         action: shape (actions,).
+        further: scalars of who steers.
     """
     from cathsim.metrics.load_cell import step_forces
 
@@ -80,6 +82,7 @@ def step_record(
             **{f"sheath_{axis}_n": float(value) for axis, value in zip("xyz", forces.sheath, strict=True)},
             "magnitude_sum_n": forces.magnitude_sum,
             "largest_contact_n": forces.largest_contact,
+            **(further or {}),
         },
         devices=device_record(simulation),
     )

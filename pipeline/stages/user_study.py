@@ -28,7 +28,7 @@ class UserStudySettings:
     """Settings of the sum of what people recorded at the console."""
 
     name: str = "user_study"
-    max_steps: Count = 300  # procedures with another limit are not counted
+    max_steps: Count = 300  # procedures with another limit, or that end at a force limit, are not counted
     success_radius_mm: SuccessRadius = 8.0  # nor those with another radius
 
 
@@ -39,7 +39,7 @@ class Study:
     counted: list[Path] = field(default_factory=list)  # logs of finished procedures under the study's settings
     logs: dict[str, list[Path]] = field(default_factory=dict)  # task ("type_1/bca") to all its finished logs
     broken_off: int = 0  # procedures that were left before they ended
-    other_settings: int = 0  # finished ones with another limit or radius
+    other_settings: int = 0  # finished ones with another limit or radius, or that end at a force limit
     unreadable: int = 0  # logs that are damaged or not a human's
     answers: list[dict[str, Any]] = field(default_factory=list)  # the questionnaires, oldest first
 
@@ -54,6 +54,7 @@ def logs_of(run_path: Path) -> list[Path]:
 def gather(logs: list[Path], settings: UserStudySettings) -> Study:
     """Reads the logs; those that are no human's or cannot be used are left out with a warning."""
     from pipeline.episodes import EpisodeReadError
+    from pipeline.recording.human import ENDS_AT_FORCE_LIMIT
 
     study, answers = Study(), []
     for path in logs:
@@ -76,7 +77,8 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
         task = f"{info.phantom}/{info.target}"
         study.logs.setdefault(task, []).append(path)
         limit = info.configuration.get("max_steps")
-        if limit == settings.max_steps and abs(radius_mm - settings.success_radius_mm) < 1e-6:
+        ends_early = info.configuration.get(ENDS_AT_FORCE_LIMIT, False)
+        if not ends_early and limit == settings.max_steps and abs(radius_mm - settings.success_radius_mm) < 1e-6:
             study.counted.append(path)
         else:
             study.other_settings += 1
@@ -87,7 +89,7 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
 def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
     """What a log holds: its information, whether the procedure was finished, and the questionnaire."""
     from cathsim.console.questionnaire import check_answers
-    from cathsim.console.recorder import OPERATOR
+    from cathsim.console.recorder import OPERATOR, TOTALS
     from cathsim.metrics import EpisodeMetrics
     from pipeline.episodes import EpisodeReader, EpisodeReadError
     from pipeline.episodes.annotate import read_annotation
@@ -101,9 +103,10 @@ def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
     for name, value in outcome.metrics.items():
         if name != "target" and not isinstance(value, int | float):
             raise ValueError(f"the metric {name} is {value!r}")
-    if outcome.metrics:
-        EpisodeMetrics(**outcome.metrics)  # a log with other metrics is not one of the console
-    finished = outcome.status == "finished" and bool(outcome.metrics)
+    metrics = {name: value for name, value in outcome.metrics.items() if name not in TOTALS}
+    if metrics:
+        EpisodeMetrics(**metrics)  # a log with other metrics is not one of the console
+    finished = outcome.status == "finished" and bool(metrics)
     return info, finished, None if answered is None else check_answers(answered)
 
 

@@ -284,16 +284,32 @@ def test_c_arms_turn_by_dragging_and_zoom_by_the_wheel(tab: Tab) -> None:
     tab.value("document.getElementById('swap').click()")
 
 
-def test_wire_and_time_limit_are_chosen_on_the_page(tab: Tab) -> None:
-    for select, value in (("wire", "stiff"), ("limit-choice", "150")):
-        tab.value(
-            f"(() => {{ const select = document.getElementById('{select}'); select.value = '{value}';"
-            " select.dispatchEvent(new Event('change')); })()"
-        )
-        wait_until(lambda: tab.frame()["state"] == "ready", 20)
+def choose(tab: Tab, select: str, value: str) -> None:
+    """Chooses in a menu of the setup, and waits for the next procedure."""
+    seen = tab.value("consoleStatistics.received")
+    tab.value(
+        f"(() => {{ const select = document.getElementById('{select}'); select.value = '{value}';"
+        " select.dispatchEvent(new Event('change')); })()"
+    )
+    wait_until(lambda: tab.value("consoleStatistics.received") > seen and tab.frame()["state"] == "ready", 20)
+
+
+def test_wire_and_limits_are_chosen_on_the_page(tab: Tab) -> None:
+    restart(tab)
+    choose(tab, "wire", "stiff")
+    choose(tab, "limit-choice", "150")
     wait_until(lambda: tab.value("consoleStatistics.task.max_steps") == 150, 20)
-    assert tab.value("consoleStatistics.task.wire") == "stiff"
+    choose(tab, "radius-choice", "15")
+    wait_until(lambda: tab.value("consoleStatistics.task.success_radius_mm") == 15, 20)
+    choose(tab, "force-choice", "0.5")
+    wait_until(lambda: tab.value("consoleStatistics.task.force_limit_n") == 0.5, 20)
+    choose(tab, "force-ends", "ends")
+    wait_until(lambda: tab.value("consoleStatistics.task.ends_at_force_limit"), 20)
+    task = tab.value("consoleStatistics.task")
+    assert (task["wire"], task["max_steps"], task["success_radius_mm"]) == ("stiff", 150, 15)
     assert tab.value("document.getElementById('limit').textContent") == "15"
+    assert tab.value("document.getElementById('force-limit').textContent") == "ends at 0.5"
+    assert tab.value("document.getElementById('force-scale').textContent") == "1 N"
 
 
 def test_a_second_window_is_told_that_the_controls_are_taken(tab: Tab, address: str) -> None:

@@ -39,6 +39,8 @@ The last five are only in logs whose configuration names a `catheter`; `/wire` a
 The recorder's further scalars, which logs of before they existed lack: distance_m to the target; load_x_n, load_y_n,
 load_z_n, the mean force on the vessel over the control step, and sheath_x_n, sheath_y_n, sheath_z_n, that on the sheath
 (N, world); magnitude_sum_n, the mean sum of the contacts' magnitudes; largest_contact_n, the largest single contact.
+A person's also have xray_on (1 or 0), whether the beam was on in the step; injections of contrast medium since the step
+before; and force_warning (1 or 0), whether the contact force has risen to the operator's limit.
 
 | field of endonav.Devices | shape  | unit     | meaning; pairs are wire, catheter                                     |
 |--------------------------|--------|----------|-----------------------------------------------------------------------|

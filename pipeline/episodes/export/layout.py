@@ -7,7 +7,7 @@ actions has n + 1 observations; the action of index t leads from observation t t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ TIP_MOTOR_ACTIONS = 21
 TWO_DEVICES = 4  # actions of a wire in a catheter
 _AXES = ("x_m", "y_m", "z_m")
 _FEEDER = ("insertion_m", "rotation_cos", "rotation_sin")
+FURTHER = "further scalar of the log"
 
 
 class ExportError(PipelineError, ValueError):
@@ -78,6 +79,11 @@ class Layout:
         return {name: one.shape for name, one in parts.items()} | {
             f"pictures of {name}": one.shape for name, one in self.pictures.items()
         }
+
+    def with_scalars_of(self, other: Layout) -> Layout:
+        """Add the further scalars that only another layout has; a log that lacks them has NaN there."""
+        added = {name: one for name, one in other.infos.items() if one.meaning == FURTHER and name not in self.infos}
+        return replace(self, infos={**self.infos, **added}) if added else self
 
     def describe(self) -> dict[str, Any]:
         """Give all fields as JSON holds them."""
@@ -164,7 +170,7 @@ def info_fields(first: StepRecord) -> dict[str, Field]:
         "rotation": Field((), "rad", "device", "how far its hub is turned"),
     }
     for key in first.extra:
-        fields[key] = Field((), "in the name", "", "further scalar of the log")
+        fields[key] = Field((), "in the name", "", FURTHER)
     if first.devices is not None:
         pair = ("wire", "catheter")
         for name, unit, meaning in (
@@ -197,6 +203,7 @@ def common_layout(paths: Sequence[Path], *, pictures: bool = True, masks: bool =
         if first is None:
             first = layout
             continue
+        first, layout = first.with_scalars_of(layout), layout.with_scalars_of(first)
         different = first.differences(layout)
         if different:
             raise ExportError(

@@ -12,7 +12,7 @@ from cathsim.console.expert import ExpertScores, expert_score
 
 TASK = {
     "phantom": "type_1", "target": "bca", "wire": "default", "catheter": None, "accuracy": "fast", "max_steps": 2,
-    "seed": 0,
+    "seed": 0, "success_radius": 0.008, "most_force": None,
 }  # fmt: skip
 
 
@@ -21,19 +21,45 @@ def test_a_score_has_the_metrics_of_a_procedure() -> None:
     assert (score["success"], score["time_s"]) == (False, pytest.approx(0.2))
     assert score["metrics"]["steps"] == 2
     assert score["metrics"]["path_length"] > 0
+    assert not score["gave_up"], "time was up"
+
+
+def test_the_task_s_radius_and_force_limit_are_the_experts_too() -> None:
+    told: list[dict[str, Any]] = []
+    assert expert_score({**TASK, "max_steps": 30, "success_radius": 0.18}, told.append)["success"]
+    assert [one["steps"] for one in told] == list(range(1, len(told) + 1))
+    stopped = expert_score({**TASK, "max_steps": 60, "most_force": 1e-6})
+    assert stopped["metrics"]["steps"] < 60
+    assert stopped["metrics"]["force_max"] >= 1e-6
+    assert not stopped["success"]
+
+
+def test_an_expert_that_tried_its_plans_in_vain_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cathsim.console.expert.ROLLOUTS", 1)
+    score = expert_score({**TASK, "max_steps": 30})
+    assert (score["success"], score["gave_up"]) == (False, True)
 
 
 def test_scores_come_from_a_process_of_their_own(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     told: list[dict[str, Any] | None] = []
     arrived = threading.Event()
-    scores = ExpertScores(lambda task, score: (told.append(score), arrived.set()))  # type: ignore[func-returns-value]
+    seen: list[dict[str, Any]] = []
+    scores = ExpertScores(
+        lambda task, score: (told.append(score), arrived.set()),  # type: ignore[func-returns-value]
+        lambda task, progress: seen.append(progress),
+    )
     assert scores.score(TASK) is None
     scores.ask(TASK)
     assert arrived.wait(120)
     assert scores.score(TASK) == told[0]
+    assert 1 <= seen[0]["steps"] <= 2
+    assert seen[0]["seconds"] > 0
+    other = {**TASK, "target": "lcca"}
+    scores.ask(other)
     scores.ask(TASK)
-    assert len(told) == 1, "a known score is not computed again"
+    assert len(told) == 1, "a known score is not computed again, also after another task"
+    assert scores.score(TASK) == told[0]
     scores.close()
 
 

@@ -87,6 +87,8 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_1(capsys: pytest.CaptureFi
         (["--target", "moon", *folder], "unknown target 'moon'"),
         (["--catheter", "moon", *folder], "unknown catheter 'moon'"),
         (["--catheter", "moon.yaml", *folder], "there is no device's file moon.yaml"),
+        (["--success-radius-mm", "80", *folder], "success_radius must lie in 0.001 to 0.05 m"),
+        (["--force-limit", "0", *folder], "newtons must lie in"),
         (["--host", "no.such.host.invalid", *folder], "no address of this machine"),
         (["--port", "70000", "--record", str(tmp_path)], "--port must lie in 0 to 65535"),
         (["--record", str(tmp_path / "file" / "below"), "--port", "0"], "episodes cannot go to"),

@@ -12,8 +12,10 @@ import pytest
 
 from cathsim import NavigateEnv
 from cathsim.console import CRITERIA, NpzRecorder
+from cathsim.console.force_limit import ForceLimit, ForceWatch
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, between, devices_between
 from cathsim.console.recorder import episode_path
+from cathsim.console.xray.room import XRayStep
 from cathsim.devices.device_points import wire_and_catheter
 
 MakeEnv = Callable[..., NavigateEnv]
@@ -48,6 +50,45 @@ def test_reaching_the_target_ends_it_with_success(make_env: MakeEnv, memory: Any
     assert memory.episodes[0]["metrics"].success
     assert procedure.samples[-1].distance <= 0.15 < procedure.samples[-2].distance
     assert procedure.samples[-1].force_max == max(sample.force for sample in procedure.samples)
+
+
+def test_steps_beyond_the_force_limit_are_warned_of_and_counted(make_env: MakeEnv) -> None:
+    watch = ForceWatch(ForceLimit(2.0))
+    assert [watch.see(force) for force in (0.5, 2.0, 3.0, 1.9, 2.5)] == [False, True, False, False, True]
+    assert (watch.warnings, watch.ends) == (2, False)
+    procedure = Procedure(make_env(max_steps=60), None, seed=0)
+    while procedure.state != ENDED:
+        procedure.step(1.0, 0.0)
+    forces = np.array([sample.force for sample in procedure.samples])
+    limit = float(np.median(forces[forces > 0]))
+    again = Procedure(make_env(max_steps=60), None, seed=0, force_limit=ForceLimit(limit))
+    while again.state != ENDED:
+        again.step(1.0, 0.0)
+    above = forces >= limit
+    assert again.warnings == np.count_nonzero(above[1:] & ~above[:-1]) > 0
+    assert again.samples[-1].warnings == again.warnings
+    assert not again.stopped
+    assert again.steps == 60
+
+
+def test_a_procedure_may_end_at_the_force_limit(make_env: MakeEnv, tmp_path: Path) -> None:
+    recorder = NpzRecorder(tmp_path)
+    procedure = Procedure(make_env(max_steps=200), recorder, seed=0, force_limit=ForceLimit(0.05, ends=True))
+    while procedure.state != ENDED:
+        procedure.step(1.0, 0.0)
+    assert procedure.stopped
+    assert (procedure.success, procedure.invalid) == (False, False)
+    forces = [sample.force for sample in procedure.samples]
+    assert forces[-1] >= 0.05 > max(forces[:-1])
+    assert procedure.path is not None
+    with np.load(procedure.path) as file:
+        description = json.loads(str(file["description"]))
+        assert file["force_warning"].tolist() == [False] * (procedure.steps - 1) + [True]
+    assert (description["force_limit"], description["ends_at_force_limit"]) == (0.05, True)
+    assert description["totals"]["force_warnings"] == 1
+    assert description["metrics"]["steps"] == procedure.steps < 200
+    with pytest.raises(ValueError, match="newtons must lie in"):
+        ForceLimit(0.0)
 
 
 def test_broken_off_it_has_no_metrics_and_untouched_no_file(make_env: MakeEnv, memory: Any) -> None:
@@ -88,8 +129,8 @@ def test_pictures_between_two_steps_lie_between_them(make_env: MakeEnv) -> None:
 def test_npz_episode_is_read_back(make_env: MakeEnv, tmp_path: Path) -> None:
     recorder = NpzRecorder(tmp_path)
     procedure = Procedure(make_env(max_steps=6, target="lcca"), recorder, seed=3)
-    for _ in range(6):
-        procedure.step(1.0, 0.25)
+    for step in range(6):
+        procedure.step(1.0, 0.25, xray=XRayStep(on=step < 4, injections=int(step == 1)))
     path = tmp_path / "type_1" / "lcca" / "000.npz"
     assert procedure.path == path
     with np.load(path) as file:
@@ -98,6 +139,9 @@ def test_npz_episode_is_read_back(make_env: MakeEnv, tmp_path: Path) -> None:
         assert file["wire_points"].shape == (7, 29, 3)
         np.testing.assert_array_equal(file["wire_points"][-1], procedure.samples[-1].points)
         assert [file[name].shape[0] for name in ("reward", "tip", "force", "insertion", "rotation")] == [6, 7, 7, 7, 7]
+        assert file["xray_on"].tolist() == [True] * 4 + [False] * 2
+        assert file["injections"].tolist() == [0, 1, 0, 0, 0, 0]
+    assert description["totals"] == {"fluoroscopy_time_s": 0.4, "injections": 1, "force_warnings": 0}
     assert description["operator"] == "human"
     assert (description["devices"]["wire"], description["devices"]["catheter"]) == ("default", None)
     assert (description["phantom"], description["seed"], description["metrics"]["steps"]) == ("type_1", 3, 6)

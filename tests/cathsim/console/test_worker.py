@@ -285,3 +285,26 @@ def test_wire_and_time_limit_are_chosen(loop: RealTimeLoop, page: Any, wait_unti
     assert page.messages_of("task")[-1]["max_steps"] == 9
     with pytest.raises(ValueError, match="unknown wire 'rope'; there are"):
         loop.request({**chosen, "wire": "rope"})
+
+
+def test_success_radius_and_force_limit_are_chosen_and_count(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
+) -> None:
+    task = wait_until(lambda: page.messages_of("task"))[0]
+    assert (task["success_radius_mm"], task["force_limit_n"], task["ends_at_force_limit"]) == (8.0, 2.0, False)
+    choice = {"type": "choose", "phantom": "type_1", "target": "bca", "max_steps": 40}
+    loop.request({**choice, "success_radius_mm": 15, "force_limit_n": 1e-6, "ends_at_force_limit": True})
+    chosen = wait_until(lambda: page.messages_of("task")[1:])[0]
+    assert chosen["success_radius"] == pytest.approx(0.015)
+    assert chosen["views"]["a"]["mark"]["radius"] == pytest.approx(task["views"]["a"]["mark"]["radius"] * 15 / 8)
+    finish(loop, page, wait_until)
+    ended = page.messages_of("ended")[0]
+    assert (ended["success"], ended["stopped"], ended["force_warnings"]) == (False, True, 1)
+    assert ended["metrics"]["steps"] == len(memory.episodes[-1]["actions"]) < 40
+    assert ended["dose_s"] == pytest.approx(0.1 * ended["metrics"]["steps"]), "the beam was on in every step"
+    loop.request({**choice, "ends_at_force_limit": False, "max_steps": 6})
+    again = wait_until(lambda: page.messages_of("task")[2:])[0]
+    assert (again["success_radius_mm"], again["force_limit_n"]) == (15.0, 1e-6), "what is not chosen stays"
+    for wrong in ({"success_radius_mm": 0}, {"success_radius_mm": 80}, {"force_limit_n": 0}, {"force_limit_n": "2"}):
+        with pytest.raises(ValueError, match=f"{next(iter(wrong))} should be"):
+            loop.request({**choice, **wrong})

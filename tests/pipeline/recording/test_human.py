@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
+from cathsim.console.force_limit import ForceLimit
 from cathsim.console.procedure import Procedure
 from cathsim.console.questionnaire import CRITERIA
-from pipeline.episodes import EpisodeReader, EpisodeReadError, check
+from cathsim.console.recorder import TOTALS
+from cathsim.console.xray.room import XRayStep
+from cathsim.metrics import EpisodeMetrics
+from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError, check
+from pipeline.episodes.__main__ import main as show
 from pipeline.episodes.annotate import annotate, read_annotation
 from pipeline.recording.human import McapRecorder
 from pipeline.report.learning.logs import COUNTED
@@ -100,6 +107,93 @@ def test_a_broken_off_episode_is_kept_as_such_and_an_untouched_one_is_not(
     (path,) = (entry for entry in tmp_path.rglob("*") if entry.is_file())
     with EpisodeReader(path) as log:
         assert (log.outcome.status, log.outcome.success, log.outcome.steps) == ("interrupted", None, 3)
+
+
+def test_a_log_says_when_the_beam_was_on_what_was_injected_and_warned_of(
+    environment: NavigateEnv, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    procedure = Procedure(environment, McapRecorder(tmp_path), seed=0, force_limit=ForceLimit(1e-6))
+    for step in range(12):
+        procedure.step(1.0, 0.5, xray=XRayStep(on=step % 3 != 2, injections=2 if step == 4 else 0))
+    assert procedure.path is not None
+    assert check(procedure.path).problems == []
+    with EpisodeReader(procedure.path) as log:
+        arrays, outcome, info = log.load_arrays(pictures=False), log.outcome, log.info
+    assert arrays["extra/xray_on"].tolist() == [0, *[1, 1, 0] * 4]
+    assert arrays["extra/injections"].tolist() == [0] * 5 + [2] + [0] * 7
+    above = arrays["resultant_force_norm"] >= 1e-6
+    np.testing.assert_array_equal(arrays["extra/force_warning"][1:], above[1:] & ~above[:-1])
+    warnings = int(arrays["extra/force_warning"].sum())
+    assert {name: outcome.metrics[name] for name in TOTALS} == {
+        "fluoroscopy_time_s": 0.8, "injections": 2, "force_warnings": warnings,
+    }  # fmt: skip
+    assert (info.configuration["force_limit_n"], info.configuration["ends_at_force_limit"]) == (1e-6, False)
+    assert show(["info", str(procedure.path)]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"metric fluoroscopy_time_s +0\.8\n", shown)
+    assert re.search(r"metric injections +2\n", shown)
+    broken = Procedure(environment, McapRecorder(tmp_path), seed=1)
+    for _ in range(3):
+        broken.step(1.0, 0.0)
+    broken.break_off()
+    assert broken.path is not None
+    with EpisodeReader(broken.path) as log:
+        assert log.outcome.status == "interrupted"
+        assert log.outcome.metrics["fluoroscopy_time_s"] == pytest.approx(0.3)
+
+
+def test_logs_with_and_without_the_x_ray_side_are_read_studied_and_exported_together(
+    environment: NavigateEnv, tmp_path: Path
+) -> None:
+    folder = tmp_path / "human"
+    play(environment, folder)
+    before = McapRecorder(folder)  # a log as it was written before there was any of this
+    _, info = environment.reset(seed=1)
+    before.start(environment, info, seed=1)
+    tips, forces, rewards = [info["tip"]], [], []
+    truncated = False
+    while not truncated:
+        action = np.array([1.0, 0.5], np.float32)
+        _, reward, terminated, truncated, info = environment.step(action)
+        before.step(environment, action, reward, info, terminated=terminated, truncated=truncated)
+        tips.append(info["tip"])
+        forces.append(info["force"])
+        rewards.append(reward)
+    metrics = EpisodeMetrics.from_arrays(np.array(tips), np.array(forces), np.array(rewards), False, target="bca")
+    log = before._log
+    assert log is not None
+    old = log.finish(EpisodeOutcome(success=False, steps=12, metrics=asdict(metrics)))
+    with EpisodeReader(old) as reader:
+        arrays = reader.load_arrays(pictures=False)
+    assert "extra/xray_on" not in arrays
+    assert len(gather(logs_of(tmp_path), UserStudySettings(max_steps=12)).counted) == 2
+    assert lacking_xray(folder, tmp_path / "new_first") == [False, True]
+    new = folder / "type_1" / "bca" / "000.mcap"
+    new.rename(new.with_name("002.mcap"))
+    assert lacking_xray(folder, tmp_path / "old_first") == [True, False]
+
+
+def lacking_xray(folder: Path, exported: Path) -> list[bool]:
+    """Exports a folder of logs, and says of each whether it has no number in `xray_on`."""
+    import h5py
+
+    from pipeline.episodes.export.exporting import export_logs
+    from pipeline.episodes.export.hdf5 import FILE
+
+    export_logs(folder, "hdf5", exported, pictures=False)
+    with h5py.File(exported / FILE) as file:
+        values: list[np.ndarray] = []
+        file.visititems(lambda key, one: values.append(one[()]) if key.endswith("xray_on") else None)
+    return [bool(np.isnan(one).all()) for one in values]
+
+
+def test_a_procedure_that_ends_at_the_force_limit_is_not_in_the_study(environment: NavigateEnv, tmp_path: Path) -> None:
+    limit = ForceLimit(100.0, ends=True)
+    procedure = Procedure(environment, McapRecorder(tmp_path / "human"), seed=0, force_limit=limit)
+    for _ in range(12):
+        procedure.step(1.0, 0.5)
+    study = gather(logs_of(tmp_path), UserStudySettings(max_steps=12))
+    assert (study.counted, study.other_settings) == ([], 1)
 
 
 def test_a_questionnaire_is_in_the_log_and_beside_it(procedure: Procedure) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cathsim.console.xray.monitor import CArm
-from cathsim.console.xray.room import FILLING, WASHOUT, XRayRoom, concentration
+from cathsim.console.xray.room import FILLING, WASHOUT, XRayRoom, XRayStep, concentration
 
 
 def test_contrast_fills_and_washes_out() -> None:
@@ -16,19 +16,36 @@ def test_contrast_fills_and_washes_out() -> None:
     assert concentration(30.0) == 0.0
 
 
-def test_the_pedal_counts_only_while_the_beam_is_on_in_a_procedure() -> None:
+def test_the_dose_is_the_control_steps_in_which_the_beam_was_on() -> None:
     room = XRayRoom()
     assert room.contrast == 0.0
-    room.advance(1.0, counting=False)
-    room.advance(2.0, counting=True)
+    room.advance(1.0)
+    assert room.dose == 0.0, "no step has begun"
+    assert [room.step().on for _ in range(3)] == [True] * 3
     room.beam = False
-    room.advance(4.0, counting=True)
-    assert room.dose == 2.0
+    assert not room.step().on
+    room.beam = True
+    room.beam = False
+    assert [room.step().on for _ in range(2)] == [True, False], "a tap counts for one step"
+    assert room.dose == pytest.approx(0.4)
+    room.beam = True
+    room.beam = False
+    room.wait()
+    assert not room.step().on, "nor does a tap before the procedure"
+
+
+def test_injections_are_told_to_the_step_after_them() -> None:
+    room = XRayRoom()
     room.inject()
-    room.advance(FILLING, counting=True)
-    assert (room.contrast, room.injections) == (1.0, 1)
+    room.inject()
+    assert [room.step().injections for _ in range(2)] == [2, 0]
+    room.inject()
+    room.advance(FILLING)
+    assert (room.contrast, room.injections, room.step().injections) == (1.0, 3, 1)
+    room.beam = False
     room.restart()
     assert (room.contrast, room.injections, room.dose, room.beam) == (0.0, 0, 0.0, False)
+    assert room.step() == XRayStep(on=False, injections=0)
 
 
 def test_a_c_arm_turns_within_its_limits() -> None:

@@ -1,6 +1,6 @@
 """The sampling expert's score for a procedure's task, computed beside it by a process of its own.
 
-``python -m cathsim.console.expert '{"phantom": "type_1", ...}'`` prints one line of JSON.
+``python -m cathsim.console.expert '{"phantom": "type_1", ...}'`` prints lines of JSON: how far it is, and the score.
 """
 
 from __future__ import annotations
@@ -11,34 +11,46 @@ import logging
 import os
 import subprocess
 import sys
+import tempfile
 import threading
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, replace
+from typing import IO, Any
 
 from cathsim.metrics import EpisodeMetrics
 
 ROLLOUTS = 1200  # after which the expert gives up
 _NICENESS = 5  # the console goes first
+_TOLD_EVERY = 0.5  # s
+_SCORE, _PROGRESS = "score", "progress"  # keys of the lines that the process prints
+Task = Mapping[str, Any]
+Score = dict[str, Any]
 
 _LOGGER = logging.getLogger(__name__)
 
 
 class ExpertScores:
-    """Asks for the expert's score of tasks, each once.
+    """Asks for the expert's score of tasks, each once: a score that is known stays known.
 
     Args:
         tell: called with task and score from a thread of its own once a score is there; with None where the expert
             failed.
+        progress: called in the same way while it is computed, with `steps` of the expert's episode and `seconds`
+            since it was asked for.
     """
 
-    def __init__(self, tell: Callable[[dict[str, Any], dict[str, Any] | None], None]) -> None:
-        self._tell = tell
-        self._scores: dict[str, dict[str, Any] | None] = {}  # None: it is being computed, or could not be
+    def __init__(
+        self,
+        tell: Callable[[dict[str, Any], Score | None], None],
+        progress: Callable[[dict[str, Any], dict[str, Any]], None] | None = None,
+    ) -> None:
+        self._tell, self._progress = tell, progress
+        self._scores: dict[str, Score | None] = {}  # None: it is being computed, or could not be
         self._process: subprocess.Popen[str] | None = None
         self._lock = threading.Lock()
 
-    def score(self, task: Mapping[str, Any]) -> dict[str, Any] | None:
+    def score(self, task: Task) -> Score | None:
         """The expert's score of a task, None where it is not there yet."""
         return self._scores.get(_key(task))
 
@@ -51,10 +63,12 @@ class ExpertScores:
             self._scores = {key: score for key, score in self._scores.items() if score is not None}
             self._scores[_key(task)] = None
             command = [sys.executable, "-m", "cathsim.console.expert", json.dumps(task)]
+            errors = tempfile.TemporaryFile("w+")  # noqa: SIM115  read when the process has ended
             self._process = subprocess.Popen(
-                command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
-            )
-            threading.Thread(target=self._wait, args=(task, self._process), daemon=True).start()
+                command, stdout=subprocess.PIPE, stderr=errors, stdin=subprocess.DEVNULL, text=True,
+                env={**os.environ, "OMP_NUM_THREADS": "1"},
+            )  # fmt: skip
+            threading.Thread(target=self._wait, args=(task, self._process, errors), daemon=True).start()
 
     def close(self) -> None:
         """Ends what is being computed."""
@@ -66,31 +80,41 @@ class ExpertScores:
             self._process.kill()
         self._process = None
 
-    def _wait(self, task: dict[str, Any], process: subprocess.Popen[str]) -> None:
-        output, errors = process.communicate()
-        if process.returncode < 0:  # ended for another task, or with the console
-            return
-        if process.returncode:
-            _LOGGER.warning("no score of the expert: %s", (errors.strip().splitlines() or ["it failed"])[-1])
-            self._tell(task, None)
-            return
-        score = json.loads(output)
-        self._scores[_key(task)] = score
+    def _wait(self, task: dict[str, Any], process: subprocess.Popen[str], errors: IO[str]) -> None:
+        """Reads what the process prints, until it has ended."""
+        score: Score | None = None
+        began = time.monotonic()
+        with process, errors:
+            assert process.stdout is not None
+            for line in process.stdout:
+                said = json.loads(line)
+                score = said.get(_SCORE)
+                if self._progress is not None and _PROGRESS in said:
+                    self._progress(task, {**said[_PROGRESS], "seconds": time.monotonic() - began})
+            if process.wait() < 0:  # ended for another task, or with the console
+                return
+            if score is None:
+                errors.seek(0)
+                _LOGGER.warning("no score of the expert: %s", (errors.read().strip().splitlines() or ["it failed"])[-1])
+        if score is not None:
+            self._scores[_key(task)] = score
         self._tell(task, score)
 
 
-def _key(task: Mapping[str, Any]) -> str:
+def _key(task: Task) -> str:
     return json.dumps(task, sort_keys=True)
 
 
-def expert_score(task: Mapping[str, Any]) -> dict[str, Any]:
+def expert_score(task: Task, told: Callable[[dict[str, Any]], None] | None = None) -> Score:
     """One episode of the sampling expert.
 
-    Args:
-        task: phantom, target, wire, catheter, accuracy, max_steps and seed of the start, as of the console's setup.
+    It searches with half of the expert's usual plans and fewer rounds: in two devices' tasks it so comes to the target
+    before it would give up.
 
-    Returns:
-        `success`, `time_s` and the episode's metrics.
+    Args:
+        task: phantom, target, wire, catheter, accuracy, max_steps, success_radius and seed of the start, as of the
+            console's setup; most_force: N at which the episode ends, None: it does not.
+        told: called after each step with `steps`, those made so far.
     """
     import numpy as np
 
@@ -100,26 +124,50 @@ def expert_score(task: Mapping[str, Any]) -> dict[str, Any]:
     from cathsim.simulation import CONTROL_STEP
 
     given = dict(task)
-    seed, target = given.pop("seed"), given.pop("target")
+    seed, target, most_force = given.pop("seed"), given.pop("target"), given.pop("most_force", None)
     environment = NavigateEnv(given.pop("phantom"), target, observation="tip", **given)
     _, info = environment.reset(seed=seed)
-    settings = TWO_DEVICES if environment.feeders.devices == 2 else ExpertSettings()
+    if environment.feeders.devices == 2:
+        settings = replace(TWO_DEVICES, samples=16, elites=4, rounds=1)
+    else:
+        settings = ExpertSettings(samples=12, elites=4, rounds=2)
     expert = SamplingExpert(environment, seed=seed, threads=1, settings=settings)
     tips, forces, rewards = [info["tip"]], [], []
-    terminated = truncated = False
-    while not (terminated or truncated) and expert.rollouts < ROLLOUTS:
+    over = False
+    while not over and expert.rollouts < ROLLOUTS:
         _, reward, terminated, truncated, info = environment.step(expert.action())
         tips.append(info["tip"])
         forces.append(info["force"])
         rewards.append(reward)
+        over = terminated or truncated or (most_force is not None and info["force"] >= most_force)
+        if told is not None:
+            told({"steps": len(forces)})
     expert.close()
     metrics = EpisodeMetrics.from_arrays(
         np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=target
     )
-    return {"success": bool(info["success"]), "time_s": len(forces) * CONTROL_STEP, "metrics": asdict(metrics)}
+    ending = {"success": bool(info["success"]), "gave_up": not over}
+    return {**ending, "time_s": len(forces) * CONTROL_STEP, "metrics": asdict(metrics)}
+
+
+class _Teller:
+    """Prints progress, twice a second at most."""
+
+    def __init__(self) -> None:
+        self._at = 0.0
+
+    def __call__(self, progress: Mapping[str, Any]) -> None:
+        if time.monotonic() - self._at >= _TOLD_EVERY:
+            self._at = time.monotonic()
+            _say(**{_PROGRESS: progress})
+
+
+def _say(**line: Any) -> None:
+    sys.stdout.write(json.dumps(line) + "\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
-    sys.stdout.write(json.dumps(expert_score(json.loads(sys.argv[1]))) + "\n")
+    _say(**{_SCORE: expert_score(json.loads(sys.argv[1]), _Teller())})

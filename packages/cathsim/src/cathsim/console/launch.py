@@ -16,6 +16,7 @@ from typing import Any
 from cathsim.console.access import Access, is_loopback
 from cathsim.console.catheters import NO_CATHETER
 from cathsim.console.recorder import Recorder, find_recorder
+from cathsim.metrics import FORCE_LIMIT
 
 EXIT_FAILED = 1
 EXTRA = {"fastapi": "fastapi", "uvicorn": "uvicorn", "websockets": "websockets"}
@@ -41,6 +42,19 @@ def parser(prog: str, *, folder: Path | None) -> argparse.ArgumentParser:
         help="catheter to begin with: of the shelf (vertebral, simmons2_6f) or a YAML file (default %(default)s)",
     )
     add("--max-steps", type=int, default=300, help="control steps of 0.1 s in a procedure (default %(default)s)")
+    add(
+        "--success-radius-mm",
+        type=float,
+        default=8.0,
+        help="the target is reached within this distance of the tip (default %(default)s)",
+    )
+    add(
+        "--force-limit",
+        type=float,
+        default=FORCE_LIMIT,
+        help="contact force in N at which the page warns, and counts it (default %(default)s)",
+    )
+    add("--end-at-force-limit", action="store_true", help="the procedure ends there")
     add("--seed", type=int, default=0, help="of the first procedure's start; each further one has the next")
     add("--host", default="127.0.0.1", help="address to listen on; other than this machine's own needs a token")
     add("--port", type=int, default=8000, help="port (default %(default)s; 0 takes a free one)")
@@ -131,6 +145,7 @@ def _recorder(factory: Any, folder: Path) -> Recorder:
 def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder | None, folder: Path) -> None:
     import uvicorn
 
+    from cathsim.console.force_limit import ForceLimit
     from cathsim.console.operator_setup import Setup
     from cathsim.console.server import Desk, create_app
     from cathsim.console.worker import RealTimeLoop
@@ -146,6 +161,8 @@ def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder
             None if options.catheter == NO_CATHETER else options.catheter,
             max_steps=options.max_steps,
             seed=options.seed,
+            success_radius=options.success_radius_mm * 1e-3,
+            force_limit=ForceLimit(options.force_limit, options.end_at_force_limit),
         )
         loop = RealTimeLoop(setup, desk, recorder, note=str(folder), compared=not options.no_expert)
     except ValueError as error:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import field
+from typing import Annotated, Any
+
+from annotated_types import Interval
 
 from cathsim.anatomy import Phantom
+from cathsim.console.force_limit import ForceLimit
 from cathsim.environment import NavigateEnv
-from cathsim.validation import Count, Seed, settings
+from cathsim.validation import Count, Seed, Unit, settings
+
+LARGEST_RADIUS = 0.05  # m: a target that is reached from further away is none
 
 
 @settings
@@ -20,6 +26,9 @@ class Setup:
     accuracy: str = "accurate"  # preset of the time stepping
     max_steps: Count = 300  # a procedure ends after so many control steps
     seed: Seed = 0  # of the first procedure; each further one has the next
+    # the target is reached within this distance of the tip, m
+    success_radius: Annotated[float, Interval(ge=0.001, le=LARGEST_RADIUS), Unit("m")] = 0.008
+    force_limit: ForceLimit = field(default_factory=ForceLimit)
 
     def environment(self, phantom: Phantom, target: str, catheter: str | None) -> NavigateEnv:
         """The environment of a procedure; its image is that of other recorded episodes.
@@ -35,11 +44,13 @@ class Setup:
             accuracy=self.accuracy,
             observation="tip",
             max_steps=self.max_steps,
+            success_radius=self.success_radius,
         )
 
     def task(self, phantom: str, target: str, catheter: str | None) -> dict[str, Any]:
         """What the sampling expert is asked to do beside a procedure, from the first start, as plain values."""
         return {
             "phantom": phantom, "target": target, "wire": self.wire, "catheter": catheter, "accuracy": self.accuracy,
-            "max_steps": self.max_steps, "seed": self.seed,
+            "max_steps": self.max_steps, "seed": self.seed, "success_radius": self.success_radius,
+            "most_force": self.force_limit.newtons if self.force_limit.ends else None,
         }  # fmt: skip

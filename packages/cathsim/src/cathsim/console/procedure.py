@@ -11,13 +11,17 @@ from typing import Any
 import numpy as np
 
 from cathsim.console.controls import Move
+from cathsim.console.force_limit import ForceLimit, ForceWatch
 from cathsim.console.recorder import Recorder
+from cathsim.console.xray.room import XRayStep
 from cathsim.devices.device_points import wire_and_catheter
 from cathsim.environment import NavigateEnv
 from cathsim.metrics import EpisodeMetrics
 from cathsim.simulation import CONTROL_STEP
 
 READY, RUNNING, ENDED = "ready", "running", "ended"
+
+_CONTINUOUS = XRayStep()  # the beam stays on, and nothing is injected
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -41,6 +45,7 @@ class Sample:
     points: np.ndarray
     force: float  # largest resultant contact force of the step, N
     force_max: float  # largest so far, N
+    warnings: int  # how often the force has risen to the limit so far
     insertion: float  # m
     rotation: float  # rad
     distance: float  # from the tip to the target, m
@@ -53,16 +58,26 @@ class Procedure:
     Args:
         environment: with contact info; the procedure resets it.
         recorder: keeps the episode, or None.
+        force_limit: of the warnings, or at which the procedure ends.
 
     Attributes:
         samples: one a control step, from the reset on.
+        stopped: whether it ended at the force limit.
         trouble: why recording stopped, one sentence; "" while all is well.
     """
 
-    def __init__(self, environment: NavigateEnv, recorder: Recorder | None, *, seed: int) -> None:
+    def __init__(
+        self,
+        environment: NavigateEnv,
+        recorder: Recorder | None,
+        *,
+        seed: int,
+        force_limit: ForceLimit | None = None,
+    ) -> None:
         self.environment, self._recorder = environment, recorder
+        self._watch = ForceWatch(force_limit or ForceLimit())
         self.state = READY
-        self.success = self.invalid = False
+        self.success = self.invalid = self.stopped = False
         self.trouble = ""
         self.path: Path | None = None
         self._tips: list[np.ndarray] = []
@@ -72,7 +87,9 @@ class Procedure:
         self.samples: list[Sample] = []
         self._tips.append(info["tip"])
         self._sample(info)
-        self._record(lambda keeper: keeper.start(environment, info, seed=seed))
+        limit = {"force_limit": self._watch.limit.newtons, "ends_at_force_limit": self._watch.limit.ends}
+        begun = {**info, **_operation(XRayStep(on=False), warned=False), **limit}
+        self._record(lambda keeper: keeper.start(environment, begun, seed=seed))
 
     def _sample(self, info: Mapping[str, Any]) -> None:
         self.samples.append(
@@ -80,6 +97,7 @@ class Procedure:
                 points=self.environment.simulation.wire_points(),
                 force=info["force"],
                 force_max=max([info["force"], *(sample.force_max for sample in self.samples[-1:])]),
+                warnings=self._watch.warnings,
                 insertion=info["insertion"],
                 rotation=info["rotation"],
                 distance=info["distance"],
@@ -114,13 +132,19 @@ class Procedure:
         """Simulated time since the start, s."""
         return self.steps * CONTROL_STEP
 
-    def step(self, advance: float, rotate: float, catheter: Move = (0.0, 0.0)) -> None:
+    @property
+    def warnings(self) -> int:
+        """How often the contact force has risen to the limit."""
+        return self._watch.warnings
+
+    def step(self, advance: float, rotate: float, catheter: Move = (0.0, 0.0), *, xray: XRayStep = _CONTINUOUS) -> None:
         """One control step of 0.1 s, by shares (-1 to 1) of the full speeds; the first one starts the procedure.
 
         Args:
             advance: translation of the wire.
             rotate: its rotation.
             catheter: translation and rotation of the catheter, where there is one.
+            xray: what the X-ray side does in the step, for the recorder alone.
 
         Raises:
             RuntimeError: the procedure has ended.
@@ -130,13 +154,17 @@ class Procedure:
         self.state = RUNNING
         action = np.array([advance, rotate, *(catheter if self.devices == 2 else ())], np.float32)
         _, reward, terminated, truncated, info = self.environment.step(action)
+        warned = self._watch.see(info["force"])
+        self.stopped = self._watch.ends and not (terminated or truncated)
+        truncated = truncated or self.stopped
         self._tips.append(info["tip"])
         self._forces.append(info["force"])
         self._rewards.append(reward)
         self._sample(info)
+        made = {**info, **_operation(xray, warned=warned)}
         self._record(
             lambda keeper: keeper.step(
-                self.environment, action, reward, info, terminated=terminated, truncated=truncated
+                self.environment, action, reward, made, terminated=terminated, truncated=truncated
             )
         )
         if terminated or truncated:
@@ -173,6 +201,11 @@ class Procedure:
         episode = self.path
         kept: Path | None = self._record(lambda keeper: keeper.answer(episode, answers))
         return kept
+
+
+def _operation(xray: XRayStep, *, warned: bool) -> dict[str, Any]:
+    """What a recorder learns of a step besides the environment's info."""
+    return {"xray_on": xray.on, "injections": xray.injections, "force_warning": warned}
 
 
 def _two_devices(info: Mapping[str, Any]) -> TwoDevices:

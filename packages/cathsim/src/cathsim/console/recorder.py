@@ -17,6 +17,7 @@ import numpy as np
 from cathsim.devices.shelf import catheter_preset_of
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import preset_of
+from cathsim.simulation import CONTROL_STEP
 
 if TYPE_CHECKING:
     from cathsim.environment import NavigateEnv
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from cathsim.simulation import Simulation
 
 OPERATOR = "human"
+OPERATION = ("xray_on", "injections", "force_warning")  # of a step's info, besides the environment's
 _OF_BOTH = ("catheter_insertion", "catheter_rotation", "lead", "feeder_forces")  # of the info with a catheter
 ENTRY_POINTS = "cathsim.recorders"  # group under which other distributions offer recorders
 QUESTIONNAIRE_SUFFIX = ".questionnaire.json"
@@ -36,6 +38,10 @@ class Recorder(Protocol):
     """Keeps episodes: `start`, a `step` for each step, `finish`, then perhaps `answer`; one episode at a time.
 
     Nothing need be kept of an episode that gets no step. Its class has a `default_folder` and is made with a folder.
+
+    The console adds to the environment's info of each step: `xray_on`, whether the beam was on; `injections` of
+    contrast medium since the step before; `force_warning`, whether the contact force has risen to the limit. To that of
+    the start: `force_limit` N, and `ends_at_force_limit`, whether the procedure ends there.
     """
 
     def start(self, environment: NavigateEnv, info: Mapping[str, Any], *, seed: int) -> None:
@@ -64,6 +70,31 @@ class Recorder(Protocol):
         ...
 
 
+class OperationTotals:
+    """Sums up X-ray, injections and force warnings of an episode, from the info of its steps."""
+
+    def __init__(self) -> None:
+        self._sums = dict.fromkeys(OPERATION, 0)
+
+    def add(self, info: Mapping[str, Any]) -> None:
+        """Counts a step; an info without them counts nothing."""
+        for name in OPERATION:
+            self._sums[name] += int(info.get(name, 0))
+
+    def metrics(self, control_step: float) -> dict[str, float]:
+        """The totals of the episode: `fluoroscopy_time_s`, `injections`, `force_warnings`.
+
+        Args:
+            control_step: duration of a step, s.
+        """
+        on, injections, warnings = self._sums.values()
+        time_s = round(on * control_step, 9)
+        return {"fluoroscopy_time_s": time_s, "injections": injections, "force_warnings": warnings}
+
+
+TOTALS = tuple(OperationTotals().metrics(0.0))  # their names
+
+
 def episode_path(folder: Path, phantom: str, target: str, suffix: str) -> Path:
     """The next free file of a task, `<folder>/<phantom>/<target>/<NNN><suffix>`, unfinished ones counted."""
     place = folder / phantom / target
@@ -86,11 +117,14 @@ class NpzRecorder:
     """Keeps each episode as a compressed NumPy archive, written when it ends.
 
     Arrays: action (T, 2), reward (T,), tip (T + 1, 3) m, wire_points (T + 1, n, 3) m, force (T + 1, 3) N, insertion
-    (T + 1,) m, rotation (T + 1,) rad; `description` is JSON: operator, phantom and its hash, task, seed, devices,
-    metrics. With a catheter, action is (T, 4): translation and rotation of the wire, then of the catheter; wire_points
-    are of the rod that both are, and there are also catheter_insertion, catheter_rotation and lead (T + 1,), and
-    feeder_forces (T + 1, 2) N. `cathsim.devices.device_points.wire_and_catheter` gives each device's points of the rod,
-    its links (m, in the description's devices) and the lead.
+    (T + 1,) m, rotation (T + 1,) rad; xray_on, injections and force_warning (T,), as of `Recorder`. `description` is
+    JSON: operator, phantom and its hash, task, seed, devices, force_limit (N), ends_at_force_limit, metrics, totals
+    (fluoroscopy_time_s, injections, force_warnings).
+
+    With a catheter, action is (T, 4): translation and rotation of the wire, then of the catheter; wire_points are of
+    the rod that both are, and there are also catheter_insertion, catheter_rotation and lead (T + 1,), and feeder_forces
+    (T + 1, 2) N. `cathsim.devices.device_points.wire_and_catheter` gives each device's points of the rod, its links (m,
+    in the description's devices) and the lead.
     """
 
     default_folder = Path("console_episodes")
@@ -99,6 +133,7 @@ class NpzRecorder:
         self.folder = folder
         self._rows: list[dict[str, Any]] = []
         self._description: dict[str, Any] = {}
+        self._totals = OperationTotals()
 
     def start(self, environment: NavigateEnv, info: Mapping[str, Any], *, seed: int) -> None:
         """Begins an episode."""
@@ -110,7 +145,9 @@ class NpzRecorder:
             "task": asdict(environment.task),
             "seed": seed,
             "devices": _devices_of(environment.simulation),
+            **{name: info[name] for name in ("force_limit", "ends_at_force_limit") if name in info},
         }
+        self._totals = OperationTotals()
         self._rows = [self._state(environment, info)]
 
     @staticmethod
@@ -136,7 +173,9 @@ class NpzRecorder:
         truncated: bool,
     ) -> None:
         """Keeps a step."""
-        self._rows.append({"action": action, "reward": reward, **self._state(environment, info)})
+        self._totals.add(info)
+        operation = {name: info[name] for name in OPERATION if name in info}
+        self._rows.append({"action": action, "reward": reward, **operation, **self._state(environment, info)})
 
     def finish(self, metrics: EpisodeMetrics | None) -> Path | None:
         """Writes the episode."""
@@ -147,8 +186,9 @@ class NpzRecorder:
         path = episode_path(self.folder, self._description["phantom"], task["target"], ".npz")
         path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        arrays |= {name: np.array([row[name] for row in rows[1:]]) for name in ("action", "reward")}
-        description = {**self._description, "metrics": asdict(metrics) if metrics else None}
+        arrays |= {name: np.array([row[name] for row in rows[1:]]) for name in rows[1] if name not in rows[0]}
+        totals = self._totals.metrics(CONTROL_STEP)
+        description = {**self._description, "metrics": asdict(metrics) if metrics else None, "totals": totals}
         temporary = path.with_name(f".writing-{path.name}")
         np.savez_compressed(temporary, allow_pickle=False, description=np.array(json.dumps(description)), **arrays)
         os.replace(temporary, path)

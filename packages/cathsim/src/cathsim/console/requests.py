@@ -34,7 +34,10 @@ class _Choose(_Request):
     target: _Name
     catheter: _Name | None = None  # a catheter of the shelf; None: no catheter; left out: that of before
     wire: _Name = ""  # left out: that of before
-    max_steps: Annotated[int, Field(ge=1, le=10_000)] = 300  # left out: that of before
+    max_steps: Annotated[int, Field(ge=1, le=10_000)] = 300  # left out: that of before, as those that follow
+    success_radius_mm: Annotated[float, Field(ge=1, le=50)] = 8.0
+    force_limit_n: Annotated[float, Field(gt=0, le=100)] = 2.0
+    ends_at_force_limit: bool = False
 
 
 class _View(_Request):
@@ -68,7 +71,7 @@ _REQUESTS: TypeAdapter[Any] = TypeAdapter(
 def read_request(text: str) -> dict[str, Any]:
     """Reads what the page asks for, in JSON; the request has fields that its type has, each of its kind, and no other.
 
-    A field that may be left out (`catheter`, `wire`, `max_steps`) is then not in the result.
+    A field that may be left out (a catheter, wire or limit) is then not in the result.
 
     Raises:
         ValueError: it is no request; one sentence says why.

@@ -10,11 +10,11 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any, Protocol
 
 from cathsim.anatomy import PHANTOMS, load_phantom
-from cathsim.console.catheters import Offer, find_offer, offered
+from cathsim.console.choices import Choices, Chosen
 from cathsim.console.controls import ControlPanel, Controls
 from cathsim.console.expert import ExpertScores
 from cathsim.console.inbox import Inbox
@@ -28,13 +28,11 @@ from cathsim.console.xray.monitor import CArm
 from cathsim.console.xray.room import XRayRoom
 from cathsim.console.xray.views import Views
 from cathsim.environment import NavigateEnv
-from cathsim.guidewire import GUIDEWIRES
 from cathsim.simulation import CONTROL_STEP
 
 PICTURES = 3  # a control step
 FRAME = CONTROL_STEP / PICTURES  # s
 REPLAY = "replay"
-OWN_WIRE = "own wire"  # of a file; a page learns no paths
 _SECONDS_TO_NEXT_START = 1.0
 _BEHIND = 0.15  # s: a loop that is further behind than this does not hurry to catch up
 _MM = 1e3
@@ -78,7 +76,7 @@ class RealTimeLoop(threading.Thread):
     ) -> None:
         super().__init__(name="console", daemon=True)
         self._setup, self._page, self._recorder, self._note = setup, page, recorder, note
-        self._phantoms = list(dict.fromkeys([*phantoms, setup.phantom]))
+        self._choices = Choices(setup, phantoms)
         self.panel = ControlPanel()
         self._inbox = Inbox()
         self._stopped = threading.Event()
@@ -86,15 +84,13 @@ class RealTimeLoop(threading.Thread):
         self._frame = 0
         self._room = XRayRoom()
         self._views = Views(self._room, self._inbox.put, self._send_views)
-        self._expert = ExpertScores(self._compare) if compared else None
+        self._expert = ExpertScores(self._compare, self._follow) if compared else None
         self._shown: tuple[Procedure, float] | None = None  # the replayed one and its time, s
         self._finished: Procedure | None = None
         self._sequence = 0
-        self._offers = offered(setup.catheter)
-        self._own_wire = None if setup.wire in GUIDEWIRES else setup.wire
         phantom = load_phantom(setup.phantom)
         environment = setup.environment(phantom, setup.target, setup.catheter)
-        self._catheter = find_offer(self._offers, setup.catheter) if setup.catheter else None
+        self._catheter = self._choices.first_catheter
         self._surface = surface_of(phantom)
         self._open(environment)
 
@@ -117,16 +113,8 @@ class RealTimeLoop(threading.Thread):
         elif kind == "release":
             self.panel.release()
         elif kind == "choose":
-            if request["phantom"] not in self._phantoms:
-                raise ValueError(f"unknown phantom {request['phantom']!r}; there are {', '.join(self._phantoms)}")
-            name = request.get("catheter", self._catheter.name if self._catheter else None)
-            catheter = None if name is None else find_offer(self._offers, name)
-            wire = request.get("wire", self._setup.wire)
-            wire = self._own_wire if wire == OWN_WIRE and self._own_wire else wire
-            if wire != self._setup.wire and wire not in (*GUIDEWIRES, self._own_wire):
-                raise ValueError(f"unknown wire {wire!r}; there are {', '.join(GUIDEWIRES)}")
-            setup = replace(self._setup, wire=wire, max_steps=request.get("max_steps", self._setup.max_steps))
-            self._inbox.put(kind, lambda: self._choose(setup, request["phantom"], request["target"], catheter))
+            chosen = self._choices.read(request, self._setup, self._catheter)
+            self._inbox.put(kind, lambda: self._choose(chosen))
         elif kind == "view":
             view = CArm(request["primary_deg"], request["secondary_deg"], request["zoom"])
             self._inbox.put(f"view {request['camera']}", lambda: self._views.turn(request["camera"], view))
@@ -215,7 +203,9 @@ class RealTimeLoop(threading.Thread):
         self._begin()
 
     def _begin(self) -> None:
-        self._procedure = Procedure(self._environment, self._recorder, seed=self._seed)
+        self._procedure = Procedure(
+            self._environment, self._recorder, seed=self._seed, force_limit=self._setup.force_limit
+        )
         self._seed += 1
         self._frame, self._shown = 0, None
         self._views.restart()
@@ -238,6 +228,11 @@ class RealTimeLoop(threading.Thread):
         if task == self._expert_task():
             self._say(type="expert", score=score)
 
+    def _follow(self, task: dict[str, Any], progress: dict[str, Any]) -> None:
+        """Tells the page how far the expert is; called from another thread."""
+        if task == self._expert_task():
+            self._say(type="expert_progress", **progress)
+
     def _say(self, **message: Any) -> None:
         self._page.say(message)
 
@@ -252,19 +247,14 @@ class RealTimeLoop(threading.Thread):
             type="task",
             phantom=environment.phantom.name,
             target=task.target_name,
-            phantoms=self._phantoms,
             targets=list(environment.phantom.targets),
-            catheter=self._catheter.name if self._catheter else None,
-            catheters=[offer.to_page() for offer in self._offers],
+            **self._choices.to_page(self._setup, self._catheter),
             devices=environment.feeders.devices,
             replayable=self._finished is not None,
             goal=task.goal(environment.phantom).tolist(),
             success_radius=task.success_radius,
-            max_steps=task.max_steps,
             control_step=CONTROL_STEP,
             views=self._views.marks(task),
-            wire=self._setup.wire if self._setup.wire in GUIDEWIRES else OWN_WIRE,
-            wires=[*([OWN_WIRE] if self._own_wire else []), *GUIDEWIRES],
             beam=self._room.beam,
             roadmap=self._room.roadmap,
             size=self._views.size,
@@ -273,7 +263,8 @@ class RealTimeLoop(threading.Thread):
             criteria=[asdict(criterion) for criterion in CRITERIA],
         )
 
-    def _choose(self, setup: Setup, phantom: str, target: str, catheter: Offer | None) -> None:
+    def _choose(self, chosen: Chosen) -> None:
+        setup, phantom, target, catheter = chosen
         self._say(type="loading", phantom=phantom)
         try:
             loaded = load_phantom(phantom)
@@ -330,9 +321,10 @@ class RealTimeLoop(threading.Thread):
             self._sequence = controls.sequence
             if procedure.state == READY and self._expert is not None:
                 self._expert.ask(self._expert_task())
-            procedure.step(*controls.wire, controls.catheter)
+            procedure.step(*controls.wire, controls.catheter, xray=self._room.step())
         samples = procedure.samples
         if procedure.state == READY:
+            self._room.wait()
             self._show(READY, samples[0], samples[0], 1.0, 0)
             return
         self._show(procedure.state, samples[-2], samples[-1], (self._frame % PICTURES + 1) / PICTURES, procedure.steps)
@@ -355,7 +347,7 @@ class RealTimeLoop(threading.Thread):
     def _show(self, state: str, earlier: Sample, later: Sample, share: float, step: int) -> None:
         wire, catheter = devices_between(earlier, later, share, self._environment.simulation.wire.links)
         room = self._room
-        room.advance(FRAME, counting=state == RUNNING)
+        room.advance(FRAME)
         held = not (room.beam or state == REPLAY)
         pictures = self._views.pictures((id(earlier), id(later), share), wire, catheter, held=held)
         header: dict[str, Any] = {
@@ -364,6 +356,7 @@ class RealTimeLoop(threading.Thread):
             "time_s": max(step - 1 + share, 0.0) * CONTROL_STEP,
             "force_n": later.force,
             "force_max_n": later.force_max,
+            "force_warnings": later.warnings,
             "insertion_mm": later.insertion * _MM,
             "rotation_rad": later.rotation,
             "distance_mm": later.distance * _MM,
@@ -390,6 +383,8 @@ class RealTimeLoop(threading.Thread):
             type="ended",
             success=procedure.success,
             invalid=procedure.invalid,
+            stopped=procedure.stopped,
+            force_warnings=procedure.warnings,
             time_s=procedure.time,
             metrics=metrics,
             recorded=str(procedure.path) if procedure.path else "",

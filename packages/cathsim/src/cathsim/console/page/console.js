@@ -4,10 +4,11 @@ import { Controls } from "/page/controls.js";
 import { Space } from "/page/space.js";
 
 const $ = (id) => document.getElementById(id);
-const FORCE_LIMIT = 2; // N, at which a step counts as unsafe
 const RECONNECT = 1500; // ms
 const ANSWERED = "questionnaire answered"; // in this session of the browser
 const LIMITS = [150, 300, 600, 1200]; // control steps
+const RADII = [4, 6, 8, 10, 15]; // mm
+const FORCES = [0.5, 1, 2, 3, 4]; // N
 const STATES = { ready: "READY", running: "LIVE", ended: "ENDED", replay: "REPLAY" };
 const PROMPTS = { ready: "Press ↑ to begin: the clock starts with the first touch", ended: "R: another one · P: replay" };
 const decoder = new TextDecoder();
@@ -59,6 +60,7 @@ function hear(message) {
   else if (message.type === "ended") showEnd(message);
   else if (message.type === "views") { task.views = message.views; markTargets(); }
   else if (message.type === "expert") showExpert(message.score);
+  else if (message.type === "expert_progress") followExpert(message);
   else if (message.type === "saved") { sessionStorage.setItem(ANSWERED, "1"); tell(`Answers saved in ${message.path}`); }
   else if (message.type === "restarted") closeEnd();
 }
@@ -138,9 +140,12 @@ function put(id, text) {
 function gauges(frame) {
   setState(frame.state, STATES[frame.state]);
   put("force", frame.force_n.toFixed(2));
-  $("force-bar").style.width = `${Math.min(100, (50 * frame.force_n) / FORCE_LIMIT)}%`;
-  $("force-peak").style.left = `${Math.min(99.5, (50 * frame.force_max_n) / FORCE_LIMIT)}%`;
-  $("force-gauge").dataset.level = frame.force_n >= FORCE_LIMIT ? "danger" : frame.force_n >= FORCE_LIMIT / 2 ? "warn" : "safe";
+  const limit = task?.force_limit_n ?? 2, share = frame.force_n / limit; // the first picture may come before its task
+  const level = share >= 1 ? "danger" : share >= 0.5 ? "warn" : "safe";
+  $("force-bar").style.width = `${Math.min(100, 50 * share)}%`;
+  $("force-peak").style.left = `${Math.min(99.5, (50 * frame.force_max_n) / limit)}%`;
+  $("force-gauge").dataset.level = $("fluoroscopy-monitor").dataset.level = level;
+  put("warnings", frame.force_warnings ? `${frame.force_warnings} warning${frame.force_warnings > 1 ? "s" : ""}` : "");
   put("time", frame.time_s.toFixed(1));
   put("distance", frame.distance_mm.toFixed(0));
   put("insertion", frame.insertion_mm.toFixed(0));
@@ -185,6 +190,8 @@ function setState(state, label) {
 
 function setTask(message) {
   expertFailed = false;
+  expertProgress = null;
+  put("expert", "");
   task = statistics.task = message;
   choices($("phantom"), message.phantoms, message.phantom);
   choices($("target"), message.targets, message.target);
@@ -192,9 +199,12 @@ function setTask(message) {
   $("catheter").replaceChildren(new Option("none", ""), ...catheters);
   $("catheter").value = message.catheter ?? "";
   choices($("wire"), message.wires, message.wire);
-  const limits = [...new Set([...LIMITS, message.max_steps])].sort((x, y) => x - y);
-  $("limit-choice").replaceChildren(...limits.map((steps) => new Option(`${+(steps * message.control_step).toFixed(1)} s`, steps)));
-  $("limit-choice").value = message.max_steps;
+  amounts($("limit-choice"), LIMITS, message.max_steps, (steps) => `${+(steps * message.control_step).toFixed(1)} s`);
+  amounts($("radius-choice"), RADII, message.success_radius_mm, (radius) => `${radius} mm`);
+  amounts($("force-choice"), FORCES, message.force_limit_n, (force) => `${force} N`);
+  $("force-ends").value = message.ends_at_force_limit ? "ends" : "";
+  put("force-limit", `${message.ends_at_force_limit ? "ends" : "warns"} at ${message.force_limit_n}`);
+  put("force-scale", `${2 * message.force_limit_n} N`);
   const device = message.catheter ? ` · ${$("catheter").selectedOptions[0].text.toUpperCase()}` : "";
   put("label-task", `${message.phantom.replaceAll("_", " ").toUpperCase()} → ${message.target.toUpperCase()}${device}`);
   document.body.dataset.devices = message.devices;
@@ -212,6 +222,12 @@ const words = (name) => (name.length < 5 ? name.toUpperCase() : name.replaceAll(
 
 function choices(select, names, chosen) {
   select.replaceChildren(...names.map((name) => new Option(words(name), name, false, name === chosen)));
+}
+
+// What is offered, and the chosen one among it.
+function amounts(select, offered, chosen, text) {
+  const all = [...new Set([...offered, chosen])].sort((x, y) => x - y);
+  select.replaceChildren(...all.map((value) => new Option(text(value), value, false, value === chosen)));
 }
 
 // The ring of the target lies on a canvas of its own, sharp at any size of the monitor; the bright corners are shaded, as
@@ -346,12 +362,13 @@ setInterval(() => {
 
 // -- choices, restart, replay -----------------------------------------------------------------------------------------
 
-for (const id of ["phantom", "target", "catheter", "wire", "limit-choice"]) {
+for (const id of ["phantom", "target", "catheter", "wire", "limit-choice", "radius-choice", "force-choice", "force-ends"]) {
   $(id).addEventListener("change", () => {
     controls.release();
     send({
       type: "choose", phantom: $("phantom").value, target: $("target").value, catheter: $("catheter").value || null,
-      wire: $("wire").value, max_steps: Number($("limit-choice").value),
+      wire: $("wire").value, max_steps: Number($("limit-choice").value), success_radius_mm: Number($("radius-choice").value),
+      force_limit_n: Number($("force-choice").value), ends_at_force_limit: $("force-ends").value === "ends",
     });
     $(id).blur(); // the keys steer the devices again
   });
@@ -406,37 +423,53 @@ const scoreRows = ({ time_s: time, metrics }) => ({
   time: `${time.toFixed(1)} s`,
   ...(metrics && {
     "mean force": `${metrics.force_mean.toFixed(2)} N`, "peak force": `${metrics.force_max.toFixed(2)} N`,
-    "safe steps": `${(100 * metrics.safety).toFixed(0)} %`, "way of the tip": `${(100 * metrics.path_length).toFixed(1)} cm`,
+    "steps below 2 N": `${(100 * metrics.safety).toFixed(0)} %`, "way of the tip": `${(100 * metrics.path_length).toFixed(1)} cm`,
   }),
 });
 
 // The numbers of the operator, and those of the sampling expert in the same task once they are there.
 let ended = null;
 function fillNumbers() {
-  const { expert, compared } = ended, own = { ...scoreRows(ended), "X-ray": `${ended.dose_s.toFixed(1)} s`, contrast: `${ended.injections}×` };
+  const { expert, compared } = ended, own = {
+    ...scoreRows(ended), "force warnings": `${ended.force_warnings}`, "X-ray": `${ended.dose_s.toFixed(1)} s`, contrast: `${ended.injections}×`,
+  };
   const other = expert ? scoreRows(expert) : {};
   const cells = (kind, texts) => texts.map((text) => Object.assign(document.createElement(kind), { textContent: text }));
   const line = (...items) => { const row = document.createElement("tr"); row.append(...items); return row; };
-  const head = compared ? [line(...cells("th", ["", "you", expert ? (expert.success ? "expert" : "expert (missed)") : expertFailed ? "expert (failed)" : "expert …"]))] : [];
+  const head = compared ? [line(...cells("th", ["", "you", expertWords(expert)]))] : [];
   $("end-numbers").replaceChildren(...head, ...Object.entries(own).map(([name, value]) =>
     line(...cells("th", [name]), ...cells("td", compared ? [value, other[name] ?? "–"] : [value]))));
 }
 
-let expertFailed = false;
+let expertFailed = false, expertProgress = null;
+function expertWords(score) {
+  if (score) return score.success ? "expert" : score.gave_up ? "expert (gave up)" : "expert (missed)";
+  if (expertFailed) return "expert (failed)";
+  return expertProgress ? `expert … ${(expertProgress.steps * task.control_step).toFixed(1)} s` : "expert …";
+}
+function followExpert(progress) {
+  statistics.expertProgress = expertProgress = progress;
+  const { steps, seconds } = progress;
+  put("expert", `expert at ${(steps * task.control_step).toFixed(1)} s, computed for ${seconds.toFixed(0)} s`);
+  if (ended) fillNumbers();
+}
 function showExpert(score) {
   statistics.expert = score;
   expertFailed = score === null;
+  expertProgress = null;
+  put("expert", score ? `expert ${score.time_s.toFixed(1)} s` : "");
   if (ended) { ended.expert = score; fillNumbers(); }
 }
 
 function showEnd(message) {
-  const { success, invalid, recorded, trouble } = message;
+  const { success, invalid, stopped, recorded, trouble } = message;
   ended = message;
   controls.enable(false);
   $("replay").disabled = false;
   const dialog = $("end");
   dialog.dataset.success = success;
-  $("end-title").textContent = success ? `${task.target.toUpperCase()} reached` : invalid ? "The simulation failed" : "Time is up";
+  $("end-title").textContent = success ? `${task.target.toUpperCase()} reached` : invalid ? "The simulation failed"
+    : stopped ? `Force limit of ${task.force_limit_n} N reached` : "Time is up";
   fillNumbers();
   $("end-recorded").textContent = trouble || (recorded ? `Recorded in ${recorded}` : "Not recorded");
   const asked = recorded && !sessionStorage.getItem(ANSWERED); // once a session

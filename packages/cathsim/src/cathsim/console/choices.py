@@ -1,0 +1,84 @@
+"""What the operator may choose on the page: anatomy, target, devices and limits, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from cathsim.console.catheters import Offer, find_offer, offered
+from cathsim.console.force_limit import ForceLimit
+from cathsim.console.operator_setup import Setup
+from cathsim.guidewire import GUIDEWIRES
+
+OWN_WIRE = "own wire"  # of a file; a page learns no paths
+_MM = 1e3
+
+
+class Chosen(NamedTuple):
+    """What the next procedures are to be."""
+
+    setup: Setup
+    phantom: str
+    target: str
+    catheter: Offer | None
+
+
+class Choices:
+    """Offers what there is, and reads what a page has chosen of it.
+
+    Args:
+        setup: what the operator starts with; a wire and a catheter of one's own are offered, too.
+        phantoms: names of the phantoms.
+
+    Raises:
+        ValueError: the catheter is unknown.
+    """
+
+    def __init__(self, setup: Setup, phantoms: Sequence[str]) -> None:
+        self.phantoms = list(dict.fromkeys([*phantoms, setup.phantom]))
+        self._offers = offered(setup.catheter)
+        self.first_catheter = find_offer(self._offers, setup.catheter) if setup.catheter else None
+        self._own_wire = None if setup.wire in GUIDEWIRES else setup.wire
+
+    def read(self, request: Mapping[str, Any], setup: Setup, catheter: Offer | None) -> Chosen:
+        """What a checked request `choose` asks for; what it leaves out stays as it is in `setup` and `catheter`.
+
+        Raises:
+            ValueError: there is no such phantom, wire or catheter.
+        """
+        if request["phantom"] not in self.phantoms:
+            raise ValueError(f"unknown phantom {request['phantom']!r}; there are {', '.join(self.phantoms)}")
+        name = request.get("catheter", catheter.name if catheter else None)
+        limit = setup.force_limit
+        wanted = replace(
+            setup,
+            wire=self._wire(request.get("wire", setup.wire), setup.wire),
+            max_steps=request.get("max_steps", setup.max_steps),
+            success_radius=request.get("success_radius_mm", setup.success_radius * _MM) / _MM,
+            force_limit=ForceLimit(
+                request.get("force_limit_n", limit.newtons), request.get("ends_at_force_limit", limit.ends)
+            ),
+        )
+        offer = None if name is None else find_offer(self._offers, name)
+        return Chosen(wanted, request["phantom"], request["target"], offer)
+
+    def _wire(self, name: str, present: str) -> str:
+        wire = self._own_wire if name == OWN_WIRE and self._own_wire else name
+        if wire != present and wire not in (*GUIDEWIRES, self._own_wire):
+            raise ValueError(f"unknown wire {name!r}; there are {', '.join(GUIDEWIRES)}")
+        return wire
+
+    def to_page(self, setup: Setup, catheter: Offer | None) -> dict[str, Any]:
+        """What there is, and what is chosen of it, as the page is told."""
+        return {
+            "phantoms": self.phantoms,
+            "catheter": catheter.name if catheter else None,
+            "catheters": [offer.to_page() for offer in self._offers],
+            "wire": setup.wire if setup.wire in GUIDEWIRES else OWN_WIRE,
+            "wires": [*([OWN_WIRE] if self._own_wire else []), *GUIDEWIRES],
+            "max_steps": setup.max_steps,
+            "success_radius_mm": round(setup.success_radius * _MM, 6),
+            "force_limit_n": setup.force_limit.newtons,
+            "ends_at_force_limit": setup.force_limit.ends,
+        }
