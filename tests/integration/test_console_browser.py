@@ -215,10 +215,45 @@ def test_two_fingers_steer_two_devices_on_a_phone(tab: Tab) -> None:
         document.getElementById("pedal").getBoundingClientRect().bottom <= pads.top + 1];
     })()""")
     assert shown == [True] * 4, "fluoroscopy, pedal and pads are on the screen together"
+    assert "mm to go" in tab.value("document.getElementById('label-devices').innerText")
+    assert not overlap(tab, "label-devices", "label-beam")
+    tab.value("document.getElementById('setup').open = true")
+    menu = tab.value("(() => { const box = document.querySelector('#setup > div').getBoundingClientRect(); "
+                     "return [box.left >= 0, box.right <= innerWidth, box.bottom <= innerHeight]; })()")  # fmt: skip
+    assert menu == [True] * 3, "the menu of the setup is on the screen"
+    tab.value("document.getElementById('setup').open = false")
     tab.desktop()
     choose_catheter(tab, "")
     assert steered(tab) == [0, 0] or steered(tab) == [0, 0, 0, 0]
     assert "lead_mm" not in tab.frame()
+
+
+def overlap(tab: Tab, one: str, other: str) -> bool:
+    """Whether two elements of the page lie over each other."""
+    return bool(
+        tab.value(f"""(() => {{
+          const [a, b] = ["{one}", "{other}"].map((id) => document.getElementById(id).getBoundingClientRect());
+          return a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+        }})()""")
+    )
+
+
+def test_a_finger_that_still_steers_at_the_end_answers_no_question(tab: Tab) -> None:
+    tab.value("sessionStorage.removeItem('questionnaire answered')")
+    restart(tab)
+    tab.phone(390, 844)
+    tab.touch(".pad:nth-of-type(2) [data-key=ArrowUp]")
+    wait_until(lambda: tab.value("document.getElementById('end').open"), 30)
+    assert tab.value("document.getElementById('end').scrollTop") == 0, "the score is seen first"
+    tab.touch()
+    time.sleep(0.3)
+    assert not tab.value("document.getElementById('questions').hidden")
+    assert tab.value("document.querySelectorAll('#criteria input:checked').length") == 0
+    tab.touch("#criteria label:nth-of-type(4)")
+    tab.touch()
+    wait_until(lambda: tab.value("document.querySelectorAll('#criteria input:checked').length") == 1, 5)
+    tab.desktop()
+    restart(tab)
 
 
 def grey(tab: Tab, screen: str) -> float:

@@ -308,3 +308,24 @@ def test_success_radius_and_force_limit_are_chosen_and_count(
     for wrong in ({"success_radius_mm": 0}, {"success_radius_mm": 80}, {"force_limit_n": 0}, {"force_limit_n": "2"}):
         with pytest.raises(ValueError, match=f"{next(iter(wrong))} should be"):
             loop.request({**choice, **wrong})
+
+
+def test_the_page_is_told_how_far_the_expert_is_and_its_score(
+    page: Any, wait_until: Wait, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    loop = RealTimeLoop(Setup(accuracy="fast", max_steps=4), page, compared=True)
+    loop.start()
+    loop.operator_came()
+    wait_until(lambda: page.headers)
+    finish(loop, page, wait_until)
+    progress = wait_until(lambda: page.messages_of("expert_progress"), 120)[0]
+    assert 1 <= progress["steps"] <= 4
+    score = wait_until(lambda: page.messages_of("expert"), 60)[0]["score"]
+    assert (score["success"], score["metrics"]["steps"]) == (False, 4)
+    loop.request({"type": "restart"})
+    wait_until(lambda: page.last["state"] == "ready")
+    page.messages.clear()
+    finish(loop, page, wait_until)
+    assert page.messages_of("ended")[0]["expert"] == score, "it is known from the procedure before"
+    loop.stop()

@@ -151,6 +151,7 @@ function gauges(frame) {
   put("insertion", frame.insertion_mm.toFixed(0));
   put("rotation", degrees(frame.rotation_rad));
   if (frame.lead_mm !== undefined) deviceGauge(frame);
+  monitorGauge(frame);
   put("label-prompt", PROMPTS[frame.state] ?? "");
   put("dose", frame.dose_s.toFixed(1));
   put("injections", frame.injections);
@@ -175,11 +176,18 @@ function deviceGauge(frame) {
   put("catheter-insertion", `${frame.catheter_insertion_mm.toFixed(0)} mm`);
   put("catheter-rotation", `${degrees(frame.catheter_rotation_rad)}°`);
   put("catheter-push", `${signed(catheter)} N`);
-  // where the gauges are below the edge of a small screen, the monitor says the same
-  const rows = ["catheter", "wire"].map((name) =>
-    `${name} ${["insertion", "rotation", "push"].map((what) => $(`${name}-${what}`).textContent).join(", ")}`);
-  const shown = frame.state === "running" || frame.state === "replay";
-  put("label-devices", shown ? `${rows.join("\n")}\n${$("lead").textContent} · wall ${frame.force_n.toFixed(2)} N` : "");
+}
+
+// Where the gauges are below the edge of a small screen, the monitor says the same.
+function monitorGauge(frame) {
+  const shown = frame.state === "running" || frame.state === "replay", rows = [];
+  if (frame.lead_mm !== undefined) {
+    for (const name of ["catheter", "wire"]) rows.push(`${name} ${["insertion", "rotation", "push"].map((what) => $(`${name}-${what}`).textContent).join(", ")}`);
+    rows.push($("lead").textContent);
+  } else rows.push(`wire ${frame.insertion_mm.toFixed(0)} mm, ${degrees(frame.rotation_rad)}°`);
+  rows.push(`wall ${frame.force_n.toFixed(2)} N${frame.force_warnings ? `, ${$("warnings").textContent}` : ""}`);
+  rows.push(`${frame.distance_mm.toFixed(0)} mm to go · ${frame.time_s.toFixed(1)} of ${$("limit").textContent} s`);
+  put("label-devices", shown ? rows.join("\n") : "");
 }
 
 function setState(state, label) {
@@ -318,6 +326,10 @@ function turnable(canvas, camera) {
   canvas.addEventListener("dblclick", () => ask(...FIRST[camera]));
   return () => { wanted = null; }; // the console's word counts again
 }
+const coarse = matchMedia("(pointer: coarse)");
+const hint = () => put("hint-b", coarse.matches ? "drag sideways to turn, two fingers zoom" : "drag to turn, wheel to zoom");
+coarse.addEventListener("change", hint);
+hint();
 turnable($("fluoroscopy"), "a");
 turnable($("second"), "b");
 
@@ -467,6 +479,7 @@ function showEnd(message) {
   controls.enable(false);
   $("replay").disabled = false;
   const dialog = $("end");
+  pressedInside = false;
   dialog.dataset.success = success;
   $("end-title").textContent = success ? `${task.target.toUpperCase()} reached` : invalid ? "The simulation failed"
     : stopped ? `Force limit of ${task.force_limit_n} N reached` : "Time is up";
@@ -478,7 +491,8 @@ function showEnd(message) {
   for (const input of document.querySelectorAll("#criteria input")) input.checked = false;
   $("save-answers").disabled = true;
   if (!dialog.open) dialog.showModal();
-  $("again").focus();
+  $("again").focus({ preventScroll: true, focusVisible: true });
+  dialog.scrollTop = 0; // the score first
 }
 
 function closeEnd() {
@@ -486,6 +500,15 @@ function closeEnd() {
   if ($("end").open) $("end").close("closed");
   ended = null;
 }
+
+// A finger that still steers when the dialog opens over it is lifted above a question: that answers nothing.
+let pressedInside = false;
+$("end").addEventListener("pointerdown", () => { pressedInside = true; }, true);
+$("end").addEventListener("click", (event) => {
+  if (pressedInside || !event.detail) return; // a key or a script has no detail
+  event.preventDefault();
+  event.stopPropagation();
+}, true);
 
 $("end").addEventListener("close", () => {
   const wish = $("end").returnValue || "again"; // Escape leaves it empty
