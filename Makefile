@@ -9,6 +9,7 @@ VENV ?= .venv
 PY := $(VENV)/bin/python
 BUDGET ?= desk
 NAME ?= $(BUDGET)
+SEEDS ?=
 ARGS ?=
 DEMO ?=
 TEST_JOBS ?= 2
@@ -58,8 +59,8 @@ lerobot:  ## LeRobot in an environment of its own, which reads exported data set
 	@$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check lerobot==0.4.4 mujoco==4.0.0 \
 		annotated-types pydantic pyyaml scikit-image scipy trimesh
 
-all: setup  ## every stage, then the report: runs/<name>/report/index.html
-	@$(GL) $(PY) -m pipeline.chain all -- budget=$(BUDGET) name=$(NAME) $(ARGS)
+all: setup  ## every stage, then the report: runs/<name>/report/index.html (SEEDS=3: figures over three seeds)
+	@$(GL) $(PY) -m pipeline.chain $(if $(SEEDS),--seeds $(SEEDS)) all -- budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 smoke:  ## the whole chain in minutes; its numbers mean nothing
 	@$(MAKE) --no-print-directory all BUDGET=smoke
@@ -72,7 +73,7 @@ demo: setup  ## the shipped navigator in an unseen arch, or in yours (DEMO=arch.
 
 # after the stages that it reads
 $(STAGES): setup
-	@$(GL) $(PY) -m pipeline.chain --inputs $@ -- budget=$(BUDGET) name=$(NAME) $(ARGS)
+	@$(GL) $(PY) -m pipeline.chain $(if $(SEEDS),--seeds $(SEEDS)) --inputs $@ -- budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 console: setup  ## steer the wire yourself, in the browser; episodes go to runs/<name>/human
 	@$(PY) -m pipeline.console --name $(NAME) $(ARGS)

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,16 +22,18 @@ from pipeline.config import BUDGETS, CONFIG_DIRECTORY
 from pipeline.stages import available_stages, load_stage, settings_of
 
 _USAGE = """\
-python -m pipeline.chain [--estimate] all|[--inputs] STAGE ... -- [OVERRIDE ...]
+python -m pipeline.chain [--estimate] [--seeds N] all|[--inputs] STAGE ... -- [OVERRIDE ...]
 
 Runs all stages, or some, one after the other, and says how long the rest will take; --inputs: after the stages that
-they read; --estimate: only estimates time and memory on 1, 8 and 64 machines, from the times of jobs. Overrides go to
-every stage, e.g. budget=desk name=desk engine=ray, stage.KEY=VALUE to those that have the setting, e.g.
+they read; --seeds: stages whose figures differ from seed to seed run with seeds 0 to N - 1, and the report shows their
+mean and its interval; --estimate: only estimates time and memory on 1, 8 and 64 machines, from the times of jobs.
+Overrides go to every stage, e.g. budget=desk name=desk engine=ray, stage.KEY=VALUE to those that have the setting, e.g.
 stage.device=cuda, and stage@NAME.KEY=VALUE to one. It ends with the first stage that fails; the same command goes on
 from there.
 """
 _EXIT_USAGE = 2
-_ALL, _INPUTS, _ESTIMATE = "all", "--inputs", "--estimate"
+_ALL, _INPUTS, _ESTIMATE, _SEEDS = "all", "--inputs", "--estimate", "--seeds"
+_MOST_SEEDS = 20  # that pipeline.seeds has ranges for
 _WORKED = 0.3  # of what a stage is known to take: less, and it was up to date or went on from an earlier run
 
 
@@ -42,6 +44,11 @@ def main(arguments: list[str]) -> int:
         return 0
     cut = arguments.index("--") if "--" in arguments else len(arguments)
     stages, overrides = arguments[:cut], arguments[cut + 1 :]
+    try:
+        seeds = _taken_seeds(stages, overrides)
+    except ValueError as error:
+        _say(str(error), error=True)
+        return _EXIT_USAGE
     with_inputs, only_estimate = _INPUTS in stages, _ESTIMATE in stages
     stages = [name for name in stages if name not in (_INPUTS, _ESTIMATE)]
     stages = list(available_stages()) if stages == [_ALL] else stages
@@ -56,9 +63,42 @@ def main(arguments: list[str]) -> int:
     if foreign:
         _say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
         return _EXIT_USAGE
+    steps = steps_of(stages, seeds)
     if only_estimate:
-        return _estimate(stages, overrides)
-    return run(stages, overrides, known_minutes(overrides))
+        return _estimate([step.stage for step in steps], overrides)
+    return run(steps, overrides, known_minutes(overrides))
+
+
+@dataclass(frozen=True)
+class Step:
+    """A stage of a chain, and the seed that it runs with; None: that of the overrides."""
+
+    stage: str
+    seed: int | None = None
+
+    def __str__(self) -> str:
+        return self.stage if self.seed is None else f"{self.stage} with seed {self.seed}"
+
+
+def steps_of(stages: Sequence[str], seeds: int) -> list[Step]:
+    """What a chain runs, in order: repeated stages once for each of so many seeds."""
+    if seeds == 1:
+        return [Step(stage) for stage in stages]
+    return [Step(stage, seed or None) for stage in stages for seed in range(seeds if load_stage(stage).repeated else 1)]
+
+
+def _taken_seeds(words: list[str], overrides: Sequence[str]) -> int:
+    """Takes `--seeds N` out of the words before the overrides; 1 where it is not there."""
+    if _SEEDS not in words:
+        return 1
+    place = words.index(_SEEDS)
+    number = words[place + 1] if place + 1 < len(words) else ""
+    del words[place : place + 2]
+    if not number.isdecimal() or not 1 <= int(number) <= _MOST_SEEDS:
+        raise ValueError(f"{_SEEDS} needs a whole number from 1 to {_MOST_SEEDS}, got {number or 'nothing'!r}")
+    if any(word.startswith("seed=") for word in overrides):
+        raise ValueError(f"{_SEEDS} counts from seed 0 on: leave seed=… out, or {_SEEDS}")
+    return int(number)
 
 
 def _estimate(stages: Sequence[str], overrides: Sequence[str]) -> int:
@@ -109,30 +149,33 @@ def known_minutes(overrides: Sequence[str]) -> dict[str, float]:
     return {str(name): float(value) for name, value in minutes.items()}
 
 
-def run(stages: Sequence[str], overrides: Sequence[str], known: Mapping[str, float]) -> int:
-    """Runs the stages; the exit code."""
-    spent: dict[str, float] = {}
+def run(steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, float]) -> int:
+    """Runs the steps; the exit code."""
+    spent: list[tuple[str, float]] = []
     with _Signals() as signals:
-        for number, stage in enumerate(stages):
-            left = minutes_left(stages[number:], spent, known)
+        for number, step in enumerate(steps):
+            left = minutes_left([later.stage for later in steps[number:]], spent, known)
             rest = "" if left is None else f"; about {worded(left)} left in all"
-            _say(f"== stage {number + 1} of {len(stages)}: {stage}{rest}")
-            began = time.monotonic()
+            _say(f"== stage {number + 1} of {len(steps)}: {step}{rest}")
+            began, stage = time.monotonic(), step.stage
             own = [word.replace(f"stage@{stage}.", "stage.", 1) for word in overrides if concerns(word, stage)]
+            own += [] if step.seed is None else [f"seed={step.seed}"]
             code = signals.wait_for([sys.executable, "-m", "pipeline", f"stage={stage}", *own])
             if code:
                 return code
-            spent[stage] = (time.monotonic() - began) / 60
-    longest = sorted(spent, key=lambda name: -spent[name])[:3]
-    parts = ", ".join(f"{name} {worded(spent[name])}" for name in longest)
-    _say(f"== all {len(stages)} stages in {worded(sum(spent.values()))}: most of it {parts}")
+            spent.append((stage, (time.monotonic() - began) / 60))
+    each = {name: sum(minutes for other, minutes in spent if other == name) for name, _ in spent}
+    longest = sorted(each, key=lambda name: -each[name])[:3]
+    parts = ", ".join(f"{name} {worded(each[name])}" for name in longest)
+    _say(f"== all {len(steps)} stages in {worded(sum(each.values()))}: most of it {parts}")
     return 0
 
 
-def minutes_left(stages: Sequence[str], spent: Mapping[str, float], known: Mapping[str, float]) -> float | None:
+def minutes_left(stages: Sequence[str], spent: Sequence[tuple[str, float]], known: Mapping[str, float]) -> float | None:
     """Estimates the wall time of stages that are still to run.
 
     Args:
+        spent: stages that ran, and their minutes.
         known: minutes of stages on the machine they were measured on.
 
     Returns:
@@ -140,11 +183,11 @@ def minutes_left(stages: Sequence[str], spent: Mapping[str, float], known: Mappi
     """
     if any(name not in known for name in stages):
         return None
-    worked = [name for name in spent if name in known and spent[name] > _WORKED * known[name]]
-    expected = sum(known[name] for name in worked)
+    worked = [(name, minutes) for name, minutes in spent if name in known and minutes > _WORKED * known[name]]
+    expected = sum(known[name] for name, _ in worked)
     # short stages tell little of a machine: they count as much as they last, beside one that is as fast as known
     prior = 0.02 * sum(known.values())
-    pace = (prior + sum(spent[name] for name in worked)) / (prior + expected)
+    pace = (prior + sum(minutes for _, minutes in worked)) / (prior + expected)
     return pace * sum(known[name] for name in stages)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from pipeline.stages.learning.task import REWARD_OF_EVALUATION
+from pipeline.stages.learning.task import ACCURACY_OF_TESTS, REWARD_OF_EVALUATION
 from pipeline.task import Task, number_of_actions
 
 if TYPE_CHECKING:
@@ -50,6 +50,8 @@ def of_training(job: PolicyTrainingJob) -> list[str]:
         aids.append(f"shaped reward of training ({task.reward}{price})")
     if task.force_penalty:
         aids.append(f"a newton costs {task.force_penalty:g} in the reward")
+    if task.accuracy != ACCURACY_OF_TESTS:
+        aids.append(f"trained in {task.accuracy} physics, tested in {ACCURACY_OF_TESTS} ones")
     if settings.reset_bank_share:
         states = "demonstrations and own successes" if job.demonstrations else "own successes"
         aids.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the path, to states of {states}")

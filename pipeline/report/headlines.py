@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
 
-from pipeline.report.results import Cell
+from pipeline.report.intervals import Interval, difference_of_means, difference_of_shares, mean_interval, share_interval
+from pipeline.report.results import Cell, mean_of
 from pipeline.report.table_formats import format_cell
 from pipeline.report.tables import Column, ReportTable
 
 _SPECS = Path(__file__).with_name("headlines.yaml")
 BETTER, EQUAL, WORSE, OPEN = "better", "equal", "worse", "open"
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -45,6 +43,7 @@ class Headline:
         thesis, here: both values in words, with their unit; `here` is empty where nothing was measured.
         interval: 95 % interval of the measured value in words; empty where its samples are unknown or fewer than two.
         samples: behind the measured value.
+        seeds: how many of them the run had, where the value, its interval and the verdict are over seeds; otherwise 0.
         verdict: "better", "equal" or "worse", "open" for a mean of a single sample; empty where nothing was measured.
     """
 
@@ -56,6 +55,7 @@ class Headline:
     interval: str
     samples: int | None
     verdict: str
+    seeds: int = 0
 
 
 @functools.cache
@@ -88,16 +88,20 @@ def _headline(spec: HeadlineSpec, table: ReportTable) -> Headline:
     if not isinstance(here, int | float | list):
         return Headline(spec.label, table.chapter, table.key, _words(thesis, column, unit), "", "", None, "")
     if spec.share:
-        thesis, here = _mean(thesis), _mean(here)
+        thesis, here = mean_of(thesis), mean_of(here)
     samples = None if spec.over else row.samples
-    interval = share_interval(_mean(here), samples) if spec.share else mean_interval(here, samples)
+    seeded, share = None if spec.over else row.over_seeds.get(column.key), spec.share
+    if seeded is not None:
+        here, samples, share = seeded.cell, seeded.seeds, False
+    interval = share_interval(mean_of(here), samples) if share else mean_interval(here, samples)
     return Headline(
         label=spec.label, chapter=table.chapter, table=table.key, thesis=_words(thesis, column, unit),
         here=_words(here, column, unit), interval=_interval_words(interval, column, unit), samples=samples,
         verdict=compare(
-            thesis, here, thesis_samples=spec.samples, samples=samples, share=spec.share, level=spec.level,
+            thesis, here, thesis_samples=spec.samples, samples=samples, share=share, level=spec.level,
             higher_is_better=column.better != "lower", decimals=column.decimals,
         ),
+        seeds=0 if seeded is None else seeded.seeds,
     )  # fmt: skip
 
 
@@ -118,78 +122,22 @@ def compare(
     Source: Newcombe 1998, "Interval estimation for the difference between independent proportions", method 10.
     """
     sign = 1.0 if higher_is_better else -1.0
-    difference = _mean(here) - _mean(thesis)
+    difference = mean_of(here) - mean_of(thesis)
     if level is not None:
-        sides = (_mean(here) >= level) - (_mean(thesis) >= level)
+        sides = (mean_of(here) >= level) - (mean_of(thesis) >= level)
         return EQUAL if not sides else BETTER if sides > 0 else WORSE
     if share and samples:
-        low, high = difference_of_shares(_mean(here), samples, _mean(thesis), thesis_samples)
+        low, high = difference_of_shares(mean_of(here), samples, mean_of(thesis), thesis_samples)
     elif isinstance(here, list) and samples == 1:
         return OPEN
     elif isinstance(here, list) and samples:
-        low, high = _difference_of_means(here, samples, thesis, thesis_samples)
+        low, high = difference_of_means(here, samples, thesis, thesis_samples)
     else:
-        same = format_cell(_mean(here), decimals) == format_cell(_mean(thesis), decimals)
+        same = format_cell(mean_of(here), decimals) == format_cell(mean_of(thesis), decimals)
         low = high = 0.0 if same else difference
     if low <= 0.0 <= high:
         return EQUAL
     return BETTER if sign * difference > 0 else WORSE
-
-
-def share_interval(percent: float, samples: int | None) -> Interval | None:
-    """Wilson's 95 % interval of a share, %; None where its samples are unknown."""
-    from cathsim.metrics.intervals import wilson_interval
-
-    if not samples:
-        return None
-    low, high = wilson_interval(round(percent / 100 * samples), samples)
-    return 100 * low, 100 * high
-
-
-def mean_interval(cell: Cell, samples: int | None) -> Interval | None:
-    """Student's 95 % interval of a mean; None for a number alone, or fewer than two samples."""
-    from scipy.stats import t
-
-    if not isinstance(cell, list) or not samples or samples < 2:
-        return None
-    half = float(t.ppf(0.975, samples - 1)) * math.sqrt(_squared_error(cell, samples))
-    return cell[0] - half, cell[0] + half
-
-
-def difference_of_shares(here: float, samples: int, thesis: float, thesis_samples: int | None) -> Interval:
-    """Newcombe's 95 % interval of the difference of two shares, percent; unknown samples make a share exact."""
-    low, high = share_interval(here, samples) or (here, here)
-    thesis_low, thesis_high = share_interval(thesis, thesis_samples) or (thesis, thesis)
-    difference = here - thesis
-    return (
-        difference - math.hypot(here - low, thesis_high - thesis),
-        difference + math.hypot(high - here, thesis - thesis_low),
-    )
-
-
-def _difference_of_means(here: list[float], samples: int, thesis: Cell, thesis_samples: int | None) -> Interval:
-    from scipy.stats import t
-
-    own = _squared_error(here, samples)
-    known = isinstance(thesis, list) and thesis_samples is not None and thesis_samples > 1
-    other = _squared_error(thesis, thesis_samples) if known else 0.0  # type: ignore[arg-type]
-    parts = own**2 / (samples - 1) + (other**2 / (thesis_samples - 1) if known else 0.0)  # type: ignore[operator]
-    difference = here[0] - _mean(thesis)
-    if not parts:
-        return difference, difference
-    half = float(t.ppf(0.975, (own + other) ** 2 / parts)) * math.sqrt(own + other)
-    return difference - half, difference + half
-
-
-def _squared_error(cell: list[float], samples: int) -> float:
-    """Squared standard error of a mean, whose standard deviation has n in its denominator."""
-    return cell[1] ** 2 / (samples - 1)
-
-
-def _mean(cell: Cell) -> float:
-    if isinstance(cell, str) or cell is None:
-        raise TypeError(f"expected a number or a pair in a headline, got {cell!r}")
-    return float(cell[0] if isinstance(cell, list) else cell)
 
 
 def _share_of(cell: Cell, base: Cell) -> float | None:

@@ -116,6 +116,17 @@ def check_cell(cell: Any, place: str) -> None:
         raise ValueError(f"{place}: expected a finite number, a pair [mean, sd], text or null, got {cell!r}")
 
 
+def mean_of(cell: Cell) -> float:
+    """The number of a cell, or the mean of its pair.
+
+    Raises:
+        TypeError: it is text, or nothing.
+    """
+    if isinstance(cell, str) or cell is None:
+        raise TypeError(f"expected a number or a pair, got {cell!r}")
+    return float(cell[0] if isinstance(cell, list) else cell)
+
+
 def pool(cells: list[tuple[Cell, int | None]]) -> tuple[Cell, int | None]:
     """Joins the same cell from several jobs of a sweep, e.g. one a seed.
 

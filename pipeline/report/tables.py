@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from pipeline.report.over_seeds import CellName, OverSeeds
 from pipeline.report.results import SAMPLES, Cell, Table, pool
 from pipeline.report.words import column_words, group_words, plain, row_words
 
 _THESIS = Path(__file__).with_name("thesis.yaml")
 KINDS = ("results", "settings", "literature", "own")
 NOT_RUN = "not run"
+OVER_SEEDS = "over_seeds"
 _LONGEST_CELL = 60  # characters; longer texts stand beneath a table
 
 
@@ -41,6 +43,7 @@ class Row:
     measured: dict[str, Cell]
     samples: int | None = None  # behind the measured pairs
     in_thesis: bool = True
+    over_seeds: dict[str, OverSeeds] = field(default_factory=dict)  # column -> the figure over run seeds
 
 
 @dataclass(frozen=True)
@@ -158,27 +161,35 @@ def join_sweep(parts: Iterable[dict[str, Table]]) -> dict[str, Table]:
     return joined
 
 
-def report_tables(measured: dict[str, Table]) -> list[ReportTable]:
+def report_tables(
+    measured: dict[str, Table], over_seeds: Mapping[CellName, OverSeeds] | None = None
+) -> list[ReportTable]:
     """Puts the measured cells beside the thesis's.
 
     Args:
         measured: table -> row -> column -> cell, over all stages.
+        over_seeds: figures of stages that ran with several seeds.
 
     Returns:
         Every table of the thesis, in its order, then tables the thesis does not have and something was measured for.
     """
     specs, groups = _thesis()
-    tables = [_merge(key, spec, groups, measured.get(key, {})) for key, spec in specs.items()]
+    seeded: dict[str, dict[tuple[str, str], OverSeeds]] = {}
+    for (table, row, column), found in (over_seeds or {}).items():
+        seeded.setdefault(table, {})[row, column] = found
+    tables = [_merge(key, spec, groups, measured.get(key, {}), seeded.get(key, {})) for key, spec in specs.items()]
     for key, rows in measured.items():
         if key not in specs:
             columns = {c: _further(c) for cells in rows.values() for c in cells if c != SAMPLES}
             spec = _Spec(title=plain(key), chapter="Beyond the thesis", label="not in the thesis",
                          kind="own", columns=columns, rows={})  # fmt: skip
-            tables.append(_merge(key, spec, groups, rows))
+            tables.append(_merge(key, spec, groups, rows, seeded.get(key, {})))
     return [table for table in tables if table.kind != "own" or table.rows]
 
 
-def _merge(key: str, spec: _Spec, groups: dict[str, str], measured: Table) -> ReportTable:
+def _merge(
+    key: str, spec: _Spec, groups: dict[str, str], measured: Table, seeded: Mapping[tuple[str, str], OverSeeds]
+) -> ReportTable:
     columns = [Column(key=name, **column) for name, column in spec.columns.items()]
     known = set(spec.columns)
     further = dict.fromkeys(c for cells in measured.values() for c in cells if c not in known and c != SAMPLES)
@@ -193,6 +204,7 @@ def _merge(key: str, spec: _Spec, groups: dict[str, str], measured: Table) -> Re
             thesis=dict(zip(spec.columns, spec.rows.get(name, []), strict=False)),
             measured={c.key: cells.get(c.key) for c in columns},
             samples=int(samples) if isinstance(samples, int | float) else None, in_thesis=name in spec.rows,
+            over_seeds={c.key: seeded[name, c.key] for c in columns if (name, c.key) in seeded},
         ))  # fmt: skip
     order = list(dict.fromkeys(row.group for row in rows))
     rows.sort(key=lambda row: order.index(row.group))  # own rows join their group
@@ -206,11 +218,20 @@ def _further(key: str) -> dict[str, Any]:
 
 
 def metrics(tables: list[ReportTable]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Lists every measured cell for programs: table -> row -> column -> cell, None where it has not run."""
-    return {
-        table.key: {
-            row.key: dict(row.measured) | ({SAMPLES: row.samples} if row.samples is not None else {})
-            for row in table.rows
+    """Lists every measured cell for programs: table -> row -> column -> cell, None where it has not run.
+
+    Figures over run seeds stand in the row's entry `over_seeds`: column -> mean, 95 % interval, number of seeds.
+    """
+    return {table.key: {row.key: _values(row) for row in table.rows} for table in tables}
+
+
+def _values(row: Row) -> dict[str, Any]:
+    values: dict[str, Any] = dict(row.measured)
+    if row.samples is not None:
+        values[SAMPLES] = row.samples
+    if row.over_seeds:
+        values[OVER_SEEDS] = {
+            column: {"mean": one.cell[0], "interval": list(one.interval), "seeds": one.seeds}
+            for column, one in row.over_seeds.items()
         }
-        for table in tables
-    }
+    return values

@@ -63,6 +63,7 @@ class Stage:
     prepare: Callable[[Any], None] = as_given  # fills in what only reading files tells, before `check`
     check: Callable[[Any], None] = no_check  # refuses settings with a ConfigurationError before anything is written
     seeded: bool = True  # whether its results depend on the run's seed: then each seed has a folder of its own
+    repeated: bool = False  # whether a chain over several seeds repeats it: its figures differ from seed to seed
     further_inputs: Callable[[Path], dict[str, str]] = no_further_inputs  # hashes of whatever else it reads
     place: int = _PLACE_BY_DEFAULT  # among stages that could run at the same time: the smallest comes first
 

@@ -211,5 +211,6 @@ STAGE = Stage(
         "figures.json",
     ),
     check=check_force,
+    repeated=True,
     place=8,
 )

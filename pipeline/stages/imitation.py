@@ -198,5 +198,6 @@ STAGE = Stage(
     ),
     prepare=settle,
     check=check_imitation,
+    repeated=True,
     place=7,
 )

@@ -12,6 +12,7 @@ from annotated_types import Ge, Le
 
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.learning.section import LearningSection, learning_section
+from pipeline.report.over_seeds import over_seeds
 from pipeline.report.page.rendering import PAGE, StageRecord, render_page
 from pipeline.report.results import Table, read_notes
 from pipeline.report.table_formats import as_csv, as_latex
@@ -56,9 +57,10 @@ def finished_stages(run_path: Path) -> dict[str, Manifest]:
 def run_report(settings: ReportSettings, context: StageContext) -> None:
     """Writes the tables, the metrics and the page."""
     finished = finished_stages(context.run_path)
-    learning = learning_section(context.run_path, finished, context.path / LEARNING_FOLDER)
+    seeds = {name: manifest.seed for name, manifest in finished.items()}
+    learning = learning_section(context.run_path, finished, context.path / LEARNING_FOLDER, seeds)
     measured = join_sweep([*learning.results, {"environment": _environment()}])
-    tables = report_tables(measured)
+    tables = report_tables(measured, over_seeds(learning.by_seed))
     for table in tables:
         write_text(context.path / TABLES_FOLDER / f"{table.key}.csv", as_csv(table))
         write_text(context.path / TABLES_FOLDER / f"{table.key}.tex", as_latex(table))

@@ -111,5 +111,6 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
+    repeated=True,
     place=11,
 )

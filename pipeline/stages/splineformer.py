@@ -116,5 +116,6 @@ STAGE = Stage(
         "results.json",
         "figures.json",
     ),
+    repeated=True,
     place=13,
 )

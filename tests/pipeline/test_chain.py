@@ -79,16 +79,16 @@ def test_what_is_no_stage_is_refused() -> None:
 
 def test_the_estimate_follows_the_machine() -> None:
     known = {"phantoms": 1.0, "enn": 40.0, "unseen": 60.0}
-    assert chain.minutes_left(["unseen"], {}, known) == pytest.approx(60.0)
-    twice_as_slow = chain.minutes_left(["unseen"], {"enn": 80.0}, known)
+    assert chain.minutes_left(["unseen"], [], known) == pytest.approx(60.0)
+    twice_as_slow = chain.minutes_left(["unseen"], [("enn", 80.0)], known)
     assert twice_as_slow is not None
     assert 110 < twice_as_slow < 120
     # a short stage says little, one that was up to date nothing
-    after_short = chain.minutes_left(["unseen"], {"phantoms": 2.0}, known)
+    after_short = chain.minutes_left(["unseen"], [("phantoms", 2.0)], known)
     assert after_short is not None
     assert 60 < after_short < 85
-    assert chain.minutes_left(["unseen"], {"enn": 0.1}, known) == pytest.approx(60.0)
-    assert chain.minutes_left(["unseen", "shape"], {}, known) is None
+    assert chain.minutes_left(["unseen"], [("enn", 0.1)], known) == pytest.approx(60.0)
+    assert chain.minutes_left(["unseen", "shape"], [], known) is None
 
 
 @pytest.mark.parametrize("budget", ["smoke", "desk"])
@@ -132,3 +132,24 @@ def test_settings_of_a_stage_go_to_the_stages_that_have_them(pipeline_process) -
     assert errors.strip() == (
         "no stage of the chain has the setting 'stage.devise=cuda': name its stage, or leave it out"
     )
+
+
+def test_several_seeds_repeat_the_stages_whose_figures_depend_on_them() -> None:
+    steps = chain.steps_of(["phantoms", "shape", "report"], 3)
+    assert list(map(str, steps)) == ["phantoms", "shape", "shape with seed 1", "shape with seed 2", "report"]
+    assert chain.steps_of(["shape"], 1) == [chain.Step("shape")]
+    repeated = [step.stage for step in chain.steps_of(available_stages(), 2) if step.seed == 1]
+    assert repeated == ["imitation", "force", "unseen", "shape", "splineformer", "navigation"]
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--seeds", "0", "report"], "--seeds needs a whole number from 1 to 20, got '0'"),
+        (["report", "--seeds"], "--seeds needs a whole number from 1 to 20, got 'nothing'"),
+        (["--seeds", "2", "report", "--", "seed=4"], "--seeds counts from seed 0 on: leave seed=… out, or --seeds"),
+    ],
+)
+def test_seeds_that_cannot_be_are_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert chain.main(words) == 2
+    assert capsys.readouterr().err.strip() == problem

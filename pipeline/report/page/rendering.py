@@ -12,7 +12,7 @@ import jinja2
 from pipeline.report.figures import ShownFigure
 from pipeline.report.headlines import headlines
 from pipeline.report.page.layout import arrange, choose_film
-from pipeline.report.table_formats import format_cell
+from pipeline.report.table_formats import format_cell, format_over_seeds
 from pipeline.report.tables import NOT_RUN, ReportTable
 from pipeline.report.words import place_in_thesis, row_words
 from pipeline.store.manifest import Manifest
@@ -63,6 +63,7 @@ def render_page(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.filters["cell"] = format_cell
+    environment.filters["over_seeds"] = format_over_seeds
     environment.filters["place"] = place_in_thesis
     environment.filters["stage_words"] = lambda stage: row_words(stage.partition("@")[0], _STAGES)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))

@@ -103,6 +103,7 @@ def task_of(settings: LearningSettings, phantom: str, target: str, *, force_pena
         reward=settings.reward,
         force_penalty=force_penalty,
         path_penalty=settings.path_penalty,
+        accuracy=settings.accuracy,
     )
 
 

@@ -60,6 +60,7 @@ class LearningSettings(ChosenAnatomies, DeviceSettings):
     encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
+    accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # of training; tests are accurate
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from cathsim import NavigateEnv, Phantom
 
 REWARD_OF_TRAINING, REWARD_OF_EVALUATION = "geodesic", "distance"  # the latter is the thesis's
+ACCURACY_OF_TESTS = "accurate"
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class LearningTask:
     target: str
     task: Task = field(default_factory=Task)  # wire, actions, images, limits and start
     file: AnatomyFile | None = None  # of the anatomy, where it is none of the library
-    accuracy: str = "accurate"  # preset of the simulator
+    accuracy: str = ACCURACY_OF_TESTS  # preset of the simulator in training; tests always have the accurate one
     reward: str = REWARD_OF_TRAINING  # of training: "geodesic", shaped, or "distance", the thesis's
     force_penalty: float = 0.0  # of the training's reward, a newton
     path_penalty: float = 0.0  # of the training's reward, a metre of the tip's way: what makes ways short
@@ -43,15 +44,15 @@ class LearningTask:
 
         Args:
             observation: a name, which gives one array, or several, which give a dictionary.
-            training: with the shaped reward and the force's penalty; otherwise with the thesis's reward, which
-                is what tables report.
+            training: with the shaped reward, the force's penalty and the training's accuracy; otherwise with the
+                thesis's reward and accurate physics, which is what tables report.
         """
         from cathsim import NavigateEnv
 
         return NavigateEnv(
             self.phantom if self.file is None else self.load_phantom(),
             self.target,
-            accuracy=self.accuracy,
+            accuracy=self.accuracy if training else ACCURACY_OF_TESTS,
             observation=observation if isinstance(observation, str) else tuple(observation),
             reward=self.reward if training else REWARD_OF_EVALUATION,
             force_penalty=self.force_penalty if training else 0.0,

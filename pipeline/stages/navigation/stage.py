@@ -234,5 +234,6 @@ STAGE = Stage(
     prepare=settle,
     check=check_navigation,
     further_inputs=_recordings,
+    repeated=True,
     place=14,
 )

@@ -253,5 +253,6 @@ STAGE = Stage(
     ),
     prepare=settle,
     check=check_unseen,
+    repeated=True,
     place=9,
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.report.table_formats import as_csv, as_latex, format_cell
+from pipeline.report.over_seeds import OverSeeds
+from pipeline.report.table_formats import as_csv, as_latex, format_cell, format_over_seeds
 from pipeline.report.tables import metrics, report_tables
 
 
@@ -22,3 +23,18 @@ def test_csv_and_latex_hold_both_sides() -> None:
     assert as_csv(table).splitlines()[1].startswith("bca/H,1.02 ± 0.22,0.50 ± 0.10,28.82 ± 11.80,,")
     assert r"H & 1.02 $\pm$ 0.22 & 0.50 $\pm$ 0.10 & 28.82 $\pm$ 11.80 & --" in as_latex(table)
     assert metrics([table])["ablation"]["bca/H"]["force_n"] == [0.5, 0.1]
+
+
+def test_figures_over_seeds_follow_the_others() -> None:
+    force = OverSeeds([0.5, 0.0816], 3)
+    measured = {"ablation": {"bca/H": {"force_n": [0.5, 0.1]}, "bca/V": {"force_n": [0.4, 0.1]}}}
+    tables = report_tables(measured, {("ablation", "bca/H", "force_n"): force})
+    table = next(t for t in tables if t.key == "ablation")
+    head, first, second = as_csv(table).splitlines()[:3]
+    assert head.endswith(",samples,force_n_seeds_mean,force_n_seeds_low,force_n_seeds_high")
+    assert first.endswith(",0.50,0.25,0.75")
+    assert second.endswith(",,,")
+    assert format_over_seeds(force, 2) == "3 seeds: 0.50 (0.25 to 0.75)"
+    written = metrics([table])["ablation"]["bca/H"]["over_seeds"]["force_n"]
+    assert (written["mean"], written["seeds"]) == (0.5, 3)
+    assert "over_seeds" not in metrics([table])["ablation"]["bca/V"]

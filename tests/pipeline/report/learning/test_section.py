@@ -67,3 +67,18 @@ def test_people_count_once_the_user_study_has_selected_their_logs(tmp_path: Path
     tables, written = learning_section(tmp_path, ["user_study"], tmp_path / "figures").results
     assert written == {}
     assert tables["human"]["type_1/bca"]["n"] == tables["ablation"]["bca/H"]["n"] == 1
+
+
+def test_each_seed_of_a_repeated_stage_has_tables_of_its_own(tmp_path: Path) -> None:
+    write_row(tmp_path, "enn", "V")
+    write_row(tmp_path, "imitation", "bc", successes=(True, True))
+    write_row(tmp_path, "imitation", "bc", successes=(True, False), folder="imitation@seed=1", seed=1)
+    write_results(tmp_path / "imitation@seed=1", {"own": {"a": {"b": 2.0}}})
+    seeds = {"enn": 0, "imitation": 0, "imitation@seed=1": 1}
+    section = learning_section(tmp_path, list(seeds), tmp_path / "figures", seeds)
+    assert set(section.by_seed) == {0, 1}
+    shares = [tables["behaviour_cloning"]["type_1/bca/bc"]["success_pct"] for tables in section.by_seed.values()]
+    assert shares == [100.0, 50.0]
+    assert "enn" not in section.by_seed[0]
+    assert section.by_seed[1]["own"] == {"a": {"b": 2.0}}
+    assert learning_section(tmp_path, list(seeds), tmp_path / "figures").by_seed == {}
