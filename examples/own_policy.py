@@ -43,10 +43,13 @@ def main(episodes: int = 10, steps: int = 300) -> Summary:
             rewards.append(reward)
             ended = terminated or truncated
         results.append(EpisodeMetrics.from_arrays(np.array(tips), np.array(forces), np.array(rewards), terminated))
+        print(f"start {seed}: {'reached' if terminated else 'missed'} after {0.1 * len(forces):.1f} s")
     low, high = wilson_interval(sum(one.success for one in results), episodes)
-    print(f"success {100 * low:.0f} to {100 * high:.0f} % (95 % interval)")
-    return summarise(results)
+    found = summarise(results)
+    print(f"target reached in {found.success_pct.mean:.0f} % (95 % interval {100 * low:.0f} to {100 * high:.0f})")
+    print(f"way of the tip {found.path_length_cm.mean:.0f} cm, contact force {found.force_n.mean:.3f} N on average")
+    return found
 
 
 if __name__ == "__main__":
-    print(main())
+    main()

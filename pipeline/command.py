@@ -70,7 +70,10 @@ def _models(arguments: list[str]) -> int:
     for name in _PACKAGES:
         package = importlib.import_module(f"{name}.shipped")
         shipped |= {f"{name} {model}": (sentence, package) for model, sentence in package.models().items()}
-    if not arguments or arguments[0] in ("-h", "--help"):
+    if arguments[:1] in (["-h"], ["--help"]):
+        _say("endonav models [NAME]: lists the trained models that are shipped, or prints the card of one")
+        return _FINE
+    if not arguments:
         _say("\n".join(f"{name}: {sentence}" for name, (sentence, _) in shipped.items()) or "no model is shipped")
         return _FINE
     found = [(full.split()[1], package) for full, (_, package) in shipped.items() if full.split()[1] == arguments[-1]]

@@ -1,11 +1,12 @@
 """Success of the sampling expert on Type I and II, BCA and LCCA.
 
-    python benchmarks/cathsim/expert.py [--quick] [--seeds N] [--catheter NAME] [--phantoms type_1,type_2]
+    python benchmarks/cathsim/expert.py [--quick] [--seeds N] [--catheter NAME] [--phantoms type_1,type_2] [--console]
 
 Twenty seeds a task, 8 mm, at most 300 steps; with --catheter a wire in a catheter. Prints a table and, as its last
 line, one JSON object with a key a task, "type_1/bca": {success_pct, steps_mean, force_mean_n, force_max_n, seconds,
 seeds}: steps of the successful episodes, mean over the steps and largest of the resultant contact force, processor
-seconds an episode. --quick takes as many seeds as fit into about half a minute.
+seconds an episode. --quick takes as many seeds as fit into about half a minute; --console searches with the fewer plans
+of the console's score.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from cathsim import Guidewire, NavigateEnv, Phantom
+from cathsim.console.expert import ONE_DEVICE_SEARCH, TWO_DEVICE_SEARCH
 from cathsim.planning.sampling import SamplingExpert
 
 TARGETS = ("bca", "lcca")
@@ -34,10 +36,13 @@ def episode(
     seed: int,
     wire: str | Guidewire = "default",
     catheter: str | None = None,
+    *,
+    console: bool = False,
 ) -> dict[str, float]:
     """Runs one episode; steps, success, mean and largest force, and processor seconds."""
     environment = NavigateEnv(phantom, target, wire=wire, catheter=catheter, observation="tip")
-    expert = SamplingExpert(environment, seed=seed)
+    search = TWO_DEVICE_SEARCH if catheter else ONE_DEVICE_SEARCH
+    expert = SamplingExpert(environment, seed=seed, settings=search if console else None)
     start = time.process_time()
     environment.reset(seed=seed)
     forces, done = [], False
@@ -62,13 +67,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--catheter", help="over the wire: a name of the shelf, or a YAML file")
     parser.add_argument("--phantoms", default="type_1,type_2", help="names, by commas")
+    parser.add_argument("--console", action="store_true", help="with the searches of the console's score")
     arguments = parser.parse_args()
     tasks = tuple(itertools.product(arguments.phantoms.split(","), TARGETS))
     began = time.perf_counter()
     runs: dict[str, list[dict[str, float]]] = {f"{phantom}/{target}": [] for phantom, target in tasks}
     for seed in range(arguments.seeds):
         for phantom, target in tasks:
-            runs[f"{phantom}/{target}"].append(episode(phantom, target, seed, catheter=arguments.catheter))
+            made = episode(phantom, target, seed, catheter=arguments.catheter, console=arguments.console)
+            runs[f"{phantom}/{target}"].append(made)
         if arguments.quick and time.perf_counter() - began > QUICK_SECONDS / 2:
             break
     forces = f"{'force mean, N':>15s}{'force max, N':>14s}"

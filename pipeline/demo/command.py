@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from pipeline.arguments import Parser
 from pipeline.seeds import ARCHES
 from pipeline.store.errors import PipelineError
 
@@ -88,7 +89,11 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("python -m pipeline.demo", description=__doc__)
+    parser = Parser(
+        "python -m pipeline.demo",
+        description="A shipped policy steers a wire through an arch that it has never seen, or through yours; "
+        "film, log and page of the episode go to a folder.",
+    )
     parser.add_argument(
         "--anatomy", metavar="FILE", help="surface, label volume or folder with an aorta; default: a random arch"
     )

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from pipeline.arguments import Parser
 from pipeline.episodes.check import check
 from pipeline.episodes.encoding.schema import DEVICE_MASKS
 from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
@@ -138,7 +139,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m pipeline.episodes",
         description="Look at episode logs, check them, recover damaged ones, view them in Rerun, film and export them.",
         epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination, no "

@@ -7,6 +7,7 @@ import os
 import pytest
 
 from pipeline import command
+from pipeline.store.provenance import PROJECT_ROOT
 
 
 @pytest.fixture(autouse=True)
@@ -47,6 +48,26 @@ def test_models_are_listed_and_have_cards(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().out.startswith("#")
     assert command.main(["models", "nothing"]) == 2
     assert "there is no model 'nothing': choose from " in capsys.readouterr().err
+    assert command.main(["models", "--help"]) == 0
+    assert capsys.readouterr().out.startswith("endonav models [NAME]: ")
+
+
+@pytest.mark.parametrize(
+    "words", [["episodes", "moon"], ["episodes", "info"], ["demo", "--seed", "5000"], ["demo", "x"]]
+)
+def test_wrong_arguments_are_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        command.main(words)
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_stage_is_told_in_one_whole_line() -> None:
+    for file in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml"):
+        first, second = file.read_text().splitlines()[:2]
+        assert first.startswith("# "), file
+        assert first.endswith("."), f"the help shows the first line of {file} alone"
+        assert not second.startswith("#"), file
 
 
 def test_the_demonstration_takes_its_own_arguments(capsys: pytest.CaptureFixture[str]) -> None:

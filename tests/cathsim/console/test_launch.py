@@ -88,13 +88,23 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_1(capsys: pytest.CaptureFi
         (["--catheter", "moon", *folder], "unknown catheter 'moon'"),
         (["--catheter", "moon.yaml", *folder], "there is no device's file moon.yaml"),
         (["--success-radius-mm", "80", *folder], "success_radius must lie in 0.001 to 0.05 m"),
-        (["--force-limit", "0", *folder], "newtons must lie in"),
+        (["--force-limit", "0", *folder], "force must lie in 0 (excluded) to 100 N"),
         (["--host", "no.such.host.invalid", *folder], "no address of this machine"),
         (["--port", "70000", "--record", str(tmp_path)], "--port must lie in 0 to 65535"),
         (["--record", str(tmp_path / "file" / "below"), "--port", "0"], "episodes cannot go to"),
     ):
         assert launch.main(arguments) == 1
         error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
+
+
+def test_wrong_arguments_are_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, words in ((["--port", "abc"], "--port: invalid int value: 'abc'"), (["--moon"], "--moon")):
+        with pytest.raises(SystemExit) as caught:
+            launch.main(arguments)
+        error = capsys.readouterr().err
+        assert caught.value.code == 2
         assert words in error
         assert error.count("\n") == 1
 

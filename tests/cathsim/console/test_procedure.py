@@ -87,7 +87,7 @@ def test_a_procedure_may_end_at_the_force_limit(make_env: MakeEnv, tmp_path: Pat
     assert (description["force_limit"], description["ends_at_force_limit"]) == (0.05, True)
     assert description["totals"]["force_warnings"] == 1
     assert description["metrics"]["steps"] == procedure.steps < 200
-    with pytest.raises(ValueError, match="newtons must lie in"):
+    with pytest.raises(ValueError, match="force must lie in"):
         ForceLimit(0.0)
 
 

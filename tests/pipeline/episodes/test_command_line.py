@@ -89,7 +89,9 @@ def test_wrong_usage_exits_with_two(capsys):
         with pytest.raises(SystemExit) as stop:
             main(arguments)
         assert stop.value.code == 2
-    assert "usage: python -m pipeline.episodes" in capsys.readouterr().err
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3, "each is one sentence"
+    assert all(line.startswith("python -m pipeline.episodes") for line in lines)
 
 
 def test_module_runs_without_simulator_and_learning_library(log_path):

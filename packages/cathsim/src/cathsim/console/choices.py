@@ -57,7 +57,7 @@ class Choices:
             max_steps=request.get("max_steps", setup.max_steps),
             success_radius=request.get("success_radius_mm", setup.success_radius * _MM) / _MM,
             force_limit=ForceLimit(
-                request.get("force_limit_n", limit.newtons), request.get("ends_at_force_limit", limit.ends)
+                request.get("force_limit_n", limit.force), request.get("ends_at_force_limit", limit.ends)
             ),
         )
         offer = None if name is None else find_offer(self._offers, name)
@@ -79,6 +79,6 @@ class Choices:
             "wires": [*([OWN_WIRE] if self._own_wire else []), *GUIDEWIRES],
             "max_steps": setup.max_steps,
             "success_radius_mm": round(setup.success_radius * _MM, 6),
-            "force_limit_n": setup.force_limit.newtons,
+            "force_limit_n": setup.force_limit.force,
             "ends_at_force_limit": setup.force_limit.ends,
         }

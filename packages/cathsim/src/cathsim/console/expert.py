@@ -19,7 +19,11 @@ from dataclasses import asdict, replace
 from typing import IO, Any
 
 from cathsim.metrics import EpisodeMetrics
+from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
 
+# fewer plans than elsewhere: the operator waits for the score
+ONE_DEVICE_SEARCH = ExpertSettings(samples=12, elites=4, rounds=2)
+TWO_DEVICE_SEARCH = replace(TWO_DEVICES, samples=16, elites=4, rounds=1)
 ROLLOUTS = 1200  # after which the expert gives up
 _NICENESS = 5  # the console goes first
 _TOLD_EVERY = 0.5  # s
@@ -106,10 +110,7 @@ def _key(task: Task) -> str:
 
 
 def expert_score(task: Task, told: Callable[[dict[str, Any]], None] | None = None) -> Score:
-    """One episode of the sampling expert.
-
-    It searches with half of the expert's usual plans and fewer rounds: in two devices' tasks it so comes to the target
-    before it would give up.
+    """One episode of the sampling expert, with the searches above.
 
     Args:
         task: phantom, target, wire, catheter, accuracy, max_steps, success_radius and seed of the start, as of the
@@ -119,7 +120,6 @@ def expert_score(task: Task, told: Callable[[dict[str, Any]], None] | None = Non
     import numpy as np
 
     from cathsim.environment import NavigateEnv
-    from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
     from cathsim.planning.sampling import SamplingExpert
     from cathsim.simulation import CONTROL_STEP
 
@@ -127,10 +127,7 @@ def expert_score(task: Task, told: Callable[[dict[str, Any]], None] | None = Non
     seed, target, most_force = given.pop("seed"), given.pop("target"), given.pop("most_force", None)
     environment = NavigateEnv(given.pop("phantom"), target, observation="tip", **given)
     _, info = environment.reset(seed=seed)
-    if environment.feeders.devices == 2:
-        settings = replace(TWO_DEVICES, samples=16, elites=4, rounds=1)
-    else:
-        settings = ExpertSettings(samples=12, elites=4, rounds=2)
+    settings = TWO_DEVICE_SEARCH if environment.feeders.devices == 2 else ONE_DEVICE_SEARCH
     expert = SamplingExpert(environment, seed=seed, threads=1, settings=settings)
     tips, forces, rewards = [info["tip"]], [], []
     over = False

@@ -16,7 +16,7 @@ Newtons = Annotated[float, Interval(gt=0, le=100), Unit("N")]
 class ForceLimit:
     """From which contact force on the operator is warned, or the procedure ends."""
 
-    newtons: Newtons = FORCE_LIMIT  # largest resultant contact force of a step
+    force: Newtons = FORCE_LIMIT  # largest resultant contact force of a step
     ends: bool = False  # the procedure ends with the first step that reaches it
 
 
@@ -32,7 +32,7 @@ class ForceWatch:
 
     def see(self, force: float) -> bool:
         """Whether a step's largest contact force (N) is a new warning."""
-        above = force >= self.limit.newtons
+        above = force >= self.limit.force
         new, self._above = above and not self._above, above
         self.warnings += new
         return new

@@ -11,14 +11,14 @@ import socket
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from cathsim.console.access import Access, is_loopback
 from cathsim.console.catheters import NO_CATHETER
 from cathsim.console.recorder import Recorder, find_recorder
 from cathsim.metrics import FORCE_LIMIT
 
-EXIT_FAILED = 1
+EXIT_FAILED, EXIT_USAGE = 1, 2
 EXTRA = {"fastapi": "fastapi", "uvicorn": "uvicorn", "websockets": "websockets"}
 _LARGEST_MESSAGE = 65_536  # bytes that a page may send at once
 
@@ -27,9 +27,17 @@ class LaunchError(Exception):
     """The console cannot start; the message is one sentence."""
 
 
+class Parser(argparse.ArgumentParser):
+    """Refuses wrong arguments in one line, without the list of all of them."""
+
+    def error(self, message: str) -> NoReturn:
+        """Ends the program with exit code 2."""
+        self.exit(EXIT_USAGE, f"{self.prog}: {message} (--help lists what there is)\n")
+
+
 def parser(prog: str, *, folder: Path | None) -> argparse.ArgumentParser:
     """The command line; `folder` is where episodes go by default, None where the program chooses it by other means."""
-    arguments = argparse.ArgumentParser(
+    arguments = Parser(
         prog=prog, description="Steer a guidewire, or a wire in a catheter, in the browser: keyboard, gamepad or touch."
     )
     add = arguments.add_argument
@@ -54,7 +62,7 @@ def parser(prog: str, *, folder: Path | None) -> argparse.ArgumentParser:
         default=FORCE_LIMIT,
         help="contact force in N at which the page warns, and counts it (default %(default)s)",
     )
-    add("--end-at-force-limit", action="store_true", help="the procedure ends there")
+    add("--end-at-force-limit", action="store_true", help="the procedure ends at the force limit")
     add("--seed", type=int, default=0, help="of the first procedure's start; each further one has the next")
     add("--host", default="127.0.0.1", help="address to listen on; other than this machine's own needs a token")
     add("--port", type=int, default=8000, help="port (default %(default)s; 0 takes a free one)")

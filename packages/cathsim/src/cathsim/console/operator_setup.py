@@ -52,5 +52,5 @@ class Setup:
         return {
             "phantom": phantom, "target": target, "wire": self.wire, "catheter": catheter, "accuracy": self.accuracy,
             "max_steps": self.max_steps, "seed": self.seed, "success_radius": self.success_radius,
-            "most_force": self.force_limit.newtons if self.force_limit.ends else None,
+            "most_force": self.force_limit.force if self.force_limit.ends else None,
         }  # fmt: skip

@@ -87,7 +87,7 @@ class Procedure:
         self.samples: list[Sample] = []
         self._tips.append(info["tip"])
         self._sample(info)
-        limit = {"force_limit": self._watch.limit.newtons, "ends_at_force_limit": self._watch.limit.ends}
+        limit = {"force_limit": self._watch.limit.force, "ends_at_force_limit": self._watch.limit.ends}
         begun = {**info, **_operation(XRayStep(on=False), warned=False), **limit}
         self._record(lambda keeper: keeper.start(environment, begun, seed=seed))
 
