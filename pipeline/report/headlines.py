@@ -94,6 +94,8 @@ def _headline(spec: HeadlineSpec, table: ReportTable) -> Headline:
     if seeded is not None:
         here, samples, share = seeded.cell, seeded.seeds, False
     interval = share_interval(mean_of(here), samples) if share else mean_interval(here, samples)
+    if seeded is not None:
+        interval = seeded.interval
     return Headline(
         label=spec.label, chapter=table.chapter, table=table.key, thesis=_words(thesis, column, unit),
         here=_words(here, column, unit), interval=_interval_words(interval, column, unit), samples=samples,

@@ -11,6 +11,8 @@ from pipeline.report.results import SAMPLES, Table, mean_of
 
 _BOUNDS = ("_low_pct", "_high_pct")  # columns that are bounds of intervals themselves
 
+_SHARES = ("success_pct", "safety_pct", "spl_pct")
+
 CellName = tuple[str, str, str]  # table, row, column
 
 
@@ -21,18 +23,20 @@ class OverSeeds:
     Attributes:
         cell: mean and standard deviation (n in the denominator) of the seeds' means.
         seeds: how many have the figure.
+        is_share: of something, so that it lies between 0 and 100 %.
     """
 
     cell: list[float]
     seeds: int
+    is_share: bool = False
 
     @property
     def interval(self) -> Interval:
-        """Student's 95 % interval of the mean."""
+        """Student's 95 % interval of the mean; that of a share is cut off at 0 and 100 %."""
         found = mean_interval(self.cell, self.seeds)
         if found is None:
             raise ValueError(f"an interval over seeds needs two of them, got {self.seeds}")
-        return found
+        return (max(found[0], 0.0), min(found[1], 100.0)) if self.is_share else found
 
 
 def over_seeds(by_seed: Mapping[int, Mapping[str, Table]]) -> dict[CellName, OverSeeds]:
@@ -61,5 +65,5 @@ def over_seeds(by_seed: Mapping[int, Mapping[str, Table]]) -> dict[CellName, Ove
         if len(set(means)) > 1:
             mean = math.fsum(means) / len(means)
             spread = math.sqrt(math.fsum((one - mean) ** 2 for one in means) / len(means))
-            found[name] = OverSeeds([mean, spread], len(means))
+            found[name] = OverSeeds([mean, spread], len(means), is_share=name[2] in _SHARES)
     return found
