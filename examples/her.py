@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 import torch
 from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
 
 from cathsim import load_phantom
 from cathsim.robot.pace import Pace
@@ -33,6 +34,14 @@ def make_env() -> gymnasium.Env:
         max_steps=50,
         start_rotation=np.pi,
     )
+
+
+class Spoken(BaseCallback):
+    """Says how far the training is."""
+
+    def _on_step(self) -> bool:
+        print(f"{self.num_timesteps} steps made", flush=True)
+        return True
 
 
 def successes(model: SAC, env: gymnasium.Env) -> int:
@@ -65,7 +74,8 @@ def main(steps: int, seed: int, *, her: bool = True) -> tuple[int, int]:
         seed=seed,
     )
     before = successes(model, make_env())
-    model.learn(steps)
+    print(f"{before} of {len(HELD_OUT)} goals reached before the training", flush=True)
+    model.learn(steps, callback=EveryNTimesteps(2_000, Spoken()))
     return before, successes(model, make_env())
 
 
