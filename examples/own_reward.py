@@ -19,15 +19,14 @@ def gentle_progress(info: dict) -> float:
 
 
 def make_env() -> NavigateEnv:
-    """Make the environment: 50 decisions an episode, from below the arch to a point of the left subclavian artery."""
+    """Make the environment: 50 decisions an episode, from below the arch to a point of the brachiocephalic artery."""
     phantom = load_phantom("type_1")
     return NavigateEnv(
         phantom,
-        phantom.tree["lsa"].point_at(phantom.targets["lsa"].arc + 0.01),  # m, 10 mm beyond the named target
+        phantom.tree["bca"].point_at(phantom.targets["bca"].arc - 0.01),  # m, 10 mm before the named target
         entry=phantom.tree.root.point_at(0.2),  # m along the aorta
         reward=gentle_progress,
         observation=("tip", "feeder", "goal"),
-        success_radius=0.005,
         accuracy="fast",
         pace=Pace(interval=0.2, translation=0.005, rotation=np.radians(45)),  # s, m, rad a decision
         max_steps=50,
