@@ -11,8 +11,8 @@ import torch
 from guide3d.learning.model_file import read_content, write_content
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.image_input import picture_of, shares_of_pixels
-from splineformer.predictor import Predictor, tokens_px
-from splineformer.tokens import sampled, tokens_of_polyline
+from splineformer.predictor import Predictor
+from splineformer.tokens import sampled, tokens_of_polyline, tokens_px
 from tests.damaged_files import refusals
 from tests.splineformer.curves import image_of, wavy_wire
 

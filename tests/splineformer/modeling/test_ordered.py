@@ -87,3 +87,16 @@ def test_control_points_give_back_points_of_a_spline() -> None:
     along = (model.shares * 399).round().long()
     control = model.to_control @ points[along]
     assert (collocation(model.knots, model.shares) @ control - points[along]).abs().max() < 2e-3
+
+
+def test_reading_again_begins_with_the_given_curve() -> None:
+    torch.manual_seed(0)
+    network = build(size_of("ordered", "smoke")).eval()
+    image = torch.full((1, 1, 64, 64), 200.0)
+    line = torch.stack([torch.linspace(0.2, 0.8, 50), torch.full((50,), 0.4)], -1)[None]
+    first, second = network.read(image), network.read_again(image, line)
+    assert second is not None
+    assert not torch.allclose(first.tokens, second.tokens)
+    # an untrained network moves points nowhere but at the tip
+    assert torch.allclose(second.tokens[0, -1, 1:], line[0, -1], atol=1e-3)
+    assert build(size_of("published", "smoke")).read_again(image, line) is None

@@ -21,11 +21,13 @@ class Picture:
         pixels: (size, size) uint8.
         side_px: side of the square, in pixels of the image, that the picture shows; its corner is the image's.
         warnings: sentences about what had to be done to the image.
+        inverted: grey levels were turned over already, as the wire is brighter than its surroundings.
     """
 
     pixels: NDArray[np.uint8]
     side_px: float
     warnings: tuple[str, ...]
+    inverted: bool = False
 
 
 def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:

@@ -13,20 +13,23 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from guide3d.geometry.bspline import BSplineCurve
-from guide3d.geometry.polyline import Array, arc_length
+from guide3d.geometry.polyline import Array
 from guide3d.learning.model_file import UNFIT, read_model, write_model
+from guide3d.reading.image_reading import MapReader, shipped_reader
 from guide3d.shipped import shipped_file
 from splineformer.build import described, rebuilt
-from splineformer.image_input import Picture, picture_of, pixels_of_shares
+from splineformer.image_input import Picture, picture_of
+from splineformer.map_picture import picture_by_reader
 from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
 from splineformer.modeling.image_head import WIRES
-from splineformer.tokens import FEWEST_TOKENS, curve_of_tokens, sampled
+from splineformer.tokens import curve_of_tokens, sampled, tokens_px
+from splineformer.views import best_of_views
 
 KIND = "splineformer"
-PRETRAINED = "ordered"  # the name that shipped weights will have; none are shipped so far
+INPUTS = ("levels", "maps")
+PRETRAINED = "ordered"
 SOURCE_PX = 1024
 _BATCH = 8
-_LENGTH_SAMPLES = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,9 @@ class Predictor:
 
     Args:
         source_px: side of the images that it was trained on, before they were made small.
+        input: what its pictures are made of: "levels", the grey levels of the image, or "maps", what guide3d's reader
+            makes of it; these are read in eight views, and the curve is kept that agrees best with the maps.
+        reader: that makes the maps; None: the one that is shipped with guide3d.
         compiled: let torch compile the network; worth it for many images of one batch size.
     """
 
@@ -87,10 +93,16 @@ class Predictor:
         network: CurveNetwork,
         *,
         source_px: int = SOURCE_PX,
+        input: str = "levels",
+        reader: MapReader | None = None,
         device: str = "cpu",
         compiled: bool = False,
         backend: str | Callable[..., Any] = "inductor",
     ) -> None:
+        if input not in INPUTS:
+            raise ValueError(f"unknown input '{input}'; there are {', '.join(INPUTS)}")
+        self.input = input
+        self._reader = reader
         # compiling changes a network in place: the caller's stays as it is
         self.network = (copy.deepcopy(network) if compiled else network).to(device).eval()
         self.source_px = source_px
@@ -113,10 +125,13 @@ class Predictor:
             network = rebuilt(content["network"])
             network.load_state_dict(content["weights"])
             source_px = int(content["preprocessing"]["source_px"])
+            input = str(content["preprocessing"].get("input", "levels"))
+            if input not in INPUTS:
+                raise ValueError(f"unknown input '{input}'")
         except UNFIT as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} cannot be used: {reason}") from error
-        return cls(network, source_px=source_px, **options)
+        return cls(network, source_px=source_px, input=input, **options)
 
     @classmethod
     def pretrained(cls, name: str = PRETRAINED, **options: Any) -> Predictor:
@@ -139,7 +154,7 @@ class Predictor:
             path,
             kind=KIND,
             network=described(self.network),
-            preprocessing={"size_px": size, "source_px": self.source_px},
+            preprocessing={"size_px": size, "source_px": self.source_px, "input": self.input},
             module=self.network,
             metadata=metadata,
         )
@@ -161,7 +176,7 @@ class Predictor:
         pictures = []
         for number, image in enumerate(images):
             try:
-                pictures.append(picture_of(image, self.network.settings.image_px, self.source_px))
+                pictures.append(self.picture(image))
             except ValueError as error:
                 raise ValueError(f"image {number}: {error}" if len(images) > 1 else str(error)) from None
         predictions: list[Prediction] = []
@@ -169,9 +184,23 @@ class Predictor:
             predictions += self._read(pictures[start : start + _BATCH])
         return predictions
 
+    def picture(self, image: ArrayLike) -> Picture:
+        """The small picture that the network sees of an image (h, w).
+
+        Raises:
+            ValueError: no image, or too small a one.
+        """
+        size = self.network.settings.image_px
+        if self.input == "levels":
+            return picture_of(image, size, self.source_px)
+        return picture_by_reader(image, size, self._reader or shipped_reader())
+
     @torch.inference_mode()
     def _read(self, pictures: list[Picture]) -> list[Prediction]:
         levels = torch.from_numpy(np.stack([picture.pixels for picture in pictures]))[:, None].float().to(self.device)
+        if self.input == "maps":
+            curves = best_of_views(self.network, levels)
+            return [_prediction(picture, curves, row, picture.inverted) for row, picture in enumerate(pictures)]
         curves = self.network.read(levels)
         inverted = torch.sigmoid(curves.kind.inverted) > 0.5
         source = [(curves, row) for row in range(len(pictures))]
@@ -197,14 +226,3 @@ def _prediction(picture: Picture, curves: CurveBatch, row: int, inverted: bool) 
     confidence = float(kinds[1]) * float(curves.quality[row])
     error_px = None if curves.error is None else float(curves.error[row]) * picture.side_px
     return Prediction(wires, tokens_px(tokens, picture.side_px), confidence, error_px, inverted, tuple(warnings))
-
-
-def tokens_px(tokens: Array, side_px: float) -> Array:
-    """Tokens in shares of the side, knots of any scale, to tokens in pixels with knots along the curve."""
-    knots = np.maximum.accumulate(np.maximum(tokens[:, 0], 0.0))
-    points = pixels_of_shares(tokens[:, 1:], (side_px, side_px))
-    if knots[-1] <= 0:
-        knots = np.concatenate([np.linspace(0, 1, len(knots) - FEWEST_TOKENS + 1)[1:], np.ones(FEWEST_TOKENS - 1)])
-    curve = curve_of_tokens(np.column_stack([knots, points]))
-    length = max(float(arc_length(curve.sample(_LENGTH_SAMPLES))[-1]), 1e-6)
-    return np.column_stack([curve.knots[FEWEST_TOKENS:] * (length / curve.knots[-1]), points])

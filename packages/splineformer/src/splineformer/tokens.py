@@ -18,12 +18,14 @@ from scipy.spatial import cKDTree
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array, arc_length, checked, resample, thinned
 from guide3d.setting_kinds import PixelDistanceOrNone, settings
+from splineformer.image_input import pixels_of_shares
 
 DEGREE = 3
 FEWEST_TOKENS = DEGREE + 1
 _FEWEST_POINTS = 8  # a stub is sampled again until a cubic can be fitted to it
 _COARSER = 2.0  # of the smoothing, until the tokens are few enough
 _LEAST_SQUARES_A_KNOT = 12  # points
+_LENGTH_SAMPLES = 400  # of a curve whose length is measured
 _SAMPLES_A_TOKEN = 40  # of a curve whose distance from a polyline is measured
 
 
@@ -149,3 +151,14 @@ def round_trip_px(points_px: ArrayLike, tokens: ArrayLike) -> float:
     curve = curve_of_tokens(tokens)
     dense = curve.sample(max(8 * count, _SAMPLES_A_TOKEN * len(curve.coefficients)))
     return float(cKDTree(dense).query(resample(points, count=count))[0].mean())
+
+
+def tokens_px(tokens: Array, side_px: float) -> Array:
+    """Tokens in shares of the side, knots of any scale, to tokens in pixels with knots along the curve."""
+    knots = np.maximum.accumulate(np.maximum(tokens[:, 0], 0.0))
+    points = pixels_of_shares(tokens[:, 1:], (side_px, side_px))
+    if knots[-1] <= 0:
+        knots = np.concatenate([np.linspace(0, 1, len(knots) - FEWEST_TOKENS + 1)[1:], np.ones(FEWEST_TOKENS - 1)])
+    curve = curve_of_tokens(np.column_stack([knots, points]))
+    length = max(float(arc_length(curve.sample(_LENGTH_SAMPLES))[-1]), 1e-6)
+    return np.column_stack([curve.knots[FEWEST_TOKENS:] * (length / curve.knots[-1]), points])

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 CHANNELS = 2
 _COARSE = 8  # px whose mean is what local contrast is measured against
-_FLOOR = 0.25  # grey levels: an even picture's noise is not blown up further
+FLOOR = 0.25  # grey levels: an even picture's noise is not blown up further
 _WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
@@ -71,14 +71,14 @@ def scaled(detail: Tensor, floor: float) -> Tensor:
     return torch.clamp(detail / (4.0 * spread), -6.0, 6.0)
 
 
-def local_contrast(image: Tensor) -> Tensor:
-    """(B, 1, h, w) grey levels minus their local mean, in units of the picture's own detail."""
+def local_contrast(image: Tensor, floor: float = FLOOR) -> Tensor:
+    """(B, 1, h, w) grey levels minus their local mean, in units of the picture's own detail: see `scaled`."""
     coarse = box_means(F.avg_pool2d(image, _COARSE), 3)
     around = F.interpolate(coarse, image.shape[-2:], mode="bilinear", align_corners=False)
-    return scaled(image - around, _FLOOR)
+    return scaled(image - around, floor)
 
 
-def dark_lines(image: Tensor, reach: int) -> Tensor:
+def dark_lines(image: Tensor, reach: int, floor: float = FLOOR) -> Tensor:
     """How much darker each pixel is than what lies to both sides of it, in the direction where that is most.
 
     Edges are no lines: on one side of an edge it is dark.
@@ -86,6 +86,7 @@ def dark_lines(image: Tensor, reach: int) -> Tensor:
     Args:
         image: (B, 1, h, w) grey levels.
         reach: px to each side.
+        floor: see `scaled`.
 
     Returns:
         (B, 1, h, w), at least 0, in units of the picture's own lines.
@@ -100,7 +101,7 @@ def dark_lines(image: Tensor, reach: int) -> Tensor:
     darker = image  # at least: what is no line is 0
     for down, right in _WAYS:
         darker = torch.maximum(darker, torch.minimum(moved(down, right), moved(-down, -right)))
-    return scaled(darker - image, _FLOOR)
+    return scaled(darker - image, floor)
 
 
 def _strongest_of_four(x: Tensor) -> Tensor:
@@ -109,16 +110,17 @@ def _strongest_of_four(x: Tensor) -> Tensor:
     return torch.maximum(x[..., ::2], x[..., 1::2])
 
 
-def line_pyramid(image: Tensor, reach: int, levels: int) -> list[Tensor]:
+def line_pyramid(image: Tensor, reach: int, levels: int, floor: float = FLOOR) -> list[Tensor]:
     """Contrast and lines at the picture's resolution, at half of it, and so on.
 
     Args:
         image: (B, 1, h, w) grey levels of 0 to 255.
+        floor: see `scaled`.
 
     Returns:
         (B, 2, h / 2^k, w / 2^k) each; contrast is averaged on the way, of lines the strongest stay.
     """
-    contrast, lines = local_contrast(image), dark_lines(image, reach)
+    contrast, lines = local_contrast(image, floor), dark_lines(image, reach, floor)
     found = [torch.cat([contrast, lines], 1)]
     for _ in range(levels - 1):
         contrast, lines = F.avg_pool2d(contrast, 2), _strongest_of_four(lines)

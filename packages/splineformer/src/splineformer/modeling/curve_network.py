@@ -53,6 +53,14 @@ class CurveNetwork(nn.Module, ABC):
     def read(self, image: Tensor) -> CurveBatch:
         """Reads the curves off (B, 1, image_px, image_px) grey levels of 0 to 255; without gradients."""
 
+    def read_again(self, image: Tensor, curves: Tensor) -> CurveBatch | None:
+        """Reads pictures, beginning near curves (B, n, 2) that were found in them; None where a variant cannot.
+
+        Args:
+            curves: points at equal arc length, tip first, shares of the side.
+        """
+        return None
+
     @abstractmethod
     def attention(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """The last decoder layer's attention to the encoder's features.

@@ -18,9 +18,9 @@ from annotated_types import Interval
 from torch import Tensor, nn
 
 from guide3d.geometry.polyline import Array
-from guide3d.setting_kinds import Layers, LayersOrNone, PixelDistance, Pixels, Units, settings
+from guide3d.setting_kinds import Layers, LayersOrNone, PixelDistance, Pixels, Positive, Units, settings
 from splineformer.decoding import collocation, uniform_knots
-from splineformer.modeling.convolutions import CHANNELS, Stem, line_pyramid
+from splineformer.modeling.convolutions import CHANNELS, FLOOR, Stem, line_pyramid
 from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
 from splineformer.modeling.image_head import ImageHead, ImageKind
 from splineformer.modeling.refinement import Refinement, Revision, at_equal_shares
@@ -40,6 +40,8 @@ class OrderedSettings:
         image_px: side of the pictures it reads.
         overview_level: how often the picture is halved before the stem sees it.
         line_px: to each side of a line, px of the picture.
+        floor: grey levels; contrast and lines are in units of four times their mean over the picture, and of four times
+            the floor where they are less. A high floor keeps levels that mean something by themselves.
         channels: of the stem's maps, each half as wide as the one before.
         width: of the tokens of the coarsest map.
         kept: numbers of each token from which the curve is predicted.
@@ -57,6 +59,7 @@ class OrderedSettings:
     image_px: Pixels = 256
     overview_level: Annotated[int, Interval(ge=0, le=12)] = 1
     line_px: Pixels = 2
+    floor: Positive = FLOOR
     channels: tuple[Units, ...] = (16, 24, 32, 64)
     blocks: tuple[LayersOrNone, ...] = (0, 0, 0, 0)
     width: Units = 96
@@ -163,7 +166,7 @@ class OrderedSplineFormer(CurveNetwork):
     def normalised(self, image: Tensor) -> list[Tensor]:
         """(B, 1, h, w) grey levels of 0 to 255 to contrast and dark lines, in full, by halves, by quarters, ..."""
         levels = max(self.settings.overview_level, *self.levels) + 1
-        return line_pyramid(image, self.settings.line_px, levels)
+        return line_pyramid(image, self.settings.line_px, levels, self.settings.floor)
 
     def _encoded(self, image: Tensor, pyramid: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
         maps = self.stem(pyramid[self.settings.overview_level])
@@ -255,7 +258,14 @@ class OrderedSplineFormer(CurveNetwork):
 
     @torch.no_grad()
     def read(self, image: Tensor) -> CurveBatch:
-        prediction, features = self._predicted(image, None, None)
+        return self._as_batch(*self._predicted(image, None, None))
+
+    @torch.no_grad()
+    def read_again(self, image: Tensor, curves: Tensor) -> CurveBatch:
+        begins = torch.ones(len(image), dtype=torch.bool, device=image.device)
+        return self._as_batch(*self._predicted(image, at_equal_shares(curves, self.shares), begins))
+
+    def _as_batch(self, prediction: OrderedPrediction, features: Tensor) -> CurveBatch:
         control = prediction.control
         knots = self.knots[FEWEST_TOKENS:].expand(len(control), -1)[..., None]
         lengths = torch.full((len(control),), self.limit, device=control.device)

@@ -43,6 +43,8 @@ class PerceptionNetwork:
     """Reads images for a navigator; the network's weights stay as they are."""
 
     def __init__(self, predictor: Predictor) -> None:
+        if predictor.input != "levels":
+            raise ValueError(f"expected a network that reads grey levels, got one that reads {predictor.input}")
         self.predictor = predictor
         self.network = predictor.network
 

@@ -1,0 +1,137 @@
+"""Pool of random X-ray images as a network sees them, with their wires: drawn once, kept on disk, varied later."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from guide3d.atomic_file import whole_file
+from guide3d.geometry.polyline import arc_length, resample
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy, RandomImage
+from splineformer.image_input import shares_of_pixels
+from splineformer.learning.augmentation import Points, inside
+from splineformer.modeling.image_head import WIRES
+
+IDENTITY = "pool.json"
+_PART = 50  # images of a file
+_SHORTEST_PX = 20.0  # of a wire that counts
+_POINTS = 240  # of a curve that is kept
+_NEAR_PX = 1.0
+NONE, ONE, SEVERAL = range(len(WIRES))
+
+PictureMaker = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+
+
+@dataclass(frozen=True, eq=False)
+class FluoroscopyPool:
+    """Pictures and what they show.
+
+    Attributes:
+        pictures: (n, size, size) uint8.
+        curves: (n, 240, 2) shares of the side, tip first: of the wire, or of one of several; NaN where there is none.
+        wires: (n,) index of `splineformer.modeling.image_head.WIRES`.
+    """
+
+    pictures: NDArray[np.uint8]
+    curves: NDArray[np.float64]
+    wires: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+
+def draw_pool(
+    fluoroscopy: RandomFluoroscopy,
+    indices: range,
+    picture: PictureMaker,
+    source: str,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> FluoroscopyPool:
+    """Draws the pictures of some indices; of a folder's, those are read that were drawn before.
+
+    Images of one wire whose tip lies outside the field are left out: nothing says which of its ends is the tip.
+
+    Args:
+        picture: makes a network's picture of an image (h, w) uint8.
+        source: what it makes them of, for the folder to be recognised by.
+        folder: that keeps them; None: none.
+        progress: called with the number of images drawn and of all, after every fifty.
+
+    Raises:
+        ValueError: the folder holds other pictures, or a damaged file.
+    """
+    if folder is not None:
+        _require_same(folder / IDENTITY, fluoroscopy, source)
+    parts = []
+    for first in range(indices.start, indices.stop, _PART):
+        last = min(first + _PART, indices.stop)
+        file = None if folder is None else folder / f"pool_{first}_{last}.npz"
+        if file is not None and file.is_file():
+            parts.append(_kept(file))
+        else:
+            parts.append(_drawn(fluoroscopy, range(first, last), picture))
+            if file is not None:
+                with whole_file(file) as stream:
+                    names = dict(zip(("pictures", "curves", "wires"), parts[-1], strict=True))
+                    np.savez_compressed(stream, **names)
+        if progress is not None:
+            progress(last - indices.start, len(indices))
+    pictures, curves, wires = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return FluoroscopyPool(pictures, curves, wires)
+
+
+def curve_of(drawn: RandomImage) -> tuple[int, Points | None]:
+    """The number of wires that a random image shows, as an index of `WIRES`, and the curve to be read.
+
+    Returns:
+        Without a curve where there is no wire, or where the only one has its tip outside the field.
+    """
+    side = len(drawn.image)
+    wires = [parts for parts in drawn.wires if sum(arc_length(part)[-1] for part in parts) >= _SHORTEST_PX]
+    curves = [inside(shares_of_pixels(parts[0], (side, side))) for parts in wires if _tip_is_seen(parts[0], drawn.tips)]
+    kept = [curve for curve in curves if curve is not None]
+    return min(len(wires), SEVERAL), kept[0] if kept else None
+
+
+def _tip_is_seen(points: Points, tips: Points) -> bool:
+    return bool(len(tips)) and float(np.abs(tips - points[0]).max(axis=1).min()) <= _NEAR_PX
+
+
+def _drawn(
+    fluoroscopy: RandomFluoroscopy, indices: Iterable[int], picture: PictureMaker
+) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int64]]:
+    pictures, curves, kinds = [], [], []
+    for index in indices:
+        drawn = fluoroscopy.image(index)
+        wires, curve = curve_of(drawn)
+        if wires != NONE and curve is None:
+            continue
+        pictures.append(picture(drawn.image))
+        curves.append(np.full((_POINTS, 2), np.nan) if curve is None else resample(curve, count=_POINTS))
+        kinds.append(wires)
+    return np.stack(pictures), np.stack(curves), np.array(kinds, np.int64)
+
+
+def _require_same(path: Path, fluoroscopy: RandomFluoroscopy, source: str) -> None:
+    identity = {"source": source, "seed": fluoroscopy.seed, "settings": asdict(fluoroscopy.settings)}
+    if not path.is_file():
+        with whole_file(path, "w") as file:
+            json.dump(identity, file, indent=1)
+        return
+    if json.loads(path.read_text(encoding="utf-8")) != identity:
+        raise ValueError(f"{path.parent} holds pictures of another seed, source or settings: give another folder")
+
+
+def _kept(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int64]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return file["pictures"], file["curves"], file["wires"]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is damaged ({error}): remove it, and it is drawn again") from error
