@@ -41,11 +41,12 @@ def reduced(wire: NDArray[np.float32], tip: NDArray[np.float32], size_px: int) -
     side = len(wire)
     if side % size_px:
         whole = size_px * -(-side // size_px)
-        wire, tip = (np.asarray(cv2.resize(values, (whole, whole))) for values in (wire, tip))
+        wire = np.asarray(cv2.resize(wire, (whole, whole)), np.float32)
+        tip = np.asarray(cv2.resize(tip, (whole, whole)), np.float32)
     small = cv2.resize(wire, (size_px, size_px), interpolation=cv2.INTER_AREA)
     cells = len(tip) // size_px
     largest = tip.reshape(size_px, cells, size_px, cells).max(axis=(1, 3))
-    return map_picture(_eight_bits(np.asarray(small)), _eight_bits(largest))
+    return map_picture(_eight_bits(np.asarray(small, np.float32)), _eight_bits(largest))
 
 
 def picture_by_reader(image: ArrayLike, size_px: int, reader: MapReader) -> Picture:

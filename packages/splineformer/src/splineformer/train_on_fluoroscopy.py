@@ -50,7 +50,7 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--fit", type=json.loads, default={}, help="JSON: fields of the fit, such as learning_rate")
     parser.add_argument("--network", type=json.loads, default={}, help="JSON: sizes of the network")
     parser.add_argument("--fluoroscopy", type=json.loads, default={}, help="JSON: fields of FluoroscopySettings")
-    parser.add_argument("--start", type=Path, help="network whose weights the training begins with")
+    parser.add_argument("--weights", type=Path, help="network with whose weights the training begins")
     parser.add_argument("--test-images", type=int, default=40, help="random whole images to evaluate with")
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     parser.add_argument("--seed", type=seed, default=0, help="of images, weights and samples")
@@ -68,7 +68,7 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
     """
     cv2.setNumThreads(1)
     recipe = _recipe(given)
-    start = None if given.start is None else Predictor.load(given.start).network.state_dict()
+    start = None if given.weights is None else Predictor.load(given.weights).network.state_dict()
     ranks = Ranks.join(given.device)
 
     def log(now: FitProgress) -> None:

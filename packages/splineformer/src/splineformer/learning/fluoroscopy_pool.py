@@ -79,12 +79,12 @@ def draw_pool(
             parts.append(_drawn(fluoroscopy, range(first, last), picture))
             if file is not None:
                 with whole_file(file) as stream:
-                    names = dict(zip(("pictures", "curves", "wires"), parts[-1], strict=True))
-                    np.savez_compressed(stream, **names)
+                    pictures, curves, wires = parts[-1]
+                    np.savez_compressed(stream, pictures=pictures, curves=curves, wires=wires)
         if progress is not None:
             progress(last - indices.start, len(indices))
-    pictures, curves, wires = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return FluoroscopyPool(pictures, curves, wires)
+    columns = list(zip(*parts, strict=True))
+    return FluoroscopyPool(np.concatenate(columns[0]), np.concatenate(columns[1]), np.concatenate(columns[2]))
 
 
 def curve_of(drawn: RandomImage) -> tuple[int, Points | None]:

@@ -34,7 +34,6 @@ from splineformer.predictor import INPUTS, Predictor
 VALIDATION_SEED = 1_000_003  # of the images that choices are made by; no training seed should be it
 VALIDATION_FIRST = 20_000  # index of the first of them
 _FLOOR = 10.0  # grey levels: those of a map mean something by themselves
-_DEEPER = {"encoder_layers": 4, "decoder_layers": 2}  # wires of any place and direction: more to tell apart
 _MANY = 256  # curves whose mean a network starts from
 
 # what lies in a map has no direction: every turn and mirror image of it is as good
@@ -90,7 +89,9 @@ def fluoroscopy_recipe(variant: str, size: str, input: str = "maps") -> Fluorosc
     network = size_of(variant, size)
     maps = input == "maps"
     if maps and isinstance(network, OrderedSettings):
-        network = replace(network, floor=_FLOOR, **_DEEPER if size == "desk" else {})
+        network = replace(network, floor=_FLOOR)
+        if size == "desk":  # wires of any place and direction: more to tell apart
+            network = replace(network, encoder_layers=4, decoder_layers=2)
     augmentation = _MAPS_TURNED if maps else replace(_MAPS_TURNED, gain=0.3, offset=10.0, noise=3.0)
     recipe = FluoroscopyRecipe(
         network, replace(common.fit, epochs=30, batch_size=16), common.weights, input, drawn=0.6 if maps else 0.0,
