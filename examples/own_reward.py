@@ -12,6 +12,8 @@ from stable_baselines3 import SAC
 from cathsim import NavigateEnv, load_phantom
 from cathsim.robot.pace import Pace
 
+SUCCESS_RADIUS = 0.008  # m
+
 
 def gentle_progress(info: dict) -> float:
     """Pay for progress along the lumen (m), charge for contact force (N) and for turning."""
@@ -27,6 +29,7 @@ def make_env() -> NavigateEnv:
         entry=phantom.tree.root.point_at(0.2),  # m along the aorta
         reward=gentle_progress,
         observation=("tip", "feeder", "goal"),
+        success_radius=SUCCESS_RADIUS,
         accuracy="fast",
         pace=Pace(interval=0.2, translation=0.005, rotation=np.radians(45)),  # s, m, rad a decision
         max_steps=50,
@@ -59,6 +62,9 @@ def main(decisions: int = 3000) -> float:
         model.learn(min(500, decisions - done), reset_num_timesteps=False)
         left = final_distance(model, make_env())
         print(f"after {model.num_timesteps} decisions the tip ends {1e3 * left:.1f} mm from the target", flush=True)
+        if left <= SUCCESS_RADIUS:
+            print("the target is reached")
+            break
     return left
 
 
