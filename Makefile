@@ -10,6 +10,7 @@ PY := $(VENV)/bin/python
 BUDGET ?= desk
 NAME ?= $(BUDGET)
 SEEDS ?=
+BESIDE ?=
 ARGS ?=
 DEMO ?=
 TEST_JOBS ?= 2
@@ -24,6 +25,7 @@ INSTALLED := $(VENV)/.endonav-installed
 INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard packages/*/pyproject.toml packages/*/setup.py) \
 	$(shell find packages/*/src -name '*.c' -o -name '*.h' 2>/dev/null)
 
+CHAIN = $(if $(SEEDS),--seeds $(SEEDS)) $(if $(BESIDE),--beside $(BESIDE))
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 
@@ -59,8 +61,8 @@ lerobot:  ## LeRobot in an environment of its own, which reads exported data set
 	@$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check lerobot==0.4.4 mujoco==4.0.0 \
 		annotated-types pydantic pyyaml scikit-image scipy trimesh
 
-all: setup  ## every stage, then the report: runs/<name>/report/index.html (SEEDS=3: figures over three seeds)
-	@$(GL) $(PY) -m pipeline.chain $(if $(SEEDS),--seeds $(SEEDS)) all -- budget=$(BUDGET) name=$(NAME) $(ARGS)
+all: setup  ## every stage, then the report: runs/<name>/report/index.html (SEEDS=3: figures over three seeds; BESIDE=2: two stages at a time)
+	@$(GL) $(PY) -m pipeline.chain $(CHAIN) all -- budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 smoke:  ## the whole chain in minutes; its numbers mean nothing
 	@$(MAKE) --no-print-directory all BUDGET=smoke
@@ -73,7 +75,7 @@ demo: setup  ## the shipped navigator in an unseen arch, or in yours (DEMO=arch.
 
 # after the stages that it reads
 $(STAGES): setup
-	@$(GL) $(PY) -m pipeline.chain $(if $(SEEDS),--seeds $(SEEDS)) --inputs $@ -- budget=$(BUDGET) name=$(NAME) $(ARGS)
+	@$(GL) $(PY) -m pipeline.chain $(CHAIN) --inputs $@ -- budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 console: setup  ## steer the wire yourself, in the browser; episodes go to runs/<name>/human
 	@$(PY) -m pipeline.console --name $(NAME) $(ARGS)

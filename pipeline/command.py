@@ -53,7 +53,7 @@ def _stages(arguments: list[str]) -> int:
 
 
 def _chain(arguments: list[str]) -> int:
-    from pipeline.chain import main as chain
+    from pipeline.chain.command import main as chain
 
     return chain(arguments or ["--help"])
 

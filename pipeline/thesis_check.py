@@ -14,7 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline import chain
+from pipeline.chain.command import main as run_chain
+from pipeline.chain.steps import chosen_value
 from pipeline.jobs.costs import OK, OWN_PROCESS, kept_costs
 from pipeline.stages import available_stages
 from pipeline.store.atomic_files import write_json, write_text
@@ -38,8 +39,8 @@ def main(overrides: Sequence[str]) -> int:
         0, or the exit code of the stage that failed.
     """
     command = ["python", "-m", "pipeline.thesis_check", *overrides]
-    code = chain.main(["all", "--", "budget=thesis", f"experiment={EXPERIMENT}", *overrides])
-    run = Path(chain.chosen_value(overrides, "runs_dir", "runs")) / chain.chosen_value(overrides, "name", EXPERIMENT)
+    code = run_chain(["all", "--", "budget=thesis", f"experiment={EXPERIMENT}", *overrides])
+    run = Path(chosen_value(overrides, "runs_dir", "runs")) / chosen_value(overrides, "name", EXPERIMENT)
     if not run.is_dir():
         return code
     found = rows(run)

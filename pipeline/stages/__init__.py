@@ -65,6 +65,8 @@ class Stage:
     seeded: bool = True  # whether its results depend on the run's seed: then each seed has a folder of its own
     repeated: bool = False  # whether a chain over several seeds repeats it: its figures differ from seed to seed
     further_inputs: Callable[[Path], dict[str, str]] = no_further_inputs  # hashes of whatever else it reads
+    uses: tuple[str, ...] = ()  # stages whose results it takes where they are there
+    gathers: bool = False  # whether it reads whatever has finished: in a chain it waits for all before it
     place: int = _PLACE_BY_DEFAULT  # among stages that could run at the same time: the smallest comes first
 
     @property

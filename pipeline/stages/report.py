@@ -134,6 +134,7 @@ STAGE = Stage(
     run=run_report,
     writes=(PAGE, METRICS, f"{TABLES_FOLDER}/<table>.{{csv,tex}}", "figures/", f"{LEARNING_FOLDER}/<figure>.png"),
     seeded=False,
+    gathers=True,
     further_inputs=_inputs,
     place=99,
 )

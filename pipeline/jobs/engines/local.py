@@ -14,6 +14,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from pipeline.jobs.engines.interface import ENDED, STARTED, Engine, Notes
+from pipeline.jobs.engines.shared_cores import Core, SharedCores
 from pipeline.jobs.gpus import GpuShare
 from pipeline.jobs.job import Job
 from pipeline.jobs.worker import Message, work
@@ -29,18 +30,23 @@ class _Running:
     job: Job
     process: Any
     connection: Connection
+    core: Core | None = None  # where stages beside each other share them
 
 
 class LocalEngine(Engine):
     """Processes of this machine."""
 
-    def __init__(self, workers: int, preload: Sequence[str], share: GpuShare, room_gb: float) -> None:
+    def __init__(
+        self, workers: int, preload: Sequence[str], share: GpuShare, room_gb: float, cores: SharedCores | None = None
+    ) -> None:
         """Args:
         workers: processes beside each other.
         preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
         room_gb: memory that jobs may take.
+        cores: shared with other stages, whose memory counts instead of `room_gb`; None: this stage has all.
         """
-        self.capacity, self._share, self._room_gb = workers, share, room_gb
+        self.capacity, self._share, self._cores = workers, share, cores
+        self._room_gb = room_gb if cores is None else cores.room_gb
         self._running: list[_Running] = []
         self._messages: list[tuple[str, Message]] = []
         self._open = contextlib.ExitStack()
@@ -73,12 +79,16 @@ class LocalEngine(Engine):
         gpus = self._gpus(job)
         if gpus is None:
             return False
+        core = None if self._cores is None else self._cores.take(job.memory_gb)
+        if self._cores is not None and core is None:
+            self._share.give_back(job.key)
+            return False
         ours, theirs = self._context.Pipe()
         given = (job.run, job.given, theirs, (notes.folder, notes.journal), gpus)
         process = self._context.Process(target=work, args=given, name=job.key)
         process.start()
         theirs.close()  # or the end of the job's process would not end the connection
-        self._running.append(_Running(job, process, ours))
+        self._running.append(_Running(job, process, ours, core))
         self._messages.append((job.key, Message(STARTED)))
         return True
 
@@ -114,6 +124,8 @@ class LocalEngine(Engine):
         running.process.join(SECONDS_TO_JOIN)
         running.connection.close()
         self._share.give_back(running.job.key)
+        if running.core is not None:
+            running.core.free()
         return Message(ENDED, how_it_ended(running.process.exitcode))
 
     def stop(self) -> None:
@@ -127,6 +139,8 @@ class LocalEngine(Engine):
         for running in self._running:
             running.process.kill()
             running.process.join()
+            if running.core is not None:
+                running.core.free()
         self._open.close()
 
 

@@ -169,6 +169,7 @@ def _generalist_hash(run_path: Path) -> dict[str, str]:
 STAGE = Stage(
     settings=RehearsalSettings,
     run=run_rehearsal,
+    uses=("unseen",),
     writes=(
         "starts.npz",
         "seed<k>/{policy.pt, training.csv, training.json}",

@@ -1,4 +1,4 @@
-"""The chain of stages: order, estimates, how it ends."""
+"""The command line of a chain: order, how it ends, what it refuses."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ import time
 
 import pytest
 
-from pipeline import chain
-from pipeline.config import BUDGETS
-from pipeline.stages import available_stages
+from pipeline.chain.command import main
 from pipeline.store.manifest import read_manifest
 
 
@@ -77,47 +75,7 @@ def test_what_is_no_stage_is_refused() -> None:
         assert done.stderr.startswith(f"{problem}: choose from all, phantoms, ")
 
 
-def test_the_estimate_follows_the_machine() -> None:
-    known = {"phantoms": 1.0, "enn": 40.0, "unseen": 60.0}
-    assert chain.minutes_left(["unseen"], [], known) == pytest.approx(60.0)
-    twice_as_slow = chain.minutes_left(["unseen"], [("enn", 80.0)], known)
-    assert twice_as_slow is not None
-    assert 110 < twice_as_slow < 120
-    # a short stage says little, one that was up to date nothing
-    after_short = chain.minutes_left(["unseen"], [("phantoms", 2.0)], known)
-    assert after_short is not None
-    assert 60 < after_short < 85
-    assert chain.minutes_left(["unseen"], [("enn", 0.1)], known) == pytest.approx(60.0)
-    assert chain.minutes_left(["unseen", "shape"], [], known) is None
-
-
-@pytest.mark.parametrize("budget", ["smoke", "desk"])
-def test_every_stage_of_measured_budgets_is_known(budget: str) -> None:
-    assert set(chain.known_minutes([f"budget={budget}"])) == set(available_stages())
-
-
-def test_what_was_not_measured_is_not_guessed() -> None:
-    assert chain.known_minutes(["budget=none"]) == {}
-    assert all(isinstance(chain.known_minutes([f"budget={budget}"]), dict) for budget in BUDGETS)
-    assert chain.known_minutes([]) == chain.known_minutes(["budget=desk"])
-
-
-@pytest.mark.parametrize(
-    ("minutes", "words"), [(0.5, "30 s"), (12.4, "12 min"), (59.6, "1 h 00 min"), (125, "2 h 05 min")]
-)
-def test_durations_are_worded(minutes: float, words: str) -> None:
-    assert chain.worded(minutes) == words
-
-
 def test_settings_of_a_stage_go_to_the_stages_that_have_them(pipeline_process) -> None:
-    assert chain.concerns("stage.device=cuda", "enn")
-    assert not chain.concerns("stage.device=cuda", "phantoms")
-    assert chain.concerns("++stage.task.max_steps=5", "expert")
-    assert not chain.concerns("stage.task.max_steps=5", "shape")
-    assert chain.concerns("stage@enn.decisions=5", "enn")
-    assert not chain.concerns("stage@enn.decisions=5", "baselines")
-    assert not chain.concerns("stage@enn.nothing=5", "enn")
-    assert chain.concerns("budget=smoke", "phantoms")
     process = start(
         pipeline_process, "user_study", "report", "--", "budget=smoke", "name=run", "stage@report.embed_limit_mb=2"
     )
@@ -134,22 +92,15 @@ def test_settings_of_a_stage_go_to_the_stages_that_have_them(pipeline_process) -
     )
 
 
-def test_several_seeds_repeat_the_stages_whose_figures_depend_on_them() -> None:
-    steps = chain.steps_of(["phantoms", "shape", "report"], 3)
-    assert list(map(str, steps)) == ["phantoms", "shape", "shape with seed 1", "shape with seed 2", "report"]
-    assert chain.steps_of(["shape"], 1) == [chain.Step("shape")]
-    repeated = [step.stage for step in chain.steps_of(available_stages(), 2) if step.seed == 1]
-    assert repeated == ["imitation", "force", "unseen", "shape", "splineformer", "navigation"]
-
-
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
         (["--seeds", "0", "report"], "--seeds needs a whole number from 1 to 20, got '0'"),
         (["report", "--seeds"], "--seeds needs a whole number from 1 to 20, got 'nothing'"),
+        (["--beside", "65", "report"], "--beside needs a whole number from 1 to 64, got '65'"),
         (["--seeds", "2", "report", "--", "seed=4"], "--seeds counts from seed 0 on: leave seed=… out, or --seeds"),
     ],
 )
-def test_seeds_that_cannot_be_are_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert chain.main(words) == 2
+def test_numbers_that_cannot_be_are_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 2
     assert capsys.readouterr().err.strip() == problem

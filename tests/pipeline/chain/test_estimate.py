@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.estimate import TimedJob, TimedStage, critical_path, report, timed_stages
+from pipeline.chain.estimate import TimedJob, TimedStage, critical_path, report, timed_stages
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.stages.toy_training import square

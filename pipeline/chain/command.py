@@ -1,0 +1,96 @@
+"""The command line of a chain: ``python -m pipeline.chain all -- budget=desk name=desk``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.chain.durations import known_minutes
+from pipeline.chain.running import run
+from pipeline.chain.steps import after_inputs, chosen_value, concerns, steps_of
+from pipeline.config import BUDGETS
+from pipeline.stages import available_stages
+
+_USAGE = """\
+python -m pipeline.chain [--estimate] [--seeds N] [--beside N] all|[--inputs] STAGE ... -- [OVERRIDE ...]
+
+Runs all stages, or some, one after the other, and says how long the rest will take.
+
+  --inputs     the stages after those that they read
+  --seeds N    stages whose figures depend on the seed run with seeds 0 to N - 1; the report shows means and intervals
+  --beside N   up to N stages that do not need each other run at the same time and share the cores
+  --estimate   only estimates time and memory on 1, 8 and 64 machines, from the times of jobs
+
+Overrides go to every stage, e.g. budget=desk name=desk engine=ray, stage.KEY=VALUE to those that have the setting, e.g.
+stage.device=cuda, and stage@NAME.KEY=VALUE to one. It ends with the first stage that fails; the same command goes on
+from there.
+"""
+_EXIT_USAGE = 2
+_ALL, _INPUTS, _ESTIMATE, _SEEDS = "all", "--inputs", "--estimate", "--seeds"
+_BESIDE = "--beside"
+_MOST_SEEDS = 20  # that pipeline.seeds has ranges for
+_MOST_BESIDE = 64
+
+
+def main(arguments: list[str]) -> int:
+    """Runs the command line; gives 0, or the exit code of the stage that failed."""
+    if "--help" in arguments or "-h" in arguments:
+        _say(_USAGE)
+        return 0
+    cut = arguments.index("--") if "--" in arguments else len(arguments)
+    stages, overrides = arguments[:cut], arguments[cut + 1 :]
+    try:
+        seeds, beside = _taken(stages, _SEEDS, _MOST_SEEDS), _taken(stages, _BESIDE, _MOST_BESIDE)
+        if seeds > 1 and any(word.startswith("seed=") for word in overrides):
+            raise ValueError(f"{_SEEDS} counts from seed 0 on: leave seed=… out, or {_SEEDS}")
+    except ValueError as error:
+        _say(str(error), error=True)
+        return _EXIT_USAGE
+    with_inputs, only_estimate = _INPUTS in stages, _ESTIMATE in stages
+    stages = [name for name in stages if name not in (_INPUTS, _ESTIMATE)]
+    stages = list(available_stages()) if stages == [_ALL] else stages
+    unknown = [name for name in stages if name not in available_stages()]
+    if unknown or not stages:
+        problem = f"unknown stage {unknown[0]!r}" if unknown else "no stage is named"
+        _say(f"{problem}: choose from {_ALL}, {', '.join(available_stages())}", error=True)
+        return _EXIT_USAGE
+    if with_inputs:
+        stages = after_inputs(stages)
+    foreign = [word for word in overrides if not any(concerns(word, stage) for stage in stages)]
+    if foreign:
+        _say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
+        return _EXIT_USAGE
+    steps = steps_of(stages, seeds)
+    if only_estimate:
+        return _estimate([step.stage for step in steps], overrides)
+    return run(steps, overrides, known_minutes(overrides), beside)
+
+
+def _taken(words: list[str], option: str, largest: int) -> int:
+    """Takes an option and its number out of the words before the overrides; 1 where it is not there."""
+    if option not in words:
+        return 1
+    place = words.index(option)
+    number = words[place + 1] if place + 1 < len(words) else ""
+    del words[place : place + 2]
+    if not number.isdecimal() or not 1 <= int(number) <= largest:
+        raise ValueError(f"{option} needs a whole number from 1 to {largest}, got {number or 'nothing'!r}")
+    return int(number)
+
+
+def _estimate(stages: Sequence[str], overrides: Sequence[str]) -> int:
+    """Prints the estimate of a chain; the exit code."""
+    from pipeline.chain.estimate import report
+
+    budget = chosen_value(overrides, "budget", "desk")
+    if budget not in BUDGETS:
+        _say(f"unknown budget {budget!r}: choose one of {', '.join(BUDGETS)}", error=True)
+        return _EXIT_USAGE
+    run_path = Path(chosen_value(overrides, "runs_dir", "runs")) / chosen_value(overrides, "name", budget)
+    _say(report(stages, budget, run_path))
+    return 0
+
+
+def _say(text: str, *, error: bool = False) -> None:
+    print(text.rstrip(), file=sys.stderr if error else sys.stdout, flush=True)

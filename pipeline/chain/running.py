@@ -1,0 +1,190 @@
+"""Runs the steps of a chain, each in a process of its own, as if called by itself.
+
+One after the other, a stage has the terminal, with its own progress. Beside each other, stages that do not need one
+another share the machine's cores (`pipeline.jobs.engines.shared_cores`), and each line begins with the step's name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import IO, Any
+
+from enn.reinforcement.free_memory import available_bytes
+from pipeline.chain.durations import minutes_left, worded
+from pipeline.chain.steps import Step, concerns, waits_for
+from pipeline.jobs.engines.local import available_workers
+from pipeline.jobs.engines.shared_cores import shared_cores
+
+_SECONDS_BETWEEN_LOOKS = 0.1
+_GB = 1e9
+
+
+@dataclass
+class _Running:
+    """A step under way."""
+
+    place: int
+    process: subprocess.Popen[str]
+    began: float
+    readers: list[threading.Thread] = field(default_factory=list)
+
+
+def run(steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, float], beside: int = 1) -> int:
+    """Runs the steps; it ends with the first that fails, and asks those beside that one to stop.
+
+    Args:
+        known: minutes of stages, for the estimate of the end.
+        beside: steps at the same time.
+
+    Returns:
+        0, or the exit code of the step that failed, 128 + N where signal N ended it.
+    """
+    room = shared_cores(available_workers(), available_bytes() / _GB) if beside > 1 else contextlib.nullcontext()
+    with room, _Signals() as signals:
+        return _Chain(steps, overrides, known, beside, signals).run()
+
+
+class _Chain:
+    """Which steps are done, which are under way, and which wait."""
+
+    def __init__(
+        self, steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, float], beside: int,
+        signals: _Signals,
+    ) -> None:  # fmt: skip
+        self._steps, self._overrides, self._known, self._beside = steps, overrides, known, beside
+        self._signals = signals
+        self._waiting = list(range(len(steps)))
+        # one after the other they are in order anyway, and a stage that is missing says so itself
+        self._needs = [waits_for(steps, place) if beside > 1 else [] for place in self._waiting]
+        self._done: set[int] = set()
+        self._spent: list[tuple[str, float]] = []
+        self._started = 0
+
+    def run(self) -> int:
+        began, code = time.monotonic(), 0
+        under_way = self._signals.under_way
+        while True:
+            while not code and (place := self._next()) is not None:
+                self._start(place)
+            code = code or self._signals.code
+            if not under_way:
+                break
+            for running in [one for one in under_way if one.process.poll() is not None]:
+                failed = self._end(running)
+                if failed and not code:  # those that are stopped fail, too
+                    code = failed
+                    self._signals.stop_all()
+            time.sleep(_SECONDS_BETWEEN_LOOKS)
+        if code:
+            return code
+        each = {name: sum(minutes for other, minutes in self._spent if other == name) for name, _ in self._spent}
+        longest = sorted(each, key=lambda name: -each[name])[:3]
+        parts = ", ".join(f"{name} {worded(each[name])}" for name in longest)
+        _say(f"== all {len(self._steps)} stages in {worded((time.monotonic() - began) / 60)}: most of it {parts}")
+        return 0
+
+    def _next(self) -> int | None:
+        """The first step that may start now."""
+        if self._signals.code or len(self._signals.under_way) >= self._beside:
+            return None
+        return next((place for place in self._waiting if self._done.issuperset(self._needs[place])), None)
+
+    def _start(self, place: int) -> None:
+        step = self._steps[place]
+        under_way = [one.place for one in self._signals.under_way]
+        rest = [self._steps[later].stage for later in sorted({*self._waiting, *under_way})]
+        # beside each other stages last longer than alone, but together shorter: then it is a bound
+        left = minutes_left(rest, self._spent if self._beside == 1 else [], self._known)
+        about = "about" if self._beside == 1 else "at most about"
+        self._started += 1
+        told = "" if left is None else f"; {about} {worded(left)} left in all"
+        _say(f"== stage {self._started} of {len(self._steps)}: {step}{told}")
+        own = [w.replace(f"stage@{step.stage}.", "stage.", 1) for w in self._overrides if concerns(w, step.stage)]
+        own += [] if step.seed is None else [f"seed={step.seed}"]
+        command = [sys.executable, "-m", "pipeline", f"stage={step.stage}", *own]
+        self._waiting.remove(place)
+        self._signals.start(place, command, name=str(step) if self._beside > 1 else None)
+
+    def _end(self, running: _Running) -> int:
+        """A step's process has ended; 0, or its exit code."""
+        for reader in running.readers:
+            reader.join()
+        self._signals.under_way.remove(running)
+        code = running.process.returncode
+        if code:
+            return int(code) if code > 0 else 128 - int(code)
+        self._done.add(running.place)
+        self._spent.append((self._steps[running.place].stage, (time.monotonic() - running.began) / 60))
+        return 0
+
+
+class _Signals:
+    """The processes under way: leaves Ctrl-C and SIGTERM to them, and lets no other start afterwards."""
+
+    def __init__(self) -> None:
+        self.under_way: list[_Running] = []
+        self.code = 0  # 128 + N after signal N
+        self._former: dict[int, Any] = {}
+
+    def __enter__(self) -> _Signals:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            former = signal.getsignal(number)
+            if former is not signal.SIG_IGN:  # as nohup and background jobs ask for; a stage inherits that, no handler
+                self._former[number] = former
+                signal.signal(number, self._receive)
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        for number, former in self._former.items():
+            signal.signal(number, former)
+
+    def start(self, place: int, command: Sequence[str], *, name: str | None) -> None:
+        """Starts a process.
+
+        Args:
+            name: that its lines are told with; None: it has the terminal.
+        """
+        if name is None:
+            process = subprocess.Popen(command, text=True)
+            self.under_way.append(_Running(place, process, time.monotonic()))
+        else:
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                errors="replace",
+            )  # fmt: skip
+            running = _Running(place, process, time.monotonic())
+            self.under_way.append(running)
+            for stream, to in ((process.stdout, sys.stdout), (process.stderr, sys.stderr)):
+                reader = threading.Thread(target=_tell, args=(stream, to, name), daemon=True)
+                reader.start()
+                running.readers.append(reader)
+        if self.code == 128 + signal.SIGTERM:  # it came between the look and the start
+            process.terminate()
+
+    def stop_all(self) -> None:
+        """Asks all to write their checkpoints and leave."""
+        for running in self.under_way:
+            running.process.terminate()
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self.code = self.code or 128 + number  # a terminal's Ctrl-C reaches the stages, too
+        if number == signal.SIGTERM:
+            self.stop_all()
+
+
+def _tell(lines: IO[str], to: IO[str], name: str) -> None:
+    for line in lines:
+        to.write(f"{name} | {line.rstrip()}\n")
+        to.flush()
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)  # noqa: T201 - what a command line says

@@ -1,0 +1,41 @@
+"""How long a chain takes: what is known of a budget, and what this machine's pace makes of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from pipeline.chain.durations import known_minutes, minutes_left, worded
+from pipeline.config import BUDGETS
+from pipeline.stages import available_stages
+
+
+def test_the_estimate_follows_the_machine() -> None:
+    known = {"phantoms": 1.0, "enn": 40.0, "unseen": 60.0}
+    assert minutes_left(["unseen"], [], known) == pytest.approx(60.0)
+    twice_as_slow = minutes_left(["unseen"], [("enn", 80.0)], known)
+    assert twice_as_slow is not None
+    assert 110 < twice_as_slow < 120
+    # a short stage says little, one that was up to date nothing
+    after_short = minutes_left(["unseen"], [("phantoms", 2.0)], known)
+    assert after_short is not None
+    assert 60 < after_short < 85
+    assert minutes_left(["unseen"], [("enn", 0.1)], known) == pytest.approx(60.0)
+    assert minutes_left(["unseen", "shape"], [], known) is None
+
+
+@pytest.mark.parametrize("budget", ["smoke", "desk"])
+def test_every_stage_of_measured_budgets_is_known(budget: str) -> None:
+    assert set(known_minutes([f"budget={budget}"])) == set(available_stages())
+
+
+def test_what_was_not_measured_is_not_guessed() -> None:
+    assert known_minutes(["budget=none"]) == {}
+    assert all(isinstance(known_minutes([f"budget={budget}"]), dict) for budget in BUDGETS)
+    assert known_minutes([]) == known_minutes(["budget=desk"])
+
+
+@pytest.mark.parametrize(
+    ("minutes", "words"), [(0.5, "30 s"), (12.4, "12 min"), (59.6, "1 h 00 min"), (125, "2 h 05 min")]
+)
+def test_durations_are_worded(minutes: float, words: str) -> None:
+    assert worded(minutes) == words
