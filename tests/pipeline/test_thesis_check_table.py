@@ -27,7 +27,7 @@ def finish(run: Path, stage: str, *jobs: str) -> None:
 def test_table_has_every_stage_and_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     run = tmp_path / "thesis-check"
     given = []
-    monkeypatch.setattr(thesis_check.chain, "main", lambda words: given.append(words) or 0)
+    monkeypatch.setattr(thesis_check, "run_chain", lambda words: given.append(words) or 0)
     assert thesis_check.main([f"runs_dir={tmp_path}"]) == 0  # nothing was run
     assert given == [["all", "--", "budget=thesis", "experiment=thesis-check", f"runs_dir={tmp_path}"]]
     finish(run, "phantoms")
