@@ -3,18 +3,20 @@
     python benchmarks/enn/shipped_policies.py [--policy generalist] [--arches 50] [--draw]
     python benchmarks/enn/shipped_policies.py --anatomies scan.stl labels.nii.gz --episodes 5 --max-steps 600 --draw
 
-Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, and one JSON object
-as its last line. Arch k begins with seed 5,000,000,000 + 10 k + the target's number, which no training has used.
+Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, then rows by how far
+the target's ostium is set back behind the top of the arch, and one JSON object as its last line. Arch k begins with
+seed 5,000,000,000 + 10 k + the target's number, which no training has used.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +25,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import enn
+from cathsim.anatomy.measurement.take_off import set_back
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.policy import Policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.stages.unseen.task import UnseenTask
+from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.task import task_in_random_arches
 
 TARGETS = ("bca", "lcca", "lsa")
 FILE_TARGETS = (*TARGETS, "rsa", "rcca")
 FIRST_ARCH, FIRST_SEED = 40_100, 5_000_000_000
+SET_BACK = (0.0, 5.0, 10.0, 13.0, 16.0, 20.0)  # mm, between the rows by set-back
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,6 +100,26 @@ def play(task: UnseenTask, policy: Any, place: int | AnatomyFile, target: str, s
     return Outcome(bool(success), len(forces), np.array(forces))
 
 
+def ostium_set_back(place: int | AnatomyFile, target: str) -> float:
+    """How far the target's ostium is set back, mm."""
+    phantom = load_anatomy(f"{TEST_PHANTOM}_{place}" if isinstance(place, int) else place)
+    return 1e3 * set_back(phantom.tree, phantom.target(target).branch)
+
+
+def rows_by_set_back(measured: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
+    """Success of all episodes together, by the set-back of their targets (mm, success)."""
+    rows = []
+    for lowest, highest in itertools.pairwise((-np.inf, *SET_BACK, np.inf)):
+        won = [success for back, success in measured if lowest <= back < highest]
+        if won:
+            low, high = wilson_interval(sum(won), len(won))
+            name = f"set back {lowest:g} to {highest:g} mm"
+            interval = [round(100 * low), round(100 * high)]
+            rows.append({"row": name, "reached": sum(won), "episodes": len(won), "interval_pct": interval})
+            print(f"{name:30} {sum(won)} of {len(won)}  ({100 * low:.0f} to {100 * high:.0f})")
+    return rows
+
+
 def main() -> None:
     """Runs the command line."""
     given = arguments()
@@ -105,9 +129,11 @@ def main() -> None:
             raise ValueError(f"--draw: {given.policy} sees images and always takes the best action")
         task = UnseenTask(TARGETS, dataclasses.replace(task_in_random_arches(), max_steps=given.max_steps,
                                                        start_rotation_deg=180.0))  # fmt: skip
-        rows = []
+        rows, measured = [], []
         for name, target, episodes in cells(given):
             outcomes = [play(task, policy, place, target, seed, given.draw) for place, seed in episodes]
+            backs = [ostium_set_back(place, target) for place, _ in episodes]
+            measured += [(back, one.success) for back, one in zip(backs, outcomes, strict=True)]
             won = sum(one.success for one in outcomes)
             low, high = wilson_interval(won, len(outcomes))
             row = {
@@ -127,7 +153,8 @@ def main() -> None:
             )
     except (OSError, ValueError) as error:
         sys.exit(str(error))
-    print(json.dumps({"policy": given.policy, "drawn": given.draw, "rows": rows}))
+    backs_rows = rows_by_set_back(measured)
+    print(json.dumps({"policy": given.policy, "drawn": given.draw, "rows": rows, "set_back": backs_rows}))
 
 
 if __name__ == "__main__":

@@ -67,6 +67,7 @@ RECORDS = {
     "metrics.load_cell:StepForces",
     *("metrics.forces:ForceComparison", "physics_checks.contact:Helix", "physics_checks.rig:TheoryCheck"),
     *("physics_checks.statics:Column", "planning.scripted_motions:Script", "planning.manoeuvres:Manoeuvre"),
+    *("planning.state_search:FoundStates", "planning.state_search:_Cell"),
     *("statics.ensemble_summary:ContactForces", "statics.ensemble_summary:Estimate", "statics.feeder:Feeder"),
     *("statics.observed_curve:ObservedCurve", "statics.resting_contacts:RestingContacts"),
     *("statics.uncertainty:Deviation", "statics.drawn_errors:DrawnErrors"),

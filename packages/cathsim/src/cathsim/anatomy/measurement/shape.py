@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
 from cathsim.anatomy.measurement.sections import cut_sections, ostium_place
+from cathsim.anatomy.measurement.take_off import DIRECTION_LENGTH, set_back
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 
 SUPRA_AORTIC = ("bca", "lcca", "lsa")
 BEYOND_OSTIUM = 0.015  # m, where a branch's own diameter is read, past the flare
-TAKE_OFF = 0.012  # m of a branch beyond its ostium that give its direction
 CURVATURE_WIDTH = 6e-3  # m, deviation of the Gaussian that smooths a centreline before it is bent
 ISTHMUS, DESCENDING = 0.012, 0.060  # m of aorta beyond the last ostium
 _LEAST_WAY = 0.02  # m of a branch beyond its ostium below which it has no tortuosity
@@ -32,10 +32,11 @@ def measure_shape(phantom: Phantom) -> dict[str, float]:
         first ostium), in the mid arch (between the outermost ostia), isthmus and descending (12 and 60 mm beyond the
         last ostium), and of the branches 15 mm beyond their ostia or half way to their ends; width of the arch between
         its limbs and heights over both ends (mm); drop of the arch's top to the first ostium in diameters of the LCCA;
-        take-off of the branches from the superior axis and from the aorta's centreline (degrees); spacing of their
-        ostia along the aorta (mm); tortuosity (length over chord, less 1) of the descending aorta and of the branches;
-        tightest bend in aortic diameters, and mean radius of the bends (mm); median and 95th percentile of the aorta's
-        ellipticity; roughness (mm) of the aorta's wall and of its branches'.
+        take-off of the branches from the superior axis and from the aorta's centreline (degrees), and how far they are
+        set back behind the arch's top (mm, `set_back`); spacing of their ostia along the aorta (mm); tortuosity (length
+        over chord, less 1) of the descending aorta and of the branches; tightest bend in aortic diameters, and mean
+        radius of the bends (mm); median and 95th percentile of the aorta's ellipticity; roughness (mm) of the aorta's
+        wall and of its branches'.
     """
     tree, aorta = phantom.tree, phantom.tree.root
     sections = cut_sections(phantom, aorta.name)
@@ -114,12 +115,13 @@ def _limbs(aorta: Branch) -> dict[str, float]:
 
 def _branch(phantom: Phantom, name: str, places: dict[str, float]) -> dict[str, float]:
     """Diameter, take-off and tortuosity of a branch."""
-    keys = (f"{name}_diameter_mm", f"{name}_takeoff_deg", f"{name}_aorta_angle_deg", f"{name}_tortuosity")
+    measures = ("diameter_mm", "takeoff_deg", "aorta_angle_deg", "set_back_mm", "tortuosity")
+    keys = [f"{name}_{measure}" for measure in measures]
     if name not in phantom.tree:
         return dict.fromkeys(keys, math.nan)
     branch, ostium = phantom.tree[name], phantom.tree.ostium_arc(name)
     sections = cut_sections(phantom, name)
-    leave = branch.point_at(min(ostium + TAKE_OFF, branch.length)) - branch.point_at(ostium)
+    leave = branch.point_at(min(ostium + DIRECTION_LENGTH, branch.length)) - branch.point_at(ostium)
     leave /= np.linalg.norm(leave)
     angle = math.nan
     if name in places:
@@ -130,6 +132,7 @@ def _branch(phantom: Phantom, name: str, places: dict[str, float]) -> dict[str, 
         1e3 * sections.diameter_at(ostium + min(BEYOND_OSTIUM, (branch.length - ostium) / 2)),
         math.degrees(math.acos(float(np.clip(leave[2], -1, 1)))),
         angle,
+        1e3 * set_back(phantom.tree, name),
         tortuosity(beyond),
     )
     return dict(zip(keys, values, strict=True))
