@@ -82,6 +82,9 @@ def main() -> None:
                 tab.key("w", down=False)
             tab.key("ArrowUp", down=True)
             wait_until(lambda: tab.frame()["insertion_mm"] > 150, 40)
+            tab.key("c", down=True)
+            tab.key("c", down=False)
+            wait_until(lambda: tab.frame()["contrast"] > 0.5, 10)
             tab.screenshot(options.picture)
             tab.key("ArrowUp", down=False)
     for name, value in figures.items():
