@@ -24,7 +24,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) -> Path:
     done = subprocess.run(
         [sys.executable, "-m", "pipeline.thesis_check", f"runs_dir={runs}"],
         cwd=PROJECT_ROOT, env={**os.environ, "CATHSIM_CACHE": str(anatomy_cache)}, capture_output=True, text=True,
-        timeout=1800, check=False,
+        timeout=3600, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr + done.stdout[-4000:]
     assert (runs / "thesis-check" / "thesis_check.md").read_text() in done.stdout

@@ -25,7 +25,7 @@ def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
     overrides = ["-m", "stage=report", "budget=smoke", "name=sweep", "seed=3,4", f"hydra/launcher={launcher}"]
     if launcher == "joblib":
         overrides.append("hydra.launcher.n_jobs=2")
-    done = pipeline_process.run(*overrides)
+    done = pipeline_process.run(*overrides, timeout_s=600)
     assert done.returncode == 0, done.stderr
     for seed in (3, 4):
         folder = pipeline_process.runs / "sweep" / f"report@budget=smoke,seed={seed}"
@@ -57,7 +57,7 @@ def test_two_workers_learn_beside_each_other(launcher: str, expert_run: Pipeline
     workers = {"joblib": "hydra.launcher.n_jobs=2", "ray": "+hydra.launcher.ray.init.num_cpus=2"}[launcher]
     done = expert_run.run(
         "-m", "stage=enn", "budget=smoke", "name=sweep", f"seed={','.join(map(str, seeds))}", "phantom.name=type_1",
-        "target=bca", "modality=I", "stage.workers=1", f"hydra/launcher={launcher}", workers, timeout_s=300,
+        "target=bca", "modality=I", "stage.workers=1", f"hydra/launcher={launcher}", workers, timeout_s=900,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     for seed in seeds:
