@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.anatomies.settings import check_anatomies, fitted_task, settle
+from pipeline.anatomies.take_offs import warn_of_steep_take_off
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
@@ -54,6 +55,7 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         target = settings.targets[0]
         task = fitted_task(settings.task, phantom, [target])
         phantom.entry(task.entry)
+        warn_of_steep_take_off(phantom, target, task)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     start = starting_policy(settings, context.run_path, context.seed)

@@ -1,0 +1,45 @@
+"""The word on steep take-offs: where it is said, and where it is not."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import pytest
+
+from cathsim.anatomy import Phantom
+from cathsim.anatomy.generator.aortic_arch import build_arch
+from cathsim.anatomy.generator.arch_parameters import ArchParameters
+from cathsim.anatomy.lumen import build_lumen
+from cathsim.anatomy.measurement.take_off import set_back
+from cathsim.anatomy.phantom import locate_targets
+from pipeline.anatomies.take_offs import STEEP_MM, warn_of_steep_take_off
+from pipeline.task import Task
+
+
+@pytest.fixture(scope="module")
+def steep() -> Phantom:
+    """An arch whose top lies far above the origins of BCA and LCCA."""
+    tree = build_arch(ArchParameters(apex_ratio=3.6))
+    grid = build_lumen(tree, resolution=2e-3, fillet_radius=2.5e-3)
+    return Phantom("steep", "0", None, tree, grid, locate_targets(tree), {})
+
+
+def test_it_is_said_of_a_steep_take_off(steep: Phantom, caplog: pytest.LogCaptureFixture) -> None:
+    back = 1e3 * set_back(steep.tree, "lcca")
+    assert back >= STEEP_MM
+    with caplog.at_level(logging.WARNING):
+        warn_of_steep_take_off(steep, "lcca", Task())
+    assert f"lcca of steep leaves the aorta steeply: its ostium lies {back:.0f} mm behind" in caplog.text
+
+
+def test_it_is_not_said_elsewhere(steep: Phantom, caplog: pytest.LogCaptureFixture) -> None:
+    assert 1e3 * set_back(steep.tree, "lsa") < STEEP_MM
+    middle = steep.tree.root.point_at(steep.tree.root.length / 2)
+    task = Task()
+    with caplog.at_level(logging.WARNING):
+        warn_of_steep_take_off(steep, "lsa", task)
+        warn_of_steep_take_off(steep, "lcca", replace(task, catheter="simmons2"))
+        warn_of_steep_take_off(steep, "lcca", replace(task, entry="ascending"))
+        warn_of_steep_take_off(steep, (float(middle[0]), float(middle[1]), float(middle[2])), task)
+    assert not caplog.text
