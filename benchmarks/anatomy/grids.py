@@ -49,7 +49,7 @@ from cathsim.anatomy.surface import lumen_surface  # noqa: E402
 from cathsim.anatomy.vessel_tree import nearest_on_branch  # noqa: E402
 from cathsim.blood.field import blood_field  # noqa: E402
 from cathsim.blood.flow import BloodFlow  # noqa: E402
-from cathsim.console.messages import surface_of  # noqa: E402
+from cathsim.console.web.messages import surface_of  # noqa: E402
 from cathsim.fluoroscopy import Projector, background_image  # noqa: E402
 from cathsim.planning.path import plan_path  # noqa: E402
 

@@ -19,7 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from cathsim.console.controls import Controls
 from cathsim.console.questionnaire import check_answers
-from cathsim.console.requests import KINDS, LONGEST_REQUEST, read_request
+from cathsim.console.web.requests import KINDS, LONGEST_REQUEST, read_request
 from pipeline.config import CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.explain import one_line
 from pipeline.stages import available_stages, load_stage

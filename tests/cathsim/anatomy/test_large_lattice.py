@@ -21,7 +21,7 @@ from cathsim.anatomy.phantom import Target
 from cathsim.anatomy.phantom_cache import PhantomCache
 from cathsim.blood.field import blood_field
 from cathsim.blood.flow import BloodFlow
-from cathsim.console.messages import surface_of
+from cathsim.console.web.messages import surface_of
 from cathsim.fluoroscopy import Projector, background_image
 from cathsim.planning.path import plan_path, picture
 

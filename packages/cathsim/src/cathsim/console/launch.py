@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from cathsim.console.access import Access, is_loopback
-from cathsim.console.catheters import NO_CATHETER
 from cathsim.console.recorder import Recorder, find_recorder
+from cathsim.console.setup.catheters import NO_CATHETER
+from cathsim.console.web.access import Access, is_loopback
 from cathsim.metrics import FORCE_LIMIT
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
@@ -153,9 +153,9 @@ def _recorder(factory: Any, folder: Path) -> Recorder:
 def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder | None, folder: Path) -> None:
     import uvicorn
 
-    from cathsim.console.force_limit import ForceLimit
-    from cathsim.console.operator_setup import Setup
-    from cathsim.console.server import Desk, create_app
+    from cathsim.console.setup.force_limit import ForceLimit
+    from cathsim.console.setup.operator_setup import Setup
+    from cathsim.console.web.server import Desk, create_app
     from cathsim.console.worker import RealTimeLoop
 
     open_to_others = not is_loopback(options.host)

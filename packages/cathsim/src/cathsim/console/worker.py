@@ -14,16 +14,16 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 from cathsim.anatomy import PHANTOMS, load_phantom
-from cathsim.console.choices import Choices, Chosen
 from cathsim.console.controls import ControlPanel, Controls
 from cathsim.console.expert import ExpertScores
-from cathsim.console.inbox import Inbox
-from cathsim.console.messages import frame_message, surface_of
-from cathsim.console.operator_setup import Setup
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, devices_between
 from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
-from cathsim.console.requests import check_request
+from cathsim.console.setup.choices import Choices, Chosen
+from cathsim.console.setup.operator_setup import Setup
+from cathsim.console.web.inbox import Inbox
+from cathsim.console.web.messages import frame_message, surface_of
+from cathsim.console.web.requests import check_request
 from cathsim.console.xray.monitor import CArm
 from cathsim.console.xray.room import XRayRoom
 from cathsim.console.xray.views import Views

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from cathsim.console.catheters import Offer, find_offer, offered
-from cathsim.console.force_limit import ForceLimit
-from cathsim.console.operator_setup import Setup
+from cathsim.console.setup.catheters import Offer, find_offer, offered
+from cathsim.console.setup.force_limit import ForceLimit
+from cathsim.console.setup.operator_setup import Setup
 from cathsim.guidewire import GUIDEWIRES
 
 OWN_WIRE = "own wire"  # of a file; a page learns no paths

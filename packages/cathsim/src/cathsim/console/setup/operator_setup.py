@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from cathsim.anatomy import Phantom
-from cathsim.console.force_limit import ForceLimit
+from cathsim.console.setup.force_limit import ForceLimit
 from cathsim.environment import NavigateEnv
 from cathsim.validation import Count, Seed, Unit, settings
 

@@ -22,7 +22,7 @@ pytest.importorskip("websockets", reason="the extra cathsim[console] is not inst
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from cathsim.console.server import FLOODED, MOST_A_SECOND, MOST_AT_ONCE, Desk, Pace
+from cathsim.console.web.server import FLOODED, MOST_A_SECOND, MOST_AT_ONCE, Desk, Pace
 
 Console = tuple[subprocess.Popen[str], str]
 MEGABYTES = 60

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from cathsim.console.choices import OWN_WIRE, Choices
-from cathsim.console.force_limit import ForceLimit
-from cathsim.console.operator_setup import Setup
+from cathsim.console.setup.choices import OWN_WIRE, Choices
+from cathsim.console.setup.force_limit import ForceLimit
+from cathsim.console.setup.operator_setup import Setup
 
 ASKED = {"type": "choose", "phantom": "type_2", "target": "lcca"}
 

@@ -16,11 +16,11 @@ from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
 from fastapi.responses import FileResponse, PlainTextResponse, Response
 from fastapi.staticfiles import StaticFiles
 
-from cathsim.console.access import Access
-from cathsim.console.requests import read_request
+from cathsim.console.web.access import Access
+from cathsim.console.web.requests import read_request
 from cathsim.console.worker import RealTimeLoop
 
-PAGE = Path(__file__).with_name("page")
+PAGE = Path(__file__).parents[1] / "page"
 # codes of the websocket's end that the page understands
 REFUSED, OCCUPIED, FLOODED, FAILED = 4401, 4409, 4429, 1011
 # A page sends a reading a picture of its screen at most, from a gamepad: up to 240 a second.

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cathsim.console import CRITERIA, check_answers
-from cathsim.console.messages import frame_message, surface_message
-from cathsim.console.requests import LONGEST_REQUEST, read_request
+from cathsim.console.web.messages import frame_message, surface_message
+from cathsim.console.web.requests import LONGEST_REQUEST, read_request
 
 CONTROLS = '{"type": "controls", "advance": 1, "rotate": 0, "sequence": 1'
 GOOD = {criterion.key: 3 for criterion in CRITERIA}

@@ -1,0 +1,1 @@
+"""What the operator chooses: devices, anatomy and limits."""
