@@ -29,8 +29,9 @@ NOTEBOOK = DOCS / "tutorial.ipynb"
 # The first records a log, which the others read; training leaves a policy, which imitation reads.
 PAGES = (
     "pipeline/logs.md", "pipeline/viewers.md", "guide3d/overview.md", "guide3d/dataset.md",
-    "guide3d/reconstruction.md", "guide3d/networks.md", "splineformer/network.md", "splineformer/navigation.md",
-    "enn/policies.md", "enn/networks.md", "enn/training.md", "enn/imitation.md", "getting_started.md",
+    "guide3d/reconstruction.md", "guide3d/networks.md", "splineformer/network.md", "splineformer/xray.md",
+    "splineformer/navigation.md", "enn/policies.md", "enn/networks.md", "enn/training.md", "enn/imitation.md",
+    "getting_started.md",
 )  # fmt: skip
 
 

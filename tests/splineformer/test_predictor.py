@@ -117,6 +117,21 @@ def test_file_of_a_model(variant: str, tmp_path: Path) -> None:
     assert np.array_equal(again(image).tokens, predictor(image).tokens)
 
 
+def test_a_network_of_maps_keeps_its_input(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    predictor = Predictor(build(size_of("ordered", "smoke")), source_px=256, input="maps")
+    predictor.save(tmp_path / "model.pt", half=True)
+    again = Predictor.load(tmp_path / "model.pt")
+    assert again.input == "maps"
+    assert next(again.network.parameters()).dtype == torch.float32
+    content = read_content(tmp_path / "model.pt")
+    write_content(tmp_path / "model.pt", content | {"preprocessing": {"source_px": 256, "input": "edges"}})
+    with pytest.raises(ValueError, match="unknown input 'edges'"):
+        Predictor.load(tmp_path / "model.pt")
+    with pytest.raises(ValueError, match="there are levels, maps"):
+        Predictor(predictor.network, input="edges")
+
+
 def test_files_of_other_versions(tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     with pytest.raises(FileNotFoundError, match="train one first"):

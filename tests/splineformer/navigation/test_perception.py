@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from splineformer.build import VARIANTS
+from splineformer.build import VARIANTS, build, size_of
 from splineformer.image_input import picture_of
+from splineformer.navigation.perception import PerceptionNetwork
+from splineformer.predictor import Predictor
 from tests.splineformer.curves import image_of, wavy_wire
 from tests.splineformer.navigation.drawn_moments import perception_network
 
@@ -37,3 +39,8 @@ def test_encoded_is_the_output_of_the_encoder(variant: str) -> None:
         memory = network.network.read(levels).features
     assert np.allclose(reading.encoded[: len(reading.encoded) // 2], memory[0].mean(0).numpy(), atol=1e-5)
     assert not network.network.training
+
+
+def test_a_network_of_maps_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected a network that reads grey levels, got one that reads maps"):
+        PerceptionNetwork(Predictor(build(size_of("ordered", "smoke")), source_px=256, input="maps"))

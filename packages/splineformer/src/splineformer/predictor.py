@@ -147,15 +147,19 @@ class Predictor:
         with shipped_file(name, "splineformer") as path:
             return cls.load(path, **options)
 
-    def save(self, path: Path | str, **metadata: Any) -> None:
-        """Writes the network with its settings and metadata (numbers and strings), whole or not at all."""
+    def save(self, path: Path | str, *, half: bool = False, **metadata: Any) -> None:
+        """Writes the network with its settings and metadata (numbers and strings), whole or not at all.
+
+        Args:
+            half: weights of 16 bits: half the size, curves that differ by a pixel or so.
+        """
         size = self.network.settings.image_px
         write_model(
             path,
             kind=KIND,
             network=described(self.network),
             preprocessing={"size_px": size, "source_px": self.source_px, "input": self.input},
-            module=self.network,
+            module=copy.deepcopy(self.network).half() if half else self.network,
             metadata=metadata,
         )
 
