@@ -10,7 +10,8 @@ PY := $(VENV)/bin/python
 BUDGET ?= desk
 NAME ?= $(BUDGET)
 SEEDS ?=
-BESIDE ?=
+# stages beside each other share cores and memory, but no GPU
+BESIDE ?= $(if $(findstring device=,$(ARGS)),1,2)
 ARGS ?=
 DEMO ?=
 TEST_JOBS ?= 2
@@ -61,7 +62,7 @@ lerobot:  ## LeRobot in an environment of its own, which reads exported data set
 	@$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check lerobot==0.4.4 mujoco==4.0.0 \
 		annotated-types pydantic pyyaml scikit-image scipy trimesh
 
-all: setup  ## every stage, then the report: runs/<name>/report/index.html (SEEDS=3: figures over three seeds; BESIDE=2: two stages at a time)
+all: setup  ## every stage, then the report: runs/<name>/report/index.html (SEEDS=3: figures over three seeds; BESIDE=1: no two stages at a time)
 	@$(GL) $(PY) -m pipeline.chain $(CHAIN) all -- budget=$(BUDGET) name=$(NAME) $(ARGS)
 
 smoke:  ## the whole chain in minutes; its numbers mean nothing

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,6 +32,7 @@ _ALL, _INPUTS, _ESTIMATE, _SEEDS = "all", "--inputs", "--estimate", "--seeds"
 _BESIDE = "--beside"
 _MOST_SEEDS = 20  # that pipeline.seeds has ranges for
 _MOST_BESIDE = 64
+_DEVICE = re.compile(r"\+*stage(@\w+)?\.device=(?!cpu$)")
 
 
 def main(arguments: list[str]) -> int:
@@ -44,6 +46,9 @@ def main(arguments: list[str]) -> int:
         seeds, beside = _taken(stages, _SEEDS, _MOST_SEEDS), _taken(stages, _BESIDE, _MOST_BESIDE)
         if seeds > 1 and any(word.startswith("seed=") for word in overrides):
             raise ValueError(f"{_SEEDS} counts from seed 0 on: leave seed=… out, or {_SEEDS}")
+        on_gpu = [word for word in overrides if _DEVICE.match(word)]
+        if beside > 1 and on_gpu:
+            raise ValueError(f"{_BESIDE} shares cores, but no GPU: leave it out (make: BESIDE=1), or {on_gpu[0]}")
     except ValueError as error:
         _say(str(error), error=True)
         return _EXIT_USAGE
