@@ -10,6 +10,7 @@ from typing import Any
 import splineformer
 from splineformer.comparison.skeleton import SkeletonSettings
 from splineformer.learning.augmentation import Augmentation
+from splineformer.learning.fluoroscopy_training import fluoroscopy_recipe
 from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.learning.recipes import recipe_of
 from splineformer.modeling.ordered import OrderedSettings
@@ -33,6 +34,7 @@ EVERYTHING: dict[Any, str] = {
     SkeletonSettings(): "smallest_px=0 widest_gap_px=0",
     TokenSettings(): "closest_px=0 tolerance_px=0",
     recipe_of("ordered", "desk"): "images=0 validation_images=0",
+    fluoroscopy_recipe("ordered", "desk"): "drawn=0",
 }
 
 
