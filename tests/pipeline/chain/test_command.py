@@ -12,14 +12,7 @@ import pytest
 
 from pipeline.chain.command import main
 from pipeline.store.manifest import read_manifest
-
-
-def start(pipeline_process, *arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "pipeline.chain", *arguments, f"runs_dir={pipeline_process.runs}"],
-        env=pipeline_process.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+from tests.pipeline.chain.starting import start
 
 
 def test_stages_run_in_order_and_are_told(pipeline_process) -> None:

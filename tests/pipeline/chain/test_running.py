@@ -4,19 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 from pipeline.store.manifest import read_manifest
-
-
-def start(pipeline_process, *arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "pipeline.chain", *arguments, f"runs_dir={pipeline_process.runs}"],
-        env=pipeline_process.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+from tests.pipeline.chain.starting import start
 
 
 def test_stages_that_do_not_need_each_other_run_at_the_same_time(pipeline_process) -> None:
