@@ -45,6 +45,22 @@ def test_kept_pictures_are_read_again(tmp_path: Path) -> None:
         draw_pool(images, range(3, 63), picture, "quarters", tmp_path)
 
 
+def test_parts_of_which_nothing_is_kept_are_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    images = RandomFluoroscopy(SMALL, seed=4)
+    monkeypatch.setattr("splineformer.learning.fluoroscopy_pool._PART", 1)
+    few = draw_pool(images, range(3, 63), quarter, "quarters", tmp_path)
+    again = draw_pool(images, range(3, 63), quarter, "quarters", tmp_path)
+    assert 0 < len(few) == len(again) < 60
+    left_out = next(k for k in range(3, 63) if _left_out(images, k))
+    with pytest.raises(ValueError, match="none of 1 random images could be used: draw more"):
+        draw_pool(images, range(left_out, left_out + 1), quarter, "quarters")
+
+
+def _left_out(images: RandomFluoroscopy, index: int) -> bool:
+    wires, curve = curve_of(images.image(index))
+    return wires != NONE and curve is None
+
+
 def test_a_curve_begins_at_its_tip() -> None:
     images = RandomFluoroscopy(SMALL, seed=1)
     for index in range(30):

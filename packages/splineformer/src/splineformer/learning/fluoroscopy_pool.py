@@ -65,7 +65,7 @@ def draw_pool(
         progress: called with the number of images drawn and of all, after every fifty.
 
     Raises:
-        ValueError: the folder holds other pictures, or a damaged file.
+        ValueError: the folder holds other pictures, or a damaged file; every image was left out.
     """
     if folder is not None:
         _require_same(folder / IDENTITY, fluoroscopy, source)
@@ -83,7 +83,9 @@ def draw_pool(
                     np.savez_compressed(stream, pictures=pictures, curves=curves, wires=wires)
         if progress is not None:
             progress(last - indices.start, len(indices))
-    columns = list(zip(*parts, strict=True))
+    columns = list(zip(*(part for part in parts if len(part[2])), strict=True))
+    if not columns:
+        raise ValueError(f"none of {len(indices)} random images could be used: draw more")
     return FluoroscopyPool(np.concatenate(columns[0]), np.concatenate(columns[1]), np.concatenate(columns[2]))
 
 
@@ -116,6 +118,8 @@ def _drawn(
         pictures.append(picture(drawn.image))
         curves.append(np.full((_POINTS, 2), np.nan) if curve is None else resample(curve, count=_POINTS))
         kinds.append(wires)
+    if not kinds:  # the sizes of pictures are not known then
+        return np.empty((0, 0, 0), np.uint8), np.empty((0, _POINTS, 2)), np.empty(0, np.int64)
     return np.stack(pictures), np.stack(curves), np.array(kinds, np.int64)
 
 
