@@ -48,8 +48,8 @@ def run(steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, flo
         0, or the exit code of the step that failed, 128 + N where signal N ended it.
     """
     room = shared_cores(available_workers(), available_bytes() / _GB) if beside > 1 else contextlib.nullcontext()
-    with room, _Signals() as signals:
-        return _Chain(steps, overrides, known, beside, signals).run()
+    with room, _Processes() as processes:
+        return _Chain(steps, overrides, known, beside, processes).run()
 
 
 class _Chain:
@@ -57,10 +57,10 @@ class _Chain:
 
     def __init__(
         self, steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, float], beside: int,
-        signals: _Signals,
+        processes: _Processes,
     ) -> None:  # fmt: skip
         self._steps, self._overrides, self._known, self._beside = steps, overrides, known, beside
-        self._signals = signals
+        self._processes = processes
         self._waiting = list(range(len(steps)))
         # one after the other they are in order anyway, and a stage that is missing says so itself
         self._needs = [waits_for(steps, place) if beside > 1 else [] for place in self._waiting]
@@ -70,18 +70,18 @@ class _Chain:
 
     def run(self) -> int:
         began, code = time.monotonic(), 0
-        under_way = self._signals.under_way
+        under_way = self._processes.under_way
         while True:
             while not code and (place := self._next()) is not None:
                 self._start(place)
-            code = code or self._signals.code
+            code = code or self._processes.code
             if not under_way:
                 break
             for running in [one for one in under_way if one.process.poll() is not None]:
                 failed = self._end(running)
                 if failed and not code:  # those that are stopped fail, too
                     code = failed
-                    self._signals.stop_all()
+                    self._processes.stop_all()
             time.sleep(_SECONDS_BETWEEN_LOOKS)
         if code:
             return code
@@ -93,13 +93,13 @@ class _Chain:
 
     def _next(self) -> int | None:
         """The first step that may start now."""
-        if self._signals.code or len(self._signals.under_way) >= self._beside:
+        if self._processes.code or len(self._processes.under_way) >= self._beside:
             return None
         return next((place for place in self._waiting if self._done.issuperset(self._needs[place])), None)
 
     def _start(self, place: int) -> None:
         step = self._steps[place]
-        under_way = [one.place for one in self._signals.under_way]
+        under_way = [one.place for one in self._processes.under_way]
         rest = [self._steps[later].stage for later in sorted({*self._waiting, *under_way})]
         # beside each other stages last longer than alone, but together shorter: then it is a bound
         left = minutes_left(rest, self._spent if self._beside == 1 else [], self._known)
@@ -111,13 +111,13 @@ class _Chain:
         own += [] if step.seed is None else [f"seed={step.seed}"]
         command = [sys.executable, "-m", "pipeline", f"stage={step.stage}", *own]
         self._waiting.remove(place)
-        self._signals.start(place, command, name=str(step) if self._beside > 1 else None)
+        self._processes.start(place, command, name=str(step) if self._beside > 1 else None)
 
     def _end(self, running: _Running) -> int:
         """A step's process has ended; 0, or its exit code."""
         for reader in running.readers:
             reader.join()
-        self._signals.under_way.remove(running)
+        self._processes.under_way.remove(running)
         code = running.process.returncode
         if code:
             return int(code) if code > 0 else 128 - int(code)
@@ -126,7 +126,7 @@ class _Chain:
         return 0
 
 
-class _Signals:
+class _Processes:
     """The processes under way: leaves Ctrl-C and SIGTERM to them, and lets no other start afterwards."""
 
     def __init__(self) -> None:
@@ -134,7 +134,7 @@ class _Signals:
         self.code = 0  # 128 + N after signal N
         self._former: dict[int, Any] = {}
 
-    def __enter__(self) -> _Signals:
+    def __enter__(self) -> _Processes:
         for number in (signal.SIGINT, signal.SIGTERM):
             former = signal.getsignal(number)
             if former is not signal.SIG_IGN:  # as nohup and background jobs ask for; a stage inherits that, no handler

@@ -52,6 +52,12 @@ def test_a_desk_training_names_every_aid() -> None:
         assert aid in note, aid
 
 
+def test_other_physics_in_training_are_named() -> None:
+    note = training_note([replace(DESK, task=replace(DESK.task, accuracy="fast"))])
+    assert "trained in fast physics, tested in accurate ones" in note
+    assert "physics" not in training_note([DESK])
+
+
 def test_what_a_training_does_not_have_is_not_named() -> None:
     note = training_note([THESIS])
     assert note == f"How the measured rows were made: 2 actions; images of 80 px; {THESIS_SAC.decisions:,} decisions."

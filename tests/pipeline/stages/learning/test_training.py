@@ -28,6 +28,17 @@ def record(path: Path, **task: str) -> Path:
     return path
 
 
+def test_only_trainings_are_in_the_fast_physics() -> None:
+    """Tables are of accurate physics, whatever a training had."""
+    place = {"phantoms": ["type_1"], "targets": ["bca"]}
+    task = training_plan.task_of(EnnSettings(**place, accuracy="fast"), "type_1", "bca")
+    assert training_plan.task_of(EnnSettings(**place), "type_1", "bca").accuracy == "accurate"
+    training, test = task.environment("tip", training=True), task.environment("tip")
+    usual = TASK.environment("tip")
+    timesteps = [one.simulation.model.opt.timestep for one in (training, test, usual)]
+    assert timesteps[0] > timesteps[1] == timesteps[2]
+
+
 def test_another_wire_and_damage_are_left_out_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     logs = [record(tmp_path / "000.mcap"), record(tmp_path / "001.mcap", wire="thesis"), tmp_path / "002.mcap"]
     logs[2].write_bytes(logs[0].read_bytes()[:3000])
