@@ -55,6 +55,22 @@ def test_every_verb_of_the_makefile_is_explained() -> None:
     assert explained == verbs | set(available_stages())
 
 
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        (["all"], "--beside 2 all -- budget=desk name=desk"),
+        (["all", "SEEDS=3", "BUDGET=smoke"], "--seeds 3 --beside 2 all -- budget=smoke name=smoke"),
+        (["all", "BESIDE=1", "NAME=mine"], "--beside 1 all -- budget=desk name=mine"),
+        (["all", "ARGS=stage.device=cuda"], "--beside 1 all -- budget=desk name=desk stage.device=cuda"),
+        (["enn", "SEEDS=2"], "--seeds 2 --beside 2 --inputs enn -- budget=desk name=desk"),
+    ],
+)
+def test_verbs_pass_seeds_and_stages_beside_each_other_on(words: list[str], options: str) -> None:
+    shown = subprocess.run(["make", "-n", *words], cwd=PROJECT_ROOT, capture_output=True, text=True, check=True).stdout
+    (command,) = [line for line in shown.splitlines() if "pipeline.chain" in line]
+    assert command.split("pipeline.chain ", 1)[1].split() == options.split()
+
+
 def test_constraints_pin_every_requirement_exactly() -> None:
     lines = [line for line in (PROJECT_ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9.]+", line) for line in lines)
