@@ -257,8 +257,8 @@ def test_catheters_that_cannot_be_are_refused_in_one_sentence(tmp_path: Path) ->
         composed("stage=enn", "stage.torsion=soft")
     with pytest.raises(ConfigurationError, match=r"task\.actions=tip_motors bends the tip of a wire alone"):
         composed("stage=baselines", "budget=thesis", "stage.catheter=simmons2")
-    with pytest.raises(ConfigurationError, match=r"unseen steers a wire without a catheter, got task\.catheter=jb2"):
-        check_unseen(composed("stage=unseen", "stage.task.catheter=jb2").stage)
+    with pytest.raises(ConfigurationError, match=r"by a roadmap alone: give stage\.image=false stage\.xray=false"):
+        composed("stage=unseen", "stage.task.catheter=jb2")
     with pytest.raises(ConfigurationError, match="stage navigation steers a wire without a catheter"):
         navigation.check_navigation(composed("stage=navigation", "task.catheter=jb2").stage)
     thick = tmp_path / "thick.yaml"
@@ -304,8 +304,8 @@ def test_a_catheter_alone_is_steered_with_two_actions(name: str, tmp_path: Path)
 def test_no_device_at_all_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"task\.wire=none leaves no device: name a catheter or a wire"):
         composed("stage=expert", "stage.wire=none")
-    with pytest.raises(ConfigurationError, match="unseen steers a wire without a catheter"):
-        check_unseen(composed("stage=unseen", "stage.task.catheter=jb2", "stage.task.wire=none").stage)
+    with pytest.raises(ConfigurationError, match=r"unseen steers a wire, got task\.wire=none: name a wire"):
+        composed("stage=unseen", "stage.task.catheter=jb2", "stage.task.wire=none")
     with pytest.raises(ConfigurationError, match=r"unknown wire 'rope': choose from .*, none"):
         check_expert(composed("stage=expert", "stage.wire=rope").stage)
 

@@ -24,7 +24,7 @@ from pipeline.settings.kinds import (
     Units,
 )
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import DESCENDING, Task, task_in_random_arches
+from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
@@ -43,6 +43,9 @@ class UnseenSettings(ChosenAnatomies):
     targets: FolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])  # of every policy
     own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
     anatomies: Count = 32  # random arches that the roadmap policy is trained on
+    # of the steepest target of every arch that is trained in or chosen by, `cathsim.anatomy.measurement.take_off`;
+    # 0: any arch
+    least_set_back_mm: Annotated[float, Ge(0), Le(100)] = 0.0
     curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each
     demonstrations: CountOrNone = 12  # that the sampling expert tries, in as many arches
     decisions: Decisions = 16_000  # of the roadmap policy's training
@@ -78,6 +81,12 @@ class UnseenSettings(ChosenAnatomies):
         super().__post_init__()
         if not self.targets:
             raise ConfigurationError("stage.targets is empty: name at least one")
+        if self.task.wire == NO_WIRE:
+            raise ConfigurationError(f"stage unseen steers a wire, got task.wire={NO_WIRE}: name a wire")
+        if self.task.catheter is not None and (self.image or self.xray):
+            raise ConfigurationError(
+                "with a catheter stage unseen trains by a roadmap alone: give stage.image=false stage.xray=false"
+            )
 
     def take_targets(self, names: list[str]) -> None:
         """Policies learn the targets of random arches alone; others are tried in `phantoms`."""

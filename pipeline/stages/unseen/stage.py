@@ -23,6 +23,7 @@ from pipeline.report.results import write_results
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
+from pipeline.stages.unseen.arches import with_steep_take_off
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, DemonstrationsJob, record_demonstrations
 from pipeline.stages.unseen.held_out import misregistered, test_sets
 from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
@@ -33,7 +34,7 @@ from pipeline.stages.unseen.tables import curve, registration
 from pipeline.stages.unseen.task import IMAGE, ROADMAP, ROADMAP_KEYS, TEST_PHANTOM, XRAY, UnseenTask, training_arch
 from pipeline.stages.unseen.trials import HeldOutSet
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import require_feeder, require_known_task, require_no_catheter
+from pipeline.task import require_feeder, require_known_task
 
 if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 ROADMAP_TESTS = "roadmap tests"
 ACTION_REPEAT = 3  # steps of a decision
 _ANATOMIES_A_JOB = 16
+_MOST_TRIED = 1_000  # arches, to find those with a steep take-off
 _PARTS = 2  # jobs that demonstrate beside each other
 DEMONSTRATED = "lcca"  # the target that is hard to find without
 BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
@@ -69,7 +71,6 @@ def check_unseen(settings: UnseenSettings) -> None:
         raise ConfigurationError(f"unknown wire {', '.join(map(repr, unknown))}: choose from {', '.join(wires)}")
     require_known_task(settings.task)
     require_feeder(settings.task, "unseen")
-    require_no_catheter(settings.task, "unseen")
 
 
 def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
@@ -103,10 +104,9 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     task = UnseenTask(tuple(settings.targets), settings.task)
     image_rows = [IMAGE] * settings.image + [XRAY] * settings.xray
     most = max(count for _, count, _ in policies_of(settings))
-    arches = training_arches(run_seed, max(most, settings.image_anatomies))
-    trained = arches[: max(most, settings.image_anatomies if image_rows else 0)]
+    arches, validated = arches_of(settings, run_seed, max(most, settings.image_anatomies if image_rows else 0))
+    trained = arches
     tested = unseen_arches(settings.test_anatomies)
-    validated = validation_arches(settings.validation_anatomies)
     jobs = []
     for name, kinds in (
         ("training", [training_arch(seed) for seed in trained]),
@@ -169,6 +169,18 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     return jobs
 
 
+def arches_of(settings: UnseenSettings, run_seed: int, count: int) -> tuple[list[int], list[int]]:
+    """The arches that are trained in, so many, and those that choose the best policy."""
+    least, chosen_by = settings.least_set_back_mm, settings.validation_anatomies
+    if not least:
+        return list(training_arches(run_seed, count)), list(validation_arches(chosen_by))
+    targets = settings.targets
+    return (
+        with_steep_take_off(training_arches(run_seed, _MOST_TRIED), targets, least, count),
+        with_steep_take_off(validation_arches(_MOST_TRIED // 2), targets, least, chosen_by),
+    )
+
+
 def policies_of(settings: UnseenSettings) -> list[tuple[str, int, int]]:
     """Row, training anatomies and decisions of the roadmap policies, the main one first.
 
@@ -184,7 +196,9 @@ def _parts(whole: Sequence[Any]) -> list[Any]:
     return [whole[k : k + _ANATOMIES_A_JOB] for k in range(0, len(whole), _ANATOMIES_A_JOB)]
 
 
-def demonstrations(settings: UnseenSettings, folder: Path, task: UnseenTask, arches: range, run_seed: int) -> list[Job]:
+def demonstrations(
+    settings: UnseenSettings, folder: Path, task: UnseenTask, arches: Sequence[int], run_seed: int
+) -> list[Job]:
     """The jobs that demonstrate the way in the first training anatomies, so that small policies have some too."""
     anatomies = arches[: settings.anatomies]
     shown = anatomies[: settings.demonstrations]

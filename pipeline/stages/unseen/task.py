@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.settings import fitted_task
@@ -54,6 +54,9 @@ class UnseenTask:
             tip_stiffness_nmm2=factor * wire.tip_stiffness_nmm2,
         )
 
+    def _catheter(self) -> dict[str, Any]:
+        return {name: value for name, value in self.task.devices().items() if name != "wire"}
+
     def training_environment(
         self, anatomies: Sequence[int], observation: tuple[str, ...], accuracy: str | None = None
     ) -> NavigateManyEnv:
@@ -65,6 +68,7 @@ class UnseenTask:
             self.targets,
             (self.task.guidewire(),),
             resolution=RESOLUTION,
+            **self._catheter(),
             accuracy=accuracy or self.accuracy,
             observation=observation,
             reward=REWARD_OF_TRAINING,
@@ -100,6 +104,7 @@ class UnseenTask:
             target=target,
             wire=tried.wire(wire),
             observation=observation,
+            **tried._catheter(),
             reward=REWARD_OF_EVALUATION,
             registration_noise=registration_noise,
             **tried.task.rules(),

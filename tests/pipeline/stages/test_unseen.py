@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cathsim import load_phantom
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.report.learning.tables import tables_from_logs
 from pipeline.seeds import unseen_arches, validation_arches
+from pipeline.stages.unseen import arches
 from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
 from pipeline.stages.unseen.jobs import (
     AnatomiesJob,
@@ -281,3 +284,44 @@ def _weights(folder: Path) -> bytes:
 
     state = RecurrentPolicy.load(folder / "image_policy.pt").network.state_dict()
     return b"".join(value.numpy().tobytes() for value in state.values())
+
+
+def test_with_a_catheter_both_devices_are_steered_in_training_and_tests() -> None:
+    both = replace(TASK, task=replace(TASK.task, catheter="simmons2", wire_length_mm=360.0))
+    for environment in (
+        both.training_environment((1,), ("roadmap", "history")),
+        both.test_environment("type_1", "lcca", "default", ("roadmap", "history")),
+    ):
+        assert environment.action_space.shape == (4,)
+        environment.close()
+
+
+def test_arches_with_a_steep_take_off_are_chosen_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    backs = {seed: float(seed % 7) for seed in range(100)}
+    monkeypatch.setattr("cathsim.load_phantom", lambda kind, seed, resolution: seed)
+    monkeypatch.setattr(arches, "largest_set_back_mm", lambda phantom, targets: backs[phantom])
+    assert arches.with_steep_take_off(range(100), ("lcca",), 5.0, 4) == [5, 6, 12, 13]
+    with pytest.raises(ConfigurationError, match=r"only 2 of the arches have a target set back by 6 mm, 3 are wanted"):
+        arches.with_steep_take_off(range(20), ("lcca",), 6.0, 3)
+
+
+def test_set_back_is_that_of_the_steepest_target() -> None:
+    phantom = load_phantom("type_2")
+    each = [arches.largest_set_back_mm(phantom, (name,)) for name in ("bca", "lcca", "lsa")]
+    assert each[0] != each[1]
+    assert arches.largest_set_back_mm(phantom, ("bca", "lcca", "lsa")) == max(each)
+
+
+def test_steep_arches_are_trained_in_and_chosen_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def every_tenth(seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int) -> list[int]:
+        assert (list(targets), least_mm) == (["bca", "lcca", "lsa"], 13.0)
+        return list(seeds)[::10][:count]
+
+    monkeypatch.setattr("pipeline.stages.unseen.stage.with_steep_take_off", every_tenth)
+    wanted = settings(least_set_back_mm=13.0, image=False, xray=False, curve=[], test_anatomies=5)
+    jobs = {job.key: job.given for job in plan(wanted, tmp_path, 1, "desk")}
+    assert jobs["roadmap"].anatomies == tuple(range(1000, 1080, 10))
+    assert jobs["roadmap"].validated == tuple(range(32_000, 32_320, 20))
+    assert jobs["roadmap tests"].tests[0].phantoms == tuple(unseen_arches(5))
+    built = {seed for job in jobs.values() if isinstance(job, AnatomiesJob) for _, seed in job.arches}
+    assert built >= {*jobs["roadmap"].anatomies, *jobs["roadmap"].validated}

@@ -1,0 +1,61 @@
+"""Random arches of the stage `unseen`: those that come in order, or only those with a steep take-off."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING
+
+from pipeline.stages.unseen.task import RESOLUTION, training_arch
+from pipeline.store.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
+
+_MM = 1e3
+_OFTEN = 10  # arches between two lines of the log
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def with_steep_take_off(seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int) -> list[int]:
+    """The first arches of a training that have a target set back far enough.
+
+    They are built on the way, if they are not in the cache.
+
+    Args:
+        seeds: to choose from, in order.
+        targets: of which one at least has to be set back.
+        least_mm: `cathsim.anatomy.measurement.take_off.set_back` of that one at least.
+
+    Returns:
+        Their seeds.
+
+    Raises:
+        ConfigurationError: there are fewer.
+    """
+    from cathsim import load_phantom
+
+    def steep(seed: int) -> bool:
+        kind, own = training_arch(seed)
+        return largest_set_back_mm(load_phantom(kind, seed=own, resolution=RESOLUTION), targets) >= least_mm
+
+    found = []
+    for seed in islice(filter(steep, seeds), count):
+        found.append(seed)
+        if len(found) % _OFTEN == 0 or len(found) == count:
+            _LOGGER.info("%d of %d arches with a target set back by %g mm: up to %d", len(found), count, least_mm, seed)
+    if len(found) < count:
+        raise ConfigurationError(
+            f"only {len(found)} of the arches have a target set back by {least_mm:g} mm, {count} are wanted: lower "
+            "stage.least_set_back_mm or the number of arches"
+        )
+    return found
+
+
+def largest_set_back_mm(phantom: Phantom, targets: Sequence[str]) -> float:
+    """The set-back of the target whose ostium lies farthest behind the top of the arch, mm."""
+    from cathsim.anatomy.measurement.take_off import set_back
+
+    return _MM * max(set_back(phantom.tree, phantom.target(target).branch) for target in targets)
