@@ -1,11 +1,13 @@
 """A shipped policy in anatomies that it has never seen: random arches, and files of one's own.
 
     python benchmarks/enn/shipped_policies.py [--policy generalist] [--arches 50] [--draw]
+    python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --first 40400 --draw
     python benchmarks/enn/shipped_policies.py --anatomies scan.stl labels.nii.gz --episodes 5 --max-steps 600 --draw
 
 Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, then rows by how far
-the target's ostium is set back behind the top of the arch, and one JSON object as its last line. Arch k begins with
-seed 5,000,000,000 + 10 k + the target's number, which no training has used.
+the target's ostium is set back behind the top of the arch, and one JSON object as its last line. --steep names the
+policy for targets set back by 13 mm or more, which the scan tells beforehand; a policy of two devices steers its own.
+Arch k begins with seed 5,000,000,000 + 10 k + the target's number, which no training has used.
 """
 
 from __future__ import annotations
@@ -30,8 +32,9 @@ from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.policy import Policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
+from pipeline.anatomies.take_offs import STEEP_MM
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
-from pipeline.task import task_in_random_arches
+from pipeline.task import TASK, task_in_random_arches
 
 TARGETS = ("bca", "lcca", "lsa")
 FILE_TARGETS = (*TARGETS, "rsa", "rcca")
@@ -52,6 +55,7 @@ def arguments() -> argparse.Namespace:
     """Understands the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", default="generalist", help=f"among {', '.join(enn.models())}")
+    parser.add_argument("--steep", metavar="POLICY", help=f"for targets set back by {STEEP_MM:g} mm or more")
     parser.add_argument("--arches", type=int, default=50, help="random arches, one episode each and target")
     parser.add_argument("--first", type=int, default=FIRST_ARCH, help="seed of the first arch")
     parser.add_argument(
@@ -77,6 +81,14 @@ def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int 
     for number, target in enumerate(TARGETS):
         arches = range(given.first, given.first + (1 if given.quick else given.arches))
         yield "random", target, [(arch, FIRST_SEED + 10 * arch + number) for arch in arches]
+
+
+def task_of(policy: Any, max_steps: int) -> UnseenTask:
+    """The task of the tests, with the devices that a policy was trained with."""
+    catheter = policy.metadata.get(TASK, {}).get("catheter") if isinstance(policy, Policy) else None
+    usual = task_in_random_arches()
+    rules = dataclasses.replace(usual, max_steps=max_steps, start_rotation_deg=180.0, catheter=catheter)
+    return UnseenTask(TARGETS, rules)
 
 
 def play(task: UnseenTask, policy: Any, place: int | AnatomyFile, target: str, seed: int, draw: bool) -> Outcome:
@@ -124,15 +136,18 @@ def main() -> None:
     """Runs the command line."""
     given = arguments()
     try:
-        policy = enn.load(given.policy)
-        if given.draw and not isinstance(policy, Policy):
-            raise ValueError(f"--draw: {given.policy} sees images and always takes the best action")
-        task = UnseenTask(TARGETS, dataclasses.replace(task_in_random_arches(), max_steps=given.max_steps,
-                                                       start_rotation_deg=180.0))  # fmt: skip
+        policies = [enn.load(name) for name in (given.policy, given.steep or given.policy)]
+        if given.draw and not all(isinstance(policy, Policy) for policy in policies):
+            raise ValueError("--draw: a policy that sees images always takes the best action")
+        tasks = [task_of(policy, given.max_steps) for policy in policies]
         rows, measured = [], []
         for name, target, episodes in cells(given):
-            outcomes = [play(task, policy, place, target, seed, given.draw) for place, seed in episodes]
             backs = [ostium_set_back(place, target) for place, _ in episodes]
+            chosen = [int(back >= STEEP_MM) for back in backs]
+            outcomes = [
+                play(tasks[k], policies[k], place, target, seed, given.draw)
+                for k, (place, seed) in zip(chosen, episodes, strict=True)
+            ]
             measured += [(back, one.success) for back, one in zip(backs, outcomes, strict=True)]
             won = sum(one.success for one in outcomes)
             low, high = wilson_interval(won, len(outcomes))
@@ -154,7 +169,11 @@ def main() -> None:
     except (OSError, ValueError) as error:
         sys.exit(str(error))
     backs_rows = rows_by_set_back(measured)
-    print(json.dumps({"policy": given.policy, "drawn": given.draw, "rows": rows, "set_back": backs_rows}))
+    print(
+        json.dumps(
+            {"policy": given.policy, "steep": given.steep, "drawn": given.draw, "rows": rows, "set_back": backs_rows}
+        )
+    )
 
 
 if __name__ == "__main__":

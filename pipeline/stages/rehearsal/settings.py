@@ -41,7 +41,8 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings):
     name: str = "rehearsal"
     phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan
     targets: FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
-    policy: PathText | None = None  # saved with critics, to start from; null: the stage unseen's, where it has one
+    # saved with critics, to start from; null: the stage unseen's, or a shipped one, with the same devices
+    policy: PathText | None = None
     fresh: bool = False  # starts from nothing even where there is one
     walls_mm: _Millimetres = 1.0  # largest differences of a copy from the scan
     shift_mm: _Millimetres = 3.0

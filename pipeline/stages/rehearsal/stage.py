@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,14 +29,13 @@ from pipeline.stages.rehearsal.jobs import (
     train,
 )
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.unseen.task import ROADMAP
-from pipeline.stages.unseen.trials import policy_folder
+from pipeline.stages.rehearsal.starting_policy import policy_hashes, starting_policy
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import hash_file
 from pipeline.task import Task, require_feeder, require_known_task
 
 BEFORE, AFTER = "before", "after"
 TRAINING = "training"
+_LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
 _SECONDS = {"decision": 15e-3, "test": 1.0}  # guesses
 
@@ -56,9 +56,10 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         task = fitted_task(settings.task, phantom, [target])
         phantom.entry(task.entry)
         warn_of_steep_take_off(phantom, target, task)
+        start = starting_policy(settings, context.run_path, context.seed, task)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
-    start = starting_policy(settings, context.run_path, context.seed)
+    _LOGGER.info("it starts from %s", "nothing" if start is None else start)
     jobs = plan(settings, context, task, target, start)
     label = f"rehearsal in {phantom.name}"
     outcomes = run_jobs(
@@ -72,22 +73,6 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
     cost = outcomes[TRAINING] | {"starts_from": "nothing" if start is None else "a policy"}
     write_results(context.path, {"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}})
     write_figures(context.path, [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)])
-
-
-def generalist(run_path: Path, seed: int) -> Path | None:
-    """The roadmap policy of the stage unseen in the same run, if it was trained."""
-    for name in ("unseen", f"unseen@seed={seed}"):
-        file = policy_folder(run_path / name, ROADMAP, seed) / POLICY
-        if file.is_file():
-            return file
-    return None
-
-
-def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int) -> Path | None:
-    """The policy that a rehearsal starts from; None: nothing."""
-    if settings.fresh:
-        return None
-    return Path(settings.policy) if settings.policy is not None else generalist(run_path, seed)
 
 
 def plan(settings: RehearsalSettings, context: StageContext, task: Task, target: str, start: Path | None) -> list[Job]:
@@ -163,11 +148,6 @@ def picture(outcomes: dict[str, Any], tested: str, phantom: Any, target: Any, fo
     return Figure(f"{phantom.name}, {tested} the rehearsal", caption, file)
 
 
-def _generalist_hash(run_path: Path) -> dict[str, str]:
-    file = generalist(run_path, 0)
-    return {} if file is None else {"generalist": hash_file(file)}
-
-
 STAGE = Stage(
     settings=RehearsalSettings,
     run=run_rehearsal,
@@ -181,6 +161,6 @@ STAGE = Stage(
     ),
     prepare=settle,
     check=check_rehearsal,
-    further_inputs=_generalist_hash,
+    further_inputs=policy_hashes,
     place=10,
 )

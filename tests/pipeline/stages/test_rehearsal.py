@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from cathsim import load_phantom
 from enn.policy import Policy
+from enn.shipped import weight_files
 from pipeline.anatomies.settings import check_anatomies, fitted_task
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
@@ -24,7 +26,8 @@ from pipeline.stages.rehearsal.jobs import (
     train,
 )
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.stage import generalist, plan, row, run_rehearsal, starting_policy
+from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal
+from pipeline.stages.rehearsal.starting_policy import policy_hashes, starting_policy
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
@@ -104,8 +107,9 @@ def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
     settings = RehearsalSettings(**TINY | {"target": "bca", "workers": 1, "test_copies": 1})
     run_rehearsal(settings, context(tmp_path, "rehearsal"))
     results = json.loads((tmp_path / "rehearsal/results.json").read_text())
-    assert set(results["rehearsal"]) == {"type_1/after scan", "type_1/after copies"}
-    assert results["rehearsal_cost"]["type_1"]["starts_from"] == "nothing"
+    cells = {f"type_1/{tested} {kind}" for tested in ("before", "after") for kind in ("scan", "copies")}
+    assert set(results["rehearsal"]) == cells  # from a shipped policy
+    assert results["rehearsal_cost"]["type_1"]["starts_from"] == "a policy"
     assert (tmp_path / "rehearsal/after.png").stat().st_size > 10_000
 
 
@@ -146,14 +150,25 @@ def test_the_anatomy_is_a_file_a_name_or_a_seed() -> None:
         RehearsalSettings(targets=["bca", "lcca"])
 
 
-def test_the_generalist_of_the_run_is_what_it_starts_from(tmp_path: Path) -> None:
-    assert starting_policy(RehearsalSettings(), tmp_path, 0) is None
+def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> None:
+    alone, shipped = Task(), weight_files()[0]
+    assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == shipped
     file = tmp_path / "unseen/roadmap/seed0/policy.pt"
     file.parent.mkdir(parents=True)
+    shutil.copy(shipped, file)
+    assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == file
+    assert policy_hashes(tmp_path)["policy 0"] == policy_hashes(tmp_path)["policy 1"]
+    assert starting_policy(RehearsalSettings(fresh=True), tmp_path, 0, alone) is None
+    assert starting_policy(RehearsalSettings(policy=str(shipped)), tmp_path, 0, alone) == shipped
     file.write_bytes(b"x")
-    assert generalist(tmp_path, 0) == starting_policy(RehearsalSettings(), tmp_path, 0) == file
-    assert starting_policy(RehearsalSettings(fresh=True), tmp_path, 0) is None
-    assert starting_policy(RehearsalSettings(policy=str(file)), tmp_path / "other", 0) == file
+    with pytest.raises(ValueError, match=r"policy\.pt"):
+        starting_policy(RehearsalSettings(), tmp_path, 0, alone)
+
+
+def test_a_policy_of_other_devices_is_not_started_from(tmp_path: Path) -> None:
+    for task in (Task(catheter="vertebral"), Task(catheter="jb2", wire="none"), Task(actions="tip_motors")):
+        assert starting_policy(RehearsalSettings(), tmp_path, 0, task) is None
+    assert starting_policy(RehearsalSettings(algorithm="ppo"), tmp_path, 0, Task()) is None
 
 
 def test_a_row_pools_the_forces_of_all_steps() -> None:

@@ -55,14 +55,29 @@ def load(name: str, device: torch.device | str = "cpu") -> Policy | ImagePolicy:
     """
     _require(name)
     with as_file(files("enn.weights") / (name + _SUFFIX)) as path:
-        form = _format_of(path)
-        if form is not None and form not in _READERS:
-            raise ValueError(
-                f"the model {name!r} has format {form}, but enn {enn.__version__} reads {' and '.join(_READERS)}: "
-                "install the version of enn that it was shipped with"
-            )
-        # a file without a format is damaged: the reader says so
-        return _READERS.get(str(form), Policy.load)(path, device)
+        return read_policy(path, device)
+
+
+def read_policy(path: Path, device: torch.device | str = "cpu") -> Policy | ImagePolicy:
+    """Reads a policy's file, whichever kind it is of.
+
+    Raises:
+        ValueError: it is damaged, or of a format that this version does not read.
+    """
+    form = _format_of(path)
+    if form is not None and form not in _READERS:
+        raise ValueError(
+            f"the model {path.stem!r} has format {form}, but enn {enn.__version__} reads {' and '.join(_READERS)}: "
+            "install the version of enn that it was shipped with"
+        )
+    # a file without a format is damaged: the reader says so
+    return _READERS.get(str(form), Policy.load)(path, device)
+
+
+def weight_files() -> list[Path]:
+    """The files of the shipped policies, by name; none where the package lies in an archive."""
+    entries = (Path(str(files("enn.weights") / (name + _SUFFIX))) for name in sorted(_names()))
+    return [path for path in entries if path.is_file()]
 
 
 def _names() -> list[str]:
