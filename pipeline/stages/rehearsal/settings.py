@@ -43,6 +43,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings):
     targets: FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
     # saved with critics, to start from; null: the stage unseen's, or a shipped one, with the same devices
     policy: PathText | None = None
+    choose_catheter: bool = True  # over the wire, where its target's take-off is steep and no catheter is named
     fresh: bool = False  # starts from nothing even where there is one
     walls_mm: _Millimetres = 1.0  # largest differences of a copy from the scan
     shift_mm: _Millimetres = 3.0

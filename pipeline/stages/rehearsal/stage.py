@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.anatomies.settings import check_anatomies, fitted_task, settle
-from pipeline.anatomies.take_offs import warn_of_steep_take_off
+from pipeline.anatomies.take_offs import with_catheter_where_steep
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
@@ -53,9 +53,10 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         settle(settings)
         phantom = load_anatomy(settings.anatomy(settings.phantoms[0]))
         target = settings.targets[0]
-        task = fitted_task(settings.task, phantom, [target])
-        phantom.entry(task.entry)
-        warn_of_steep_take_off(phantom, target, task)
+        phantom.entry(settings.task.entry)
+        choose = settings.choose_catheter and settings.policy is None  # one that is given has its devices
+        task = with_catheter_where_steep(phantom, target, settings.task, choose=choose)
+        task = fitted_task(task, phantom, [target])
         start = starting_policy(settings, context.run_path, context.seed, task)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error

@@ -1,4 +1,4 @@
-"""The word on steep take-offs: where it is said, and where it is not."""
+"""Steep take-offs: where a catheter is put over the wire, or named, and where not."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cathsim.anatomy.generator.arch_parameters import ArchParameters
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.measurement.take_off import set_back
 from cathsim.anatomy.phantom import locate_targets
-from pipeline.anatomies.take_offs import STEEP_MM, warn_of_steep_take_off
+from pipeline.anatomies.take_offs import STEEP_MM, with_catheter_where_steep
 from pipeline.task import Task
 
 
@@ -25,21 +25,28 @@ def steep() -> Phantom:
     return Phantom("steep", "0", None, tree, grid, locate_targets(tree), {})
 
 
-def test_it_is_said_of_a_steep_take_off(steep: Phantom, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_steep_take_off_gets_a_catheter_or_a_word(steep: Phantom, caplog: pytest.LogCaptureFixture) -> None:
     back = 1e3 * set_back(steep.tree, "lcca")
     assert back >= STEEP_MM
     with caplog.at_level(logging.WARNING):
-        warn_of_steep_take_off(steep, "lcca", Task())
+        assert with_catheter_where_steep(steep, "lcca", Task(), choose=True) == Task(catheter="simmons2")
     assert f"lcca of steep leaves the aorta steeply: its ostium lies {back:.0f} mm behind" in caplog.text
+    assert "stage.choose_catheter=false leaves it out" in caplog.text
+    caplog.clear()
+    assert with_catheter_where_steep(steep, "lcca", Task(), choose=False) == Task()
+    assert "stage.catheter=simmons2 reaches further" in caplog.text
 
 
-def test_it_is_not_said_elsewhere(steep: Phantom, caplog: pytest.LogCaptureFixture) -> None:
+def test_elsewhere_the_devices_stay_and_nothing_is_said(steep: Phantom, caplog: pytest.LogCaptureFixture) -> None:
     assert 1e3 * set_back(steep.tree, "lsa") < STEEP_MM
     middle = steep.tree.root.point_at(steep.tree.root.length / 2)
     task = Task()
     with caplog.at_level(logging.WARNING):
-        warn_of_steep_take_off(steep, "lsa", task)
-        warn_of_steep_take_off(steep, "lcca", replace(task, catheter="simmons2"))
-        warn_of_steep_take_off(steep, "lcca", replace(task, entry="ascending"))
-        warn_of_steep_take_off(steep, (float(middle[0]), float(middle[1]), float(middle[2])), task)
+        for target, given in (
+            ("lsa", task),
+            ("lcca", replace(task, catheter="vertebral")),
+            ("lcca", replace(task, entry="ascending")),
+            ((float(middle[0]), float(middle[1]), float(middle[2])), task),
+        ):
+            assert with_catheter_where_steep(steep, target, given, choose=True) == given
     assert not caplog.text

@@ -113,6 +113,21 @@ def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
     assert (tmp_path / "rehearsal/after.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize(
+    ("changed", "choose"),
+    [({}, True), ({"choose_catheter": False}, False), ({"policy": str(weight_files()[0])}, False)],
+)
+def test_a_catheter_is_chosen_unless_a_policy_is_given(
+    changed: dict[str, Any], choose: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(phantom: Any, target: Any, task: Task, *, choose: bool) -> Task:
+        raise ValueError(f"choose is {choose}")
+
+    monkeypatch.setattr("pipeline.stages.rehearsal.stage.with_catheter_where_steep", asked)
+    with pytest.raises(ConfigurationError, match=f"choose is {choose}"):
+        run_rehearsal(RehearsalSettings(**TINY | changed), context(tmp_path, "rehearsal"))
+
+
 def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> None:
     settings = RehearsalSettings(**TINY | {"copies": 16, "validation_copies": 23, "test_copies": 30})
     jobs = {job.key: job for job in plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", Path("p.pt"))}
