@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 ROADMAP_TESTS = "roadmap tests"
 ACTION_REPEAT = 3  # steps of a decision
+STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
 _ANATOMIES_A_JOB = 16
 _MOST_TRIED = 1_000  # arches, to find those with a steep take-off
 _PARTS = 2  # jobs that demonstrate beside each other
@@ -247,6 +248,7 @@ def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) 
         reset_bank_cases=anatomies * len(settings.targets),
         evaluate_every=max(decisions // 5, 1),
         evaluation_episodes=settings.validation_episodes,
+        stop_after=STOP_AFTER,
         tensorboard=settings.tensorboard,
         keep_critics=True,  # a rehearsal starts from it
     )

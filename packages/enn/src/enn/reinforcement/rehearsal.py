@@ -40,6 +40,7 @@ REHEARSAL = replace(
     reset_bank_capacity=64,
     evaluate_every=3_000,
     evaluation_episodes=16,
+    stop_after=2,
     keep_critics=True,
 )
 

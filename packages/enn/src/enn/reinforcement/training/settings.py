@@ -187,7 +187,6 @@ DESK_SAC = TrainingSettings(
     demonstrations_in_replay=0.25,
     final_learning_rate=0.1,
     evaluate_every=500,
-    stop_after=2,
 )
 DESK_PPO = TrainingSettings(
     algorithm="ppo",
@@ -198,7 +197,6 @@ DESK_PPO = TrainingSettings(
     ent_coef=0.0,
     n_steps=128,
     evaluate_every=5000,
-    stop_after=2,
     curve_every=1024,
 )
 
