@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from enn.policy import Policy
-from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult, run_episodes
+from enn.reinforcement.evaluation import BestPolicy, EpisodeOutcome, EvaluationResult, run_episodes
 from enn.reinforcement.training import Training
 from tests.enn.reinforcement.small_training import SMALL
 
@@ -51,6 +51,27 @@ def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytes
     assert result.evaluation is not None
     assert result.evaluation["decisions"] == 600
     assert result.evaluation["path_mm"] == 25
+
+
+@pytest.mark.parametrize(("keeps_first", "kept"), [(True, 0), (False, 100)])
+def test_a_policy_to_start_from_stays_until_another_one_arrives(
+    keeps_first: bool, kept: int, point_env: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcomes = iter([(False, 0.0), (False, 1.0), (True, 0.0)])
+
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
+        success, reward = next(outcomes) if deterministic else (True, 0.0)
+        return EvaluationResult((EpisodeOutcome(success, 10, reward, 5.0, 0.0, 0.0),))
+
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
+    policy = Training(dataclasses.replace(SMALL, decisions=16, evaluate_every=0), point_env, seed=0).run().policy
+    best = BestPolicy(1, 0, keeps_first=keeps_first)
+    for decisions in (0, 100):
+        best.evaluate(policy, [], decisions)
+    assert best.best is not None
+    assert best.best["evaluation"]["decisions"] == kept
+    best.evaluate(policy, [], 200)
+    assert best.best["evaluation"]["decisions"] == 200
 
 
 def test_stops_early_once_perfect_and_no_shorter(point_env: Any) -> None:

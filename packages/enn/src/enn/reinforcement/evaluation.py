@@ -151,11 +151,14 @@ class BestPolicy:
     Args:
         episodes: deterministic episodes, and as many stochastic ones where those were no worse than the best so far.
         seed: of the training; its evaluations play the same episodes every time.
+        keeps_first: the policy evaluated first remains the best until another one arrives: rewards of episodes that
+            all fail do not say that it became better.
     """
 
-    def __init__(self, episodes: int, seed: int) -> None:
+    def __init__(self, episodes: int, seed: int, *, keeps_first: bool = False) -> None:
         first = EVALUATION_SEEDS + SEEDS_A_TRAINING * seed
         self.seeds = range(first, first + episodes)
+        self.keeps_first = keeps_first
         self.best: dict[str, Any] | None = None
         self.perfect = 0  # evaluations in a row that were perfect and no shorter than the best
         self.evaluated_at = -1  # decisions at the last evaluation
@@ -194,7 +197,8 @@ class BestPolicy:
         perfect = mean.success >= PERFECT and stochastic >= NEARLY
         self.perfect = (1 if shorter else self.perfect + 1) if perfect else 0
         rank = (mean.success, stochastic, -mean.path_mm if mean.success > 0 else mean.reward)
-        if self.best is None or rank > self.best["rank"]:
+        compared = mean.success > 0 or not self.keeps_first
+        if self.best is None or (compared and rank > self.best["rank"]):
             self.best = {
                 "rank": rank,
                 "weights": {name: value.clone() for name, value in policy.module.state_dict().items()},

@@ -145,7 +145,7 @@ class TrainingRun:
         self._evaluation_envs: list[gymnasium.Env[Any, Any]] = []
         self.decisions = self.env_steps = 0
         self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
-        self.best_policy = BestPolicy(settings.evaluation_episodes, inputs.seed)
+        self.best_policy = BestPolicy(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
         self.curve: list[dict[str, Any]] = []
         self.latest: dict[str, Any] = {}
         self.rewards: deque[float] = deque(maxlen=REWARD_WINDOW)
