@@ -239,18 +239,6 @@ def device_files(task: Task) -> dict[str, str]:
     return {"catheter": hash_file(Path(task.catheter))}
 
 
-def require_no_catheter(task: Task, stage: str) -> None:
-    """Refuses a catheter where a wire alone is looked for.
-
-    Raises:
-        ConfigurationError: naming the stage.
-    """
-    if task.catheter is not None:
-        raise ConfigurationError(
-            f"stage {stage} steers a wire without a catheter, got {TASK}.catheter={task.catheter}: leave it out there"
-        )
-
-
 def require_feeder(task: Task, stage: str) -> None:
     """Refuses the tip motors where only the feeder is steered.
 

@@ -25,10 +25,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from cathsim import NavigateEnv
-from cathsim.anatomy.measurement.take_off import set_back
 from cathsim.planning.state_search import FoundStates, StateSearchSettings, search_states
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.settings import fitted_task
+from pipeline.anatomies.take_offs import set_back_mm
 from pipeline.task import task_in_random_arches
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def main() -> None:
         settings = StateSearchSettings(steps=given.steps)
         for target in targets:
             env = environment(phantom, target, given.catheter)
-            back = 1e3 * set_back(phantom.tree, phantom.target(target).branch)
+            back = set_back_mm(phantom, target)
             for seed in range(1, given.seeds + 1):
                 begun = time.process_time()
                 found = search_states(env, np.random.default_rng(seed), settings=settings)

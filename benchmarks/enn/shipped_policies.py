@@ -27,12 +27,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import enn
-from cathsim.anatomy.measurement.take_off import set_back
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.policy import Policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.take_offs import STEEP_MM
+from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.task import TASK, task_in_random_arches
 
@@ -115,7 +114,7 @@ def play(task: UnseenTask, policy: Any, place: int | AnatomyFile, target: str, s
 def ostium_set_back(place: int | AnatomyFile, target: str) -> float:
     """How far the target's ostium is set back, mm."""
     phantom = load_anatomy(f"{TEST_PHANTOM}_{place}" if isinstance(place, int) else place)
-    return 1e3 * set_back(phantom.tree, phantom.target(target).branch)
+    return set_back_mm(phantom, target)
 
 
 def rows_by_set_back(measured: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:

@@ -19,6 +19,17 @@ CATHETER = "simmons2"  # that reaches further
 _LOGGER = logging.getLogger(__name__)
 
 
+def set_back_mm(phantom: Phantom, target: TargetLike) -> float:
+    """How far the ostium of a target's branch lies behind the top of the arch, mm.
+
+    Raises:
+        ValueError: the target lies in the aorta itself.
+    """
+    from cathsim.anatomy.measurement.take_off import set_back
+
+    return 1e3 * set_back(phantom.tree, phantom.target(target).branch)
+
+
 def with_catheter_where_steep(phantom: Phantom, target: TargetLike, task: Task, *, choose: bool) -> Task:
     """The task with a catheter over the wire, where a wire alone comes from below and the ostium is set back so far.
 
@@ -27,12 +38,10 @@ def with_catheter_where_steep(phantom: Phantom, target: TargetLike, task: Task, 
     Args:
         choose: False: the task stays as it is, and the log names the catheter.
     """
-    from cathsim.anatomy.measurement.take_off import set_back
-
     place = phantom.target(target)
     if task.catheter is not None or task.entry != DESCENDING or place.branch == phantom.tree.root.name:
         return task
-    back = 1e3 * set_back(phantom.tree, place.branch)
+    back = set_back_mm(phantom, target)
     if back < STEEP_MM:
         return task
     _LOGGER.warning(

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 MODES = ("deterministic", "stochastic")
 OPERATOR = "policy"
+POLICY = "policy.pt"  # of a training of enn, in its folder
 
 Controller = Callable[[Any, Mapping[str, Any]], np.ndarray]  # observation, info -> action; `reset()` where it has one
 

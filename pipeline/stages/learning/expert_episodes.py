@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.recording.replay import ReplayError, recorded_catheter, recorded_devices, recorded_wire
+from pipeline.recording.trials import POLICY
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import StageError
 from pipeline.task import FEEDER, MOTION, NO_WIRE, TASK, TIP_MOTORS, Task, require_same_task, task_from
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from enn.policy import Policy
     from enn.trajectory import Trajectory
 
-POLICY, EXPERT = "policy.pt", "expert"  # of a training: its policy, and the folder of its logs with images
+EXPERT = "expert"  # of a training: the folder of its logs with images
 CAMERA = "frontal"
 _MM = 1e3
 

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import Origin, controllers
+from pipeline.recording.trials import POLICY, Origin, controllers
 from pipeline.seeds import disturbed_seeds
 from pipeline.stages.learning.evaluation import evaluate
-from pipeline.stages.learning.expert_episodes import POLICY, expert_logs, load_expert, read_episodes
+from pipeline.stages.learning.expert_episodes import expert_logs, load_expert, read_episodes
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import CURVE, RECORD
 from pipeline.store.atomic_files import atomic_path, write_json

@@ -11,13 +11,12 @@ from pipeline.jobs.gpu_memory import LEARNT_BATCH, network_gb, policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.human import FOLDER as HUMAN
 from pipeline.recording.human import SUFFIX
-from pipeline.recording.trials import Origin
+from pipeline.recording.trials import POLICY, Origin
 from pipeline.report.aids import navigation_note
 from pipeline.report.results import write_figures, write_notes, write_results
 from pipeline.seeds import perception_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.expert_episodes import (
-    POLICY,
     expert_folder,
     expert_logs,
     load_policy,
@@ -35,16 +34,9 @@ from pipeline.stages.navigation.tables import ARCHES, DAGGER, PIXELS, figures, r
 from pipeline.stages.navigation.trials import TrialSet
 from pipeline.stages.networks.training import PREDICTOR
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
-from pipeline.store.errors import StageError
+from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.provenance import hash_file
-from pipeline.task import (
-    TASK,
-    require_feeder,
-    require_known_task,
-    require_no_catheter,
-    require_same_task,
-    task_from,
-)
+from pipeline.task import TASK, require_feeder, require_known_task, require_same_task, task_from
 
 UNSEEN = "unseen_arches"
 RIVAL_VARIANT = "desk"  # network of the rival that clones pixels, whatever the budget: the thesis prints none for it
@@ -66,7 +58,10 @@ def check_navigation(settings: NavigationSettings) -> None:
     for task in (settings.task, settings.arch_task):
         require_known_task(task)
         require_feeder(task, "navigation")
-        require_no_catheter(task, "navigation")
+        if task.catheter is not None:
+            raise ConfigurationError(
+                f"stage navigation steers a wire without a catheter, got {TASK}.catheter={task.catheter}: leave it out"
+            )
 
 
 def run_navigation(settings: NavigationSettings, context: StageContext) -> None:

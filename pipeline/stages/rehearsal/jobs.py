@@ -24,7 +24,7 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin, controllers, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, training_copies, validation_copies
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
-from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.rehearsal.settings import SAC, RehearsalSettings
 from pipeline.stages.unseen.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING, ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
@@ -33,7 +33,7 @@ from pipeline.task import TASK, Task
 if TYPE_CHECKING:
     from cathsim.rehearsal.environment import NavigateCopiesEnv
 
-STARTS, POLICY = "starts.npz", "policy.pt"
+STARTS = "starts.npz"
 SCAN, COPIES = "scan", "copies"  # sets of tests
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record")
 _LAID = 0.1  # of the training's job
@@ -112,7 +112,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     copies = (0, *training_copies(seed, settings.copies))
     starts = _laid_starts(job, copies, report)
     preset = replace(DESK_PPO, keys=ROADMAP_KEYS, reset_bank_share=0.5)
-    if settings.algorithm == "sac":
+    if settings.algorithm == SAC:
         preset = replace(REHEARSAL, buffer_size=max(settings.decisions, 1000))
     training = replace(
         preset,

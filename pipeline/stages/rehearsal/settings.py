@@ -30,6 +30,7 @@ from pipeline.task import DeviceSettings
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
+SAC, PPO = "sac", "ppo"
 _Millimetres = Annotated[float, Ge(0), Le(20)]
 _Percent = Annotated[float, Ge(0), Le(90)]
 
@@ -57,7 +58,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings):
     test_copies: Annotated[int, Ge(1), Le(1000)] = 30
     scan_episodes: Episodes = 10  # on the scan itself
     mode: Annotated[str, one_of("stochastic", "deterministic")] = "stochastic"  # of the tests' actions
-    algorithm: Annotated[str, one_of("sac", "ppo")] = "sac"
+    algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
     decisions: Decisions = 12_000
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing

@@ -15,19 +15,11 @@ from pipeline.anatomies.settings import check_anatomies, fitted_task, settle
 from pipeline.anatomies.take_offs import with_catheter_where_steep
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.recording.trials import Origin
+from pipeline.recording.trials import POLICY, Origin
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.rehearsal.jobs import (
-    COPIES,
-    POLICY,
-    PRELOAD,
-    SCAN,
-    RehearsalJob,
-    play,
-    train,
-)
+from pipeline.stages.rehearsal.jobs import COPIES, PRELOAD, SCAN, RehearsalJob, play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.starting_policy import policy_hashes, starting_policy
 from pipeline.store.errors import ConfigurationError
@@ -71,7 +63,8 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         for tested in _rows(start)
         for kind in (SCAN, COPIES)
     }
-    cost = outcomes[TRAINING] | {"starts_from": "nothing" if start is None else "a policy"}
+    origin = "nothing" if start is None else "a policy"
+    cost = outcomes[TRAINING] | {"starts_from": origin, "catheter": task.catheter or "none"}
     write_results(context.path, {"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}})
     write_figures(context.path, [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)])
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.recording.trials import POLICY
+from pipeline.stages.rehearsal.settings import SAC, RehearsalSettings
 from pipeline.stages.unseen.task import ROADMAP, ROADMAP_KEYS
 from pipeline.stages.unseen.trials import policy_folder
 from pipeline.store.provenance import hash_file
 from pipeline.task import TASK, Task, number_of_actions
-
-_POLICY = "policy.pt"
-_SAC = "sac"
 
 
 def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task: Task) -> Path | None:
@@ -24,13 +22,13 @@ def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task
         Its file; None: nothing fits, or nothing is wanted.
 
     Raises:
-        ValueError: the run's own is damaged.
+        ValueError: the run's own, or a shipped one, is damaged or of a format that this version does not read.
     """
     if settings.fresh:
         return None
     if settings.policy is not None:
         return Path(settings.policy)
-    if settings.algorithm != _SAC:  # those policies have learnt by SAC
+    if settings.algorithm != SAC:  # those policies have learnt by SAC
         return None
     return next((file for file in known_policies(run_path, seed) if _fits(file, task)), None)
 
@@ -39,13 +37,18 @@ def known_policies(run_path: Path, seed: int) -> list[Path]:
     """Policies of many anatomies by a roadmap: the one of a run, if it was trained, before those that are shipped."""
     from enn.shipped import weight_files
 
-    places = [policy_folder(run_path / name, ROADMAP, seed) / _POLICY for name in ("unseen", f"unseen@seed={seed}")]
+    places = [policy_folder(run_path / name, ROADMAP, seed) / POLICY for name in ("unseen", f"unseen@seed={seed}")]
     return [*[file for file in places if file.is_file()][:1], *weight_files()]
 
 
 def policy_hashes(run_path: Path) -> dict[str, str]:
-    """Hashes of the policies that a rehearsal may start from: its results depend on them."""
-    return {f"policy {number}": hash_file(file) for number, file in enumerate(known_policies(run_path, 0))}
+    """Hashes of the policies that a rehearsal of any seed may start from: its results depend on them."""
+    from enn.shipped import weight_files
+
+    own = sorted(run_path.glob(f"unseen*/{ROADMAP}/seed*/{POLICY}"))
+    return {str(file.relative_to(run_path)): hash_file(file) for file in own} | {
+        f"shipped/{file.name}": hash_file(file) for file in weight_files()
+    }
 
 
 def _fits(file: Path, task: Task) -> bool:
@@ -54,10 +57,11 @@ def _fits(file: Path, task: Task) -> bool:
     from enn.shipped import read_policy
 
     policy = read_policy(file)
+    if not isinstance(policy, Policy):
+        return False
     trained = policy.metadata.get(TASK, {})
     return (
-        isinstance(policy, Policy)
-        and policy.keys == ROADMAP_KEYS
+        policy.keys == ROADMAP_KEYS
         and policy.critics is not None
         and policy.action_space.shape == (number_of_actions(task),)
         and trained.get("catheter") == task.catheter

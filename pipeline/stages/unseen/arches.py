@@ -1,19 +1,15 @@
-"""Random arches of the stage `unseen`: those that come in order, or only those with a steep take-off."""
+"""Random arches of the stage `unseen` with a steep take-off."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING
 
+from pipeline.anatomies.take_offs import set_back_mm
 from pipeline.stages.unseen.task import RESOLUTION, training_arch
 from pipeline.store.errors import ConfigurationError
 
-if TYPE_CHECKING:
-    from cathsim.anatomy import Phantom
-
-_MM = 1e3
 _OFTEN = 10  # arches between two lines of the log
 
 _LOGGER = logging.getLogger(__name__)
@@ -27,7 +23,7 @@ def with_steep_take_off(seeds: Iterable[int], targets: Sequence[str], least_mm: 
     Args:
         seeds: to choose from, in order.
         targets: of which one at least has to be set back.
-        least_mm: `cathsim.anatomy.measurement.take_off.set_back` of that one at least.
+        least_mm: its set-back at least.
 
     Returns:
         Their seeds.
@@ -39,7 +35,8 @@ def with_steep_take_off(seeds: Iterable[int], targets: Sequence[str], least_mm: 
 
     def steep(seed: int) -> bool:
         kind, own = training_arch(seed)
-        return largest_set_back_mm(load_phantom(kind, seed=own, resolution=RESOLUTION), targets) >= least_mm
+        phantom = load_phantom(kind, seed=own, resolution=RESOLUTION)
+        return max(set_back_mm(phantom, target) for target in targets) >= least_mm
 
     found = []
     for seed in islice(filter(steep, seeds), count):
@@ -52,10 +49,3 @@ def with_steep_take_off(seeds: Iterable[int], targets: Sequence[str], least_mm: 
             "stage.least_set_back_mm or the number of arches"
         )
     return found
-
-
-def largest_set_back_mm(phantom: Phantom, targets: Sequence[str]) -> float:
-    """The set-back of the target whose ostium lies farthest behind the top of the arch, mm."""
-    from cathsim.anatomy.measurement.take_off import set_back
-
-    return _MM * max(set_back(phantom.tree, phantom.target(target).branch) for target in targets)

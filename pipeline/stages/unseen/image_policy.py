@@ -20,10 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import Controller
+from pipeline.recording.trials import POLICY, Controller
 from pipeline.seeds import unseen_episode_seeds
 from pipeline.stages.learning.advised_rounds import FinishedRound, forget_rounds, last_policy, teach
-from pipeline.stages.unseen.jobs import POLICY
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, training_arch
 from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests

@@ -26,7 +26,6 @@ from pipeline.task import TASK
 if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
-POLICY = "policy.pt"
 PRELOAD = (
     "cathsim.many_anatomies",
     "enn.reinforcement.training.training",

@@ -106,11 +106,10 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     image_rows = [IMAGE] * settings.image + [XRAY] * settings.xray
     most = max(count for _, count, _ in policies_of(settings))
     arches, validated = arches_of(settings, run_seed, max(most, settings.image_anatomies if image_rows else 0))
-    trained = arches
     tested = unseen_arches(settings.test_anatomies)
     jobs = []
     for name, kinds in (
-        ("training", [training_arch(seed) for seed in trained]),
+        ("training", [training_arch(seed) for seed in arches]),
         ("validation", [training_arch(seed) for seed in validated]),
         ("test", [(TEST_PHANTOM, seed) for seed in tested]),
     ):
@@ -127,7 +126,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
             after=(f"training/{part[0]}",),
             weight=len(part) * _SECONDS["starts"],
         )
-        for part in _parts(trained[:most])
+        for part in _parts(arches[:most])
     ]
     jobs += laid
     shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, arches, run_seed)

@@ -110,6 +110,7 @@ def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
     cells = {f"type_1/{tested} {kind}" for tested in ("before", "after") for kind in ("scan", "copies")}
     assert set(results["rehearsal"]) == cells  # from a shipped policy
     assert results["rehearsal_cost"]["type_1"]["starts_from"] == "a policy"
+    assert results["rehearsal_cost"]["type_1"]["catheter"] == "none"
     assert (tmp_path / "rehearsal/after.png").stat().st_size > 10_000
 
 
@@ -172,7 +173,9 @@ def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> Non
     file.parent.mkdir(parents=True)
     shutil.copy(shipped, file)
     assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == file
-    assert policy_hashes(tmp_path)["policy 0"] == policy_hashes(tmp_path)["policy 1"]
+    hashes = policy_hashes(tmp_path)
+    assert hashes["unseen/roadmap/seed0/policy.pt"] == hashes[f"shipped/{shipped.name}"]
+    assert policy_hashes(tmp_path / "elsewhere") == {k: v for k, v in hashes.items() if k.startswith("shipped/")}
     assert starting_policy(RehearsalSettings(fresh=True), tmp_path, 0, alone) is None
     assert starting_policy(RehearsalSettings(policy=str(shipped)), tmp_path, 0, alone) == shipped
     file.write_bytes(b"x")
