@@ -1,10 +1,12 @@
 """Named and random phantoms: targets, entries, messages, cache."""
 
 import copy
+import gc
 import json
 import logging
 import multiprocessing
 import pickle
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -109,6 +111,21 @@ def test_what_the_cache_returns_is_what_was_built(tmp_path):
         assert np.array_equal(read.geodesic_field(name).values, built.geodesic_field(name).values)
     for name, entry in built.entries.items():
         assert np.array_equal(read.entries[name].direction, entry.direction)
+
+
+def test_fields_from_the_cache_are_kept_while_used_the_latest_for_longer(tmp_path):
+    load_phantom("type_1", resolution=COARSE, cache_dir=tmp_path)
+    _forget()
+    read = load_phantom("type_1", resolution=COARSE, cache_dir=tmp_path)
+    used = read.geodesic_field("bca")
+    fields = [weakref.ref(read.geodesic_field(name)) for name in ("bca", "lcca", "lsa")]
+    gc.collect()
+    assert [field() is not None for field in fields] == [True, False, True]
+    assert read.geodesic_field("bca") is used
+    computed = weakref.ref(read.geodesic_field("lcca_end"))  # the cache has none of it
+    read.geodesic_field("lsa")
+    gc.collect()
+    assert computed() is not None
 
 
 @pytest.mark.parametrize("damage", ["cut", "flip", "empty", "text"])

@@ -1,9 +1,12 @@
 """Values in blocks are those of the dense lattice, whatever part of it is stored."""
 
+import pickle
+from itertools import product
+
 import numpy as np
 import pytest
 
-from cathsim.lattice.node_blocks import AROUND, STRIDES, NodeBlocks
+from cathsim.lattice.node_blocks import STRIDES, NodeBlocks
 
 SHAPE = (21, 40, 33)  # none but one a multiple of a block's edge
 CLAMP = -0.01
@@ -51,7 +54,7 @@ def test_every_stored_node_has_its_neighbours_beside_it(values: np.ndarray, bloc
     """3 x 3 x 3 nodes around any inner node lie within the middle one's block."""
     inner = np.argwhere(np.ones([n - 2 for n in SHAPE], bool)) + 1
     flat = blocks.nodes.reshape(-1)
-    for offset in AROUND:
+    for offset in product((-1, 0, 1), repeat=3):
         found = flat[blocks.positions(inner) + int(np.dot(offset, STRIDES))]
         assert np.array_equal(found, values[tuple((inner + offset).T)])
 
@@ -61,6 +64,34 @@ def test_nodes_that_fulfil_a_condition_come_in_c_order(values: np.ndarray, block
         indices, found = blocks.where(lambda value, least=least: value > least)
         assert np.array_equal(indices, np.argwhere(values > least))
         assert np.array_equal(found, values[values > least])
+
+
+def test_box_of_nodes_that_fulfil_a_condition(values: np.ndarray, blocks: NodeBlocks) -> None:
+    for least in (0.0, -0.005, -1.0):
+        found = np.argwhere(values > least)
+        box = blocks.box_where(lambda value, least=least: value > least)
+        assert box.tolist() == [found.min(axis=0).tolist(), found.max(axis=0).tolist()]
+    with pytest.raises(ValueError, match="zero-size"):
+        blocks.box_where(lambda value: value > 1.0)
+
+
+def test_values_between_nodes_are_those_of_the_eight_around(values: np.ndarray, blocks: NodeBlocks) -> None:
+    limit = np.array(SHAPE) - 1
+    index = np.random.default_rng(0).uniform(-3, limit + 3, (500, 3))
+    index[:50] = np.rint(index[:50])
+    index[50] = limit
+    clipped = np.clip(index, 0, limit)
+    base = np.minimum(clipped.astype(int), limit - 1)
+    expected = np.zeros(len(index))
+    for corner in product((0, 1), repeat=3):
+        weight = np.where(corner, clipped - base, 1 - (clipped - base)).prod(axis=1)
+        expected += weight * values[tuple((base + corner).T)]
+    assert np.allclose(blocks.interpolated(index), expected, rtol=0, atol=1e-15)
+    assert np.isnan(blocks.interpolated(np.array([1.0, np.nan, 1.0])))
+    copy = pickle.loads(pickle.dumps(blocks))
+    assert np.array_equal(copy.interpolated(index.reshape(5, 100, 3)), blocks.interpolated(index).reshape(5, 100))
+    with pytest.raises(TypeError, match="float32"):
+        NodeBlocks.from_dense(np.arange(27, dtype=np.int32).reshape(3, 3, 3)).interpolated(index)
 
 
 @pytest.mark.parametrize("stride", [1, 2, 3, 5])

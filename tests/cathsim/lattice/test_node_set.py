@@ -1,9 +1,11 @@
 """Numbered nodes know their neighbours and the parts that they form."""
 
+from itertools import product
+
 import numpy as np
 from scipy import ndimage
 
-from cathsim.lattice.node_blocks import AROUND, NodeBlocks
+from cathsim.lattice.node_blocks import NodeBlocks
 from cathsim.lattice.node_set import NodeSet
 
 SHAPE = (19, 23, 30)
@@ -21,7 +23,7 @@ def test_numbers_follow_c_order_and_neighbours_are_found() -> None:
     assert np.array_equal(chosen.indices, np.argwhere(values > 0.05))
     numbers = np.full([n + 2 for n in SHAPE], -1)
     numbers[1:-1, 1:-1, 1:-1][values > 0.05] = np.arange(len(chosen))
-    for offset in AROUND:  # also across the lattice's border, where there is none
+    for offset in product((-1, 0, 1), repeat=3):  # also across the lattice's border, where there is none
         expected = numbers[tuple((chosen.indices + 1 + offset).T)]
         assert np.array_equal(chosen.neighbours(slice(None), offset), expected)
     assert chosen.number_at(chosen.indices[7]) == 7

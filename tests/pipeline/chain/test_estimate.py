@@ -12,7 +12,7 @@ import pytest
 from pipeline.chain.estimate import TimedJob, TimedStage, critical_path, report, timed_stages
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.run_folder import Identity, RunFolder
-from tests.pipeline.stages.toy_training import square
+from tests.pipeline.jobs.toy_training import square
 
 
 def stage(*jobs: TimedJob, name: str = "enn", own: float = 0.0) -> TimedStage:

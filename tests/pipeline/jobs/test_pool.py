@@ -19,7 +19,7 @@ from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Message, Report
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
-from tests.pipeline.stages.toy_training import Toy, opencv_threads, square, train
+from tests.pipeline.jobs.toy_training import Toy, opencv_threads, square, train
 
 TEST_ROOT = Path(__file__).resolve().parents[3]
 
@@ -110,7 +110,7 @@ def start_toys(root: Path, *, steps: int = 60, checkpoint_every: int = 1) -> sub
         "import signal, sys, logging\n"
         "from pathlib import Path\n"
         "from pipeline.store.interruption import let_ctrl_c_interrupt\n"
-        "from tests.pipeline.stages.toy_training import run_toys\n"
+        "from tests.pipeline.jobs.toy_training import run_toys\n"
         "logging.basicConfig(level=logging.INFO)\n"
         "let_ctrl_c_interrupt()\n"
         "signal.signal(signal.SIGTERM, lambda *a: sys.exit(143))\n"

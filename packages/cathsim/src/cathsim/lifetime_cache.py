@@ -1,12 +1,13 @@
-"""Results that are kept exactly as long as the object they were made from."""
+"""Results that are kept as long as the object they were made from, or as long as somebody uses them."""
 
 from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Callable
-from typing import Concatenate, ParamSpec, TypeVar
-from weakref import WeakKeyDictionary
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Concatenate, Generic, ParamSpec, TypeVar
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 Owner = TypeVar("Owner")
 Further = ParamSpec("Further")
@@ -38,3 +39,28 @@ def kept_with_owner(
             return results[key]
 
     return look_up
+
+
+class KeptWhileUsed(Generic[Result]):
+    """Results that are kept as long as somebody uses them, the last few for longer; not safe between threads.
+
+    Args:
+        latest: how many are kept although nobody uses them.
+    """
+
+    def __init__(self, latest: int) -> None:
+        self._number = latest
+        self._in_use: WeakValueDictionary[Hashable, Result] = WeakValueDictionary()
+        self._latest: OrderedDict[Hashable, Result] = OrderedDict()
+
+    def take(self, key: Hashable, make: Callable[[], Result]) -> Result:
+        """The result of a key, made where it is not kept."""
+        result = self._in_use.get(key)
+        if result is None:
+            result = make()
+            self._in_use[key] = result
+        self._latest[key] = result
+        self._latest.move_to_end(key)
+        while len(self._latest) > self._number:
+            self._latest.popitem(last=False)
+        return result

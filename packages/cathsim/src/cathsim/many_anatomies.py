@@ -72,7 +72,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     """`NavigateEnv` in an anatomy, towards a target and with a wire that each reset draws again.
 
     Phantoms are built at first use and shared by every environment of the process, which keeps the last 64 of them
-    (`SHELF.capacity`): about 40 MB each at 1 mm, 13 MB at 1.5 mm.
+    (`SHELF.capacity`): at 1 mm 8 MB each, and 6 MB for each target in use, the latest one included.
 
     Observations and actions are those of `NavigateEnv`; all wires must give the same observation space. `info` also
     holds `case`, the number of the drawn case, `phantom` and `target`, their names.

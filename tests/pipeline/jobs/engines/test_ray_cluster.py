@@ -16,7 +16,7 @@ from pipeline.jobs.engines.settings import RaySettings
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
-from tests.pipeline.stages.toy_training import Toy, square, train
+from tests.pipeline.jobs.toy_training import Toy, square, train
 
 NO_RAY = "Ray is not installed: make ray"
 

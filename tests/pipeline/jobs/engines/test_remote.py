@@ -19,7 +19,7 @@ from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.jobs.engines.process_cluster import ProcessCluster
-from tests.pipeline.stages.toy_training import Toy, square, train
+from tests.pipeline.jobs.toy_training import Toy, square, train
 
 Made = Callable[..., ProcessCluster]
 

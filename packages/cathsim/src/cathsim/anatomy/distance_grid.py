@@ -147,8 +147,7 @@ class SignedDistanceGrid(LatticeField):
 
     def inside_box(self) -> NDArray[np.int32]:
         """Lowest and highest index (2, 3) of the lumen's nodes."""
-        inside = self.inside()
-        return np.stack([inside.min(axis=0), inside.max(axis=0)])
+        return self.blocks.box_where(lambda values: values > 0)
 
     def silhouette(self, axis: int) -> NDArray[np.float32]:
         """The largest distance along an axis, (two others) m: positive where a line of sight meets the lumen."""

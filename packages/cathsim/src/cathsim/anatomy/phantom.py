@@ -24,8 +24,9 @@ from cathsim.anatomy.entry import (
 )
 from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import geodesic_field, graph_distance
-from cathsim.anatomy.point_target import PointFields, TargetLike, as_target, nearest_branch, require_inside, target_name
+from cathsim.anatomy.point_target import TargetLike, as_target, nearest_branch, require_inside, target_name
 from cathsim.anatomy.vessel_tree import VesselTree
+from cathsim.lifetime_cache import KeptWhileUsed
 
 if TYPE_CHECKING:
     import trimesh
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 TARGET_DISTANCE = {"bca": 0.030, "lcca": 0.040, "lsa": 0.040, "rcca": 0.020, "rsa": 0.020}
 END_DISTANCE = 0.010  # m from a branch's open end to the target there
 END_CLEARANCE = 5e-3  # m between a target and the open end of its branch
+_NAMED_KEPT, _POINTS_KEPT = 1, 4  # geodesic fields that nobody uses any more: 6 MB each at 1 mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,14 @@ class Target:
         return self.name == self.branch + END_SUFFIX
 
 
+def _named_fields() -> KeptWhileUsed[LatticeField]:
+    return KeptWhileUsed(_NAMED_KEPT)
+
+
+def _point_fields() -> KeptWhileUsed[LatticeField]:
+    return KeptWhileUsed(_POINTS_KEPT)
+
+
 @dataclass(frozen=True, eq=False)
 class Phantom:
     """One anatomy, ready for simulation."""
@@ -79,9 +89,11 @@ class Phantom:
     # what it was imported with, for a phantom from a mesh: path, unit, names
     source: Mapping[str, Any] | None = field(default=None, repr=False)
     _load_field: Callable[[str], LatticeField | None] | None = field(default=None, repr=False)
-    _fields: dict[str, LatticeField] = field(default_factory=dict, repr=False)
-    _points: PointFields = field(default_factory=PointFields, repr=False)
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+    _fields: dict[str, LatticeField] = field(default_factory=dict, repr=False)  # computed
+    # of each phantom alone, also of one made by `dataclasses.replace`
+    _read: KeptWhileUsed[LatticeField] = field(init=False, default_factory=_named_fields, repr=False)
+    _points: KeptWhileUsed[LatticeField] = field(init=False, default_factory=_point_fields, repr=False)
+    _lock: threading.Lock = field(init=False, default_factory=threading.Lock, repr=False)
 
     def __post_init__(self) -> None:
         ends = {
@@ -95,10 +107,10 @@ class Phantom:
         return f"Phantom({self.name!r}, {self.hash}, grid {self.grid.shape} at {self.grid.spacing:g} m)"
 
     def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_lock", "_points")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_read", "_points", "_lock")}
 
     def __setstate__(self, state: dict[str, object]) -> None:
-        self.__dict__.update(state, _lock=threading.Lock(), _points=PointFields())
+        self.__dict__.update(state, _read=_named_fields(), _points=_point_fields(), _lock=threading.Lock())
 
     def __deepcopy__(self, memo: dict[int, object]) -> Phantom:
         return self  # never changes, so that copied environments go on sharing its grids
@@ -157,7 +169,7 @@ class Phantom:
         return point_entry(name, place[0], self.tree, self.grid, self.name, along)
 
     def geodesic_field(self, target: TargetLike) -> LatticeField:
-        """In-lumen distance to a target on the grid's lattice; read from the cache or computed at first use.
+        """In-lumen distance to a target on the grid's lattice; read from the cache or computed when it is wanted.
 
         Args:
             target: one of `targets`, or a point in the lumen, (3,) m: computed in about a second at 1 mm, kept while it
@@ -170,11 +182,17 @@ class Phantom:
         with self._lock:
             if not isinstance(name, str):
                 return self._points.take(name, lambda: geodesic_field(self.grid, self.target(name).position))
-            if name not in self._fields:
-                place = self.target(name)
-                loaded = self._load_field(name) if self._load_field is not None else None
-                self._fields[name] = geodesic_field(self.grid, place.position) if loaded is None else loaded
-            return self._fields[name]
+            if name in self._fields:
+                return self._fields[name]
+            return self._read.take(name, lambda: self._read_or_computed(name))
+
+    def _read_or_computed(self, name: str) -> LatticeField:
+        place = self.target(name)
+        loaded = self._load_field(name) if self._load_field is not None else None
+        if loaded is not None:
+            return loaded
+        self._fields[name] = geodesic_field(self.grid, place.position)  # which takes long: it is kept
+        return self._fields[name]
 
     def geodesic_distance(self, points: ArrayLike, target: TargetLike) -> NDArray[np.float64]:
         """In-lumen distance (...,) m from points (..., 3) m to a target, trilinear in the geodesic field.

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from weakref import WeakValueDictionary
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
 
 Point = tuple[float, float, float]  # m, world frame
@@ -19,7 +17,6 @@ TargetLike = str | Sequence[float] | NDArray[np.floating]
 _FARTHEST = 10.0  # m: a coordinate beyond was meant in another unit
 _POINT = re.compile(r"point_(-?[0-9.]+)_(-?[0-9.]+)_(-?[0-9.]+)_mm")
 _DEEP = 1e-3  # m: a point this far inside the wall is well within the lumen
-_KEPT = 4  # geodesic fields of points that are kept while nobody uses them, 3 to 50 MB each
 
 
 def as_target(target: object) -> str | Point:
@@ -82,23 +79,3 @@ def points_beyond_root(tree: VesselTree, grid: SignedDistanceGrid) -> NDArray[np
     points = np.concatenate([branch.points for branch in tree.branches[1:]])
     _, arc, distance = nearest_on_branch(tree.root, points)
     return points[(distance > tree.root.radius_at(arc)) & (grid.sample(points) > _DEEP)]
-
-
-class PointFields:
-    """Geodesic fields of points: kept as long as somebody uses them, the last few for longer; not safe by itself."""
-
-    def __init__(self) -> None:
-        self._in_use: WeakValueDictionary[Point, LatticeField] = WeakValueDictionary()
-        self._latest: OrderedDict[Point, LatticeField] = OrderedDict()
-
-    def take(self, point: Point, make: Callable[[], LatticeField]) -> LatticeField:
-        """The field of a point, made where it is not kept."""
-        field = self._in_use.get(point)
-        if field is None:
-            field = make()
-            self._in_use[point] = field
-        self._latest[point] = field
-        self._latest.move_to_end(point)
-        while len(self._latest) > _KEPT:
-            self._latest.popitem(last=False)
-        return field

@@ -46,12 +46,25 @@ def optical_depth(grid: DistanceGrid, projector: Projector, scene: XRayScene) ->
         coarse = _every(projector, _BODY_STRIDE)
         depth += _between(body_depth(coarse, scene.body, centre), _BODY_STRIDE, depth.shape)
     if scene.filling or scene.wall:
-        lumen = lumen_path_length(grid, projector)
+        lumen = _path_length(grid, projector, 0.0)
         depth += np.float32(scene.filling) * lumen
         if scene.wall and scene.wall_thickness:
-            outer = lumen_path_length(grid, projector, level=-scene.wall_thickness)
+            outer = _path_length(grid, projector, -scene.wall_thickness)
             depth += np.float32(scene.wall) * (outer - lumen)
     return depth
+
+
+def _path_length(grid: DistanceGrid, projector: Projector, level: float) -> NDArray[np.float32]:
+    """As `lumen_path_length`; a scene and its contrast run, one after the other, share it."""
+    return _integrated(Keyed((id(grid), projector.key, level), grid, projector, level))
+
+
+@lru_cache(maxsize=4)  # which keeps the grids, so that their ids stay theirs
+def _integrated(wanted: Keyed) -> NDArray[np.float32]:
+    grid, projector, level = wanted.arguments
+    length = lumen_path_length(grid, projector, level=level)
+    length.flags.writeable = False
+    return length
 
 
 def radiograph(grid: DistanceGrid, camera: XRayCamera, scene: XRayScene, *, key: str | None = None) -> Radiograph:

@@ -6,10 +6,11 @@ their middle belongs to. The native code reads the same layout (native/lattice.h
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 EDGE = 8  # nodes of its own along the edge of a block
 SIDE = EDGE + 2  # nodes along the edge of a stored block, those of its neighbours included
 STRIDES = np.array([SIDE * SIDE, SIDE, 1])
-AROUND = tuple(offset for offset in product((-1, 0, 1), repeat=3) if any(offset))  # to the 26 neighbours
 
 _OWN = slice(1, EDGE + 1)
 _BATCH = 2**20  # nodes handled at once, so that memory stays bounded
@@ -117,26 +117,20 @@ class NodeBlocks:
 
         Nodes beyond the lattice must hold the constant.
         """
-        fill = cores.dtype.type(constant)
-        differs = (cores != fill).any(axis=(1, 2, 3))
-        if not differs.all():
-            occupied, cores = occupied.copy(), cores[differs]
-            occupied[occupied] = differs
-        stored, places = np.pad(occupied, 1), np.argwhere(occupied) + 1
-        for offset in AROUND:  # a block next to nodes that are not constant keeps copies of them
-            touching = cores[(slice(None), *(_FACE[step] for step in offset))] != fill
-            there = places[touching.any(axis=(1, 2, 3))] + offset
-            stored[tuple(there.T)] = True
-        inner = (slice(1, -1),) * 3
-        stored = stored[inner]
-        table = np.where(stored, np.cumsum(stored).reshape(stored.shape), 0).astype(np.int32)
-        nodes = np.full((int(stored.sum()) + 1, SIDE, SIDE, SIDE), fill, dtype=cores.dtype)
-        nodes[(table[occupied], _OWN, _OWN, _OWN)] = cores
-        padded, places = np.pad(table, 1), np.argwhere(stored) + 1
-        for offset in AROUND:
-            neighbour = padded[tuple((places + offset).T)]
-            copied = nodes[(neighbour, *(_SOURCE[step] for step in offset))]
-            nodes[(slice(1, None), *(_COPY[step] for step in offset))] = copied
+        from cathsim.contact.native import address, library
+
+        cores = np.ascontiguousarray(cores)
+        numbers = np.where(occupied, np.cumsum(occupied).reshape(occupied.shape) - 1, -1).astype(np.int32)
+        counts = np.array(occupied.shape, dtype=np.int32)
+        fill = np.array([constant], dtype=cores.dtype).view(np.uint32)
+        given = (address(counts), address(numbers))
+        stored = np.zeros(occupied.shape, dtype=np.uint8)
+        library().cathsim_mark_blocks(*given, address(cores), ctypes.c_uint32(int(fill[0])), address(stored))
+        table = np.where(stored, np.cumsum(stored, dtype=np.int32).reshape(stored.shape), 0).astype(np.int32)
+        nodes = np.empty((int(stored.sum()) + 1, SIDE, SIDE, SIDE), dtype=cores.dtype)
+        library().cathsim_fill_blocks(
+            *given, address(table), address(cores), ctypes.c_uint32(int(fill[0])), address(nodes)
+        )
         return cls(shape, table, nodes)
 
     @property
@@ -208,6 +202,22 @@ class NodeBlocks:
             values.append(dense[chosen])
         return np.concatenate(found), np.concatenate(values)
 
+    def box_where(self, condition: Callable[[NDArray], NDArray[np.bool_]]) -> NDArray[np.int32]:
+        """Lowest and highest index (2, 3) of the nodes whose values fulfil a condition.
+
+        Raises:
+            ValueError: none does.
+        """
+        if condition(self.nodes[0, :1, 0, 0])[0]:  # the constant does: own nodes beyond the lattice hold it, too
+            found = self.where(condition)[0]
+            return np.stack([found.min(axis=0), found.max(axis=0)])
+        chosen, box = condition(self.own), np.empty((2, 3), dtype=np.int32)
+        for axis in range(3):
+            others = tuple(k + 1 for k in range(3) if k != axis)
+            along = (self.places[:, axis, None] + np.arange(EDGE))[chosen.any(axis=others)]
+            box[:, axis] = along.min(), along.max()
+        return box
+
     def own_indices(self, chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Indices (n, 3) of nodes chosen among `own` (blocks - 1, 8, 8, 8), block by block."""
         places, pieces = self.places.astype(np.int32), [np.zeros((0, 3), dtype=np.int32)]
@@ -263,19 +273,24 @@ class NodeBlocks:
 
     def interpolated(self, index: NDArray[np.float64]) -> NDArray[np.float64]:
         """Trilinear interpolation at fractional indices (..., 3), clamped to the lattice."""
-        limit = np.array(self.shape) - 1
-        index = np.clip(index, 0.0, limit)
-        base = np.minimum(index.astype(np.intp), limit - 1)
-        fx, fy, fz = np.moveaxis(index - base, -1, 0)
-        flat, corner = self.nodes.reshape(-1), self.positions(base)
-        result = np.zeros(index.shape[:-1])
-        for step_x, weight_x in ((0, 1 - fx), (SIDE * SIDE, fx)):
-            for step_y, weight_y in ((0, 1 - fy), (SIDE, fy)):
-                weight = weight_x * weight_y
-                lower = flat[corner + (step_x + step_y)]
-                upper = flat[corner + (step_x + step_y + 1)]
-                result += weight * (lower * (1 - fz) + upper * fz)
+        from cathsim.contact.native import address, library
+
+        index = np.ascontiguousarray(index, dtype=np.float64)
+        result = np.empty(index.shape[:-1])
+        count = ctypes.c_int64(result.size)
+        library().cathsim_interpolate(ctypes.byref(self._struct), count, address(index), address(result))
         return result
+
+    @cached_property
+    def _struct(self) -> ctypes.Structure:
+        from cathsim.lattice.native_lattice import LatticeStruct
+
+        if self.nodes.dtype != np.float32:
+            raise TypeError(f"only values of float32 can be interpolated, got {self.nodes.dtype}.")
+        return LatticeStruct.of(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_struct"}  # it points into memory
 
     def positions(self, indices: NDArray[np.integer]) -> NDArray[np.int64]:
         """Where nodes (..., 3) stand in `nodes` as a flat array; their neighbours are `STRIDES` away.
@@ -286,9 +301,3 @@ class NodeBlocks:
         block = self.table[at[..., 0], at[..., 1], at[..., 2]].astype(np.int64)
         within = [(indices[..., k] & (EDGE - 1)) + 1 for k in range(3)]
         return block * SIDE**3 + (within[0] * SIDE**2 + within[1] * SIDE + within[2])
-
-
-# By the step to a neighbour: own nodes that it copies, where they stand in the stored block, and where they go.
-_FACE = {-1: slice(0, 1), 0: slice(None), 1: slice(EDGE - 1, EDGE)}
-_SOURCE = {-1: slice(EDGE, EDGE + 1), 0: _OWN, 1: slice(1, 2)}
-_COPY = {-1: slice(0, 1), 0: _OWN, 1: slice(SIDE - 1, SIDE)}

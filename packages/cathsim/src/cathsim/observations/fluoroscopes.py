@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -83,7 +84,6 @@ class Fluoroscope:
         size = quantity("image_size", size, _ImageSize)
         self.simulation = simulation
         self.shape = (size, size)
-        self.renderer = self._camera()
         self._image, self._mask = np.empty(self.shape, np.uint8), np.empty(self.shape, np.uint8)
         # the wire's, and the catheter's
         self._masks = {} if catheter_in(simulation) is None else {one: self._mask.copy() for one in DEVICE_NAMES}
@@ -93,11 +93,9 @@ class Fluoroscope:
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "renderer"}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self.renderer = self._camera()
-
-    def _camera(self) -> FluoroscopyRenderer | DeviceRenderer:
+    @cached_property
+    def renderer(self) -> FluoroscopyRenderer | DeviceRenderer:
+        """The camera, made at the first look: its background costs time and memory."""
         phantom, catheter, radius = (
             self.simulation.phantom,
             catheter_in(self.simulation),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import logging
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path as FilePath
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.lattice.native_lattice import NodeSetStruct
-from cathsim.lattice.node_blocks import AROUND, STRIDES
+from cathsim.lattice.node_blocks import STRIDES
 from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
 from cathsim.validation import LengthOrNone, quantity
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 CLEARANCE = WIRE_RADIUS
 _Aversion = Annotated[float, Interval(ge=0, le=1e6)]  # the search needs costs no less than length
 _SNAP = 3  # lattice points between an end of the path and the lattice, at most
+_AROUND = tuple(step for step in product((-1, 0, 1), repeat=3) if any(step))  # to the 26 neighbours of a node
 _STEP = 1e-3  # m between the points of a smoothed path
 _ROUNDS = 60
 _FOUND, _NO_MEMORY = 0, 2  # what the native search returns
@@ -156,8 +158,8 @@ def _search(free: NodeSet, weight: Array, first: NDArray[np.intp], last: NDArray
     squares = [(np.arange(n) - i) ** 2.0 for n, i in zip(free.numbers.shape, first, strict=True)]
     x, y, z = (square[free.indices[:, k]] for k, square in enumerate(squares))
     bound, half = np.sqrt(x + y + z), 0.5 * weight
-    steps = np.array(AROUND, dtype=np.int32) @ STRIDES.astype(np.int32)
-    lengths = np.sqrt(np.square(AROUND).sum(axis=1, dtype=np.float64))
+    steps = np.array(_AROUND, dtype=np.int32) @ STRIDES.astype(np.int32)
+    lengths = np.sqrt(np.square(_AROUND).sum(axis=1, dtype=np.float64))
     begin, goal = free.number_at(last), free.number_at(first)
     came_from = np.empty(len(free), dtype=np.int32)
     arrays = (address(array) for array in (steps, lengths, half, bound))

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.point_target import PointFields
 from cathsim.anatomy.vessel_tree import VesselTree
 
 MODES = 24  # waves of which the displacement is the sum
@@ -80,8 +79,6 @@ def _displaced(phantom: Phantom, seed: int, farthest: float) -> Phantom:
         grid=displaced,
         _load_field=phantom.geodesic_field,
         _fields={},
-        _points=PointFields(),
-        _lock=threading.Lock(),
     )
 
 
