@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 ROADMAP_TESTS = "roadmap tests"
 ACTION_REPEAT = 3  # steps of a decision
+EVALUATIONS, OF_THE_CURVE = 5, 2  # of a training; policies of few anatomies fail, which takes longest
 STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
 _ANATOMIES_A_JOB = 16
 _MOST_TRIED = 1_000  # arches, to find those with a steep take-off
@@ -142,7 +143,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
             task=task,
             anatomies=tuple(arches[:count]),
             tests=(*main, *misregistered(settings)) if row == ROADMAP else plain,
-            settings=training_settings(settings, count, decisions),
+            settings=training_settings(settings, count, decisions, EVALUATIONS if row == ROADMAP else OF_THE_CURVE),
             validated=tuple(validated),
             demonstrated=bool(shown),
         )
@@ -223,11 +224,14 @@ def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
     return episodes * len(settings.targets) * _SECONDS["test"]
 
 
-def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) -> TrainingSettings:
+def training_settings(
+    settings: UnseenSettings, anatomies: int, decisions: int, evaluations: int = EVALUATIONS
+) -> TrainingSettings:
     """Those of the roadmap policies: a wider network than for one anatomy, and a reset bank with its cases.
 
     Args:
         anatomies: how many the policy is trained on.
+        evaluations: on the validation anatomies, the best of which decides.
     """
     from enn.reinforcement.training import DESK_SAC
 
@@ -245,7 +249,7 @@ def training_settings(settings: UnseenSettings, anatomies: int, decisions: int) 
         reset_bank_share=BANK_SHARE,
         reset_bank_capacity=BANK_CAPACITY,
         reset_bank_cases=anatomies * len(settings.targets),
-        evaluate_every=max(decisions // 5, 1),
+        evaluate_every=max(decisions // evaluations, 1),
         evaluation_episodes=settings.validation_episodes,
         stop_after=STOP_AFTER,
         tensorboard=settings.tensorboard,

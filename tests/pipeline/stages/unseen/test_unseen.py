@@ -91,6 +91,8 @@ def test_points_of_the_curve_have_equally_many_decisions(tmp_path: Path) -> None
     jobs = {job.key: job for job in plan(settings(), tmp_path, 0, "desk")}
     sizes = {key: job.given.settings.decisions for key, job in jobs.items() if isinstance(job.given, RoadmapJob)}
     assert sizes == {"roadmap": 16_000, "roadmap tests": 16_000, **{f"roadmap {k}": 8_000 for k in (1, 4, 8)}}
+    every = {key: jobs[key].given.settings.evaluate_every for key in sizes}
+    assert every == {key: decisions // (2 if key[-1].isdigit() else 5) for key, decisions in sizes.items()}
     assert {"roadmap", "xray", "image_true_mask"} <= set(
         jobs["roadmap 8"].after
     )  # two of them with as many arches would not fit the memory

@@ -6,7 +6,9 @@ their middle belongs to. The native code reads the same layout (native/lattice.h
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import mmap
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -127,7 +129,7 @@ class NodeBlocks:
         stored = np.zeros(occupied.shape, dtype=np.uint8)
         library().cathsim_mark_blocks(*given, address(cores), ctypes.c_uint32(int(fill[0])), address(stored))
         table = np.where(stored, np.cumsum(stored, dtype=np.int32).reshape(stored.shape), 0).astype(np.int32)
-        nodes = np.empty((int(stored.sum()) + 1, SIDE, SIDE, SIDE), dtype=cores.dtype)
+        nodes = _mapped((int(stored.sum()) + 1, SIDE, SIDE, SIDE), cores.dtype)
         library().cathsim_fill_blocks(
             *given, address(table), address(cores), ctypes.c_uint32(int(fill[0])), address(nodes)
         )
@@ -301,3 +303,17 @@ class NodeBlocks:
         block = self.table[at[..., 0], at[..., 1], at[..., 2]].astype(np.int64)
         within = [(indices[..., k] & (EDGE - 1)) + 1 for k in range(3)]
         return block * SIDE**3 + (within[0] * SIDE**2 + within[1] * SIDE + within[2])
+
+
+def _mapped(shape: tuple[int, ...], dtype: np.dtype) -> NDArray:
+    """An array in pages of its own, which go back to the system with it.
+
+    The C library would keep them: a training that reads one arch after the other would take twice the memory.
+    """
+    size = int(np.prod(shape)) * dtype.itemsize
+    own = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_ANONYMOUS") else {}
+    pages = mmap.mmap(-1, size, **own)
+    if hasattr(mmap, "MADV_HUGEPAGE"):
+        with contextlib.suppress(OSError):  # a kernel without them
+            pages.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(pages, dtype=dtype).reshape(shape)
