@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ RANDOM = ("random", "random_wide", SCAN, VARIETY, *_OF_TYPE)  # names that need 
 Recipe = ArchParameters | VarietyArch | ScanArch
 
 
+@lru_cache(maxsize=1024)  # those of a training come again and again, and take longer than reading the arch
 def draw_recipe(name: str, seed: int) -> Recipe:
     """The arch of a name of RANDOM and a seed."""
     if name == SCAN:
