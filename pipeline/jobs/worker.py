@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import logging
 import os
 import signal
@@ -21,6 +20,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.jobs.costs import Cost, CostMeter
+from pipeline.jobs.freed_memory import return_freed_memory
 from pipeline.jobs.gpus import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
 from pipeline.settings.checks import sentence
 from pipeline.store.errors import PipelineError
@@ -112,15 +112,6 @@ class _ToStage(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         if not self._report.stopping:  # what is left unfinished is finished by the next run
             self._pass_on(Message("log", record.getMessage(), level=record.levelno))
-
-
-def return_freed_memory() -> None:
-    """Returns freed memory to the system, which the GNU C library by itself keeps: up to half of what a training takes.
-
-    Where the C library is another one, nothing happens.
-    """
-    with contextlib.suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _gpu_bytes() -> int:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.anatomies.anatomy_file import load_anatomy
+from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin, controllers, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, training_copies, validation_copies
@@ -107,6 +108,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     from enn.reinforcement.rehearsal import REHEARSAL, rehearse
     from enn.reinforcement.training import DESK_PPO
 
+    map_simulations()
     settings, seed = job.settings, job.origin.training_seed
     begun = time.process_time()
     copies = (0, *training_copies(seed, settings.copies))

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Controller
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, read_demonstrations
@@ -84,6 +85,7 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     from enn.reinforcement.checkpoint import CheckpointError
     from enn.reinforcement.training import Training
 
+    map_simulations()
     for leftover in job.own_folder.glob(".*.tmp"):
         leftover.unlink()
     validated = partial(job.task.training_environment, job.validated, ROADMAP_KEYS, "accurate")
