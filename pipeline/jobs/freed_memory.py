@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 
 _MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
 _OF_A_SIMULATION = 12 * 2**20  # bytes; MuJoCo's arenas are larger
 
 
 def return_freed_memory() -> None:
-    """Returns freed memory to the system: up to half of what a training takes."""
+    """Frees what only refers to itself, and returns freed memory to the system: up to half of what a training takes."""
+    gc.collect()
     with contextlib.suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 

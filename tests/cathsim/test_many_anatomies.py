@@ -107,6 +107,17 @@ def test_refuses_wires_of_other_observations(type_1) -> None:
         env.reset(options={"cases": 1})
 
 
+def test_the_environment_of_an_earlier_case_leaves_the_memory_at_once(environment: NavigateManyEnv) -> None:
+    environment.reset(seed=0, options={"case": 0})
+    earlier = weakref.ref(environment.current), weakref.ref(environment.current.simulation)
+    gc.disable()
+    try:
+        environment.reset(seed=0, options={"case": 1})
+        assert [one() for one in earlier] == [None, None]
+    finally:
+        gc.enable()
+
+
 def test_shelf_forgets_what_was_unused_for_longest(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[object] = []
 

@@ -68,6 +68,15 @@ def _of_current(name: str, description: str) -> Any:
     return property(lambda self: getattr(self.current, name), doc=description)
 
 
+def _let_go(environment: NavigateEnv) -> None:
+    """Closes an environment and cuts its parts off from it: they refer to it, so that it would stay in memory, with
+    its anatomy and simulations, until Python next looks for such circles.
+    """
+    environment.close()
+    for part in (environment.sensors, environment):
+        vars(part).clear()
+
+
 class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     """`NavigateEnv` in an anatomy, towards a target and with a wire that each reset draws again.
 
@@ -148,7 +157,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         current = self._build(case)
         if current.observation_space != self.observation_space:
             raise ValueError("all wires and phantoms must give the same observation space: take other observations")
-        self.current.close()
+        _let_go(self.current)
         self.case, self.current = case, current
 
     # Parts of the environment of the episode.
