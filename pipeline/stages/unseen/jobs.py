@@ -82,6 +82,7 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     Returns:
         ``training_s`` and a summary for each test set, target and mode.
     """
+    from cathsim.many_anatomies import SHELF
     from enn.reinforcement.checkpoint import CheckpointError
     from enn.reinforcement.training import Training
 
@@ -89,6 +90,7 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     for leftover in job.own_folder.glob(".*.tmp"):
         leftover.unlink()
     validated = partial(job.task.training_environment, job.validated, ROADMAP_KEYS, "accurate")
+    SHELF.capacity = max(SHELF.capacity, len(job.anatomies) + len(job.validated))  # all take turns
     training = Training(
         replace(job.settings, device=report.device),
         partial(job.task.training_environment, job.anatomies, ROADMAP_KEYS),
