@@ -48,7 +48,7 @@ def run_enn(settings: EnnSettings, context: StageContext) -> None:
         "training_time_h": training_times(trainings, outcomes),
         "architecture_params": architecture(),
         "sac_hyperparameters": hyperparameters(settings),
-        "task": {"training_steps": {"value": settings.decisions}},
+        "task": sizes(settings),
     }
     write_results(context.path, tables)
     log_summary(context.path)
@@ -95,6 +95,12 @@ def training_settings(settings: EnnSettings, keys: tuple[str, ...] = ()) -> Trai
     preset = thesis if settings.variant == THESIS else desk
     sized = preset.sized(settings.decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard, keys=keys)
     return with_hyperparameters(sized, settings.training)
+
+
+def sizes(settings: EnnSettings) -> dict[str, dict[str, Any]]:
+    """How long is trained and evaluated, beside the thesis's settings: row to column to cell."""
+    values = {"training_steps": settings.decisions, "evaluation_episodes": settings.evaluation_episodes}
+    return {name: {"value": value} for name, value in values.items()}
 
 
 def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:

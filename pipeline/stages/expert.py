@@ -1,7 +1,7 @@
 """The expert stage: logged episodes of the sampling expert, with films, paths and metrics.
 
 There are two kinds. Demonstrations, which others learn from, begin with a wire that is not turned. Evaluations, which
-stand in the tables, have the starts, seeds and number of the episodes that policies are compared by, and nothing learns
+stand in the tables, have the first starts and seeds of the episodes that policies are compared by, and nothing learns
 from them.
 """
 
@@ -135,7 +135,6 @@ def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
     """The expert's task, beside the thesis's settings: row to column to cell."""
     values = {
         "episode_limit_enn": settings.task.max_steps,
-        "evaluation_episodes": settings.evaluation_episodes,
         "seed": seed,
         "start_jitter_mm": settings.task.start_jitter_mm,
         "success_radius_mm": settings.task.success_radius_mm,

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.report.learning.tables import tables_from_logs
 from pipeline.stages import StageContext
-from pipeline.stages.enn import architecture, check_enn, plan
+from pipeline.stages.enn import architecture, check_enn, plan, sizes
 from pipeline.stages.learning.plan import training_seeds
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.store.errors import ConfigurationError
@@ -65,6 +65,10 @@ def test_a_roadmap_needs_no_encoder(place: StageContext) -> None:
     assert job.keys == ("roadmap", "history")
     assert job.settings.extractor == "vectors"
     assert job.settings.normalise
+
+
+def test_sizes_of_policies_stand_beside_the_thesis(place: StageContext) -> None:
+    assert sizes(settings(evaluation_episodes=7))["evaluation_episodes"] == {"value": 7}
 
 
 def test_run_seeds_share_no_training(place: StageContext) -> None:
