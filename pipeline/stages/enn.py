@@ -110,7 +110,7 @@ def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, A
         outcomes: a training's name to what `run_trainings` returned.
 
     Returns:
-        Row to target to mean and standard deviation over seeds.
+        Row to target to mean and standard deviation over seeds, or to the hours of the only one.
     """
     import numpy as np
 
@@ -123,7 +123,8 @@ def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, A
             hours.setdefault((row, training.task.target), []).append(spent)
     table: dict[str, dict[str, Any]] = {}
     for (row, target), values in hours.items():
-        table.setdefault(row, {})[target] = [float(np.mean(values)), float(np.std(values))]
+        mean = float(np.mean(values))
+        table.setdefault(row, {})[target] = [mean, float(np.std(values))] if len(values) > 1 else mean
     return table
 
 

@@ -171,6 +171,6 @@ def test_a_tiny_run_leaves_policy_curve_logs_and_tables(pipeline_process, expert
     assert tables["ablation"]["bca/I+V+M"]["n"] == 1
     assert tables["enn"]["type_1/bca/I+V+M"]["stochastic_success_pct"] is not None
     assert "type_1/bca/I+V+M: success" in done.stdout
-    assert results["training_time_h"]["enn"]["bca"][0] > 0
+    assert results["training_time_h"]["enn"]["bca"] > 0
     assert results["sac_hyperparameters"]["gamma"] == {"value": 0.99}
     assert "up to date" in pipeline_process.run(*TINY).stdout
