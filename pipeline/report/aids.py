@@ -51,13 +51,15 @@ def of_training(job: PolicyTrainingJob) -> list[str]:
     if task.force_penalty:
         aids.append(f"a newton costs {task.force_penalty:g} in the reward")
     if task.accuracy != ACCURACY_OF_TESTS:
-        aids.append(f"trained in {task.accuracy} physics, tested in {ACCURACY_OF_TESTS} ones")
+        aids.append(f"trained in {task.accuracy} physics, chosen and tested in {ACCURACY_OF_TESTS} ones")
     if settings.reset_bank_share:
         states = "demonstrations and own successes" if job.demonstrations else "own successes"
         aids.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the path, to states of {states}")
     if settings.demonstrations_in_replay and job.demonstrations:
         share, count = 100 * settings.demonstrations_in_replay, len(job.demonstrations)
         aids.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")
+    if settings.cloning_weight and job.demonstrations:
+        aids.append(f"drawn towards the actions of the planner's demonstrations ({len(job.demonstrations)})")
     if job.encoder is not None:
         aids.append("an encoder fitted beforehand and frozen")
     if settings.action_repeat > 1:

@@ -28,7 +28,7 @@ from pipeline.recording.trials import MODES, Origin, controllers, run_trials
 from pipeline.seeds import expert_seeds
 from pipeline.stages.learning.evaluation import evaluate
 from pipeline.stages.learning.expert_episodes import EXPERT, readable
-from pipeline.stages.learning.task import LearningTask
+from pipeline.stages.learning.task import ACCURACY_OF_TESTS, LearningTask
 from pipeline.store.atomic_files import write_json
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import FEEDER, TASK
@@ -150,6 +150,8 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
             "target": job.task.target,
             TASK: asdict(job.task.task),
         },
+        # a policy may get stuck in accurate physics alone: those choose the best one
+        make_validation_env=replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys),
     )
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
@@ -184,9 +186,10 @@ def _words(progress: Progress) -> str:
 
 def _demonstrations(job: PolicyTrainingJob) -> list[Trajectory]:
     """The expert's episodes, as far as the training uses them."""
-    if not (job.settings.reset_bank_share or job.settings.demonstrations_in_replay):
+    learns = job.settings.learns_from_demonstrations
+    if not (job.settings.reset_bank_share or learns):
         return []
-    return repeat(job.demonstrations, job.task, job.keys if job.settings.demonstrations_in_replay else ())
+    return repeat(job.demonstrations, job.task, job.keys if learns else ())
 
 
 def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...] = ()) -> list[Trajectory]:

@@ -54,7 +54,7 @@ def test_a_desk_training_names_every_aid() -> None:
 
 def test_other_physics_in_training_are_named() -> None:
     note = training_note([replace(DESK, task=replace(DESK.task, accuracy="fast"))])
-    assert "trained in fast physics, tested in accurate ones" in note
+    assert "trained in fast physics, chosen and tested in accurate ones" in note
     assert "physics" not in training_note([DESK])
 
 

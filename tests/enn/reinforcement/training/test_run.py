@@ -21,35 +21,11 @@ from enn.reinforcement.training import (
     Training,
 )
 from enn.reinforcement.training.run import TrainingRun
-from enn.trajectory import Trajectory
-from tests.enn.reinforcement.small_training import SMALL
+from tests.enn.reinforcement.small_training import SMALL, demonstrated
 
 
 def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
-    env, trajectories = point_env(), []
-    for seed in range(3):
-        observation, info = env.reset(seed=seed)
-        seen, tips, states, actions, rewards = [observation], [info["tip"]], [env.start_state()], [], []
-        terminated = False
-        while not terminated:
-            action = np.clip(-observation["place"] / 0.15, -1, 1)
-            observation, reward, terminated, _, info = env.step(action)
-            for items, item in ((seen, observation), (tips, info["tip"]), (states, env.start_state())):
-                items.append(item)
-            actions.append(action)
-            rewards.append(reward)
-        places = {"place": np.stack([one["place"] for one in seen])}
-        trajectories.append(
-            Trajectory(
-                places,
-                np.stack(actions),
-                np.array(rewards),
-                True,
-                np.zeros(len(actions)),
-                np.stack(tips),
-                np.stack(states),
-            )
-        )
+    trajectories = demonstrated(point_env)
     settings = dataclasses.replace(
         SMALL, decisions=240, demonstrations_in_replay=0.25, evaluate_every=0, reset_bank_share=1.0
     )

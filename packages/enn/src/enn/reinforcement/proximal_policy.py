@@ -16,16 +16,25 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from enn.networks.network import network_class
 from enn.networks.normalisation import fit_normalisation
+from enn.reinforcement.replay import ReplayBuffer
 from enn.reinforcement.training.settings import TrainingSettings
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
+CLONED_FIRST, CLONED_AN_UPDATE = 300, 20  # batches of demonstrations: before the first roll-out, after each update
 STORED = ("actions", "rewards", "episode_starts", "values", "log_probs")
 
 
 class PpoLearner:
-    """PPO's part in a training: acts, fills a roll-out, updates when it is full."""
+    """PPO's part in a training: acts, fills a roll-out, updates when it is full.
 
-    def __init__(self, settings: TrainingSettings, envs: VecEnv, seed: int) -> None:
+    Args:
+        demonstrations: towards whose actions the policy is drawn with the weight `cloning_weight`; PPO alone learns
+            from its own roll-outs.
+    """
+
+    def __init__(
+        self, settings: TrainingSettings, envs: VecEnv, seed: int, demonstrations: ReplayBuffer | None = None
+    ) -> None:
         self.settings, self.n_envs = settings, envs.num_envs
         policy, arguments = network_class(settings.network, envs.observation_space)
         self.model = PPO(
@@ -47,6 +56,9 @@ class PpoLearner:
         self._logger = Logger(None, [])
         self.model.set_logger(self._logger)
         self.policy = self.model.policy
+        with torch.no_grad():
+            self.policy.log_std.fill_(settings.log_std_init)
+        self.demonstrations = demonstrations
         self.rollout = self.model.rollout_buffer
         self._generator = np.random.default_rng(seed)
         self._starts = np.ones(self.n_envs, bool)
@@ -78,6 +90,29 @@ class PpoLearner:
         if self.settings.normalise and self._first:
             fit_normalisation(self.policy, self._tensors(_stacked(self._first)))
         self._first = []
+        self._clone(CLONED_FIRST)
+
+    def _clone(self, batches: int) -> None:
+        """Moves the mean action towards the demonstrations'."""
+        shown, weight = self.demonstrations, self.settings.cloning_weight
+        if shown is None or not weight:
+            return
+        space: Any = self.policy.action_space
+        low, high = (torch.as_tensor(bound, device=self.model.device) for bound in (space.low, space.high))
+        half = 0.5 * (high - low)
+        self.policy.set_training_mode(True)
+        for _ in range(batches):
+            rows = self._generator.integers(0, shown.size(), self.settings.batch_size)
+            drawn = shown.gather(rows, np.zeros_like(rows))
+            wanted = low + (drawn.actions + 1.0) * half  # replays keep actions between -1 and 1
+            features = self.policy.extract_features(drawn.observations, self.policy.features_extractor)
+            mean = self.policy.action_net(self.policy.mlp_extractor(features)[0])
+            loss = weight * (mean - wanted).square().mean()
+            self.policy.optimizer.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.model.max_grad_norm)
+            self.policy.optimizer.step()
+        self.policy.set_training_mode(False)
 
     def observe(
         self,
@@ -122,6 +157,7 @@ class PpoLearner:
             self.model.train()
         finally:
             np.random.set_state(before)  # noqa: NPY002
+        self._clone(CLONED_AN_UPDATE)
         self._values = {name: float(value) for name, value in self._logger.name_to_value.items()}
         self.rollout.reset()
         self.policy.set_training_mode(False)

@@ -59,7 +59,7 @@ class TrainingInputs:
     Attributes:
         make_env: makes one environment; called for each of those sampled, and for evaluation.
         folder: where it is kept; None: only in memory.
-        demonstrations: their states enter the reset bank; their steps the replay buffer, if the settings say so.
+        demonstrations: their states enter the reset bank; their steps take part in updates, if the settings say so.
         encoder: frozen, turns observations into features.
         metadata: kept in the policy's file, with the seed.
         starts: further states of the reset bank, an array for each case or way. Shapes (k, n).
@@ -116,7 +116,7 @@ class TrainingRun:
             inputs.encoder.to(get_device(settings.device))
             self.envs = EncodedEnvs(self.sampled, inputs.encoder, settings.passthrough)
         demonstrations = None
-        if settings.demonstrations_in_replay > 0 and inputs.demonstrations:
+        if settings.learns_from_demonstrations and inputs.demonstrations:
             demonstrations = demonstration_replay(
                 inputs.demonstrations,
                 self.envs.observation_space,
@@ -129,7 +129,7 @@ class TrainingRun:
         if settings.algorithm == "sac":
             self.learner = SacLearner(settings, self.envs, inputs.seed, demonstrations)
         else:
-            self.learner = PpoLearner(settings, self.envs, inputs.seed)
+            self.learner = PpoLearner(settings, self.envs, inputs.seed, demonstrations)
         if inputs.initial is not None:
             start_from(self.learner, inputs.initial, settings, self.sampled)
         self.policy = Policy(

@@ -15,7 +15,7 @@ _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decis
 _LEARNT_ENTROPY = re.compile(r"auto(_(?P<start>[0-9.]+(e-?[0-9]+)?))?")
 # Settings that an algorithm does not look at: another value than the default would say what is not done.
 UNUSED = {
-    "sac": ("n_steps", "epochs", "gae_lambda", "clip_range"),
+    "sac": ("n_steps", "epochs", "gae_lambda", "clip_range", "log_std_init", "cloning_weight"),
     "ppo": (
         "critic_layer_norm",
         "gradient_steps",
@@ -61,6 +61,9 @@ class TrainingSettings(NetworkSettings):
     epochs: Count = 10  # of PPO over each roll-out
     gae_lambda: Share = 0.95  # of PPO
     clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2  # of PPO
+    log_std_init: Annotated[float, Interval(ge=-20, le=2)] = 0.0  # of PPO's actions, logarithm of their deviation
+    # of the mean squared distance to the demonstrations' actions: before PPO's first roll-out, and after each update
+    cloning_weight: Weight = 0.0
     reset_bank_share: Share = 0.75  # share of the resets that start from the reset bank; 0: there is none
     reset_bank_capacity: Count = 4096  # states in the reset bank; with cases, of each of them
     # how many cases (an anatomy and a target each, say) the environment chooses from; each then has room of its own,
@@ -135,6 +138,11 @@ class TrainingSettings(NetworkSettings):
         return replace(self, **{field.name: getattr(network, field.name) for field in fields(NetworkSettings)})
 
     @property
+    def learns_from_demonstrations(self) -> bool:
+        """Whether steps of demonstrations take part in updates, beside their states in the reset bank."""
+        return self.demonstrations_in_replay > 0 or self.cloning_weight > 0
+
+    @property
     def network(self) -> NetworkSettings:
         """The part that shapes of weights depend on."""
         return NetworkSettings(**{field.name: getattr(self, field.name) for field in fields(NetworkSettings)})
@@ -186,17 +194,22 @@ DESK_SAC = TrainingSettings(
     critic_layer_norm=True,
     demonstrations_in_replay=0.25,
     final_learning_rate=0.1,
-    evaluate_every=500,
+    evaluate_every=1000,
 )
+# Small roll-outs make many updates; without the actions of demonstrations a training fails by chance.
 DESK_PPO = TrainingSettings(
     algorithm="ppo",
     activation="tanh",
-    decisions=60_000,
-    learning_rate=1e-3,
-    batch_size=256,
-    ent_coef=0.0,
-    n_steps=128,
-    evaluate_every=5000,
+    decisions=10_000,
+    learning_rate=7e-4,
+    final_learning_rate=0.1,
+    batch_size=64,
+    ent_coef=0.003,
+    n_steps=32,
+    log_std_init=-1.0,
+    cloning_weight=1.0,
+    reset_bank_share=0.5,
+    evaluate_every=2500,
     curve_every=1024,
 )
 

@@ -1,0 +1,54 @@
+"""Proximal policy optimisation: what demonstrations add to it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from enn.reinforcement.training import DESK_PPO, Training
+from tests.enn.reinforcement.small_training import demonstrated
+
+SMALL = dataclasses.replace(
+    DESK_PPO, action_repeat=1, decisions=104, n_envs=4, hidden=(32, 32), learning_starts=100, batch_size=32,
+    evaluate_every=0, curve_every=50,
+)  # fmt: skip
+
+
+def test_actions_of_demonstrations_are_cloned_before_the_first_roll_out(point_env: Any) -> None:
+    trajectories = demonstrated(point_env)
+    places = np.concatenate([one.observations["place"][:-1] for one in trajectories])
+    wanted = np.concatenate([one.actions for one in trajectories])
+    errors = []
+    for settings, shown in (
+        (SMALL, trajectories),
+        (SMALL, ()),
+        (dataclasses.replace(SMALL, cloning_weight=0.0), trajectories),
+    ):
+        policy = Training(settings, point_env, None, 0, shown).run().policy
+        errors.append(float(np.abs(policy.act_batch({"place": places}) - wanted).mean()))
+        assert torch.equal(policy.module.log_std, torch.full((2,), settings.log_std_init))
+    assert errors[0] < 0.1
+    assert min(errors[1:]) > 0.5
+
+
+def test_a_training_with_demonstrations_is_resumed_as_if_it_had_not_been_interrupted(
+    point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+    settings, shown = dataclasses.replace(SMALL, decisions=500, reset_bank_share=0.0), demonstrated(point_env)
+    straight = Training(settings, point_env, None, 1, shown).run().policy
+
+    def stop(moment: Any) -> None:
+        if moment.decisions >= 300:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        Training(settings, point_env, tmp_path, 1, shown).run(stop)
+    resumed = Training(settings, point_env, tmp_path, 1, shown).run().policy
+    for name, value in straight.module.state_dict().items():
+        assert torch.equal(value, resumed.module.state_dict()[name]), name
