@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import guide3d
@@ -29,6 +30,18 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_models_are_listed_with_what_they_do(folder: Path) -> None:
     assert guide3d.models() == {"reader": "Reads wires."}
     assert isinstance(guide3d.load("reader"), Reader)
+
+
+def test_networks_of_the_data_set_predict() -> None:
+    image = np.full((1024, 1024), 150, np.uint8)
+    image[:600, 510:515] = 40
+    mask = guide3d.load("unet").predict(image)
+    assert mask.shape == (1024, 1024)
+    assert (mask[100:500, 508:517] > 0).mean() > 0.5
+    assert (mask[:, :400] > 0).mean() < 0.01
+    curve = guide3d.load("shape").predict([image] * 3)
+    assert curve.shape[1] == 3
+    assert np.linalg.norm(np.diff(curve, axis=0), axis=1) == pytest.approx(1.7, abs=0.1)
 
 
 def rename_format(path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -39,10 +40,15 @@ class _Predictor:
         """
         self.network, self.size, self.preprocessing, self.metadata = network.eval(), size, preprocessing, metadata
 
-    def save(self, path: Path | str) -> None:
-        """Writes network, preprocessing and metadata into one file, whole or not at all."""
+    def save(self, path: Path | str, *, half: bool = False) -> None:
+        """Writes network, preprocessing and metadata into one file, whole or not at all.
+
+        Args:
+            half: weights in half precision, as they are shipped: half the size.
+        """
+        module = copy.deepcopy(self.network).half() if half else self.network
         write_model(
-            path, kind=self.kind, network=self.size, preprocessing=asdict(self.preprocessing), module=self.network,
+            path, kind=self.kind, network=self.size, preprocessing=asdict(self.preprocessing), module=module,
             metadata=self.metadata,
         )  # fmt: skip
 
