@@ -62,6 +62,7 @@ def test_ppo_learns(point_env: Any) -> None:
         hidden=(32, 32),
         learning_starts=200,
         n_steps=64,
+        epochs=10,
         learning_rate=3e-3,
         evaluate_every=3000,
         evaluation_episodes=5,

@@ -206,6 +206,7 @@ DESK_PPO = TrainingSettings(
     batch_size=64,
     ent_coef=0.003,
     n_steps=32,
+    epochs=5,
     log_std_init=-1.0,
     cloning_weight=1.0,
     reset_bank_share=0.5,
