@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -43,6 +44,27 @@ def test_a_policy_of_vectors_acts(folder: Path) -> None:
     assert isinstance(loaded, Policy)
     seen = {"tip": np.zeros(3, np.float32)}
     np.testing.assert_array_equal(loaded.controller()(seen), policy_file(folder / "teacher.pt").act(seen))
+
+
+def test_half_precision_acts_nearly_the_same_from_half_the_bytes(folder: Path) -> None:
+    whole = policy()
+    whole.save(folder / "half.pt", half=True)
+    seen = {"tip": np.full(3, 0.3, np.float32)}
+    np.testing.assert_allclose(policy_file(folder / "half.pt").act(seen), whole.act(seen), atol=2e-3)
+    weights = decoded((folder / "half.pt").read_bytes())["weights"]
+    assert {str(value.dtype) for value in weights.values()} == {"torch.float16"}
+
+
+def test_the_expert_network_reaches_its_target() -> None:
+    pytest.importorskip("cathsim")
+    steering = enn.load("type_1_lcca")
+    env = gymnasium.make("cathsim/Navigate-v0", phantom="type_1", target="lcca", observation=steering.keys)
+    controller, (observation, info), ended = steering.controller(), env.reset(seed=3), False
+    while not ended:
+        observation, _, terminated, truncated, info = env.step(controller(observation, info))
+        ended = terminated or truncated
+    env.close()
+    assert terminated
 
 
 def policy_file(path: Path) -> Policy:

@@ -62,7 +62,7 @@ def _fits(file: Path, task: Task) -> bool:
     trained = policy.metadata.get(TASK, {})
     return (
         policy.keys == ROADMAP_KEYS
-        and policy.critics is not None
+        and policy.critics
         and policy.action_space.shape == (number_of_actions(task),)
         and trained.get("catheter") == task.catheter
     )

@@ -152,12 +152,13 @@ class Policy:
             raise ValueError(f"{name} is not finite: look at what makes the observations")
         return torch.as_tensor(values).to(self.module.device)
 
-    def save(self, path: Path | str, *, critics: bool = False) -> None:
+    def save(self, path: Path | str, *, critics: bool = False, half: bool = False) -> None:
         """Writes settings, spaces and weights into one file, atomically.
 
         Args:
             critics: with SAC's critics and their targets, which a training needs to start from the file
                 (`enn.reinforcement.training.Training(initial=…)`); acting does not need them.
+            half: weights in half precision, as some are shipped: half the size.
 
         Raises:
             ValueError: critics are asked for and this policy has none.
@@ -165,16 +166,23 @@ class Policy:
         if critics and not self.critics:
             raise ValueError("this policy has no critics: it was read from a file without them")
         weights = self.module.state_dict().items()
+
+        def kept(value: Tensor) -> Tensor:
+            return value.half() if half and value.is_floating_point() else value
+
         content = {
             "format": FORMAT,
             "network": asdict(self.network),
-            "weights": {key: value.cpu() for key, value in weights if critics or _acts(self.network, key)},
+            "weights": {key: kept(value.cpu()) for key, value in weights if critics or _acts(self.network, key)},
             "observation_space": _describe(self.observation_space),
             "network_space": _describe(self.module.observation_space),
             "action_space": _describe(self.action_space),
             "encoder": None
             if self.encoder is None
-            else {"settings": asdict(self.encoder.settings), "weights": self.encoder.state_dict()},
+            else {
+                "settings": asdict(self.encoder.settings),
+                "weights": {key: kept(value) for key, value in self.encoder.state_dict().items()},
+            },
             "passthrough": list(self.passthrough),
             "action_repeat": self.action_repeat,
             "metadata": self.metadata,
