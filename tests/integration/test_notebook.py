@@ -16,10 +16,6 @@ import numpy as np
 import pytest
 
 from enn.fitting import EpisodeFitSettings
-from guide3d.learning.build import SEGMENTER_SIZES, SHAPE_SIZES, build_shape_network
-from guide3d.learning.predictor import SegmentationPredictor, ShapePredictor, built
-from guide3d.learning.preprocessing import Preprocessing
-from guide3d.modeling.spherical import SphericalForm
 from pipeline.report.learning.tables import tables_from_logs
 from tests.guide3d.learning.drawn_data import draw
 from tests.pipeline.stages.small_expert import write_expert
@@ -132,25 +128,14 @@ def quick(block: str, used: set[str]) -> str:
     return block
 
 
-def write_networks(run: Path) -> None:
-    """A data set, a shape network and a segmentation network, as stages leave them; nothing was learnt."""
-    draw(run / "guide3d" / "dataset")
-    size, seen = SHAPE_SIZES["smoke"], Preprocessing(64, 128, line_px=7)
-    form = SphericalForm(1.7, ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)), 0.0, 1.5708)
-    ShapePredictor.of(build_shape_network(size, form, 12), size, seen).save(run / "shape/spherical/predictor.pt")
-    told = {"name": "unet", "crop_px": 64, "sizes": SEGMENTER_SIZES["unet"]["smoke"]}
-    segmenter = SegmentationPredictor(built(told), told, Preprocessing(64, 128), {})
-    segmenter.save(run / "segmentation/unet/predictor.pt")
-
-
 def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     monkeypatch.chdir(tmp_path)
     results: dict[str, dict[str, Any]] = {}
     used: set[str] = set()
     write_expert(Path("runs/desk/enn"), episodes=0)
-    write_networks(Path("runs/desk"))
-    frames = {f"frame{k}": np.full((128, 128), 150, np.uint8) for k in range(3)}
+    draw(Path("runs/desk/guide3d/dataset"))
+    frames = {f"frame{k}": np.full((1024, 1024), 150, np.uint8) for k in range(3)}
     for page in (*PAGES, "../README.md", "../packages/enn/README.md"):
         blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
         assert blocks, page
@@ -175,7 +160,7 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
     assert results["enn/policies.md"]["own"].keys == ("offset", "shape", "feeder")
     assert results["enn/imitation.md"]["policy"].keys == ("image",)
     assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]
-    assert results["guide3d/networks.md"]["mask"].shape == (128, 128)
+    assert results["guide3d/networks.md"]["mask"].shape == (1024, 1024)
     assert len(results["guide3d/dataset.md"]["data"].frames) == 24
     assert results["guide3d/overview.md"]["P"].shape == (3, 4)
     assert results["guide3d/overview.md"]["mask"].shape == results["guide3d/overview.md"]["image"].shape
