@@ -113,7 +113,8 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     begun = time.process_time()
     copies = (0, *training_copies(seed, settings.copies))
     starts = _laid_starts(job, copies, report)
-    preset = replace(DESK_PPO, keys=ROADMAP_KEYS, reset_bank_share=0.5)
+    # without demonstrations, whose actions would be cloned, it has to explore
+    preset = replace(DESK_PPO, keys=ROADMAP_KEYS, log_std_init=0.0, cloning_weight=0.0)
     if settings.algorithm == SAC:
         preset = replace(REHEARSAL, buffer_size=max(settings.decisions, 1000))
     training = replace(
