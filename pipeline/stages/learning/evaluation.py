@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +20,8 @@ def evaluate(
     controllers: Callable[[str], Callable[[int], Controller]],
     folder: Path,
     origin: Origin,
-    episodes: int,
+    episodes: Mapping[str, int],
     report: Callable[[float, str], None],
-    modes: Sequence[str] = MODES,
 ) -> dict[str, Any]:
     """Records held-out episodes of a policy; those that are there are not repeated.
 
@@ -30,24 +29,33 @@ def evaluate(
         controllers: gives for a mode what `run_trials` takes.
         folder: of the training; the logs go into ``evaluation/<mode>``.
         origin: its training seed chooses the episodes.
+        episodes: mode to their number; see `both_modes`.
 
     Returns:
         Mode to the summary of its episodes.
     """
     outcome = {}
-    for index, mode in enumerate(modes):
+    total = sum(episodes.values())
+    begun = 0
+    for mode, count in episodes.items():
 
-        def tell(share: float, text: str, index: int = index, mode: str = mode) -> None:
-            report((index + share) / len(modes), f"{mode} {text}")
+        def tell(share: float, text: str, begun: int = begun, count: int = count, mode: str = mode) -> None:
+            report((begun + share * count) / total, f"{mode} {text}")
 
         metrics = run_trials(
             environment,
             controllers(mode),
             folder / EVALUATION / mode,
-            seeds=held_out_seeds(origin.training_seed, episodes),
+            seeds=held_out_seeds(origin.training_seed, count),
             mode=mode,
             origin=origin,
             report=tell,
         )
         outcome[mode] = summary(metrics)
+        begun += count
     return outcome
+
+
+def both_modes(best: int, drawn: int) -> dict[str, int]:
+    """Mode to number of episodes: by the best action, and, where there are any, by drawn ones."""
+    return {mode: count for mode, count in zip(MODES, (best, drawn), strict=True) if count}

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY, Origin, controllers
 from pipeline.seeds import disturbed_seeds
-from pipeline.stages.learning.evaluation import evaluate
+from pipeline.stages.learning.evaluation import both_modes, evaluate
 from pipeline.stages.learning.expert_episodes import expert_logs, load_expert, read_episodes
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import CURVE, RECORD
@@ -48,7 +48,8 @@ class ImitationJob:
     episodes: int  # of the expert to learn from
     disturbed_episodes: int = 0  # further ones with disturbed actions
     rounds: DaggerSettings | None = None  # of DAgger; None: none
-    evaluation_episodes: int = 30  # deterministic, and as many stochastic ones
+    evaluation_episodes: int = 30  # by the best action
+    drawn_episodes: int = 30  # by drawn actions
 
 
 def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
@@ -68,7 +69,12 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
     environment = job.task.environment(student.keys)
     policies = functools.partial(controllers, student)
     outcome |= evaluate(
-        environment, policies, job.folder, job.origin, job.evaluation_episodes, report.part(_FITTING, 1.0)
+        environment,
+        policies,
+        job.folder,
+        job.origin,
+        both_modes(job.evaluation_episodes, job.drawn_episodes),
+        report.part(_FITTING, 1.0),
     )
     environment.close()
     return outcome

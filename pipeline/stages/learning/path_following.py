@@ -64,9 +64,8 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
         lambda mode: lambda seed: follower.controller(path.points),
         job.folder,
         job.origin,
-        job.evaluation_episodes,
+        {MODES[0]: job.evaluation_episodes},
         report.part(_FIT_SHARE, 1.0),
-        modes=MODES[:1],
     )
     environment.close()
     return outcome

@@ -76,7 +76,8 @@ def planned_training(
     """
     from enn.networks.features import COMPACT
 
-    held_out_seeds(seed, settings.evaluation_episodes)  # refuses too many, or too large a seed, before any work
+    # too many, or too large a seed, are refused before any work
+    held_out_seeds(seed, max(settings.evaluation_episodes, settings.drawn_episodes))
     expert_seeds(seed, expert_episodes)
     encoder = context.path / ENCODERS / task.phantom / f"{'+'.join(keys)}.pt"
     further = {"force_weight": task.force_penalty}
@@ -89,6 +90,7 @@ def planned_training(
         encoder=None if settings.variant == THESIS or set(keys) <= set(COMPACT) else encoder,
         demonstrations=demonstrations(task, context) if settings.demonstrations else (),
         evaluation_episodes=settings.evaluation_episodes,
+        drawn_episodes=settings.drawn_episodes,
         expert_episodes=expert_episodes,
     )
 

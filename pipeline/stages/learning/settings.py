@@ -54,7 +54,8 @@ class LearningSettings(ChosenAnatomies, DeviceSettings):
     seeds: Trainings = 1  # trainings a row and task; run seed k trains with seeds k * seeds, k * seeds + 1, ...
     variant: _Variant = "desk"  # networks and hyper-parameters: those that learn fast, or the thesis's
     decisions: Decisions = 6_000  # budget of a training
-    evaluation_episodes: Episodes = 30  # deterministic ones, and as many stochastic ones
+    evaluation_episodes: Episodes = 30  # of a policy, by its best action
+    drawn_episodes: EpisodesOrNone = 30  # by drawn actions, on the first of the same seeds
     demonstrations: bool = True  # desk: states along the sampling expert's episodes are starts of training episodes
     encoder_samples: Count = 15_000  # desk: images that the encoder is fitted to
     encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
@@ -123,7 +124,8 @@ class ImitationSettings(ChosenAnatomies, DeviceSettings):
     dagger_episodes: Episodes = 10  # a round
     feature_matching: Weight = 0.1  # weight of the distance to the expert's features
     epochs: CountOrNone = 0  # 0: the variant's own number
-    evaluation_episodes: Episodes = 30
+    evaluation_episodes: Episodes = 30  # of a student, by its best action
+    drawn_episodes: EpisodesOrNone = 30  # by drawn actions, on the first of the same seeds
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # fits beside each other; 0: one a core
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
 

@@ -26,7 +26,7 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.replay import ReplayError, recorded_devices, replay
 from pipeline.recording.trials import MODES, Origin, controllers, run_trials
 from pipeline.seeds import expert_seeds
-from pipeline.stages.learning.evaluation import evaluate
+from pipeline.stages.learning.evaluation import both_modes, evaluate
 from pipeline.stages.learning.expert_episodes import EXPERT, readable
 from pipeline.stages.learning.task import ACCURACY_OF_TESTS, LearningTask
 from pipeline.store.atomic_files import write_json
@@ -72,7 +72,8 @@ class PolicyTrainingJob:
     keys: tuple[str, ...]
     encoder: Path | None = None  # file of a fitted encoder; None: the policy sees the observations themselves
     demonstrations: tuple[Path, ...] = ()
-    evaluation_episodes: int = 30
+    evaluation_episodes: int = 30  # by the best action
+    drawn_episodes: int = 30  # by drawn actions
     expert_episodes: int = 0  # with images, for imitation
 
     @property
@@ -83,8 +84,13 @@ class PolicyTrainingJob:
     @property
     def weight(self) -> float:
         """Guess of its seconds, beside other jobs."""
-        steps = (2 * self.evaluation_episodes + self.expert_episodes) * self.task.task.max_steps / 3
+        steps = (self.tested + self.expert_episodes) * self.task.task.max_steps / 3
         return self.settings.decisions * _SECONDS_A_DECISION + steps * _SECONDS_A_STEP
+
+    @property
+    def tested(self) -> int:
+        """Episodes of both modes."""
+        return self.evaluation_episodes + self.drawn_episodes
 
 
 def fit_encoder_of(job: EncoderJob, report: Report) -> dict[str, Any]:
@@ -156,12 +162,16 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
-    episodes = len(MODES) * job.evaluation_episodes
-    evaluated = trained + (1.0 - trained) * episodes / (episodes + job.expert_episodes)
+    evaluated = trained + (1.0 - trained) * job.tested / (job.tested + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)
     policies = functools.partial(controllers, result.policy)
     outcome |= evaluate(
-        environment, policies, job.folder, job.origin, job.evaluation_episodes, report.part(trained, evaluated)
+        environment,
+        policies,
+        job.folder,
+        job.origin,
+        both_modes(job.evaluation_episodes, job.drawn_episodes),
+        report.part(trained, evaluated),
     )
     if job.expert_episodes:
         run_trials(

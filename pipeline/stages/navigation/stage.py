@@ -172,6 +172,7 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
         expert=expert,
         episodes=settings.episodes[0],
         evaluation_episodes=settings.trials,
+        drawn_episodes=0,
     )
     gpu_gb = policy_gb(settings.task.image_size_px, 1, LEARNT_BATCH)
     return Job(f"{PIXELS}/{task.name}", imitate, given, weight=20.0, gpu_gb=gpu_gb)

@@ -11,6 +11,7 @@ import pytest
 
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
+from pipeline.recording.trials import MODES
 from pipeline.report.learning.tables import tables_from_logs
 from pipeline.seeds import held_out_seeds
 from pipeline.stages import imitation
@@ -33,7 +34,8 @@ def settings(**changed) -> ImitationSettings:
         "targets": ["bca"],
         "episodes": [2, 4],
         "epochs": 1,
-        "evaluation_episodes": 1,
+        "evaluation_episodes": 2,
+        "drawn_episodes": 1,
         "dagger_rounds": 1,
         "dagger_episodes": 1,
         "disturbed_episodes": 1,
@@ -64,6 +66,8 @@ def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, monkeypatch: 
         with EpisodeReader(student / "evaluation/deterministic/000.mcap") as log:
             assert (log.info.seed, log.info.configuration["row"]) == (held_out_seeds(0, 1)[0], row)
             assert log.info.configuration["stage"] == "imitation"
+        evaluated = {mode: len(list((student / "evaluation" / mode).iterdir())) for mode in MODES}
+        assert evaluated == {"deterministic": 2, "stochastic": 1}
 
 
 def test_a_finished_student_is_not_fitted_again(enn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
