@@ -29,7 +29,9 @@ import numpy as np
 import enn
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
+from enn.imitation.image_policy import ImagePolicy
 from enn.policy import Policy
+from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
@@ -53,7 +55,7 @@ class Outcome:
 def arguments() -> argparse.Namespace:
     """Understands the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policy", default="generalist", help=f"among {', '.join(enn.models())}")
+    parser.add_argument("--policy", default="generalist", help=f"a file, or among {', '.join(enn.models())}")
     parser.add_argument("--steep", metavar="POLICY", help=f"for targets set back by {STEEP_MM:g} mm or more")
     parser.add_argument("--arches", type=int, default=50, help="random arches, one episode each and target")
     parser.add_argument("--first", type=int, default=FIRST_ARCH, help="seed of the first arch")
@@ -65,6 +67,11 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
     parser.add_argument("--quick", action="store_true", help="one arch")
     return parser.parse_args()
+
+
+def load(name: str) -> Policy | ImagePolicy:
+    """A shipped policy, or one from a file of one's own."""
+    return read_policy(Path(name)) if name.endswith(".pt") else enn.load(name)
 
 
 def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int | AnatomyFile, int]]]]:
@@ -135,7 +142,7 @@ def main() -> None:
     """Runs the command line."""
     given = arguments()
     try:
-        policies = [enn.load(name) for name in (given.policy, given.steep or given.policy)]
+        policies = [load(name) for name in (given.policy, given.steep or given.policy)]
         if given.draw and not all(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--draw: a policy that sees images always takes the best action")
         tasks = [task_of(policy, given.max_steps) for policy in policies]
