@@ -22,7 +22,6 @@ SMALL = dataclasses.replace(
     gradient_steps=0.5,
     evaluate_every=300,
     evaluation_episodes=5,
-    stop_after=0,
     curve_every=100,
     buffer_size=2000,
 )
