@@ -34,6 +34,7 @@ from enn.policy import Policy
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
+from pipeline.clutter import clutter_of
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.task import TASK, task_in_random_arches
 
@@ -64,6 +65,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--episodes", type=int, default=5, help="in each file and towards each target")
     parser.add_argument("--max-steps", type=int, default=300)
+    parser.add_argument("--clutter", type=float, default=0.0, help="in X-ray images, 1: as networks learn from")
     parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
     parser.add_argument("--quick", action="store_true", help="one arch")
     return parser.parse_args()
@@ -97,14 +99,17 @@ def task_of(policy: Any, max_steps: int) -> UnseenTask:
     return UnseenTask(TARGETS, rules)
 
 
-def play(task: UnseenTask, policy: Any, place: int | AnatomyFile, target: str, seed: int, draw: bool) -> Outcome:
+def play(
+    task: UnseenTask, policy: Any, place: int | AnatomyFile, target: str, seed: int, given: argparse.Namespace
+) -> Outcome:
     """Plays one episode."""
     if isinstance(policy, Policy):
         environment: Any = task.test_environment(place, target, "default", policy.keys)
-        controller: Any = policy.controller(deterministic=not draw, seed=seed)
+        controller: Any = policy.controller(deterministic=not given.draw, seed=seed)
     else:
         side = task.task.image_size_px
-        environment = XrayEnvironment(task.test_environment(place, target, "default", ("goal_image",)), side)
+        bare = task.test_environment(place, target, "default", ("goal_image",))
+        environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter))
         controller = policy.controller()
     observation, info = environment.reset(seed=seed)
     controller.reset()
@@ -151,7 +156,7 @@ def main() -> None:
             backs = [ostium_set_back(place, target) for place, _ in episodes]
             chosen = [int(back >= STEEP_MM) for back in backs]
             outcomes = [
-                play(tasks[k], policies[k], place, target, seed, given.draw)
+                play(tasks[k], policies[k], place, target, seed, given)
                 for k, (place, seed) in zip(chosen, episodes, strict=True)
             ]
             measured += [(back, one.success) for back, one in zip(backs, outcomes, strict=True)]

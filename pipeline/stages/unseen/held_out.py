@@ -9,7 +9,7 @@ from typing import Any
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.seeds import unseen_arches
 from pipeline.stages.unseen.settings import UnseenSettings
-from pipeline.stages.unseen.tables import MISREGISTERED, UNSEEN
+from pipeline.stages.unseen.tables import CLUTTERED, MISREGISTERED, UNSEEN
 from pipeline.stages.unseen.trials import HeldOutSet
 
 REAL_MESH = "real_mesh"
@@ -37,6 +37,14 @@ def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
             _LOGGER.warning("there is no mesh %s: the test on a scanned anatomy is left out", settings.mesh)
     tests += [HeldOutSet(f"{UNSEEN} {kind}", unseen[: settings.wire_anatomies], wire=kind) for kind in settings.wires]
     return tuple(tests)
+
+
+def cluttered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
+    """The test of the X-ray policy among clutter, on the first of the unseen arches."""
+    arches = tuple(unseen_arches(settings.test_anatomies))[: settings.clutter_anatomies]
+    return (
+        (HeldOutSet(CLUTTERED, arches, wire=settings.task.wire, clutter=settings.clutter),) if settings.clutter else ()
+    )
 
 
 def misregistered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:

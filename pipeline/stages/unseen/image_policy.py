@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.clutter import clutter_of
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY, Controller
 from pipeline.seeds import unseen_episode_seeds
@@ -63,11 +64,13 @@ class ImagePolicyJob(PolicyJob):
 
         return (*(("goal_image",) if self.xray else IMAGE_KEYS), *further)
 
-    def seen(self, environment: Any, **further: Any) -> Any:
-        """The environment as the policy sees it."""
+    def seen(self, environment: Any, clutter: float = 0.0, **further: Any) -> Any:
+        """The environment as the policy sees it, X-ray images with so much clutter."""
         from cathsim.observations.xray import XrayEnvironment
 
-        return XrayEnvironment(environment, self.task.task.image_size_px, **further) if self.xray else environment
+        if not self.xray:
+            return environment
+        return XrayEnvironment(environment, self.task.task.image_size_px, clutter=clutter_of(clutter), **further)
 
 
 def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
@@ -116,14 +119,17 @@ def _train(
     else:
         segmenter = _lumen_segmenter(job, report, device)
         perception = ImagePerception(
-            segmenter, _wire_segmenter(job, expert, report, device) if job.xray else None, device
+            segmenter, _wire_segmenter(job, expert, report, device) if job.xray else None, device, subtracts=job.xray
         )
         hints = int(np.prod(expert.observation_space[expert.keys[0]].shape))  # type: ignore[index]
         settings = RecurrentPolicySettings(features=VIEW_SIZE, hints=hints, action_repeat=expert.action_repeat)
         policy = RecurrentPolicy(settings, job.seed, device, perception.content())
     observation = job.observations(*expert.keys)
     side_by_side = min(SIDE_BY_SIDE, count)
-    envs = [job.seen(job.task.training_environment(job.anatomies, observation)) for _ in range(side_by_side)]
+    envs = [
+        job.seen(job.task.training_environment(job.anatomies, observation), job.settings.clutter * (place % 2))
+        for place in range(side_by_side)
+    ]
 
     def play(number: int, teacher_share: float, noise: float) -> list[AdvisedEpisode]:
         return play_advised(
@@ -167,23 +173,27 @@ def _write_record(job: ImagePolicyJob, rounds: Sequence[FinishedRound]) -> float
 
 
 def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSegmenter:
-    """Trains the network that finds the lumen, on images of the training anatomies without a wire: of contrast runs, or
-    without noise.
+    """Trains the network that finds the lumen, on images of the training anatomies without a wire: those that are
+    subtracted in contrast runs, or without noise.
     """
     from cathsim.fluoroscopy import Projector, background_image
     from cathsim.fluoroscopy.attenuation import lumen_path_length
     from cathsim.many_anatomies import SHELF
     from cathsim.observations.xray import contrast_run
+    from enn.imitation.image_perception import subtracted
     from enn.imitation.lumen_segmentation import fit_segmenter
 
     task, rounds, epochs = job.task.task, job.settings.rounds, job.settings.segmenter_epochs
+    size_px, draw, generator = task.image_size_px, clutter_of(job.settings.clutter), np.random.default_rng(job.seed)
     images, lumens = [], []
     for number, seed in enumerate(job.anatomies):
         report(0.1 * number / len(job.anatomies) / rounds, "images")
         phantom = SHELF.take(training_arch(seed), RESOLUTION)
-        projector = Projector.frontal(phantom.bounds, task.image_size_px)
+        projector = Projector.frontal(phantom.bounds, size_px)
         if job.xray:
-            images.append(contrast_run(phantom, task.image_size_px, task.guidewire().radius).contrast[0])
+            clutter = None if draw is None or number % 2 else draw(generator, size_px)
+            run = contrast_run(phantom, size_px, task.guidewire().radius, clutter)
+            images.append(subtracted(run.plain[0], run.contrast[0]))
         else:
             images.append(background_image(phantom.grid, projector, key=phantom.hash))
         lumens.append(lumen_path_length(phantom.grid, projector) > LUMEN_DEPTH)
@@ -208,7 +218,8 @@ def _wire_segmenter(job: ImagePolicyJob, expert: Policy, report: Tell, device: s
     cases = [environment.case_of(place, place % targets) for place in range(count)]
     rounds, epochs = job.settings.rounds, job.settings.wire_epochs
     frames = wire_frames(
-        job.seen(environment, with_mask=True), expert, cases, np.random.default_rng((job.seed, count)),
+        job.seen(environment, job.settings.clutter, with_mask=True), expert, cases,
+        np.random.default_rng((job.seed, count)),
         lambda done: report((0.1 + 0.07 * done / count) / rounds, "X-ray images of wires"),
     )  # fmt: skip
     network, score = fit_wire_segmenter(

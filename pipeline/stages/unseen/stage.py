@@ -25,7 +25,7 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.unseen.arches import with_steep_take_off
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, DemonstrationsJob, record_demonstrations
-from pipeline.stages.unseen.held_out import misregistered, test_sets
+from pipeline.stages.unseen.held_out import cluttered, misregistered, test_sets
 from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
 from pipeline.stages.unseen.jobs import PRELOAD, AnatomiesJob, RoadmapJob, build_anatomies, train_roadmap
 from pipeline.stages.unseen.settings import UnseenSettings
@@ -133,7 +133,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, arches, run_seed)
     jobs += [replace(job, after=built) for job in shown]
     taught = (*built, *(job.key for job in (*laid, *shown)))
-    main = test_sets(settings)
+    main, among = test_sets(settings), cluttered(settings)
     plain = (replace(main[0], modes=("deterministic",)),)
     vectors, images = policy_gb(settings.task.image_size_px, 0), policy_gb(settings.task.image_size_px, 1)
     for row, count, decisions in policies_of(settings):
@@ -161,7 +161,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
             origin=Origin("unseen", row, run_seed, variant),
             task=task,
             anatomies=tuple(arches[: settings.image_anatomies]),
-            tests=tuple(replace(test, modes=("deterministic",)) for test in main),
+            tests=tuple(replace(test, modes=("deterministic",)) for test in (*main, *(among if row == XRAY else ()))),
             settings=settings,
         )
         weight = settings.rounds * settings.advised_episodes * _SECONDS["xray" if policy.xray else "advised"]

@@ -14,7 +14,7 @@ from pipeline.stages.unseen.task import IMAGE, ROADMAP, XRAY
 from pipeline.stages.unseen.trials import PolicyJob
 
 CURVE = "roadmap_curve"  # in the table of the curve: the policies with equally many decisions
-UNSEEN, MISREGISTERED = "unseen", "misregistered"  # sets of tests
+UNSEEN, MISREGISTERED, CLUTTERED = "unseen", "misregistered", "unseen clutter"  # sets of tests
 
 
 def registration(settings: UnseenSettings, tests: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:

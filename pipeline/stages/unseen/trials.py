@@ -29,6 +29,7 @@ class HeldOutSet:
         registration_noise: of the roadmap, m an axis.
         targets: in these anatomies; none: those of the policy.
         entry: in these anatomies.
+        clutter: in X-ray images.
     """
 
     name: str
@@ -39,6 +40,7 @@ class HeldOutSet:
     registration_noise: float = 0.0
     targets: tuple[str, ...] = ()
     entry: str = DESCENDING
+    clutter: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +80,7 @@ def run_tests(
     controllers: Callable[[str], Callable[[int], Controller]],
     observation: tuple[str, ...],
     report: Callable[[float, str], None],
-    seen: Callable[[Any], Any] = lambda environment: environment,
+    seen: Callable[[Any, float], Any] = lambda environment, clutter: environment,
 ) -> list[dict[str, Any]]:
     """Puts a policy to its tests; episodes whose log is there are not repeated.
 
@@ -86,7 +88,7 @@ def run_tests(
         job: whose tests.
         controllers: gives, for a mode, the policy for the episode of a seed.
         report: takes the share done and a few words.
-        seen: the environment as the policy sees it.
+        seen: the environment as the policy sees it, with so much clutter.
 
     Returns:
         A row for each test set, target and mode: their names and the summary of the episodes.
@@ -102,7 +104,8 @@ def run_tests(
         further = {**job.origin.further, "test_set": test.name, "training_anatomies": len(job.anatomies)}
         for place, phantom in enumerate(test.phantoms):
             environment = seen(
-                job.task.test_environment(phantom, target, test.wire, observation, test.registration_noise, test.entry)
+                job.task.test_environment(phantom, target, test.wire, observation, test.registration_noise, test.entry),
+                test.clutter,
             )
             seeds = held_out_seeds(job.seed, len(test.phantoms) * test.episodes)
             metrics += run_trials(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.xray import XrayEnvironment, contrast_run
@@ -50,3 +51,37 @@ def test_masks_show_the_wire_where_asked_for() -> None:
     darker = observation["plain"][0].astype(float) - observation["image"][0]
     assert darker[wire].mean() > 5 * abs(darker[~wire].mean())
     assert env.observation_space.contains(observation)
+
+
+def stripes(generator: np.random.Generator, size: int) -> np.ndarray:
+    dark = np.zeros((size, size), np.float32)
+    dark[:, int(generator.integers(10, 40)) :: 24] = 0.8
+    return dark
+
+
+def test_clutter_stands_still_and_leaves_the_wire_darker() -> None:
+    env, clean = environment(with_mask=True, clutter=stripes), environment(with_mask=True)
+    seen, _ = env.reset(seed=3, options={"case": 0})
+    plain, filled = seen["plain"].astype(float), seen["contrast"].astype(float)
+    assert np.std(plain.mean(axis=(0, 1))) > 8
+    for _ in range(15):
+        seen = env.step(FORWARD)[0]
+    np.testing.assert_array_equal(seen["plain"], plain)
+    wire = seen["mask"][0] > 0
+    darker = plain[0] - seen["image"][0]
+    assert darker[wire].mean() > 5 * abs(darker[~wire].mean())
+    # the same wire as without clutter, and vessels that the contrast medium still darkens
+    other, _ = clean.reset(seed=3, options={"case": 0})
+    for _ in range(15):
+        other = clean.step(FORWARD)[0]
+    np.testing.assert_array_equal(seen["mask"], other["mask"])
+    assert (plain - filled).max() > 15
+    again, _ = env.reset(seed=3, options={"case": 0})
+    np.testing.assert_array_equal(again["plain"], plain)
+    assert not np.array_equal(env.reset(seed=4, options={"case": 0})[0]["plain"], plain)
+
+
+def test_clutter_of_another_size_is_refused() -> None:
+    env = environment(clutter=lambda generator, size: np.zeros((8, 8), np.float32))
+    with pytest.raises(ValueError, match=r"clutter must have shape \(96, 96\)"):
+        env.reset(seed=0)

@@ -139,3 +139,22 @@ def test_bad_arguments_are_refused() -> None:
         FluoroscopySettings(strongest=0.95)
     with pytest.raises(ValueError, match="near_tip"):
         FluoroscopySettings(near_tip=0.8)
+
+
+def test_clutter_alone_has_no_device_and_means_what_passes() -> None:
+    fluoroscopy = RandomFluoroscopy(replace(PLAIN, clutter=1.0, anatomy=0.5), seed=2)
+    whole, small = fluoroscopy.clutter(4), fluoroscopy.clutter(4, 128)
+    assert (whole.shape, small.shape, small.dtype) == ((1024, 1024), (128, 128), np.float32)
+    np.testing.assert_array_equal(
+        small, RandomFluoroscopy(replace(fluoroscopy.settings, no_wire=1.0), 2).clutter(4, 128)
+    )
+    passed = np.exp(-whole).reshape(128, 8, 128, 8).mean((1, 3))
+    np.testing.assert_allclose(np.exp(-small), passed, atol=1e-5)
+    assert whole.std() > 0.02
+    assert not np.array_equal(small, fluoroscopy.clutter(5, 128))
+    assert RandomFluoroscopy(PLAIN, seed=2).clutter(4).std() < 0.5 * whole.std()
+
+
+def test_clutter_of_an_impossible_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="size_px: expected 32 to 1024 px"):
+        RandomFluoroscopy().clutter(0, 2000)

@@ -1,11 +1,13 @@
 """X-ray images as observations: noisy frontal images of an environment, and the contrast run before its episodes.
 
 Before an episode there is a contrast run: an image of the vessels without wire or contrast medium, and one with
-contrast medium. While the wire moves, its images have neither. Nothing else shows where the wire is.
+contrast medium. While the wire moves, its images have neither. Nothing else shows where the wire is. Clutter, where it
+is asked for, stands still for an episode and its contrast run.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -17,12 +19,16 @@ from cathsim.devices.catheter import Catheter
 from cathsim.environment import NavigateEnv
 from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, DetectorDistortion, Projector, scene, wire_material
 from cathsim.fluoroscopy.c_arms import XRayCamera
+from cathsim.fluoroscopy.radiograph import expose_depth, optical_depth
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.fluoroscopes import catheter_in, frame_of, material_of, wire_radius_of
 
 VIEW = "frontal"
 BEFORE, MOVING, FILLED = "plain", "fluid", "contrast"  # what is kept of the run, and fillings of the lumen
+
+Clutter = NDArray[np.float32]  # (size, size), attenuation of what lies before or behind the scene
+DrawClutter = Callable[[np.random.Generator, int], Clutter]  # from a generator, for a side in px
 
 
 class ContrastRun(NamedTuple):
@@ -33,7 +39,12 @@ class ContrastRun(NamedTuple):
 
 
 def fluoroscope_of(
-    phantom: Phantom, size: int, wire_radius: float, catheter: Catheter | None = None, view: str = VIEW
+    phantom: Phantom,
+    size: int,
+    wire_radius: float,
+    catheter: Catheter | None = None,
+    view: str = VIEW,
+    clutter: Clutter | None = None,
 ) -> BiplaneFluoroscope:
     """An X-ray camera over a phantom while the devices move.
 
@@ -42,9 +53,13 @@ def fluoroscope_of(
         wire_radius: m.
         catheter: over the wire, or None.
         view: one of `cathsim.fluoroscopy.projector.VIEWS`.
+        clutter: (size, size) attenuation; None: there is none. With clutter the camera is made anew at each call.
     """
-    bare = _fluoroscope(phantom, size, wire_radius, MOVING, view)
-    return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter, view)
+    if clutter is None:
+        bare = _fluoroscope(phantom, size, wire_radius, MOVING, view)
+        return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter, view)
+    bare = _among(clutter, phantom, size, wire_radius, MOVING, view)
+    return bare if catheter is None else bare.with_catheter(material_of(catheter))
 
 
 @kept_with_owner
@@ -56,24 +71,57 @@ def _with_catheter(
 
 @kept_with_owner
 def _fluoroscope(phantom: Phantom, size: int, wire_radius: float, filling: str, view: str = VIEW) -> BiplaneFluoroscope:
+    camera, material = _camera(phantom, size, view), wire_material("default", wire_radius)
+    return BiplaneFluoroscope.over(phantom, [camera], scene("bath", filling), material)
+
+
+def _camera(phantom: Phantom, size: int, view: str) -> XRayCamera:
     centre = phantom.bounds.mean(axis=0)
     detector = PAIRS["guide3d"](centre, size)[0].detector  # light, blur and noise of the navigation's first camera
-    camera = XRayCamera(Projector.view(view, phantom.bounds, size), DetectorDistortion.none(size, size), detector)
-    return BiplaneFluoroscope.over(phantom, [camera], scene("bath", filling), wire_material("default", wire_radius))
+    return XRayCamera(Projector.view(view, phantom.bounds, size), DetectorDistortion.none(size, size), detector)
+
+
+def _among(
+    clutter: Clutter, phantom: Phantom, size: int, wire_radius: float, filling: str, view: str = VIEW
+) -> BiplaneFluoroscope:
+    """As `_fluoroscope`, with clutter in the way: automatic brightness and scatter are those of all together."""
+    if clutter.shape != (size, size):
+        raise ValueError(f"clutter must have shape ({size}, {size}), that of the images, got {clutter.shape}")
+    camera, depth = _camera(phantom, size, view), _depth(phantom, size, filling, view) + clutter
+    still = expose_depth(camera, scene("bath", filling), lambda projector: depth)
+    material, centre = wire_material("default", wire_radius), phantom.bounds.mean(axis=0)
+    return BiplaneFluoroscope([camera], [still], material=material, centre=centre)
 
 
 @kept_with_owner
-def contrast_run(phantom: Phantom, size: int, wire_radius: float) -> ContrastRun:
+def _depth(phantom: Phantom, size: int, filling: str, view: str) -> NDArray[np.float32]:
+    return optical_depth(phantom.grid, _camera(phantom, size, view).projector, scene("bath", filling))
+
+
+def contrast_run(phantom: Phantom, size: int, wire_radius: float, clutter: Clutter | None = None) -> ContrastRun:
     """The images before an episode, with a noise of the phantom's own.
 
     Args:
         size: side of the images, px.
         wire_radius: m, of the wire that is not in them.
+        clutter: as of `fluoroscope_of`.
     """
+    if clutter is None:
+        return _clean_run(phantom, size, wire_radius)
+    moving, filled = (_among(clutter, phantom, size, wire_radius, one) for one in (MOVING, FILLED))
+    return _run(phantom, moving, filled)
+
+
+@kept_with_owner
+def _clean_run(phantom: Phantom, size: int, wire_radius: float) -> ContrastRun:
+    moving, filled = (_fluoroscope(phantom, size, wire_radius, one) for one in (MOVING, FILLED))
+    return _run(phantom, moving, filled)
+
+
+def _run(phantom: Phantom, moving: BiplaneFluoroscope, filled: BiplaneFluoroscope) -> ContrastRun:
     nothing, generator = np.empty((0, 3)), np.random.default_rng(int(phantom.hash[:8], 16))
-    before = fluoroscope_of(phantom, size, wire_radius).render(nothing, generator)[VIEW]
-    filled = _fluoroscope(phantom, size, wire_radius, FILLED).render(nothing, generator)[VIEW]
-    return ContrastRun(before.image[None], filled.image[None])
+    before, full = (one.render(nothing, generator)[VIEW] for one in (moving, filled))
+    return ContrastRun(before.image[None], full.image[None])
 
 
 class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
@@ -86,10 +134,19 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         size: side of the images, px.
         with_mask: also `mask`, the devices' pixels in `image`, for a segmenter to learn from; with a catheter also
             `mask_wire` and `mask_catheter`.
+        clutter: draws the clutter of each episode; None: there is none.
     """
 
-    def __init__(self, environment: NavigateEnv | NavigateManyEnv, size: int, *, with_mask: bool = False) -> None:
-        self.environment, self.size = environment, size
+    def __init__(
+        self,
+        environment: NavigateEnv | NavigateManyEnv,
+        size: int,
+        *,
+        with_mask: bool = False,
+        clutter: DrawClutter | None = None,
+    ) -> None:
+        self.environment, self.size, self.draw_clutter = environment, size, clutter
+        self._room: tuple[BiplaneFluoroscope, ContrastRun] | None = None  # of the episode, where there is clutter
         assert isinstance(environment.observation_space, gymnasium.spaces.Dict)
         masks = ("mask",) if catheter_in(environment.simulation) is None else ("mask", "mask_wire", "mask_catheter")
         self._masks = masks if with_mask else ()
@@ -112,6 +169,8 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         super().reset(seed=seed)
         self._noise, self._step = int(self.np_random.integers(2**63)), 0
         observation, info = self.environment.reset(seed=seed, options=options)
+        if self.draw_clutter is not None:
+            self._room = self._seen_by(self.draw_clutter(self.np_random, self.size))
         return self._seen(observation), info
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -120,13 +179,16 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         self._step += 1
         return self._seen(observation), reward, terminated, truncated, info
 
-    def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
+    def _seen_by(self, clutter: Clutter | None) -> tuple[BiplaneFluoroscope, ContrastRun]:
         simulation, phantom = self.environment.simulation, self.environment.phantom
         radius, catheter = wire_radius_of(simulation), catheter_in(simulation)
-        run = contrast_run(phantom, self.size, radius)
+        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, clutter=clutter)
+        return fluoroscope, contrast_run(phantom, self.size, radius, clutter)
+
+    def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
+        fluoroscope, run = self._room or self._seen_by(None)
         generator = np.random.default_rng((self._noise, self._step))
-        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter)
-        frame = frame_of(simulation, fluoroscope, generator, VIEW)
+        frame = frame_of(self.environment.simulation, fluoroscope, generator, VIEW)
         masks = {name: getattr(frame, name)[None] * np.uint8(255) for name in self._masks}
         return {**observation, "image": frame.image[None], "plain": run.plain, "contrast": run.contrast, **masks}
 

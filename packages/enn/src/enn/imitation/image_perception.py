@@ -2,7 +2,8 @@
 
 There are two kinds. One observes the wire's mask and finds the lumen in the episode's first image. The other has X-ray
 images alone, and from before the episode a contrast run: an image without wire or contrast medium, and one with
-contrast medium in the vessels. It finds wire and lumen by networks of its own.
+contrast medium in the vessels. It finds wire and lumen by networks of its own, the lumen in the image with contrast
+medium or in what that image has less light than the one before (`subtracted`), in which nothing else is left.
 """
 
 from __future__ import annotations
@@ -23,6 +24,17 @@ from enn.model_file import UNFIT, another_architecture
 
 IMAGE_KEYS = ("image", "mask", "goal_image")  # observations of a policy that observes the wire's mask
 XRAY_KEYS = ("image", "plain", "contrast", "goal_image")  # ... and of one that finds wire and lumen itself
+_DARKEST = 10.0  # grey levels, added to both images of a quotient: where no light falls it is 1
+
+
+def subtracted(plain: NDArray[np.uint8], contrast: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """The image of a contrast run without what stood still: about 100 where no contrast medium is, less where it is.
+
+    Args:
+        plain: grey levels before the contrast medium came. Shape (..., size, size).
+        contrast: with it; of the same shape.
+    """
+    return np.float32(100.0) * (contrast.astype(np.float32) + _DARKEST) / (plain.astype(np.float32) + _DARKEST)
 
 
 class ImagePerception:
@@ -31,12 +43,18 @@ class ImagePerception:
     Args:
         segmenter: finds the lumen in an episode's first image, or in that of a contrast run.
         wire: finds the wire in every image; None: the mask is observed.
+        subtracts: whether the lumen is looked for in `subtracted` images of contrast runs.
     """
 
     def __init__(
-        self, segmenter: LumenSegmenter, wire: WireSegmenter | None = None, device: torch.device | str = "cpu"
+        self,
+        segmenter: LumenSegmenter,
+        wire: WireSegmenter | None = None,
+        device: torch.device | str = "cpu",
+        *,
+        subtracts: bool = False,
     ) -> None:
-        self.segmenter = segmenter.to(device)
+        self.segmenter, self.subtracts = segmenter.to(device), subtracts
         self.wire = None if wire is None else wire.to(device)
 
     @property
@@ -64,12 +82,16 @@ class ImagePerception:
             )
         image, mask, dot = observation["image"], self.mask(observation), observation["goal_image"]
         view = EgocentricView()
-        if self.wire is None:
-            view.start(image, mask, dot, self.segmenter.lumen(without_wire(image[0], mask[0] > 0)))
-        else:
-            lumen = self.segmenter.lumen(observation["contrast"][0])
-            view.start(image, mask, dot, lumen, empty=observation["plain"])
+        empty = None if self.wire is None else observation["plain"]
+        view.start(image, mask, dot, self.lumen(observation, mask), empty=empty)
         return view
+
+    def lumen(self, observation: Observation, mask: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Probability of the lumen, shape (size, size), by an episode's first observation and the wire's mask in it."""
+        if self.wire is None:
+            return self.segmenter.lumen(without_wire(observation["image"][0], mask[0] > 0))
+        contrast = observation["contrast"][0]
+        return self.segmenter.lumen(subtracted(observation["plain"][0], contrast) if self.subtracts else contrast)
 
     def __call__(
         self, views: Sequence[EgocentricView], observations: Sequence[Observation], actions: Sequence[NDArray[Any]]
@@ -90,6 +112,7 @@ class ImagePerception:
                 "weights": self.segmenter.state_dict(),
             },
             "wire": None if self.wire is None else {"width": self.wire.width, "weights": self.wire.state_dict()},
+            "subtracts": self.subtracts,
         }
 
     @classmethod
@@ -106,7 +129,7 @@ class ImagePerception:
             wire = WireSegmenter(content["wire"]["width"])
             wire.load_state_dict(content["wire"]["weights"])
             wire.eval()
-        return cls(segmenter.eval(), wire, device)
+        return cls(segmenter.eval(), wire, device, subtracts=bool(content.get("subtracts", False)))  # older files: not
 
 
 def load_image_policy(path: Path | str, device: torch.device | str = "cpu") -> tuple[RecurrentPolicy, ImagePerception]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy import sensor
 from guide3d.random_fluoroscopy.anatomy import ANATOMY, contrast_vessels, tissue, vessel_around
 from guide3d.random_fluoroscopy.canvas import Canvas, Image, Points
@@ -17,7 +18,7 @@ from guide3d.random_fluoroscopy.phantom_clutter import PHANTOM_CLUTTER, log_unif
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.random_fluoroscopy.small_marks import SMALL_MARKS
 
-_SCENE, _WINDOW, _SENSOR = 0, 1, 2  # streams of random numbers of an image
+_SCENE, _WINDOW, _SENSOR, _CLUTTER = range(4)  # streams of random numbers of an image
 _SMALLEST_PX = 32
 
 
@@ -107,6 +108,27 @@ class RandomFluoroscopy:
                 place = place + generator.uniform(-0.42, 0.42, 2) * size_px
         left, top = np.clip(np.rint(place - size_px / 2), 0, side - size_px).astype(int).tolist()
         return self._window(index, left, top, size_px)
+
+    def clutter(self, index: int, size_px: int | None = None) -> Image:
+        """What an image of an index shows beside devices, as attenuation: to be laid over images of another renderer.
+
+        Args:
+            size_px: side, at most that of the whole image, of which each pixel then is a mean; None: that side.
+
+        Returns:
+            (size_px, size_px): minus the logarithm of the share of the X-rays that pass; bright things are below 0.
+
+        Raises:
+            ValueError: a side of less than 32 px, or of more than the image's.
+        """
+        side = self.settings.image_px
+        size_px = side if size_px is None else size_px
+        if not _SMALLEST_PX <= size_px <= side:
+            raise ValueError(f"size_px: expected {_SMALLEST_PX} to {side} px, the image's side, got {size_px}")
+        canvas = Canvas(0, 0, side, side)
+        self._scenery(canvas, np.random.default_rng((self.seed, index, _CLUTTER)))
+        passed = cv2.resize(np.exp(-canvas.attenuation), (size_px, size_px), interpolation=cv2.INTER_AREA)
+        return np.asarray(-np.log(passed), np.float32)
 
     def _courses(self, generator: np.random.Generator) -> tuple[list[Points], set[str]]:
         """Courses of the wires of an image, and what is special about them."""

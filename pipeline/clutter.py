@@ -1,0 +1,33 @@
+"""Clutter of guide3d's random fluoroscopy for cathsim's X-ray images: tubes, plates, marks and bones in the way."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from cathsim.observations.xray import Clutter, DrawClutter
+    from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+
+_INDICES = 2**31
+
+
+def clutter_of(amount: float) -> DrawClutter | None:
+    """Draws the clutter of an episode; None where there is to be none.
+
+    Args:
+        amount: factor of the number of things, 1 as in the images that networks learn from; 0: none.
+    """
+    if not amount:
+        return None
+    from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+    from guide3d.random_fluoroscopy.settings import FluoroscopySettings
+
+    # the vessels full of contrast medium are the simulator's
+    return partial(_draw, RandomFluoroscopy(FluoroscopySettings(clutter=amount, contrast=0.0)))
+
+
+def _draw(fluoroscopy: RandomFluoroscopy, generator: np.random.Generator, size: int) -> Clutter:
+    return fluoroscopy.clutter(int(generator.integers(_INDICES)), size)
