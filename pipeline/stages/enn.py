@@ -63,7 +63,8 @@ def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob
 
     def add(phantoms: Sequence[str], row: str, modalities: str, count: int, *, weight: float = 0.0) -> None:
         keys = observed(settings.task, modality_keys(modalities))
-        trained = training_settings(settings, keys=keys if settings.variant == THESIS else ())
+        decisions = settings.safe_decisions if weight else settings.decisions
+        trained = training_settings(settings, decisions, keys if settings.variant == THESIS else ())
         for seed in training_seeds(context.seed, count, most):
             first = row == settings.expert and seed == context.seed * most
             for phantom in phantoms:
@@ -86,14 +87,14 @@ def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob
     return trainings
 
 
-def training_settings(settings: EnnSettings, keys: tuple[str, ...] = ()) -> TrainingSettings:
-    """SAC or PPO of the variant with the stage's budget; `keys` are the observations that the thesis's network sees."""
+def training_settings(settings: EnnSettings, decisions: int, keys: tuple[str, ...] = ()) -> TrainingSettings:
+    """SAC or PPO of the variant with so many decisions; `keys` are what the thesis's network observes."""
     from enn.reinforcement import DESK_PPO, DESK_SAC
     from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 
     desk, thesis = (DESK_SAC, THESIS_SAC) if settings.algorithm == "sac" else (DESK_PPO, THESIS_PPO)
     preset = thesis if settings.variant == THESIS else desk
-    sized = preset.sized(settings.decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard, keys=keys)
+    sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard, keys=keys)
     return with_hyperparameters(sized, settings.training)
 
 
@@ -155,7 +156,7 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     Returns:
         Row to column to cell of the thesis's table.
     """
-    used = training_settings(settings)
+    used = training_settings(settings, settings.decisions)
     values = {
         "learning_rate": used.learning_rate,
         "buffer_size": used.buffer_size,

@@ -95,6 +95,7 @@ class EnnSettings(LearningSettings):
     ablation_phantoms: FolderNames = field(default_factory=list)  # where those are trained
     ablation_seeds: Trainings = 1
     safe_weights: _SafeWeights = field(default_factory=list)  # of the force in the reward, 1/N: a row each, there too
+    safe_decisions: Decisions = 9_000  # of their trainings, which a price on force makes slower
     expert_episodes: EpisodesOrNone = 100  # with images, for imitation, of each task's first training of the expert row
     modality: FolderName | None = None  # filled in by modality=…: the only row, on every phantom
 

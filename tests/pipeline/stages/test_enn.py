@@ -37,13 +37,15 @@ def place(tmp_path: Path) -> StageContext:
 
 
 def test_plan_has_the_expert_everywhere_and_the_ablation_where_asked(place: StageContext) -> None:
-    jobs = plan(settings(), place)
+    jobs = plan(settings(decisions=500, safe_decisions=700), place)
     names = [job.name for job in jobs]
     assert len(set(names)) == len(names) == 2 * 2 * 3 + 3 * 2 * 2
     assert names[0] == "type_1/bca/I+V+M/seed0"
     assert not [name for name in names if name.startswith("type_2") and "I+V+M/" not in name]
     safe = [job for job in jobs if job.origin.row == "I+V+M safe 0.5"]
     assert {job.task.force_penalty for job in safe} == {0.5}
+    assert {job.settings.decisions for job in safe} == {700}
+    assert {job.settings.decisions for job in jobs if job not in safe} == {500}
     assert {job.task.force_penalty for job in jobs if job not in safe} == {0.0}
     recorded = [job.name for job in jobs if job.expert_episodes]
     assert recorded == [f"{p}/{t}/I+V+M/seed0" for p in ("type_1", "type_2") for t in ("bca", "lcca")]
