@@ -27,7 +27,7 @@ NONSENSE = ("nan", "inf", "-inf", "-1", "1e300", "99999999999999999999999", "tex
 # Settings in which 0 means something: none of them, a number that the recipe chooses, one process a core, no noise.
 ZERO_IS_LEGAL = {
     "annotation_noise_px", "arches", "dagger_rounds", "demonstrations", "disturbed_episodes", "disturbed_images",
-    "drawn_episodes",
+    "clutter", "drawn_episodes",
     "embed_limit_mb", "encoder_epochs", "epochs", "expert_episodes", "feature_matching", "film_episodes", "noise",
     "path_penalty", "random_seeds", "perception_arches", "perception_epochs", "registration_noise_mm", "spell_chance",
     "split_seed", "start_jitter_mm",
