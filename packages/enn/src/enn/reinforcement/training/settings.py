@@ -200,7 +200,7 @@ DESK_SAC = TrainingSettings(
 DESK_PPO = TrainingSettings(
     algorithm="ppo",
     activation="tanh",
-    decisions=10_000,
+    decisions=20_000,
     learning_rate=3e-4,
     final_learning_rate=0.1,
     batch_size=64,
@@ -210,7 +210,7 @@ DESK_PPO = TrainingSettings(
     log_std_init=-1.0,
     cloning_weight=1.0,
     reset_bank_share=0.5,
-    evaluate_every=1250,
+    evaluate_every=2500,
     stop_after=1,
     curve_every=1024,
 )
