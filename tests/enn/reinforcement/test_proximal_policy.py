@@ -15,7 +15,7 @@ from tests.enn.reinforcement.small_training import demonstrated
 
 SMALL = dataclasses.replace(
     DESK_PPO, action_repeat=1, decisions=104, n_envs=4, hidden=(32, 32), learning_starts=100, batch_size=32,
-    evaluate_every=0, curve_every=50,
+    learning_rate=7e-4, evaluate_every=0, curve_every=50,
 )  # fmt: skip
 
 
