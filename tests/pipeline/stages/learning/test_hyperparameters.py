@@ -24,8 +24,8 @@ CHANGES = {"learning_rate": 3e-4, "n_envs": 4, "hidden": [32, 32]}
 def test_every_learning_stage_takes_them() -> None:
     made = [
         of_baselines(BaselinesSettings(**PLACE, training=CHANGES), "ppo", "internal"),
-        of_enn(EnnSettings(**PLACE, training=CHANGES)),
-        of_enn(EnnSettings(**PLACE, training=CHANGES, algorithm="ppo")),
+        of_enn(EnnSettings(**PLACE, training=CHANGES), 500),
+        of_enn(EnnSettings(**PLACE, training=CHANGES, algorithm="ppo"), 500),
         of_unseen(UnseenSettings(training=CHANGES), 4, 1000),
     ]
     assert [one.algorithm for one in made] == ["ppo", "sac", "ppo", "sac"]
