@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enn.imitation.image_perception import XRAY_KEYS, ImagePerception, load_image_policy
+from enn.imitation.image_perception import XRAY_KEYS, ImagePerception, load_image_policy, subtracted
 from enn.imitation.lumen_segmentation import LumenSegmenter, fit_segmenter
 from enn.imitation.recurrent_policy import RecurrentPolicy
 from enn.imitation.sequence_cloning import SequenceCloningSettings, clone_sequences
-from enn.imitation.wire_segmentation import fit_wire_segmenter
+from enn.imitation.wire_segmentation import WireSegmenter, fit_wire_segmenter
 from tests.enn.imitation.straight_wire import CLONING, SIZE, SMALL, WireEnv, XrayWireEnv, advised, policy_on, vessels
 
 LONG = SequenceCloningSettings(epochs=20, batch_size=8, learning_rate=1e-2)
@@ -88,3 +88,24 @@ def test_a_policy_of_x_ray_images_needs_no_mask(segmenter: LumenSegmenter, tmp_p
     np.testing.assert_array_equal(perception.controller(policy)(observation), seeing.controller(twin)(observation))
     with pytest.raises(ValueError, match="the policy sees image, plain, contrast, goal_image, but contrast, goal_im"):
         perception.begin({key: observation[key] for key in ("image", "plain")})
+
+
+def test_subtracted_images_lose_what_stands_still(segmenter: LumenSegmenter) -> None:
+    generator = np.random.default_rng(0)
+    room = generator.uniform(60, 200, (SIZE, SIZE))
+    vessel = np.ones((SIZE, SIZE))
+    vessel[10:20] = 0.6
+    plain, contrast = room.astype(np.uint8), (vessel * room).astype(np.uint8)
+    left = subtracted(plain, contrast)
+    assert left[10:20].std() < 2.0
+    assert left[20:].std() < 0.01
+    assert left[10:20].mean() < 0.7 * left[20:].mean()
+    seen = {"plain": plain[None], "contrast": contrast[None]}
+    empty = np.zeros((1, SIZE, SIZE), np.uint8)
+    wire = WireSegmenter(4)
+    for subtracts, image in ((True, left), (False, contrast)):
+        perception = ImagePerception.of(ImagePerception(segmenter, wire, subtracts=subtracts).content())
+        np.testing.assert_allclose(perception.lumen(seen, empty), segmenter.lumen(image), atol=1e-6)
+    older = ImagePerception(segmenter, wire, subtracts=True).content()
+    del older["subtracts"]
+    assert not ImagePerception.of(older).subtracts
