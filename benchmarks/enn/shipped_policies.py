@@ -150,6 +150,8 @@ def main() -> None:
         policies = [load(name) for name in (given.policy, given.steep or given.policy)]
         if given.draw and not all(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--draw: a policy that sees images always takes the best action")
+        if given.clutter and any(isinstance(policy, Policy) for policy in policies):
+            raise ValueError("--clutter: a policy by roadmap sees no images")
         tasks = [task_of(policy, given.max_steps) for policy in policies]
         rows, measured = [], []
         for name, target, episodes in cells(given):

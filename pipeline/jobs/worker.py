@@ -152,6 +152,7 @@ def work(
     # in the middle of what its checkpoint needs whole.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # held back while the process was started
     threading.Thread(target=_obey, args=(connection, report), daemon=True).start()
     logging.getLogger().addHandler(_ToStage(send, report))
     meter = CostMeter()

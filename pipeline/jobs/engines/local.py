@@ -9,7 +9,7 @@ import signal
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
@@ -57,7 +57,7 @@ class LocalEngine(Engine):
             multiprocessing.set_start_method("spawn", force=True)
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["pipeline.jobs.worker", *preload])
-        with _ctrl_c_ignored():
+        with ctrl_c_held_back():
             forkserver.ensure_running()
 
     def check(self, jobs: Sequence[Job]) -> None:
@@ -174,13 +174,17 @@ def _one_thread() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    """Lets what starts inside inherit that Ctrl-C means nothing: a job still importing would print a traceback."""
+def ctrl_c_held_back() -> Iterator[None]:
+    """Lets no Ctrl-C reach what starts inside: a job still importing would print a traceback.
+
+    This process gets one that comes meanwhile when it leaves; ignored instead, it would be lost, and the stage would go on.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource_tracker.ensure_running()  # which, when it starts, lets the signal through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -87,6 +87,18 @@ def test_a_policy_of_x_ray_images_observes_no_mask(tmp_path: Path) -> None:
     assert set(seen.reset(seed=0)[0]) == {"goal_image", "image", "plain", "contrast"}
 
 
+def test_clutter_is_a_test_of_the_x_ray_policy_alone(tmp_path: Path) -> None:
+    wanted = settings(image=True, clutter=0.5, clutter_anatomies=1)
+    jobs = {job.key: job.given for job in plan(wanted, tmp_path, 0, "desk")}
+    (among,) = [test for test in jobs["xray"].tests if test.name == "unseen clutter"]
+    (usual,) = [test for test in jobs["xray"].tests if test.name == "unseen"]
+    assert (among.clutter, usual.clutter, among.phantoms) == (0.5, 0.0, usual.phantoms[:1])
+    for row in ("image_true_mask", "roadmap tests"):
+        assert "unseen clutter" not in {test.name for test in jobs[row].tests}
+    clean = {job.key: job.given for job in plan(settings(clutter=0.0), tmp_path, 0, "desk")}
+    assert "unseen clutter" not in {test.name for test in clean["xray"].tests}
+
+
 def test_points_of_the_curve_have_equally_many_decisions(tmp_path: Path) -> None:
     jobs = {job.key: job for job in plan(settings(), tmp_path, 0, "desk")}
     sizes = {key: job.given.settings.decisions for key, job in jobs.items() if isinstance(job.given, RoadmapJob)}
