@@ -177,7 +177,7 @@ def _one_thread() -> Iterator[None]:
 def ctrl_c_held_back() -> Iterator[None]:
     """Lets no Ctrl-C reach what starts inside: a job still importing would print a traceback.
 
-    This process gets one that comes meanwhile when it leaves; ignored instead, it would be lost, and the stage would go on.
+    This process gets one that comes meanwhile when it leaves; ignored instead, it would be lost.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

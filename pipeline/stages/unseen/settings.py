@@ -56,8 +56,8 @@ class UnseenSettings(ChosenAnatomies):
     validation_episodes: Episodes = 48  # in them
     image: bool = True  # also the policy that observes images and the wire's true mask
     xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
-    # of clutter in X-ray images, 1 as in guide3d's random fluoroscopy: in the images that the wire's network learns from,
-    # in every second one of the lumen's, in every second environment of the rounds, in a further set of tests; 0: none
+    # of clutter in X-ray images, 1 as in guide3d's random fluoroscopy: in those that the wire's network learns from, in
+    # every second one of the lumen's, in every second environment of the rounds, in a further set of tests; 0: none
     clutter: Annotated[float, Ge(0), Le(4)] = 0.0
     clutter_anatomies: Count = 20  # unseen arches of that set
     image_anatomies: Count = 64  # arches that each is trained on
