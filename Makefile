@@ -10,8 +10,7 @@ PY := $(VENV)/bin/python
 BUDGET ?= desk
 NAME ?= $(BUDGET)
 SEEDS ?=
-# stages beside each other share cores and memory, but no GPU
-BESIDE ?= $(if $(findstring device=,$(ARGS)),1,2)
+BESIDE ?= 2
 ARGS ?=
 DEMO ?=
 TEST_JOBS ?= 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ Runs all stages, or some, one after the other, and says how long the rest will t
 
   --inputs     the stages after those that they read
   --seeds N    stages whose figures depend on the seed run with seeds 0 to N - 1; the report shows means and intervals
-  --beside N   up to N stages that do not need each other run at the same time and share the cores
+  --beside N   up to N stages that do not need each other run at the same time and share cores, memory and GPUs
   --estimate   only estimates time and memory on 1, 8 and 64 machines, from the times of jobs
 
 Overrides go to every stage, e.g. budget=desk name=desk engine=ray, stage.KEY=VALUE to those that have the setting, e.g.
@@ -32,7 +31,6 @@ _ALL, _INPUTS, _ESTIMATE, _SEEDS = "all", "--inputs", "--estimate", "--seeds"
 _BESIDE = "--beside"
 _MOST_SEEDS = 20  # that pipeline.seeds has ranges for
 _MOST_BESIDE = 64
-_DEVICE = re.compile(r"\+*stage(@\w+)?\.device=(?!cpu$)")
 
 
 def main(arguments: list[str]) -> int:
@@ -46,9 +44,6 @@ def main(arguments: list[str]) -> int:
         seeds, beside = _taken(stages, _SEEDS, _MOST_SEEDS), _taken(stages, _BESIDE, _MOST_BESIDE)
         if seeds > 1 and any(word.startswith("seed=") for word in overrides):
             raise ValueError(f"{_SEEDS} counts from seed 0 on: leave seed=… out, or {_SEEDS}")
-        on_gpu = [word for word in overrides if _DEVICE.match(word)]
-        if beside > 1 and on_gpu:
-            raise ValueError(f"{_BESIDE} shares cores, but no GPU: leave it out (make: BESIDE=1), or {on_gpu[0]}")
     except ValueError as error:
         _say(str(error), error=True)
         return _EXIT_USAGE

@@ -1,7 +1,7 @@
 """Runs the steps of a chain, each in a process of its own, as if called by itself.
 
 One after the other, a stage has the terminal, with its own progress. Beside each other, stages that do not need one
-another share the machine's cores (`pipeline.jobs.engines.shared_cores`), and each line begins with the step's name.
+another share the machine (`pipeline.jobs.engines.shared_machine`), and each line begins with the step's name.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from enn.reinforcement.free_memory import available_bytes
 from pipeline.chain.durations import minutes_left, worded
 from pipeline.chain.steps import Step, concerns, waits_for
 from pipeline.jobs.engines.local import available_workers
-from pipeline.jobs.engines.shared_cores import shared_cores
+from pipeline.jobs.engines.shared_machine import shared_machine
 
 _SECONDS_BETWEEN_LOOKS = 0.1
 _GB = 1e9
@@ -47,7 +47,7 @@ def run(steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, flo
     Returns:
         0, or the exit code of the step that failed, 128 + N where signal N ended it.
     """
-    room = shared_cores(available_workers(), available_bytes() / _GB) if beside > 1 else contextlib.nullcontext()
+    room = shared_machine(available_workers(), available_bytes() / _GB) if beside > 1 else contextlib.nullcontext()
     with room, _Processes() as processes:
         return _Chain(steps, overrides, known, beside, processes).run()
 

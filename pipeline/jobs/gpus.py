@@ -10,7 +10,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.store.errors import ConfigurationError, StageError
@@ -117,15 +117,22 @@ class GpuShare:
             f"{len(self.gpus)} {wide} have so much, {most:.1f} GB the most: free memory there, or set stage.device=cpu"
         )
 
-    def take(self, key: str, gigabytes: float, count: int = 1) -> tuple[Gpu, ...] | None:
+    def take(
+        self, key: str, gigabytes: float, count: int = 1, elsewhere: Mapping[str, float] | None = None
+    ) -> tuple[Gpu, ...] | None:
         """Promises a job memory on the GPUs with the most room.
+
+        Args:
+            gigabytes: on each.
+            elsewhere: bytes of GPUs that jobs of other stages were promised, by `Gpu.visible`.
 
         Returns:
             The GPUs; None while there is no room.
         """
-        order = sorted(range(len(self.gpus)), key=lambda index: (-self.room(index), index))
-        chosen = tuple(order[:count])
-        if len(chosen) < count or any(self.room(index) < gigabytes * _GB for index in chosen):
+        others = elsewhere or {}
+        room = [self.room(index) - others.get(gpu.visible, 0.0) for index, gpu in enumerate(self.gpus)]
+        chosen = tuple(sorted(range(len(room)), key=lambda index: (-room[index], index))[:count])
+        if len(chosen) < count or any(room[index] < gigabytes * _GB for index in chosen):
             return None
         self._promised[key] = chosen, gigabytes * _GB
         return tuple(self.gpus[index] for index in chosen)
@@ -134,6 +141,11 @@ class GpuShare:
         """Takes note of what a job really uses of each GPU, where that is more than it was promised."""
         chosen, promised = self._promised[key]
         self._promised[key] = chosen, max(promised, float(bytes_used))
+
+    def promised(self, key: str) -> dict[str, float]:
+        """Bytes of each of a job's GPUs, by `Gpu.visible`; none for a job that has none."""
+        chosen, promised = self._promised.get(key, ((), 0.0))
+        return {self.gpus[index].visible: promised for index in chosen}
 
     def give_back(self, key: str) -> None:
         """A job has ended."""

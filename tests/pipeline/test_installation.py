@@ -61,7 +61,7 @@ def test_every_verb_of_the_makefile_is_explained() -> None:
         (["all"], "--beside 2 all -- budget=desk name=desk"),
         (["all", "SEEDS=3", "BUDGET=smoke"], "--seeds 3 --beside 2 all -- budget=smoke name=smoke"),
         (["all", "BESIDE=1", "NAME=mine"], "--beside 1 all -- budget=desk name=mine"),
-        (["all", "ARGS=stage.device=cuda"], "--beside 1 all -- budget=desk name=desk stage.device=cuda"),
+        (["all", "ARGS=stage.device=cuda"], "--beside 2 all -- budget=desk name=desk stage.device=cuda"),
         (["enn", "SEEDS=2"], "--seeds 2 --beside 2 --inputs enn -- budget=desk name=desk"),
     ],
 )

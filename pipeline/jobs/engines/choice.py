@@ -11,8 +11,8 @@ from pipeline.jobs.engines.cluster import Cluster
 from pipeline.jobs.engines.interface import Engine
 from pipeline.jobs.engines.local import LocalEngine, available_workers
 from pipeline.jobs.engines.settings import EngineSettings, RaySettings, SlurmSettings
-from pipeline.jobs.engines.shared_cores import SharedCores
 from pipeline.jobs.engines.shared_files import JOBS
+from pipeline.jobs.engines.shared_machine import SharedMachine
 from pipeline.jobs.gpus import CPU, Gpu, GpuShare, gpus_of
 from pipeline.store.run_folder import RunFolder
 
@@ -49,9 +49,10 @@ def make_engine(
     settings = _CHOSEN.get()
     if isinstance(settings, RaySettings | SlurmSettings):
         return _remote(folder.path, settings, device, workers)
-    share = GpuShare([] if device == CPU else gpus_of(device, find()))
-    cores = SharedCores.of_environment()
-    return LocalEngine(workers or available_workers(), preload, share, available() / _GB, cores)
+    machine = SharedMachine.of_environment()
+    found = [] if device == CPU else find() if machine is None else machine.gpus(find)
+    share = GpuShare(gpus_of(device, found))
+    return LocalEngine(workers or available_workers(), preload, share, available() / _GB, machine)
 
 
 def _remote(stage: Path, settings: RaySettings | SlurmSettings, device: str, workers: int) -> Engine:

@@ -7,14 +7,14 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from pipeline.jobs.engines.interface import ENDED, STARTED, Engine, Notes
-from pipeline.jobs.engines.shared_cores import Core, SharedCores
+from pipeline.jobs.engines.shared_machine import Core, SharedMachine
 from pipeline.jobs.gpus import GpuShare
 from pipeline.jobs.job import Job
 from pipeline.jobs.worker import Message, work
@@ -37,16 +37,21 @@ class LocalEngine(Engine):
     """Processes of this machine."""
 
     def __init__(
-        self, workers: int, preload: Sequence[str], share: GpuShare, room_gb: float, cores: SharedCores | None = None
+        self,
+        workers: int,
+        preload: Sequence[str],
+        share: GpuShare,
+        room_gb: float,
+        machine: SharedMachine | None = None,
     ) -> None:
         """Args:
         workers: processes beside each other.
         preload: modules that every job needs; they are imported once, and the jobs' processes start with them.
         room_gb: memory that jobs may take.
-        cores: shared with other stages, whose memory counts instead of `room_gb`; None: this stage has all.
+        machine: shared with other stages, whose memory counts instead of `room_gb`; None: this stage has all.
         """
-        self.capacity, self._share, self._cores = workers, share, cores
-        self._room_gb = room_gb if cores is None else cores.room_gb
+        self.capacity, self._share, self._machine = workers, share, machine
+        self._room_gb = room_gb if machine is None else machine.room_gb
         self._running: list[_Running] = []
         self._messages: list[tuple[str, Message]] = []
         self._open = contextlib.ExitStack()
@@ -76,12 +81,16 @@ class LocalEngine(Engine):
         """Starts a job when a core, the memory and the GPUs that it needs are free."""
         if len(self._running) >= self.capacity or not self._has_memory(job):
             return False
-        gpus = self._gpus(job)
+        with self._turn() as machine:
+            core = None if machine is None else machine.take(job.memory_gb)
+            if machine is not None and core is None:
+                return False
+            gpus = self._gpus(job, {} if machine is None else machine.gpu_bytes_elsewhere())
+            if core is not None:
+                core.promise(self._share.promised(job.key))
         if gpus is None:
-            return False
-        core = None if self._cores is None else self._cores.take(job.memory_gb)
-        if self._cores is not None and core is None:
-            self._share.give_back(job.key)
+            if core is not None:
+                core.free()
             return False
         ours, theirs = self._context.Pipe()
         given = (job.run, job.given, theirs, (notes.folder, notes.journal), gpus)
@@ -95,11 +104,17 @@ class LocalEngine(Engine):
     def _has_memory(self, job: Job) -> bool:
         return job.memory_gb + sum(running.job.memory_gb for running in self._running) <= self._room_gb
 
-    def _gpus(self, job: Job) -> tuple[str, ...] | None:
+    @contextlib.contextmanager
+    def _turn(self) -> Iterator[SharedMachine | None]:
+        """Keeps other stages from taking the same; the machine where one is shared."""
+        with contextlib.nullcontext() if self._machine is None else self._machine.turn():
+            yield self._machine
+
+    def _gpus(self, job: Job, elsewhere: Mapping[str, float]) -> tuple[str, ...] | None:
         """What the job's GPUs are called: none where it needs none; None while they have no room for it."""
         if not (self._share.gpus and job.gpu_gb):
             return ()
-        taken = self._share.take(job.key, job.gpu_gb, job.gpus)
+        taken = self._share.take(job.key, job.gpu_gb, job.gpus, elsewhere)
         return None if taken is None else tuple(gpu.visible for gpu in taken)
 
     def listen(self, timeout_s: float) -> list[tuple[str, Message]]:
@@ -111,12 +126,21 @@ class LocalEngine(Engine):
                 while running.connection.poll():
                     message: Message = running.connection.recv()
                     if message.gpu_bytes:
-                        self._share.measured(key, message.gpu_bytes)
+                        self._measured(running, message.gpu_bytes)
                     self._messages.append((key, message))
             except (EOFError, OSError):
                 self._messages.append((key, self._ended(running)))
         messages, self._messages = self._messages, []
         return messages
+
+    def _measured(self, running: _Running, gpu_bytes: int) -> None:
+        """A job says how much of each of its GPUs it uses."""
+        key = running.job.key
+        before = self._share.promised(key)
+        self._share.measured(key, gpu_bytes)
+        if running.core is not None and self._share.promised(key) != before:
+            with self._turn():
+                running.core.promise(self._share.promised(key))
 
     def _ended(self, running: _Running) -> Message:
         """A job's process has closed its connection: done, failed, stopped or killed."""

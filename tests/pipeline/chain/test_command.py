@@ -91,10 +91,6 @@ def test_settings_of_a_stage_go_to_the_stages_that_have_them(pipeline_process) -
         (["--seeds", "0", "report"], "--seeds needs a whole number from 1 to 20, got '0'"),
         (["report", "--seeds"], "--seeds needs a whole number from 1 to 20, got 'nothing'"),
         (["--beside", "65", "report"], "--beside needs a whole number from 1 to 64, got '65'"),
-        (
-            ["--beside", "2", "shape", "--", "stage@shape.device=cuda"],
-            "--beside shares cores, but no GPU: leave it out (make: BESIDE=1), or stage@shape.device=cuda",
-        ),
         (["--seeds", "2", "report", "--", "seed=4"], "--seeds counts from seed 0 on: leave seed=… out, or --seeds"),
     ],
 )
