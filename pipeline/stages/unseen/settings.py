@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 _Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
+_MOST_CLUTTERED_PX = 1024  # side of the images of guide3d's random fluoroscopy
 
 
 @validated()
@@ -87,6 +88,11 @@ class UnseenSettings(ChosenAnatomies):
             raise ConfigurationError("stage.targets is empty: name at least one")
         if self.task.wire == NO_WIRE:
             raise ConfigurationError(f"stage unseen steers a wire, got task.wire={NO_WIRE}: name a wire")
+        if self.clutter and self.xray and self.task.image_size_px > _MOST_CLUTTERED_PX:
+            raise ConfigurationError(
+                f"clutter is drawn in images of at most {_MOST_CLUTTERED_PX} px, got "
+                f"task.image_size_px={self.task.image_size_px}: make them smaller, or give stage.clutter=0"
+            )
         if self.task.catheter is not None and (self.image or self.xray):
             raise ConfigurationError(
                 "with a catheter stage unseen trains by a roadmap alone: give stage.image=false stage.xray=false"

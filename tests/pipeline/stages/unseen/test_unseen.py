@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.report.learning.tables import tables_from_logs
@@ -97,6 +98,14 @@ def test_clutter_is_a_test_of_the_x_ray_policy_alone(tmp_path: Path) -> None:
         assert "unseen clutter" not in {test.name for test in jobs[row].tests}
     clean = {job.key: job.given for job in plan(settings(clutter=0.0), tmp_path, 0, "desk")}
     assert "unseen clutter" not in {test.name for test in clean["xray"].tests}
+
+
+def test_clutter_in_larger_images_than_it_is_drawn_for_is_refused() -> None:
+    large = Task(image_size_px=1025)
+    with pytest.raises(ConfigurationError, match="clutter is drawn in images of at most 1024 px, got"):
+        settings(clutter=1.0, task=large)
+    assert settings(clutter=0.0, task=large).task.image_size_px == 1025
+    assert FluoroscopySettings().image_px == 1024
 
 
 def test_points_of_the_curve_have_equally_many_decisions(tmp_path: Path) -> None:
