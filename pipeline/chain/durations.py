@@ -23,24 +23,33 @@ def known_minutes(overrides: Sequence[str]) -> dict[str, float]:
     return {str(name): float(value) for name, value in minutes.items()}
 
 
-def minutes_left(stages: Sequence[str], spent: Sequence[tuple[str, float]], known: Mapping[str, float]) -> float | None:
-    """Estimates the wall time of stages that are still to run.
+def minutes_left(
+    waiting: Sequence[str],
+    under_way: Sequence[tuple[str, float]],
+    spent: Sequence[tuple[str, float]],
+    known: Mapping[str, float],
+) -> float | None:
+    """Estimates the wall time of stages that have not ended.
 
     Args:
-        spent: stages that ran, and their minutes.
-        known: minutes of stages on the machine they were measured on.
+        waiting: stages that have not begun.
+        under_way: stages that have, and the minutes of the machine that they had so far: half of those in which one
+            other stage ran, too.
+        spent: stages that ran, and their minutes of the machine.
+        known: minutes of stages alone on the machine they were measured on.
 
     Returns:
         Minutes; None where one of the stages is not known.
     """
-    if any(name not in known for name in stages):
+    if any(name not in known for name in (*waiting, *(name for name, _ in under_way))):
         return None
     worked = [(name, minutes) for name, minutes in spent if name in known and minutes > _WORKED * known[name]]
     expected = sum(known[name] for name, _ in worked)
     # short stages tell little of a machine: they count as much as they last, beside one that is as fast as known
     prior = 0.02 * sum(known.values())
     pace = (prior + sum(minutes for _, minutes in worked)) / (prior + expected)
-    return pace * sum(known[name] for name in stages)
+    begun = sum(max(pace * known[name] - minutes, 0.0) for name, minutes in under_way)
+    return pace * sum(known[name] for name in waiting) + begun
 
 
 def worded(minutes: float) -> str:

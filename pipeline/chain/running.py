@@ -33,7 +33,7 @@ class _Running:
 
     place: int
     process: subprocess.Popen[str]
-    began: float
+    minutes: float = 0.0  # of the machine: half of those in which one other step ran, too
     readers: list[threading.Thread] = field(default_factory=list)
 
 
@@ -70,6 +70,7 @@ class _Chain:
 
     def run(self) -> int:
         began, code = time.monotonic(), 0
+        looked = began
         under_way = self._processes.under_way
         while True:
             while not code and (place := self._next()) is not None:
@@ -77,6 +78,10 @@ class _Chain:
             code = code or self._processes.code
             if not under_way:
                 break
+            now = time.monotonic()
+            for running in under_way:
+                running.minutes += (now - looked) / 60 / len(under_way)
+            looked = now
             for running in [one for one in under_way if one.process.poll() is not None]:
                 failed = self._end(running)
                 if failed and not code:  # those that are stopped fail, too
@@ -99,13 +104,10 @@ class _Chain:
 
     def _start(self, place: int) -> None:
         step = self._steps[place]
-        under_way = [one.place for one in self._processes.under_way]
-        rest = [self._steps[later].stage for later in sorted({*self._waiting, *under_way})]
-        # beside each other stages last longer than alone, but together shorter: then it is a bound
-        left = minutes_left(rest, self._spent if self._beside == 1 else [], self._known)
-        about = "about" if self._beside == 1 else "at most about"
+        under_way = [(self._steps[one.place].stage, one.minutes) for one in self._processes.under_way]
+        left = minutes_left([self._steps[later].stage for later in self._waiting], under_way, self._spent, self._known)
         self._started += 1
-        told = "" if left is None else f"; {about} {worded(left)} left in all"
+        told = "" if left is None else f"; about {worded(left)} left in all"
         _say(f"== stage {self._started} of {len(self._steps)}: {step}{told}")
         own = [w.replace(f"stage@{step.stage}.", "stage.", 1) for w in self._overrides if concerns(w, step.stage)]
         own += [] if step.seed is None else [f"seed={step.seed}"]
@@ -122,7 +124,7 @@ class _Chain:
         if code:
             return int(code) if code > 0 else 128 - int(code)
         self._done.add(running.place)
-        self._spent.append((self._steps[running.place].stage, (time.monotonic() - running.began) / 60))
+        self._spent.append((self._steps[running.place].stage, running.minutes))
         return 0
 
 
@@ -154,13 +156,13 @@ class _Processes:
         """
         if name is None:
             process = subprocess.Popen(command, text=True)
-            self.under_way.append(_Running(place, process, time.monotonic()))
+            self.under_way.append(_Running(place, process))
         else:
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                 errors="replace",
             )  # fmt: skip
-            running = _Running(place, process, time.monotonic())
+            running = _Running(place, process)
             self.under_way.append(running)
             for stream, to in ((process.stdout, sys.stdout), (process.stderr, sys.stderr)):
                 reader = threading.Thread(target=_tell, args=(stream, to, name), daemon=True)

@@ -11,16 +11,24 @@ from pipeline.stages import available_stages
 
 def test_the_estimate_follows_the_machine() -> None:
     known = {"phantoms": 1.0, "enn": 40.0, "unseen": 60.0}
-    assert minutes_left(["unseen"], [], known) == pytest.approx(60.0)
-    twice_as_slow = minutes_left(["unseen"], [("enn", 80.0)], known)
+    assert minutes_left(["unseen"], [], [], known) == pytest.approx(60.0)
+    twice_as_slow = minutes_left(["unseen"], [], [("enn", 80.0)], known)
     assert twice_as_slow is not None
     assert 110 < twice_as_slow < 120
     # a short stage says little, one that was up to date nothing
-    after_short = minutes_left(["unseen"], [("phantoms", 2.0)], known)
+    after_short = minutes_left(["unseen"], [], [("phantoms", 2.0)], known)
     assert after_short is not None
     assert 60 < after_short < 85
-    assert minutes_left(["unseen"], [("enn", 0.1)], known) == pytest.approx(60.0)
-    assert minutes_left(["unseen", "shape"], [], known) is None
+    assert minutes_left(["unseen"], [], [("enn", 0.1)], known) == pytest.approx(60.0)
+    assert minutes_left(["unseen", "shape"], [], [], known) is None
+
+
+def test_what_stages_under_way_have_done_is_not_left() -> None:
+    known = {"enn": 40.0, "unseen": 60.0, "shape": 20.0}
+    assert minutes_left(["shape"], [("enn", 10.0), ("unseen", 10.0)], [], known) == pytest.approx(30 + 50 + 20)
+    # one that lasts longer than known may end at any moment
+    assert minutes_left(["shape"], [("enn", 50.0)], [], known) == pytest.approx(20.0)
+    assert minutes_left([], [("phantoms", 1.0)], [], known) is None
 
 
 @pytest.mark.parametrize("budget", ["smoke", "desk"])
