@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from enn.reinforcement.free_memory import available_bytes
 from pipeline.chain.durations import minutes_left, worded
-from pipeline.chain.steps import Step, concerns, waits_for
+from pipeline.chain.steps import Step, concerns, minutes_to_the_end, waits_for
 from pipeline.jobs.engines.local import available_workers
 from pipeline.jobs.engines.shared_machine import shared_machine
 
@@ -64,6 +64,9 @@ class _Chain:
         self._waiting = list(range(len(steps)))
         # one after the other they are in order anyway, and a stage that is missing says so itself
         self._needs = [waits_for(steps, place) if beside > 1 else [] for place in self._waiting]
+        if beside > 1:  # what the most waits for comes first, or the last stages would run alone
+            minutes = minutes_to_the_end(steps, known)
+            self._waiting.sort(key=lambda place: -minutes[place])
         self._done: set[int] = set()
         self._spent: list[tuple[str, float]] = []
         self._started = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 from pipeline.stages import available_stages, load_stage, settings_of
@@ -32,6 +32,20 @@ def waits_for(steps: Sequence[Step], place: int) -> list[int]:
     return [
         k for k, earlier in enumerate(steps[:place]) if stage.gathers or earlier.stage in (*stage.reads, *stage.uses)
     ]
+
+
+def minutes_to_the_end(steps: Sequence[Step], known: Mapping[str, float]) -> list[float]:
+    """How long the longest chain of steps is that begins with each: the step, one that waits for it, and so on.
+
+    Args:
+        known: minutes of stages; others count as nothing.
+    """
+    needs = [waits_for(steps, place) for place in range(len(steps))]
+    minutes = [0.0] * len(steps)
+    for place in reversed(range(len(steps))):
+        later = max((minutes[k] for k in range(place + 1, len(steps)) if place in needs[k]), default=0.0)
+        minutes[place] = known.get(steps[place].stage, 0.0) + later
+    return minutes
 
 
 def chosen_value(overrides: Sequence[str], key: str, default: str) -> str:
