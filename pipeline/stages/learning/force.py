@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.recording.record import record_episode
 from pipeline.recording.trials import recorded
@@ -23,7 +24,14 @@ if TYPE_CHECKING:
     from enn.force import ForcePredictionSettings, ForceSamples
     from enn.imitation.dagger import DisturbanceSettings
 
-PRELOAD = ("cathsim", "enn.force.evaluation", "enn.policy", "enn.imitation.dagger", "pipeline.recording.record")
+PRELOAD = (
+    "cathsim",
+    "enn.force.evaluation",
+    "enn.policy",
+    "enn.imitation.dagger",
+    "pipeline.recording.record",
+    OPTIMISER,
+)
 OPERATOR = "disturbed_policy"
 RECORD, PREDICTOR = "force.json", "predictor.pt"
 TEST_EVERY = 4  # of the episodes, one in so many is not learnt from

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY, Origin, controllers
 from pipeline.seeds import disturbed_seeds
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from enn.imitation.cloned_policy import ClonedPolicy
     from enn.imitation.dagger import DaggerSettings
 
-PRELOAD = ("cathsim", "enn.imitation.distillation", "enn.policy", "pipeline.recording.record")
+PRELOAD = ("cathsim", "enn.imitation.distillation", "enn.policy", "pipeline.recording.record", OPTIMISER)
 _FITTING = 0.6  # share of a job's time
 
 

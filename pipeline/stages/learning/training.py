@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.episodes import EpisodeReader
+from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.recording.replay import ReplayError, recorded_devices, replay
 from pipeline.recording.trials import MODES, Origin, controllers, run_trials
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 RECORD, CURVE = "training.json", "training.csv"
 # What every job imports: once, before the jobs' processes are forked.
-PRELOAD = ("cathsim", "enn.reinforcement.training.training", "enn.encoder", "pipeline.recording.record")
+PRELOAD = ("cathsim", "enn.reinforcement.training.training", "enn.encoder", "pipeline.recording.record", OPTIMISER)
 _SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
 _SECONDS_A_DECISION = 1e-2
 _SAMPLES_SHARE = 0.4  # of the time that an encoder takes

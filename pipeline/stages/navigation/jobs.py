@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.episodes.errors import EpisodeReadError
+from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
@@ -48,6 +49,7 @@ PRELOAD = (
     "splineformer.navigation.navigator_perception",
     "skimage.graph",
     "pipeline.recording.record",
+    OPTIMISER,
 )
 HINT_KEY = "roadmap"
 _TRAINING = 0.7  # of a job's time

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.stages.guide3d.folder import open_dataset
 from pipeline.stages.networks.training import PREDICTOR, TrainingJob, train, training_figures
@@ -17,7 +18,7 @@ from pipeline.store.atomic_files import atomic_path, write_json
 if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset
 
-PRELOAD = ("guide3d.train", "guide3d.learning.evaluation")
+PRELOAD = ("guide3d.train", "guide3d.learning.evaluation", OPTIMISER)
 EXAMPLES = "examples.npz"
 
 # predictor, figures and examples of a trained network, from its job, the data set and the test acquisitions

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.stages.guide3d.folder import open_dataset
 from pipeline.stages.networks.settings import SplineformerSettings
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset
     from splineformer.comparison.evaluation import Reader
 
-PRELOAD = ("splineformer.train", "splineformer.comparison.variant_figures", "guide3d.learning.predictor")
+PRELOAD = ("splineformer.train", "splineformer.comparison.variant_figures", "guide3d.learning.predictor", OPTIMISER)
 RECORD, EXAMPLES = "variant.json", "examples.npz"
 _KINDS_OF = 48  # test images whose kind is asked for, in each of the four forms
 _TRIPS = 400  # curves that go to tokens and back

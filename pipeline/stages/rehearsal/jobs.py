@@ -21,6 +21,7 @@ import numpy as np
 
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.jobs.freed_memory import map_simulations
+from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin, controllers, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, training_copies, validation_copies
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 STARTS = "starts.npz"
 SCAN, COPIES = "scan", "copies"  # sets of tests
-PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record")
+PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
 _LAID = 0.1  # of the training's job
 
 

@@ -15,6 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pipeline.jobs.freed_memory import map_simulations
+from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Controller
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, read_demonstrations
@@ -32,6 +33,7 @@ PRELOAD = (
     "enn.reinforcement.training.training",
     "enn.imitation.advised_episodes",
     "pipeline.recording.record",
+    OPTIMISER,
 )
 
 
