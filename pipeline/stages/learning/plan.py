@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,14 +16,13 @@ from pipeline.report.aids import training_note
 from pipeline.report.results import write_notes
 from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
+from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import require_demonstrations
 from pipeline.stages.learning.settings import LearningSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import (
     PRELOAD,
-    EncoderJob,
     PolicyTrainingJob,
-    fit_encoder_of,
     train_and_evaluate,
 )
 from pipeline.task import FEEDER, require_known_task
@@ -31,7 +30,6 @@ from pipeline.task import FEEDER, require_known_task
 if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
 
-ENCODERS = "encoders"
 THESIS = "thesis"
 THESIS_TABLES = {"baselines": ("cathsim_results",), "enn": ("ablation", "training_time_h")}  # whose rows stand beside
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
@@ -79,7 +77,7 @@ def planned_training(
     # too many, or too large a seed, are refused before any work
     held_out_seeds(seed, max(settings.evaluation_episodes, settings.drawn_episodes))
     expert_seeds(seed, expert_episodes)
-    encoder = context.path / ENCODERS / task.phantom / f"{'+'.join(keys)}.pt"
+    encoder = encoder_file(context.path / ENCODERS / task.phantom, keys)
     further = {"force_weight": task.force_penalty}
     return PolicyTrainingJob(
         folder=context.path / task.name / row / f"seed{seed}",
@@ -126,32 +124,22 @@ def run_trainings(
     """
     _check_demonstrations(trainings, settings)
     size_px = settings.task.image_size_px
-    encoders = {
-        _encoder_key(training): _encoder_job(training, settings, context)
-        for training in trainings
-        if training.encoder is not None
-    }
-    jobs = [
-        Job(
-            key,
-            fit_encoder_of,
-            job,
-            weight=job.samples * _SECONDS_AN_ENCODER_SAMPLE,
-            gpu_gb=training_gpu_gb(size_px, job.keys),
-        )
-        for key, job in encoders.items()
-    ]
+    encoded: dict[str, list[PolicyTrainingJob]] = {}
     for training in trainings:
-        encoded = training.encoder is not None
+        if training.encoder is not None:
+            encoded.setdefault(_encoders_key(training), []).append(training)
+    jobs = [_encoders(key, theirs, settings, context) for key, theirs in encoded.items()]
+    for training in trainings:
+        by_encoder = training.encoder is not None
         jobs.append(
             Job(
                 training.name,
                 train_and_evaluate,
                 training,
-                after=(_encoder_key(training),) if encoded else (),
+                after=(_encoders_key(training),) if by_encoder else (),
                 weight=training.weight,
-                memory_gb=training_gb(training.task, training.keys, training.settings, encoded=encoded),
-                gpu_gb=training_gpu_gb(size_px, training.keys, 0 if encoded else training.settings.batch_size),
+                memory_gb=training_gb(training.task, training.keys, training.settings, encoded=by_encoder),
+                gpu_gb=training_gpu_gb(size_px, training.keys, 0 if by_encoder else training.settings.batch_size),
             )
         )
     results = run_jobs(
@@ -163,10 +151,8 @@ def run_trainings(
         device=settings.device,
     )
     write_notes(context.path, dict.fromkeys(THESIS_TABLES[settings.name], training_note(trainings)))
-    encoder_s = {key: results[key]["wall_s"] for key in encoders}
     return {
-        training.name: {**results[training.name], "encoder_s": encoder_s.get(_encoder_key(training), 0.0)}
-        for training in trainings
+        training.name: {**results[training.name], "encoder_s": _encoder_s(training, results)} for training in trainings
     }
 
 
@@ -184,26 +170,37 @@ def _check_demonstrations(trainings: Sequence[PolicyTrainingJob], settings: Lear
             )
 
 
-def _encoder_key(training: PolicyTrainingJob) -> str:
-    return f"{ENCODERS}/{training.task.phantom}/{'+'.join(training.keys)}"
+def _encoders_key(training: PolicyTrainingJob) -> str:
+    return f"{ENCODERS}/{training.task.phantom}"
 
 
-def _encoder_job(training: PolicyTrainingJob, settings: LearningSettings, context: StageContext) -> EncoderJob:
-    """The encoder of a phantom and set of observations: it knows nothing of targets, and seeds share it."""
+def _encoder_s(training: PolicyTrainingJob, results: Mapping[str, Any]) -> float:
+    """Seconds that the encoder of a training took."""
+    if training.encoder is None:
+        return 0.0
+    return float(results[_encoders_key(training)][training.encoder.stem]["wall_s"])
+
+
+def _encoders(
+    key: str, trainings: Sequence[PolicyTrainingJob], settings: LearningSettings, context: StageContext
+) -> Job:
+    """The encoders of a phantom, one a set of observations: they know nothing of targets, and seeds share them."""
     from enn.encoder import EncoderSettings
 
-    assert training.encoder is not None
+    sets, task = tuple(dict.fromkeys(training.keys for training in trainings)), trainings[0].task
     targets = settings.targets if settings.demonstrations else ()
-    return EncoderJob(
-        file=training.encoder,
-        task=training.task,
-        keys=training.keys,
+    job = EncodersJob(
+        folder=context.path / ENCODERS / task.phantom,
+        task=task,
+        sets=sets,
         settings=EncoderSettings(epochs=settings.encoder_epochs, seed=context.seed),
         samples=settings.encoder_samples,
         demonstrations=tuple(
-            log for target in targets for log in demonstrations(replace(training.task, target=target), context)
+            log for target in targets for log in demonstrations(replace(task, target=target), context)
         ),
     )
+    gpu_gb = max(training_gpu_gb(settings.task.image_size_px, keys) for keys in sets)
+    return Job(key, fit_encoders, job, weight=len(sets) * job.samples * _SECONDS_AN_ENCODER_SAMPLE, gpu_gb=gpu_gb)
 
 
 def demonstrations(task: LearningTask, context: StageContext) -> tuple[Path, ...]:

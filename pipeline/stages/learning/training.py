@@ -1,4 +1,4 @@
-"""Training jobs: one policy of a learning stage up to its logged episodes, and the encoder that it sees through.
+"""Training jobs: one policy of a learning stage up to its logged episodes.
 
 A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, holds::
 
@@ -12,14 +12,10 @@ A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, holds::
 from __future__ import annotations
 
 import functools
-import json
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.job import OPTIMISER
@@ -30,12 +26,10 @@ from pipeline.seeds import expert_seeds
 from pipeline.stages.learning.evaluation import both_modes, evaluate
 from pipeline.stages.learning.expert_episodes import EXPERT, readable
 from pipeline.stages.learning.task import ACCURACY_OF_TESTS, LearningTask
-from pipeline.store.atomic_files import write_json
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import FEEDER, TASK
 
 if TYPE_CHECKING:
-    from enn.encoder import EncoderSettings
     from enn.reinforcement import Progress, TrainingSettings
     from enn.trajectory import Trajectory
 
@@ -44,22 +38,6 @@ RECORD, CURVE = "training.json", "training.csv"
 PRELOAD = ("cathsim", "enn.reinforcement.training.training", "enn.encoder", "pipeline.recording.record", OPTIMISER)
 _SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
 _SECONDS_A_DECISION = 1e-2
-_SAMPLES_SHARE = 0.4  # of the time that an encoder takes
-_NOWHERE_MM = 1e-3  # a radius that no tip comes into
-_ACCURACY_OF_SAMPLES = "fast"  # an encoder learns shapes, and these it sees twice as fast
-_NEVER = 100_000  # steps that no roll-out takes
-
-
-@dataclass(frozen=True)
-class EncoderJob:
-    """An encoder to fit."""
-
-    file: Path  # where it goes, with its report beside it as JSON
-    task: LearningTask  # whose anatomy it is to see; the target does not matter
-    keys: tuple[str, ...]
-    settings: EncoderSettings  # of the fit; their seed is that of the roll-outs, too
-    samples: int
-    demonstrations: tuple[Path, ...]  # logs of an expert's episodes, along which some of the roll-outs start
 
 
 @dataclass(frozen=True)
@@ -92,44 +70,6 @@ class PolicyTrainingJob:
     def tested(self) -> int:
         """Episodes of both modes."""
         return self.evaluation_episodes + self.drawn_episodes
-
-
-def fit_encoder_of(job: EncoderJob, report: Report) -> dict[str, Any]:
-    """Fits an encoder; one that is there already is kept.
-
-    Returns:
-        The report of the fit, with ``wall_s``.
-    """
-    from enn.encoder import fit_encoder, scripted_samples
-    from enn.exploration import TRUTH
-
-    record = job.file.with_suffix(".json")
-    if job.file.is_file() and record.is_file():
-        return dict(json.loads(record.read_text(encoding="utf-8")))
-    began = time.monotonic()
-    # No roll-out is to end at a target, nor at a limit: one encoder serves them all.
-    endless = replace(job.task.task, success_radius_mm=_NOWHERE_MM, max_steps=_NEVER)
-    task = replace(job.task, task=endless, accuracy=_ACCURACY_OF_SAMPLES)
-    states = [found.simulation_states for found in repeat(job.demonstrations, job.task)]
-    samples = scripted_samples(
-        task.factory(tuple(dict.fromkeys((*job.keys, *TRUTH)))),
-        job.samples,
-        job.settings.seed,
-        starts=np.concatenate([one for one in states if one is not None]) if states else None,
-        seen=job.keys,
-        progress=lambda done, count: report(_SAMPLES_SHARE * done / count, "samples"),
-    )
-    encoder, fitted = fit_encoder(
-        samples,
-        job.keys,
-        job.settings,
-        lambda done, errors: report.part(_SAMPLES_SHARE, 1.0, "fit")(done, ""),
-        device=report.device,
-    )
-    encoder.save(job.file)
-    outcome = {**fitted, "wall_s": time.monotonic() - began}
-    write_json(record, outcome)
-    return outcome
 
 
 def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def test_an_empty_folder_of_the_expert_is_told(
 
     def no_work(folder, jobs, **_):
         ran.extend(job.key for job in jobs)
-        return {job.key: {"wall_s": 0.0} for job in jobs}
+        return {job.key: {"joints+image+mask": {"wall_s": 0.0}} for job in jobs}
 
     monkeypatch.setattr(training_plan, "run_jobs", no_work)
     settings = EnnSettings(phantoms=["type_1"], targets=["bca", "lcca"])
@@ -65,6 +65,7 @@ def test_an_empty_folder_of_the_expert_is_told(
     place = context(tmp_path, "enn", ("expert",))
     training_plan.run_trainings(plan(settings, place), settings, place)
     assert "type_1/bca/I+V+M/seed0" in ran
+    assert ran.count("encoders/type_1") == 1
     (warning,) = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert warning.startswith("there are no expert episodes of type_1/bca, so it is learnt without demonstrations")
 

@@ -1,0 +1,100 @@
+"""Encoder jobs: those of a phantom are fitted to the same roll-outs, one for each set of observations.
+
+Each is kept as ``encoders/<phantom>/<observations>.pt``, with its report beside it as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.jobs.worker import Report
+from pipeline.stages.learning.task import LearningTask
+from pipeline.stages.learning.training import repeat
+from pipeline.store.atomic_files import write_json
+
+if TYPE_CHECKING:
+    from enn.encoder import EncoderSettings, Samples
+
+ENCODERS = "encoders"
+_SAMPLES_SHARE = 0.4  # of the time that the first encoder takes
+_NOWHERE_MM = 1e-3  # a radius that no tip comes into
+_ACCURACY_OF_SAMPLES = "fast"  # an encoder learns shapes, and these it sees twice as fast
+_NEVER = 100_000  # steps that no roll-out takes
+
+
+@dataclass(frozen=True)
+class EncodersJob:
+    """The encoders of an anatomy to fit."""
+
+    folder: Path  # where they go
+    task: LearningTask  # whose anatomy they are to see; the target does not matter
+    sets: tuple[tuple[str, ...], ...]  # observations of each
+    settings: EncoderSettings  # of the fits; their seed is that of the roll-outs, too
+    samples: int
+    demonstrations: tuple[Path, ...]  # logs of an expert's episodes, along which some of the roll-outs start
+
+
+def encoder_file(folder: Path, keys: tuple[str, ...]) -> Path:
+    """File of the encoder of a set of observations, in the folder of its anatomy."""
+    return folder / f"{'+'.join(keys)}.pt"
+
+
+def fit_encoders(job: EncodersJob, report: Report) -> dict[str, dict[str, Any]]:
+    """Fits the encoders of an anatomy; those that are there already are kept.
+
+    Returns:
+        Stem of the encoder's file to the report of its fit, with ``wall_s``, in which the roll-outs are.
+    """
+    from enn.encoder import fit_encoder
+
+    missing = [keys for keys in job.sets if not _fitted(job, keys)]
+    if missing:
+        began = time.monotonic()
+        share = _SAMPLES_SHARE / (_SAMPLES_SHARE + (1.0 - _SAMPLES_SHARE) * len(missing))
+        samples = _samples(job, missing, report.part(0.0, share, "samples"))
+        sampled_s = time.monotonic() - began
+        for number, keys in enumerate(missing):
+            began, file = time.monotonic(), encoder_file(job.folder, keys)
+            ends = [share + (1.0 - share) * (number + k) / len(missing) for k in range(2)]
+            part = report.part(ends[0], ends[1], f"fit of {file.stem}")
+            encoder, fitted = fit_encoder(samples, keys, job.settings, _progress(part), device=report.device)
+            encoder.save(file)
+            write_json(file.with_suffix(".json"), {**fitted, "wall_s": sampled_s + time.monotonic() - began})
+    files = [encoder_file(job.folder, keys) for keys in job.sets]
+    return {file.stem: json.loads(file.with_suffix(".json").read_text(encoding="utf-8")) for file in files}
+
+
+def _progress(part: Callable[[float, str], None]) -> Callable[[float, Any], None]:
+    return lambda done, errors: part(done, "")
+
+
+def _fitted(job: EncodersJob, keys: tuple[str, ...]) -> bool:
+    file = encoder_file(job.folder, keys)
+    return file.is_file() and file.with_suffix(".json").is_file()
+
+
+def _samples(job: EncodersJob, sets: list[tuple[str, ...]], report: Callable[[float, str], None]) -> Samples:
+    """Roll-outs with all observations that the sets name; they are the same whatever is observed."""
+    from enn.encoder import scripted_samples
+    from enn.exploration import TRUTH
+
+    # No roll-out is to end at a target, nor at a limit: one encoder serves them all.
+    endless = replace(job.task.task, success_radius_mm=_NOWHERE_MM, max_steps=_NEVER)
+    task = replace(job.task, task=endless, accuracy=_ACCURACY_OF_SAMPLES)
+    states = [found.simulation_states for found in repeat(job.demonstrations, job.task)]
+    seen = tuple(dict.fromkeys(key for keys in sets for key in keys))
+    return scripted_samples(
+        task.factory(tuple(dict.fromkeys((*seen, *TRUTH)))),
+        job.samples,
+        job.settings.seed,
+        starts=np.concatenate([one for one in states if one is not None]) if states else None,
+        seen=seen,
+        progress=lambda done, count: report(done / count, ""),
+    )
