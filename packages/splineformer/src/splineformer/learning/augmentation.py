@@ -149,15 +149,15 @@ def recoloured(images: Tensor, settings: Augmentation, generator: np.random.Gene
         return torch.from_numpy(generator.uniform(low, high, (batch, 1, 1, 1)).astype(np.float32))
 
     middle = images.mean(dim=(1, 2, 3), keepdim=True)
-    images = middle + torch.exp(drawn(-settings.gain, settings.gain)) * (images - middle)
-    images = images + drawn(-settings.offset, settings.offset)
+    images = (images - middle).mul_(torch.exp(drawn(-settings.gain, settings.gain))).add_(middle)
+    images.add_(drawn(-settings.offset, settings.offset))
     for image in images:
         if generator.uniform() < settings.hidden:
             tall, wide = (generator.uniform(0.03, 0.14, 2) * side).astype(int) + 1
             row, column = int(generator.uniform(0, side - tall)), int(generator.uniform(0, side - wide))
             image[0, row : row + tall, column : column + wide] = float(generator.uniform(20, 200))
     grain = torch.from_numpy(generator.standard_normal(tuple(images.shape), np.float32))
-    return (images + drawn(0.0, settings.noise) * grain).clamp(0.0, 255.0)
+    return images.add_(grain.mul_(drawn(0.0, settings.noise))).clamp_(0.0, 255.0)
 
 
 def perturbed(points: Tensor, generator: np.random.Generator) -> Tensor:

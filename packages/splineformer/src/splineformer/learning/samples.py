@@ -155,7 +155,7 @@ class SplineObjective:
         images = recoloured(warped(images, np.stack([pair[1] for pair in pairs])), with_, generator)
         turned = generator.uniform(size=len(images)) < with_.inverted
         inverted[turned] = 1.0
-        images = torch.where(torch.from_numpy(turned)[:, None, None, None], 255.0 - images, images)
+        images[turned] = 255.0 - images[turned]
         return images, [pair[0] for pair in pairs]
 
     def _second_shadow(self, generator: np.random.Generator) -> Tensor:
