@@ -1,0 +1,82 @@
+"""The documents of the repository, and what is read in them."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+PROJECT_ROOT = Path(__file__).resolve().parents[3]
+DOCS = PROJECT_ROOT / "docs"
+ARCHITECTURE = DOCS / "architecture.md"
+PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
+READMES = [PROJECT_ROOT / "models" / "README.md"]
+READMES += [PROJECT_ROOT / "packages" / package / "README.md" for package in PACKAGES]
+PAGES = sorted(DOCS.rglob("*.md"))
+STAGES = {path.stem for path in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml")}
+TOP = [PROJECT_ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
+DOCUMENTS = [*TOP, *READMES, *PAGES]
+WORD_LIMIT = 1_200
+
+
+def relative(document: Path) -> str:
+    return document.relative_to(PROJECT_ROOT).as_posix()
+
+
+def without_blocks(text: str) -> str:
+    return re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def quoted(text: str) -> list[str]:
+    """What stands between single backticks outside blocks of code."""
+    return re.findall(r"`([^`\n]+)`", without_blocks(text))
+
+
+def code_blocks(text: str, language: str = r"\w*") -> list[str]:
+    return re.findall(rf"^```{language}(?: [\w-]+)?\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+
+
+def resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or an attribute of one, or a field of a class in one."""
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:length]))
+        except ModuleNotFoundError as error:
+            if error.name is None or not name.startswith(error.name):  # an optional dependency is missing
+                return True
+            continue
+        for part in parts[length:]:
+            if not hasattr(found, part):
+                return part in getattr(found, "__dataclass_fields__", {})
+            found = getattr(found, part)
+        return True
+    return False
+
+
+def read(document: Path) -> str:
+    return document.read_text(encoding="utf-8")
+
+
+documents = pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
+
+
+def package_folders(package: str) -> tuple[Path, set[str]]:
+    """The source folder of a package, and its folders with an ``__init__`` as paths below it."""
+    root = PROJECT_ROOT / "pipeline" if package == "pipeline" else PROJECT_ROOT / "packages" / package / "src" / package
+    return root, {one.parent.relative_to(root).as_posix() for one in root.rglob("__init__.py")} - {"."}
+
+
+def table_column(text: str, header: str) -> list[str]:
+    """The first cells of the tables whose first header cell is this."""
+    cells: list[str] = []
+    inside = False
+    for line in text.splitlines():
+        first = line.split("|")[1].strip() if line.startswith("|") else None
+        inside = first is not None and (inside or first == header)
+        if inside and first is not None and first != header and not set(first) <= set("-: "):
+            cells.append(first)
+    return cells
