@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,7 +14,7 @@ from torch.utils._pytree import tree_map_only
 
 def device_of(module: nn.Module) -> torch.device:
     """The device of a network's weights, or of its buffers; the CPU where it has neither."""
-    for tensor in (*module.parameters(), *module.buffers()):
+    for tensor in itertools.chain(module.parameters(), module.buffers()):  # no list: it is asked at every step
         return tensor.device
     return torch.device("cpu")
 
