@@ -1,6 +1,7 @@
 """Cores, memory and GPUs of a machine that stages beside each other share: a file a core, locked while a job is on it.
 
-The lock belongs to the stage whose job it is: when that process ends, however it ends, the kernel frees it.
+The lock belongs to the stage whose job it is: when that process ends, however it ends, the kernel frees it. A stage
+that waits for a core holds another file locked, so that none with more jobs under way takes the next one before it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import IO, Any
 from pipeline.jobs.gpus import Gpu
 
 FOLDER = "ENDONAV_SHARED_MACHINE"  # variable of the environment that names the folder
-_ROOM, _GPUS, _TURN, _LOOK = "room_gb", "gpus.json", "turn", "look"
+_ROOM, _GPUS, _TURN, _LOOK, _WAITING = "room_gb", "gpus.json", "turn", "look", "waiting-"
 
 
 class Core:
@@ -50,6 +51,7 @@ class SharedMachine:
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._files = folder, sorted(folder.glob("core*"))
+        self._waits: IO[str] | None = None  # the lock of a stage that waits for a core
         self.room_gb = float((folder / _ROOM).read_text(encoding="utf-8"))
 
     @classmethod
@@ -79,17 +81,47 @@ class SharedMachine:
             yield
 
     def take(self, memory_gb: float) -> Core | None:
-        """Takes a free core for a job; None while there is none, or while other jobs need the memory.
+        """Takes a free core for a job; None while there is none, or another stage is due, or jobs need the memory.
 
         Args:
             memory_gb: that the job needs.
         """
         free, busy = self._looked()
-        taken_gb = sum(float(job["memory_gb"]) for job in busy)
-        core = free.pop() if free and taken_gb + memory_gb <= self.room_gb else None
+        left_gb = self.room_gb - sum(float(job["memory_gb"]) for job in busy)
+        has_memory = memory_gb <= left_gb
+        core = free.pop() if free and has_memory and not self._another_is_due(busy, left_gb) else None
         for lock in free:
             lock.close()
+        self._wait(memory_gb if has_memory and core is None else None)
         return None if core is None else Core(core, memory_gb)
+
+    def _another_is_due(self, busy: Sequence[Mapping[str, Any]], left_gb: float) -> bool:
+        """Whether a stage with fewer jobs under way waits for a core, and has the memory."""
+        jobs = Counter(job["process"] for job in busy)
+        for file in self._folder.glob(f"{_WAITING}*"):
+            process = int(file.name.removeprefix(_WAITING))
+            if process == os.getpid():
+                continue
+            with file.open("r+", encoding="utf-8") as lock:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # then that stage has ended
+                except BlockingIOError:
+                    if jobs[process] < jobs[os.getpid()] and float(lock.read()) <= left_gb:
+                        return True
+        return False
+
+    def _wait(self, memory_gb: float | None) -> None:
+        """Says to the others that this stage waits for a core, for a job with so much memory; None: it does not."""
+        file = self._folder / f"{_WAITING}{os.getpid()}"
+        if self._waits is not None:
+            file.unlink(missing_ok=True)
+            self._waits.close()
+            self._waits = None
+        if memory_gb is not None:
+            self._waits = file.open("w", encoding="utf-8")
+            fcntl.flock(self._waits, fcntl.LOCK_EX)
+            self._waits.write(repr(memory_gb))
+            self._waits.flush()
 
     def gpu_bytes_elsewhere(self) -> dict[str, float]:
         """Memory of each GPU that the jobs of other stages were promised."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.jobs.engines.shared_machine import FOLDER, SharedMachine, shared_machine
+from pipeline.jobs.engines.shared_machine import FOLDER, Core, SharedMachine, shared_machine
 from pipeline.jobs.gpus import Gpu
 
 GB = 1_000_000_000
@@ -72,6 +72,43 @@ def test_a_folder_that_is_gone_means_no_sharing(tmp_path: Path, monkeypatch: pyt
         folder = Path(os.environ[FOLDER])
         assert folder.is_dir()
     assert not folder.exists()
+
+
+def test_a_stage_without_a_job_comes_before_one_that_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    with shared_machine(2, 8.0):
+        folder = Path(os.environ[FOLDER])
+        one, other = SharedMachine(folder), SharedMachine(folder)
+
+        def take(stage: int, memory_gb: float) -> Core | None:
+            monkeypatch.setattr(os, "getpid", lambda: stage)
+            machine = one if stage == 1 else other
+            with machine.turn():
+                return machine.take(memory_gb)
+
+        first, second = take(1, 1.0), take(1, 1.0)
+        assert first is not None
+        assert second is not None
+        assert take(2, 3.0) is None
+        first.free()
+        assert take(1, 1.0) is None  # the other one is due
+        third = take(2, 3.0)
+        assert third is not None
+        second.free()
+        fourth = take(1, 1.0)
+        assert fourth is not None  # one each: nobody waits
+        # a stage whose job has no memory waits for no core
+        assert take(2, 7.0) is None
+        third.free()
+        assert take(2, 7.5) is None
+        fifth = take(1, 1.0)
+        assert fifth is not None
+        # one that has ended is not waited for
+        assert take(2, 1.0) is None
+        assert list(folder.glob("waiting-*")) == [folder / "waiting-2"]
+        assert other._waits is not None
+        other._waits.close()
+        fifth.free()
+        assert take(1, 1.0) is not None
 
 
 def gpu(visible: str, free_gb: int) -> Gpu:
