@@ -17,7 +17,7 @@ from enn.reinforcement.training.run import TrainingRun
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 
-SHORT = dataclasses.replace(SMALL, decisions=400, evaluate_every=200, keep_critics=True)
+SHORT = dataclasses.replace(SMALL, stop_after=0, decisions=400, evaluate_every=200, keep_critics=True)
 
 
 @pytest.fixture(scope="module")

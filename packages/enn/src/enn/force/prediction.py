@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from enn.devices import device_of, seeded
+from enn.devices import bfloat16_on_processor, device_of, seeded
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
 from enn.force.samples import ForceSamples
 from enn.model_file import FittedNetwork
@@ -168,7 +168,9 @@ def fit_force(
 
         def loss(chosen: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
             index = torch.as_tensor(chosen)
-            features, force = network(images[index].to(device), vectors[index].to(device))
+            with bfloat16_on_processor():
+                features, force = network(images[index].to(device), vectors[index].to(device))
+            features, force = features.float(), force.float()
             value = nn.functional.mse_loss(force, wanted[index].to(device))
             if matched and training:  # the best epoch is the one with the best force
                 value = value + settings.feature_weight * nn.functional.mse_loss(features, target[index].to(device))

@@ -13,7 +13,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from enn.devices import seeded
+from enn.devices import bfloat16_on_processor, seeded
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.networks.image_network import shifted
@@ -143,7 +143,9 @@ def _loss(
         batch = images[index].to(device)
         if training:
             batch = augmented(batch, settings, network.images.background, generator)
-        features = network.features(batch)
+        with bfloat16_on_processor():
+            features = network.features(batch)
+        features = features.float()
         value = negative_log_likelihood(network.head(features), network.log_std, wanted[index].to(device))
         if target is not None and settings.feature_matching:
             value = value + settings.feature_matching * nn.functional.mse_loss(

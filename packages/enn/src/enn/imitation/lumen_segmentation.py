@@ -94,7 +94,7 @@ def fit_segmenter(
     def loss_of(network: LumenSegmenter, rows: NDArray[np.intp], generator: np.random.Generator) -> Tensor:
         chosen = torch.as_tensor(rows)
         pair = _augmented(torch.cat((x[chosen], y[chosen]), 1).to(device), generator)
-        return functional.binary_cross_entropy_with_logits(network(pair[:, :1]), pair[:, 1:])
+        return functional.binary_cross_entropy_with_logits(network(pair[:, :1]).float(), pair[:, 1:])
 
     network = fitted(
         lambda: LumenSegmenter(working_size=working_size), len(x), loss_of,

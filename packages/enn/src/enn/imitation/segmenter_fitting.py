@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from enn.devices import bfloat16_on_processor
 from enn.fitting import CHANNELS_FIRST, CHANNELS_LAST
 
 _BATCH, _LEARNING_RATE = 8, 5e-3  # images an update; of Adam at its largest: it rises first and falls to nothing
@@ -47,7 +48,8 @@ def fitted(
     for epoch in range(epochs):
         total = 0.0
         for rows in np.array_split(generator.permutation(count), batches):
-            loss = loss_of(network, rows, generator)
+            with bfloat16_on_processor():
+                loss = loss_of(network, rows, generator)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

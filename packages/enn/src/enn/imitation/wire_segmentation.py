@@ -106,7 +106,7 @@ def fit_wire_segmenter(
     def loss_of(network: WireSegmenter, rows: NDArray[np.intp], generator: np.random.Generator) -> Tensor:
         parts = [_part(images[k], plains[k], masks[k], generator) for k in rows]
         darker, wire = (torch.as_tensor(np.stack(one))[:, None].to(device) for one in zip(*parts, strict=True))
-        return _loss(network(darker), wire)
+        return _loss(network(darker).float(), wire)
 
     network = fitted(WireSegmenter, len(images), loss_of, epochs=epochs, seed=seed, progress=progress, device=device)
     return network, dice(network, images, plains, masks)

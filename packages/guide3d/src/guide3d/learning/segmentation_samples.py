@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from guide3d.dataset.dataset import VIEWS
 from guide3d.learning.losses import segmentation_loss
 from guide3d.learning.picture_store import PictureStore, replace_unreadable
+from guide3d.learning.precision import bfloat16_on_processor
 from guide3d.learning.preprocessing import averaged
 from guide3d.setting_kinds import Grey, Logarithm, Share, settings
 
@@ -107,7 +108,9 @@ class SegmentationObjective:
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Loss of a batch."""
-        return segmentation_loss(module(batch["pictures"]), batch["masks"], dice=self.dice)
+        with bfloat16_on_processor():
+            logits = module(batch["pictures"])
+        return segmentation_loss(logits.float(), batch["masks"], dice=self.dice)
 
     def _crop(self, mask: NDArray[np.uint8], generator: np.random.Generator | None) -> tuple[slice, slice]:
         room = mask.shape[0] - self.crop_px

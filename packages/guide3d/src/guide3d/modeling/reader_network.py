@@ -50,12 +50,6 @@ def reader_input(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     return channels
 
 
-def has_bfloat16() -> bool:
-    """Whether this processor multiplies bfloat16 by itself; others do it more slowly than float32."""
-    abilities = torch.cpu.get_capabilities()
-    return bool(abilities.get("avx512_bf16") or abilities.get("amx_bf16"))
-
-
 class Convolution(nn.Module):
     """A 3 x 3 convolution, batch normalisation and a rectifier."""
 

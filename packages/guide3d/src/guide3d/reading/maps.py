@@ -13,7 +13,8 @@ import torch
 from numpy.typing import NDArray
 
 from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
-from guide3d.modeling.reader_network import ReaderNetwork, has_bfloat16, reader_input, without_normalisation
+from guide3d.learning.precision import has_bfloat16
+from guide3d.modeling.reader_network import ReaderNetwork, reader_input, without_normalisation
 
 KIND = "reader"
 VERSION = 1  # of input, targets and architecture: a file of another one is refused

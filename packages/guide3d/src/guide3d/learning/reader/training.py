@@ -18,8 +18,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from guide3d.learning.model_file import read_content, write_content
+from guide3d.learning.precision import bfloat16_on_processor, has_bfloat16
 from guide3d.learning.reader.tiles import ReaderTiles, tile_batches
-from guide3d.modeling.reader_network import ReaderNetwork, has_bfloat16
+from guide3d.modeling.reader_network import ReaderNetwork
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.setting_kinds import Count, LearningRate, Pixels, Positive, Share, Units, Weight, settings
 
@@ -151,7 +152,7 @@ def train_reader(
     for images, target in tile_batches(tiles, step, recipe.steps, recipe.batch_size, processes):
         for group in optimiser.param_groups:
             group["lr"] = recipe.learning_rate * _rate(step / recipe.steps, recipe.warm_up)
-        with torch.autocast("cpu", torch.bfloat16, enabled=reduced):
+        with bfloat16_on_processor(reduced):
             logits = network(images.contiguous(memory_format=torch.channels_last))
         loss = reader_loss(logits.float(), target, recipe)
         optimiser.zero_grad(set_to_none=True)
