@@ -25,13 +25,15 @@ from pipeline.execution import execute
 from pipeline.explain import is_number_as_choice, one_line, system_error
 from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError
-from pipeline.store.interruption import let_ctrl_c_interrupt
+from pipeline.store.interruption import interrupted, let_ctrl_c_interrupt
 from pipeline.variants import variant_of
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
+
+_INTERRUPTED = "interrupted: finished items are kept; the same command goes on from there"
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -108,12 +110,14 @@ def main(arguments: list[str]) -> int:
         register_schemas(_chosen_stages(arguments))
         hydra_main(version_base="1.3", config_path=str(CONFIG_DIRECTORY), config_name="config")(task)()
     except KeyboardInterrupt:
-        return _say("interrupted: finished items are kept; the same command goes on from there", EXIT_INTERRUPTED)
+        return _say(_INTERRUPTED, EXIT_INTERRUPTED)
     except _Stop as stop:
         return _say(one_line(stop.error, arguments), EXIT_FAILED if isinstance(stop.error, OSError) else EXIT_USAGE)
     except (PipelineError, HydraException, OmegaConfBaseException, ValidationError) as error:
         return _say(one_line(error, arguments), EXIT_USAGE if system_error(error) is None else EXIT_FAILED)
     except Exception as error:
+        if interrupted():
+            return _say(_INTERRUPTED, EXIT_INTERRUPTED)
         if is_number_as_choice(error):
             return _say(one_line(error, arguments), EXIT_USAGE)
         if system_error(error) is None:

@@ -34,6 +34,11 @@ from tests.enn.rod import Rod
 from tests.second_device import second_device
 
 
+@pytest.fixture(autouse=True)
+def float32_on_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", dict)  # as if the processor had no bfloat16
+
+
 def test_a_second_device_is_as_strict_as_a_gpu() -> None:
     with second_device() as device:
         network = torch.nn.Linear(3, 2).to(device)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -147,3 +148,44 @@ with folder.locked():
         print([item for item in "abc" if folder.result_of(item) is not None])
 """)
     assert said.strip() == "['a', 'b']"
+
+
+_LIBRARY = """
+import os, signal, time
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep({seconds})
+except BaseException:
+    print("swallowed")
+print("imported")
+"""
+_INTERRUPTED_IN = """
+import os, signal, sys, time
+sys.path.insert(0, {folder!r})
+from pipeline.store.interruption import let_ctrl_c_interrupt
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job comes without it
+let_ctrl_c_interrupt()
+class Finalised:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+try:
+    {statement}
+    time.sleep(20)
+except KeyboardInterrupt:
+    print("interrupted")
+    time.sleep(0.2)  # no second one comes
+"""
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.1])
+def test_a_ctrl_c_within_an_import_comes_after_it(seconds: float, tmp_path: Path, run_python) -> None:
+    (tmp_path / "some_library.py").write_text(_LIBRARY.format(seconds=seconds))
+    said = run_python(_INTERRUPTED_IN.format(folder=str(tmp_path), statement="import some_library"))
+    assert said.split() == ["imported", "interrupted"]
+
+
+def test_a_ctrl_c_within_a_finaliser_comes_after_it(tmp_path: Path) -> None:
+    code = _INTERRUPTED_IN.format(folder=str(tmp_path), statement="Finalised()")
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert (ran.stdout, ran.stderr) == ("interrupted\n", "")
