@@ -37,7 +37,7 @@ EVERYTHING: dict[Any, str] = {
     DaggerSettings(): "expert_share=0",
     DisturbanceSettings(): "noise=0 push=-1 push=0 spell_chance=0",
     CloningNetworkSettings(): "expert_features=0",
-    BehaviourCloningSettings(): "entropy=0 feature_matching=0 l2=0 noise=0 shift_px=0 most_updates=0",
+    BehaviourCloningSettings(): "entropy=0 feature_matching=0 l2=0 noise=0 shift_px=0",
     ImageSettings(): "",
     ForceNetworkSettings(vector=3): "image_shape=0 matched=0 vector=0",
     ForcePredictionSettings(): "feature_weight=0",

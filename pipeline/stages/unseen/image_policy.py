@@ -94,7 +94,8 @@ def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
     def controllers(mode: str) -> Callable[[int], Controller]:
         return lambda seed: perception.controller(policy)
 
-    tested = run_tests(job, controllers, job.observations(), report.part(0.8, 1.0, "tests"), job.seen)
+    seen = partial(job.seen, every=policy.settings.action_repeat)
+    tested = run_tests(job, controllers, job.observations(), report.part(0.8, 1.0, "tests"), seen)
     return {"training_s": spent, "tests": tested}
 
 
@@ -127,9 +128,12 @@ def _train(
     observation = job.observations(*expert.keys)
     side_by_side = min(SIDE_BY_SIDE, count)
     envs = [
-        job.seen(job.task.training_environment(job.anatomies, observation), job.settings.clutter * (place % 2))
+        job.seen(
+            job.task.training_environment(job.anatomies, observation), job.settings.clutter * (place % 2),
+            every=expert.action_repeat,
+        )
         for place in range(side_by_side)
-    ]
+    ]  # fmt: skip
 
     def play(number: int, teacher_share: float, noise: float) -> list[AdvisedEpisode]:
         return play_advised(
@@ -211,14 +215,14 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
 
 def _wire_segmenter(job: ImagePolicyJob, expert: Policy, report: Tell, device: str) -> WireSegmenter:
     """Trains the network that finds the wire, on an episode in each training anatomy."""
-    from enn.imitation.wire_segmentation import fit_wire_segmenter, wire_frames
+    from enn.imitation.wire_segmentation import BETWEEN, fit_wire_segmenter, wire_frames
 
     environment = job.task.training_environment(job.anatomies, job.observations(*expert.keys))
     count, targets = len(job.anatomies), len(job.task.targets)
     cases = [environment.case_of(place, place % targets) for place in range(count)]
     rounds, epochs = job.settings.rounds, job.settings.wire_epochs
     frames = wire_frames(
-        job.seen(environment, job.settings.clutter, with_mask=True), expert, cases,
+        job.seen(environment, job.settings.clutter, with_mask=True, every=BETWEEN), expert, cases,
         np.random.default_rng((job.seed, count)),
         lambda done: report((0.1 + 0.07 * done / count) / rounds, "X-ray images of wires"),
     )  # fmt: skip

@@ -85,3 +85,17 @@ def test_clutter_of_another_size_is_refused() -> None:
     env = environment(clutter=lambda generator, size: np.zeros((8, 8), np.float32))
     with pytest.raises(ValueError, match=r"clutter must have shape \(96, 96\)"):
         env.reset(seed=0)
+
+
+def test_pulsed_images_are_those_of_every_step() -> None:
+    every, pulsed = environment(clutter=stripes), environment(clutter=stripes, every=3)
+    for seed in (4, 5):
+        shown, kept = every.reset(seed=seed, options={"case": 0})[0], pulsed.reset(seed=seed, options={"case": 0})[0]
+        for step in range(1, 8):
+            np.testing.assert_array_equal(shown["roadmap"], kept["roadmap"])
+            if step % 3 == 1:
+                last = shown["image"]
+            np.testing.assert_array_equal(kept["image"], last)
+            shown, kept = every.step(FORWARD)[0], pulsed.step(FORWARD)[0]
+    with pytest.raises(ValueError, match="at least 1"):
+        environment(every=0)

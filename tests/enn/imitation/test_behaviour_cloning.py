@@ -60,12 +60,6 @@ def test_likelihood_and_entropy_of_a_known_gaussian() -> None:
     assert entropy(log_std).item() == pytest.approx(np.log(2 * np.pi * np.e))
 
 
-@pytest.mark.parametrize(("samples", "epochs"), [(100, 20), (6400, 20), (12_800, 10), (10**6, 1)])
-def test_many_samples_take_fewer_epochs(samples: int, epochs: int) -> None:
-    assert replace(DESK_CLONING, most_updates=2000).fit_to(samples).epochs == epochs
-    assert THESIS_CLONING.fit_to(samples) == THESIS_CLONING.fit
-
-
 def test_shift_moves_the_picture_and_fills_the_border() -> None:
     image = torch.zeros(1, 1, 5, 5, dtype=torch.uint8)
     image[0, 0, 2, 2] = 9

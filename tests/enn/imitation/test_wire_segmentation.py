@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from torch.nn import functional
 
 from enn.imitation.wire_segmentation import WireSegmenter, dice, fit_wire_segmenter, wire_frames
 from tests.enn.imitation.straight_wire import Expert
@@ -89,3 +90,14 @@ def test_frames_come_from_every_case_and_repeat_themselves() -> None:
         np.testing.assert_array_equal(one, other)
     for place, case in ((0, 3), (3, 5)):
         np.testing.assert_array_equal(frames[2][place], wires(1, case)[2][0])
+
+
+def test_gaps_are_closed_as_by_pooling(network: WireSegmenter) -> None:
+    generator = np.random.default_rng(5)
+    image, plain = generator.integers(60, 200, (2, 90, 70), dtype=np.uint8)
+    with torch.inference_mode():
+        wire = torch.sigmoid(network(torch.as_tensor(plain.astype(np.float32) - image)[None, None]))
+        pooled = functional.max_pool2d(-functional.max_pool2d(wire, 5, 1, 2), 5, 1, 2)
+    closed = torch.maximum(wire, -pooled)[0, 0].numpy() > 0.2
+    assert 0.05 < closed.mean() < 0.95
+    np.testing.assert_array_equal(network.mask(image, plain) > 0, closed)

@@ -71,8 +71,7 @@ def _with_catheter(
 
 @kept_with_owner
 def _fluoroscope(phantom: Phantom, size: int, wire_radius: float, filling: str, view: str = VIEW) -> BiplaneFluoroscope:
-    camera, material = _camera(phantom, size, view), wire_material("default", wire_radius)
-    return BiplaneFluoroscope.over(phantom, [camera], scene("bath", filling), material)
+    return _seeing(_depth(phantom, size, filling, view), phantom, size, wire_radius, filling, view)
 
 
 def _camera(phantom: Phantom, size: int, view: str) -> XRayCamera:
@@ -87,7 +86,14 @@ def _among(
     """As `_fluoroscope`, with clutter in the way: automatic brightness and scatter are those of all together."""
     if clutter.shape != (size, size):
         raise ValueError(f"clutter must have shape ({size}, {size}), that of the images, got {clutter.shape}")
-    camera, depth = _camera(phantom, size, view), _depth(phantom, size, filling, view) + clutter
+    return _seeing(_depth(phantom, size, filling, view) + clutter, phantom, size, wire_radius, filling, view)
+
+
+def _seeing(
+    depth: NDArray[np.float32], phantom: Phantom, size: int, wire_radius: float, filling: str, view: str
+) -> BiplaneFluoroscope:
+    """A camera behind an optical depth."""
+    camera = _camera(phantom, size, view)
     still = expose_depth(camera, scene("bath", filling), lambda projector: depth)
     material, centre = wire_material("default", wire_radius), phantom.bounds.mean(axis=0)
     return BiplaneFluoroscope([camera], [still], material=material, centre=centre)
@@ -135,6 +141,11 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         with_mask: also `mask`, the devices' pixels in `image`, for a segmenter to learn from; with a catheter also
             `mask_wire` and `mask_catheter`.
         clutter: draws the clutter of each episode; None: there is none.
+        every: steps between two images, as with pulsed fluoroscopy; in between the observations keep the last one.
+            The images that are drawn, at the reset and after every so many steps, are the same as with 1.
+
+    Raises:
+        ValueError: `every` is not a positive whole number.
     """
 
     def __init__(
@@ -144,8 +155,11 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         *,
         with_mask: bool = False,
         clutter: DrawClutter | None = None,
+        every: int = 1,
     ) -> None:
-        self.environment, self.size, self.draw_clutter = environment, size, clutter
+        if not isinstance(every, int) or every < 1:
+            raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
+        self.environment, self.size, self.draw_clutter, self.every = environment, size, clutter, every
         self._room: tuple[BiplaneFluoroscope, ContrastRun] | None = None  # of the episode, where there is clutter
         assert isinstance(environment.observation_space, gymnasium.spaces.Dict)
         masks = ("mask",) if catheter_in(environment.simulation) is None else ("mask", "mask_wire", "mask_catheter")
@@ -157,6 +171,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         )
         self.action_space = environment.action_space
         self._noise, self._step = 0, 0
+        self._pictures: dict[str, NDArray[np.uint8]] = {}
 
     def __getattr__(self, name: str) -> Any:
         """Whatever else an environment has: its simulation, phantom and task."""
@@ -186,11 +201,16 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         return fluoroscope, contrast_run(phantom, self.size, radius, clutter)
 
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
+        if self._step % self.every == 0:
+            self._pictures = self._drawn()
+        return {**observation, **self._pictures}
+
+    def _drawn(self) -> dict[str, NDArray[np.uint8]]:
         fluoroscope, run = self._room or self._seen_by(None)
         generator = np.random.default_rng((self._noise, self._step))
         frame = frame_of(self.environment.simulation, fluoroscope, generator, VIEW)
         masks = {name: getattr(frame, name)[None] * np.uint8(255) for name in self._masks}
-        return {**observation, "image": frame.image[None], "plain": run.plain, "contrast": run.contrast, **masks}
+        return {"image": frame.image[None], "plain": run.plain, "contrast": run.contrast, **masks}
 
     def close(self) -> None:
         """Frees the renderer."""

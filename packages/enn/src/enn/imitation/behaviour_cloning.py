@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.networks.image_network import shifted
 from enn.networks.normalisation import standardised
-from enn.setting_kinds import CountOrNone, PixelsOrNone, Weight, settings
+from enn.setting_kinds import PixelsOrNone, Weight, settings
 from enn.trajectory import Trajectory, episode_numbers, join
 
 
@@ -32,7 +31,6 @@ class BehaviourCloningSettings:
 
     network: CloningNetworkSettings = field(default_factory=CloningNetworkSettings)
     fit: EpisodeFitSettings = field(default_factory=EpisodeFitSettings)
-    most_updates: CountOrNone = 0  # where there are many samples: fewer epochs, but one at least; 0: no limit
     entropy: Weight = 1e-3  # beta, weight of the policy's entropy
     l2: Weight = 0.0  # lambda, weight of the sum of the squared weights
     # weight of the mean squared difference to the expert's features, both normalised, where these are given
@@ -40,13 +38,6 @@ class BehaviourCloningSettings:
     shift_px: PixelsOrNone = 0  # images are moved by up to this much either way, as augmentation
     # standard deviation of the grey values' noise, as augmentation
     noise: Annotated[float, Interval(ge=0, le=255)] = 0.0
-
-    def fit_to(self, samples: int) -> EpisodeFitSettings:
-        """The fit to so many samples, with no more epochs than `most_updates` leaves."""
-        if not self.most_updates:
-            return self.fit
-        batches = math.ceil(samples / self.fit.batch_size)
-        return replace(self.fit, epochs=min(self.fit.epochs, max(1, round(self.most_updates / batches))))
 
 
 # Thesis, table of behaviour cloning's hyper-parameters.
@@ -66,7 +57,6 @@ DESK_CLONING = BehaviourCloningSettings(
     network=CloningNetworkSettings(variant="desk"),
     fit=EpisodeFitSettings(epochs=20, batch_size=64, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle"),
     shift_px=1,
-    most_updates=2000,
 )
 
 
@@ -141,7 +131,7 @@ def clone(
             take_over(network, initial)
         network.to(device)
         loss = _loss(network, settings, images, wanted, target)
-        report = fit(network, loss, episodes, settings.fit_to(len(images)), seed=seed, folder=folder, progress=progress)
+        report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
     return ClonedPolicy(network), report
 
 
