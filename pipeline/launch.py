@@ -117,6 +117,7 @@ def main(arguments: list[str]) -> int:
         return _say(one_line(error, arguments), EXIT_USAGE if system_error(error) is None else EXIT_FAILED)
     except Exception as error:
         if interrupted():
+            _LOGGER.debug("what came after Ctrl-C", exc_info=True)  # shown with hydra.verbose=true
             return _say(_INTERRUPTED, EXIT_INTERRUPTED)
         if is_number_as_choice(error):
             return _say(one_line(error, arguments), EXIT_USAGE)

@@ -15,13 +15,13 @@ from types import FrameType
 
 _AGAIN_S = 0.02
 _interrupted = threading.Event()
-_again: threading.Timer | None = None  # the signal that is sent once more
 
 
 def let_ctrl_c_interrupt() -> None:
     """From here on Ctrl-C unwinds the stack, so that temporary files go and the lock is freed."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as nohup and background jobs ask for
         signal.signal(signal.SIGINT, _interrupt)
+        signal.signal(signal.SIGALRM, _send_again)
         sys.unraisablehook = _unraisable
 
 
@@ -42,11 +42,10 @@ def stop_if_interrupted() -> None:
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:
     _interrupted.set()
-    if _again is not None:
-        _again.cancel()
-    if not _importing(frame):
+    wait_s = _AGAIN_S if _importing(frame) else 0.0
+    signal.setitimer(signal.ITIMER_REAL, wait_s)  # no thread: its locks may be held where the signal came
+    if not wait_s:
         raise KeyboardInterrupt
-    _send_once_more()
 
 
 def _importing(frame: FrameType | None) -> bool:
@@ -57,15 +56,12 @@ def _importing(frame: FrameType | None) -> bool:
     return False
 
 
-def _send_once_more() -> None:
-    global _again
-    _again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGINT))
-    _again.daemon = True
-    _again.start()
+def _send_again(signum: int, frame: FrameType | None) -> None:
+    os.kill(os.getpid(), signal.SIGINT)  # not raised here, so that it can be held back as the first one can
 
 
 def _unraisable(error: sys.UnraisableHookArgs) -> None:
     if error.exc_type is KeyboardInterrupt:
-        _send_once_more()
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
     else:
         sys.__unraisablehook__(error)
