@@ -96,9 +96,9 @@ def perception_arches(run_seed: int, count: int) -> range:
     return ARCHES["perception"].part(run_seed, count)
 
 
-def validation_arches(count: int) -> range:
-    """Seeds of the random arches that choose the best policy; even ones, which are of the kind that is tested."""
-    return ARCHES["validation"].part(0, 2 * count)[::2]
+def validation_arches(count: int, every: int = 2) -> range:
+    """Seeds of the arches that choose the best policy: by default even ones; with `every` = 1 of all types by turns."""
+    return ARCHES["validation"].part(0, every * count)[::every]
 
 
 def unseen_arches(count: int) -> range:

@@ -39,7 +39,9 @@ LENGTH = "wire_length_mm"
 DESCENDING = "descending"  # the usual entry: from the groin
 NO_WIRE = "none"  # in place of a wire: the catheter alone
 _MM = 1e3
+_DECISION_S = 0.3  # as of enn's DESK_SAC
 Torsion = Annotated[str, one_of("elastic", "rigid")]
+USUAL_PACE = "usual"
 _JOINTS, _FEEDER_STATE = ("joints", "internal"), "feeder"  # observations
 _SAME = 1e-9  # relative: lengths come back from logs in metres
 
@@ -54,8 +56,10 @@ class Task:
     torsion: Torsion = "elastic"  # of wire and catheter, where there is one
     # "feeder" (translation and rotation, of the wire, then of the catheter) or "tip_motors" (the thesis's twenty-one)
     actions: Annotated[str, one_of(FEEDER, TIP_MOTORS)] = FEEDER
+    # how often decisions are taken and how far full actions move: "usual" (10 a second) or "arch_variety" (7.5)
+    pace: Annotated[str, one_of(USUAL_PACE, "arch_variety")] = USUAL_PACE
     image_size_px: ImageSize = 80  # side of the images
-    max_steps: Count = 300  # of 0.1 s, after which an episode is cut off
+    max_steps: Count = 300  # of 0.1 s at the usual pace, after which an episode is cut off
     success_radius_mm: SuccessRadius = 8.0  # the target is reached within this distance of the tip
     start_jitter_mm: StartJitter = 1.0  # the wire starts advanced by up to this much
     start_rotation_deg: StartRotation = 180.0  # ... and turned by up to this much either way
@@ -124,8 +128,9 @@ class Task:
         return DevicePair(self._wire(), self.guiding_catheter())
 
     def rules(self) -> dict[str, Any]:
-        """Images, limits, start and entry as arguments of an environment, in m and rad."""
+        """Pace, images, limits, start and entry as arguments of an environment, in m and rad."""
         return {
+            "pace": self.pace,
             "image_size": self.image_size_px,
             "max_steps": self.max_steps,
             "success_radius": self.success_radius,
@@ -145,6 +150,13 @@ def entry_place(entry: str) -> str | tuple[float, float, float]:
 
     point = read_point(entry)
     return entry if point is None else point[0]
+
+
+def decision_steps(task: Task) -> int:
+    """Steps that a policy holds an action: those of 0.3 s."""
+    from cathsim.robot.pace import named_pace
+
+    return max(round(_DECISION_S / named_pace(task.pace).interval), 1)
 
 
 def number_of_actions(task: Task) -> int:
@@ -174,7 +186,7 @@ class DeviceSettings:
 
 PARTS = tuple(field.name for field in dataclasses.fields(Task))
 # What the actions of an episode have to do with: the same devices, moved the same way, to the same end.
-MOTION = ("wire", LENGTH, "catheter", "torsion", "actions", "success_radius_mm")
+MOTION = ("wire", LENGTH, "catheter", "torsion", "actions", "pace", "success_radius_mm")
 
 
 def task_in_random_arches() -> Task:

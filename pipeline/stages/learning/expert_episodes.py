@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -259,6 +259,7 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
         catheter=name,
         torsion=recorded.get("torsion", "elastic"),
         actions=FEEDER if actions == 2 or catheter is not None else TIP_MOTORS,
+        pace=_pace_name(log, recorded),
         image_size_px=recorded.get("image_size", size),
         max_steps=recorded["max_steps"],
         success_radius_mm=_MM * recorded["success_radius"],
@@ -267,6 +268,17 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
         entry=info.entry.partition(TOWARDS)[0],
     )
     return LearningTask(info.phantom, info.target, task)
+
+
+def _pace_name(log: Path, recorded: Mapping[str, Any]) -> str:
+    """The name of the pace that an episode was recorded at."""
+    from cathsim.robot.pace import PACES, Pace
+
+    own = Pace(**recorded.get("pace", {}))
+    for name, pace in PACES.items():
+        if pace == own:
+            return name
+    raise StageError(f"{log} was recorded at a pace that has no name: record it again at one of {', '.join(PACES)}")
 
 
 def _catheter_name(catheter: Catheter, like: Task | None) -> str | None:

@@ -192,7 +192,7 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
     images, lumens = [], []
     for number, seed in enumerate(job.anatomies):
         report(0.1 * number / len(job.anatomies) / rounds, "images")
-        phantom = SHELF.take(training_arch(seed), RESOLUTION)
+        phantom = SHELF.take(training_arch(seed, job.task.arches), RESOLUTION)
         projector = Projector.frontal(phantom.bounds, size_px)
         if job.xray:
             clutter = None if draw is None or number % 2 else draw(generator, size_px)

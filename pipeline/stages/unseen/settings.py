@@ -22,7 +22,9 @@ from pipeline.settings.kinds import (
     PathText,
     Processes,
     Units,
+    one_of,
 )
+from pipeline.stages.unseen.task import TEST_PHANTOM, VARIETY
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
 
@@ -41,7 +43,10 @@ class UnseenSettings(ChosenAnatomies):
 
     name: str = "unseen"
     own_entry: PathText = DESCENDING  # filled in: where wires come in in `phantoms`
-    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])  # of every policy
+    # that policies are trained and tested in: arch_variety has six branching types, and targets are points of its own
+    arches: Annotated[str, one_of(TEST_PHANTOM, VARIETY)] = TEST_PHANTOM
+    points: Annotated[int, Ge(1), Le(20)] = 3  # that each arch of arch_variety has as targets
+    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])  # of every policy in random arches
     own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
     anatomies: Count = 32  # random arches that the roadmap policy is trained on
     # of the steepest target of every arch that is trained in or chosen by, `cathsim.anatomy.measurement.take_off`;
@@ -97,6 +102,20 @@ class UnseenSettings(ChosenAnatomies):
             raise ConfigurationError(
                 "with a catheter stage unseen trains by a roadmap alone: give stage.image=false stage.xray=false"
             )
+
+        if self.arches == VARIETY and (self.phantoms or self.mesh is not None or self.least_set_back_mm):
+            raise ConfigurationError(
+                f"with stage.arches={VARIETY} policies are trained and tested in any such arches and in no others: "
+                "give stage.phantoms=[] stage.mesh=null stage.least_set_back_mm=0"
+            )
+
+    def learnt_targets(self) -> tuple[str, ...]:
+        """The targets of every policy."""
+        if self.arches == TEST_PHANTOM:
+            return tuple(self.targets)
+        from cathsim.anatomy.point_target import drawn_point_name
+
+        return tuple(drawn_point_name(number) for number in range(1, self.points + 1))
 
     def take_targets(self, names: list[str]) -> None:
         """Policies learn the targets of random arches alone; others are tried in `phantoms`."""

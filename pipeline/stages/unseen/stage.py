@@ -31,16 +31,24 @@ from pipeline.stages.unseen.jobs import PRELOAD, AnatomiesJob, RoadmapJob, build
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.starts import STARTS, StartsJob, lay_starts
 from pipeline.stages.unseen.tables import curve, registration
-from pipeline.stages.unseen.task import IMAGE, ROADMAP, ROADMAP_KEYS, TEST_PHANTOM, XRAY, UnseenTask, training_arch
+from pipeline.stages.unseen.task import (
+    IMAGE,
+    ROADMAP,
+    ROADMAP_KEYS,
+    VARIETY,
+    XRAY,
+    UnseenTask,
+    arch_of_test,
+    training_arch,
+)
 from pipeline.stages.unseen.trials import HeldOutSet
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import require_feeder, require_known_task
+from pipeline.task import decision_steps, require_feeder, require_known_task
 
 if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
 ROADMAP_TESTS = "roadmap tests"
-ACTION_REPEAT = 3  # steps of a decision
 EVALUATIONS, OF_THE_CURVE = 5, 2  # of a training; policies of few anatomies fail, which takes longest
 STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
 _ANATOMIES_A_JOB = 16
@@ -62,6 +70,8 @@ def check_unseen(settings: UnseenSettings) -> None:
     from cathsim import GUIDEWIRES
 
     require_known_targets(settings.targets)
+    if settings.arches == VARIETY and settings.file is not None:
+        raise ConfigurationError(f"stage.arches={VARIETY} tries policies in such arches alone: leave phantom.file out")
     if settings.file is None:
         require_known_phantoms(settings.phantoms)
         if settings.phantoms:
@@ -103,19 +113,19 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     Returns:
         In the order in which they should start.
     """
-    task = UnseenTask(tuple(settings.targets), settings.task)
+    task = UnseenTask(settings.learnt_targets(), settings.task, arches=settings.arches)
     image_rows = [IMAGE] * settings.image + [XRAY] * settings.xray
     most = max(count for _, count, _ in policies_of(settings))
     arches, validated = arches_of(settings, run_seed, max(most, settings.image_anatomies if image_rows else 0))
     tested = unseen_arches(settings.test_anatomies)
     jobs = []
     for name, kinds in (
-        ("training", [training_arch(seed) for seed in arches]),
-        ("validation", [training_arch(seed) for seed in validated]),
-        ("test", [(TEST_PHANTOM, seed) for seed in tested]),
+        ("training", [training_arch(seed, task.arches) for seed in arches]),
+        ("validation", [training_arch(seed, task.arches) for seed in validated]),
+        ("test", [arch_of_test(seed, task.arches) for seed in tested]),
     ):
         for part in _parts(kinds):
-            building = AnatomiesJob(tuple(part), task.targets)
+            building = AnatomiesJob(tuple(part), task.kept_targets())
             weight = len(part) * _SECONDS["anatomy"]
             jobs.append(Job(f"{name}/{part[0][1]}", build_anatomies, building, weight=weight))
     built = tuple(job.key for job in jobs)
@@ -130,7 +140,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
         for part in _parts(arches[:most])
     ]
     jobs += laid
-    shown = [] if DEMONSTRATED not in settings.targets else demonstrations(settings, folder, task, arches, run_seed)
+    shown = [] if DEMONSTRATED not in task.targets else demonstrations(settings, folder, task, arches, run_seed)
     jobs += [replace(job, after=built) for job in shown]
     taught = (*built, *(job.key for job in (*laid, *shown)))
     main, among = test_sets(settings), cluttered(settings)
@@ -174,7 +184,8 @@ def arches_of(settings: UnseenSettings, run_seed: int, count: int) -> tuple[list
     """The arches that are trained in, so many, and those that choose the best policy."""
     least, chosen_by = settings.least_set_back_mm, settings.validation_anatomies
     if not least:
-        return list(training_arches(run_seed, count)), list(validation_arches(chosen_by))
+        every = 1 if settings.arches == VARIETY else 2
+        return list(training_arches(run_seed, count)), list(validation_arches(chosen_by, every))
     targets = settings.targets
     return (
         with_steep_take_off(training_arches(run_seed, _MOST_TRIED), targets, least, count),
@@ -211,7 +222,7 @@ def demonstrations(
             anatomies=tuple(anatomies),
             shown=tuple(shown[part::_PARTS]),
             target=DEMONSTRATED,
-            hold=ACTION_REPEAT,
+            hold=decision_steps(task.task),
             seed=run_seed,
         )
         weight = len(given.shown) * _SECONDS["demonstration"]
@@ -221,7 +232,7 @@ def demonstrations(
 
 def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
     episodes = sum(len(test.phantoms) * test.episodes * len(test.modes) for test in tests)
-    return episodes * len(settings.targets) * _SECONDS["test"]
+    return episodes * len(settings.learnt_targets()) * _SECONDS["test"]
 
 
 def training_settings(
@@ -245,10 +256,10 @@ def training_settings(
         decisions=decisions,
         buffer_size=max(decisions, 1000),
         learning_starts=min(DESK_SAC.learning_starts, decisions // 4),
-        action_repeat=ACTION_REPEAT,
+        action_repeat=decision_steps(settings.task),
         reset_bank_share=BANK_SHARE,
         reset_bank_capacity=BANK_CAPACITY,
-        reset_bank_cases=anatomies * len(settings.targets),
+        reset_bank_cases=anatomies * len(settings.learnt_targets()),
         evaluate_every=max(decisions // evaluations, 1),
         evaluation_episodes=settings.validation_episodes,
         stop_after=STOP_AFTER,

@@ -16,16 +16,32 @@ if TYPE_CHECKING:
     from cathsim.many_anatomies import NavigateManyEnv
 
 ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows: what a policy sees
-TEST_PHANTOM = "random"
+TEST_PHANTOM, VARIETY = "random", "arch_variety"
+_VARIETY_KINDS = tuple(f"{VARIETY}_{kind}" for kind in ("I", "II", "IV", "V", "VI", "VII"))
 # kinds of the training's arches by turns: as tested, with rare shapes as often as common ones, and like scans
-TRAINING_KINDS = (TEST_PHANTOM, "random_wide", TEST_PHANTOM, "random_scan", "random_scan")
+TRAINING_KINDS = {
+    TEST_PHANTOM: (TEST_PHANTOM, "random_wide", TEST_PHANTOM, "random_scan", "random_scan"),
+    VARIETY: _VARIETY_KINDS,
+}
+TEST_KINDS = {TEST_PHANTOM: (TEST_PHANTOM,), VARIETY: _VARIETY_KINDS}  # of the tests' arches by turns
 ROADMAP_KEYS = ("roadmap", "history")  # what a policy with a roadmap sees
 RESOLUTION = 1e-3  # m: at 1.5 mm thin walls open, and ways become short cuts
 
 
-def training_arch(seed: int) -> tuple[str, int]:
-    """The training anatomy of a seed: its kind and the seed."""
-    return TRAINING_KINDS[seed % len(TRAINING_KINDS)], seed
+def training_arch(seed: int, arches: str = TEST_PHANTOM) -> tuple[str, int]:
+    """The training anatomy of a seed: its kind and the seed.
+
+    Args:
+        arches: `random` or `arch_variety`.
+    """
+    kinds = TRAINING_KINDS[arches]
+    return kinds[seed % len(kinds)], seed
+
+
+def arch_of_test(seed: int, arches: str = TEST_PHANTOM) -> tuple[str, int]:
+    """The anatomy of a test's seed, as of `training_arch`."""
+    kinds = TEST_KINDS[arches]
+    return kinds[seed % len(kinds)], seed
 
 
 @dataclass(frozen=True)
@@ -33,14 +49,16 @@ class UnseenTask:
     """A task with several targets in many anatomies.
 
     Attributes:
-        targets: names, each as likely in training.
+        targets: names, each as likely in training; "point_1" and so on are points that each arch has of its own.
         task: wire, images, limits and start; the wires of the tests are as long as its own.
         accuracy: of the training's physics; tests always have the accurate one.
+        arches: that it takes place in, `random` or `arch_variety`.
     """
 
     targets: tuple[str, ...]
     task: Task
     accuracy: str = "fast"
+    arches: str = TEST_PHANTOM
 
     def wire(self, kind: str) -> Guidewire:
         """A wire of the tests: a preset's name, or "softer" and "stiffer", half and twice as stiff as the task's."""
@@ -54,6 +72,10 @@ class UnseenTask:
             tip_stiffness_nmm2=factor * wire.tip_stiffness_nmm2,
         )
 
+    def kept_targets(self) -> tuple[str, ...]:
+        """The targets whose ways are kept in the cache of phantoms; those to an arch's own points are not."""
+        return self.targets if self.arches == TEST_PHANTOM else ()
+
     def _catheter(self) -> dict[str, Any]:
         return {name: value for name, value in self.task.devices().items() if name != "wire"}
 
@@ -64,7 +86,7 @@ class UnseenTask:
         from cathsim.many_anatomies import NavigateManyEnv
 
         return NavigateManyEnv(
-            [training_arch(seed) for seed in anatomies],
+            [training_arch(seed, self.arches) for seed in anatomies],
             self.targets,
             (self.task.guidewire(),),
             resolution=RESOLUTION,
@@ -93,7 +115,9 @@ class UnseenTask:
         """
         from cathsim import NavigateEnv
 
-        place = load_anatomy(f"{TEST_PHANTOM}_{phantom}" if isinstance(phantom, int) else phantom)
+        if isinstance(phantom, int):
+            phantom = "{}_{}".format(*arch_of_test(phantom, self.arches))
+        place = load_anatomy(phantom)
         tried = replace(self, task=replace(self.task, entry=entry))
         if isinstance(phantom, AnatomyFile) or entry != DESCENDING:
             fitted = fitted_task(replace(tried.task, wire_length_mm=0.0), place, [target])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from cathsim import Phantom
+from cathsim import NavigateEnv, Phantom
 from cathsim.anatomy import VesselTree
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.point_target import as_target, points_beyond_root, target_name
+from cathsim.anatomy.point_target import as_target, drawn_point_name, points_beyond_root, target_name
 
 
 def test_the_name_of_a_point_is_that_point() -> None:
@@ -36,3 +38,33 @@ def test_points_beyond_the_root_lie_on_branches_within_the_lumen(tee: VesselTree
     assert (np.abs(points[:, 1:]) < 1e-9).all()
     assert (grid.sample(points) > 1e-3).all()
     assert len(points) > 25
+
+
+def test_numbered_points_are_drawn_from_the_branches(type_1: Phantom) -> None:
+    places = [type_1.target(drawn_point_name(number)) for number in range(1, 21)]
+    assert places[2].name == "point_3"
+    assert type_1.target("point_3").position == pytest.approx(places[2].position, abs=0)
+    assert {place.branch for place in places} >= {"bca", "lcca"}
+    positions = np.stack([place.position for place in places])
+    assert len(np.unique(positions, axis=0)) > 15
+    assert (type_1.grid.sample(positions) > 1e-3).all()
+    drawn = points_beyond_root(type_1.tree, type_1.grid)
+    assert all(np.abs(drawn - position).sum(axis=1).min() < 1e-12 for position in positions)
+    for name in ("point_0", "point_01", "point_12345", "point_x"):
+        with pytest.raises(ValueError, match=f"unknown target '{name}'"):
+            type_1.target(name)
+
+
+def test_another_phantom_has_other_numbered_points(type_1: Phantom) -> None:
+    other = replace(type_1, name="type_1_again")
+    assert not np.array_equal(other.target("point_1").position, type_1.target("point_1").position)
+
+
+def test_an_environment_takes_a_numbered_point(type_1: Phantom) -> None:
+    environment = NavigateEnv(type_1, "point_2")
+    environment.reset(seed=0)
+    assert environment.goal == pytest.approx(type_1.target("point_2").position)
+    assert environment.task.target_name == "point_2"
+    named, point = (type_1.geodesic_field(name) for name in ("point_2", tuple(environment.goal)))
+    assert named.sample(environment.goal) == pytest.approx(point.sample(environment.goal))
+    environment.close()

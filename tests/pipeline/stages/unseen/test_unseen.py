@@ -340,3 +340,42 @@ def test_steep_arches_are_trained_in_and_chosen_by(tmp_path: Path, monkeypatch: 
     assert jobs["roadmap tests"].tests[0].phantoms == tuple(unseen_arches(5))
     built = {seed for job in jobs.values() if isinstance(job, AnatomiesJob) for _, seed in job.arches}
     assert built >= {*jobs["roadmap"].anatomies, *jobs["roadmap"].validated}
+
+
+def variety(**changed) -> UnseenSettings:
+    values = {"arches": "arch_variety", "phantoms": [], "wires": [], "anatomies": 8, "validation_anatomies": 6}
+    task = Task(wire="arch_variety", pace="arch_variety", max_steps=8, success_radius_mm=5.0)
+    return UnseenSettings(**{**values, "task": task, "points": 2, "image": False, "xray": False, **changed})
+
+
+def test_plan_in_arch_variety_has_all_types_and_points_of_each_arch(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(variety(), tmp_path, 1, "smoke")}
+    built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
+    assert {kind for kind, seed in built if 32_000 <= seed < 32_006} == {
+        f"arch_variety_{kind}" for kind in ("I", "II", "IV", "V", "VI", "VII")
+    }
+    assert {seed for _, seed in built} == {*range(1000, 1008), *range(32_000, 32_006), *unseen_arches(50)}
+    assert not any(job.given.targets for job in jobs.values() if isinstance(job.given, AnatomiesJob))
+    given = jobs["roadmap"].given
+    assert given.task.targets == ("point_1", "point_2")
+    assert (given.settings.action_repeat, given.settings.reset_bank_cases) == (2, 16)  # 0.3 s; arches times points
+
+
+def test_environments_of_arch_variety_have_its_pace_and_points() -> None:
+    task = UnseenTask(("point_1", "point_2"), variety().task, arches="arch_variety")
+    for environment in (
+        task.test_environment(40_003, "point_2", "arch_variety", ("tip",)),
+        task.training_environment((40_003,), ("tip",)),
+    ):
+        environment.reset(seed=0, options={"case": 1} if hasattr(environment, "case") else None)
+        assert environment.phantom.name == "arch_variety_II_40003"
+        assert environment.task.target_name == "point_2"
+        assert environment.simulation.pace.interval == pytest.approx(1 / 7.5)
+        assert environment.task.success_radius == pytest.approx(0.005)
+        environment.close()
+
+
+@pytest.mark.parametrize("changed", [{"phantoms": ["type_1"]}, {"mesh": "aorta.stl"}, {"least_set_back_mm": 10.0}])
+def test_arch_variety_takes_no_other_anatomies(changed: dict[str, object]) -> None:
+    with pytest.raises(ConfigurationError, match=r"give stage\.phantoms=\[\] stage\.mesh=null"):
+        variety(**changed)

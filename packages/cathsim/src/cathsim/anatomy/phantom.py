@@ -24,7 +24,15 @@ from cathsim.anatomy.entry import (
 )
 from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import geodesic_field, graph_distance
-from cathsim.anatomy.point_target import TargetLike, as_target, nearest_branch, require_inside, target_name
+from cathsim.anatomy.point_target import (
+    Point,
+    TargetLike,
+    as_target,
+    drawn_point,
+    nearest_branch,
+    require_inside,
+    target_name,
+)
 from cathsim.anatomy.vessel_tree import VesselTree
 from cathsim.lifetime_cache import KeptWhileUsed
 
@@ -127,18 +135,27 @@ class Phantom:
     def target(self, wanted: TargetLike) -> Target:
         """The target of a name, or of a point (3,) m in the lumen, world frame.
 
+        "point_1", "point_2" and so on are points on the centrelines of the aorta's branches, drawn by the phantom's
+        name and their number.
+
         Raises:
             ValueError: for an unknown name, listing the valid ones; for a point outside the lumen.
         """
         place = as_target(wanted)
         if not isinstance(place, str):
             require_inside(place, self.grid, self.name)
-            branch, arc, aside = nearest_branch(place, self.tree)
-            return Target(target_name(place), branch, np.array(place), arc, aside)
+            return self._point_target(target_name(place), place)
         if place not in self.targets:
+            drawn = drawn_point(place, self.name, self.tree, self.grid)
+            if drawn is not None:
+                return self._point_target(place, drawn)
             known = ", ".join(self.targets)
             raise ValueError(f"unknown target {place!r} in phantom {self.name!r}; choose from {known}.")
         return self.targets[place]
+
+    def _point_target(self, name: str, place: Point) -> Target:
+        branch, arc, aside = nearest_branch(place, self.tree)
+        return Target(name, branch, np.array(place), arc, aside)
 
     def entry(self, wanted: EntryLike = "descending") -> Entry:
         """The entry of a name, or at a point in the lumen.
@@ -180,7 +197,7 @@ class Phantom:
         """
         name = as_target(target)
         with self._lock:
-            if not isinstance(name, str):
+            if not isinstance(name, str) or name not in self.targets:
                 return self._points.take(name, lambda: geodesic_field(self.grid, self.target(name).position))
             if name in self._fields:
                 return self._fields[name]

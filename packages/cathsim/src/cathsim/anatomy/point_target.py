@@ -1,4 +1,4 @@
-"""Targets that are points: anywhere in the lumen, given in metres instead of by a name."""
+"""Targets that are points: anywhere in the lumen, given in metres; or drawn from an anatomy's branches, by number."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
 Point = tuple[float, float, float]  # m, world frame
 TargetLike = str | Sequence[float] | NDArray[np.floating]
 
+_DRAWN = re.compile(r"point_([1-9][0-9]{0,3})")
+_DRAWN_STREAM = 7  # of the random numbers of drawn points
 _FARTHEST = 10.0  # m: a coordinate beyond was meant in another unit
 _POINT = re.compile(r"point_(-?[0-9.]+)_(-?[0-9.]+)_(-?[0-9.]+)_mm")
 _DEEP = 1e-3  # m: a point this far inside the wall is well within the lumen
@@ -46,6 +48,28 @@ def target_name(target: str | Point) -> str:
     if isinstance(target, str):
         return target
     return "point_{:.1f}_{:.1f}_{:.1f}_mm".format(*(1e3 * coordinate for coordinate in target))
+
+
+def drawn_point_name(number: int) -> str:
+    """What the point of a number, counted from 1, is called as a target of any phantom: "point_3"."""
+    return f"point_{number}"
+
+
+def drawn_point(name: str, phantom: str, tree: VesselTree, grid: SignedDistanceGrid) -> Point | None:
+    """The point that a target's name such as "point_3" stands for: drawn from the centrelines beyond the root's.
+
+    Which one it is depends on the phantom's name and the number alone, not on how many others are asked for.
+
+    Returns:
+        m, world frame; None: the name is none of a drawn point, or there are no branches.
+    """
+    numbered = _DRAWN.fullmatch(name)
+    points = points_beyond_root(tree, grid) if numbered and len(tree.branches) > 1 else ()
+    if numbered is None or not len(points):
+        return None
+    generator = np.random.default_rng((_DRAWN_STREAM, int(numbered[1]), *phantom.encode()))
+    x, y, z = points[int(generator.integers(len(points)))].tolist()
+    return x, y, z
 
 
 def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str, what: str = "target") -> None:
