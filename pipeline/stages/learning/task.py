@@ -39,13 +39,16 @@ class LearningTask:
         """The anatomy, from the cache where it was built before."""
         return load_anatomy(self.phantom if self.file is None else self.file)
 
-    def environment(self, observation: str | Sequence[str], *, training: bool = False) -> NavigateEnv:
+    def environment(
+        self, observation: str | Sequence[str], *, training: bool = False, observe_every: int = 1
+    ) -> NavigateEnv:
         """Makes an environment.
 
         Args:
             observation: a name, which gives one array, or several, which give a dictionary.
             training: with the shaped reward, the force's penalty and the training's accuracy; otherwise with the
                 thesis's reward and accurate physics, which is what tables report.
+            observe_every: steps between two observations that somebody looks at.
         """
         from cathsim import NavigateEnv
 
@@ -57,9 +60,10 @@ class LearningTask:
             reward=self.reward if training else REWARD_OF_EVALUATION,
             force_penalty=self.force_penalty if training else 0.0,
             path_penalty=self.path_penalty if training else 0.0,
+            observe_every=observe_every,
             **self.task.arguments(),
         )
 
-    def factory(self, observation: str | Sequence[str]) -> Callable[[], NavigateEnv]:
+    def factory(self, observation: str | Sequence[str], observe_every: int = 1) -> Callable[[], NavigateEnv]:
         """Makes training environments; takes what `environment` does."""
-        return functools.partial(self.environment, observation, training=True)
+        return functools.partial(self.environment, observation, training=True, observe_every=observe_every)

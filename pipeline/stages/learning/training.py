@@ -86,7 +86,7 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     trained = job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)  # share of the job, by time
     training = Training(
         replace(job.settings, device=report.device),
-        job.task.factory(job.keys),
+        job.task.factory(job.keys, job.settings.action_repeat),
         job.folder,
         seed=job.origin.training_seed,
         demonstrations=[] if (job.folder / RECORD).is_file() else _demonstrations(job),
@@ -98,7 +98,7 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
             TASK: asdict(job.task.task),
         },
         # a policy may get stuck in accurate physics alone: those choose the best one
-        make_validation_env=replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys),
+        make_validation_env=replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys, job.settings.action_repeat),
     )
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))

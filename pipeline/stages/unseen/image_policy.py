@@ -129,8 +129,8 @@ def _train(
     side_by_side = min(SIDE_BY_SIDE, count)
     envs = [
         job.seen(
-            job.task.training_environment(job.anatomies, observation), job.settings.clutter * (place % 2),
-            every=expert.action_repeat,
+            job.task.training_environment(job.anatomies, observation, observe_every=expert.action_repeat),
+            job.settings.clutter * (place % 2), every=expert.action_repeat,
         )
         for place in range(side_by_side)
     ]  # fmt: skip

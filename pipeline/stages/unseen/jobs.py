@@ -91,17 +91,19 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     map_simulations()
     for leftover in job.own_folder.glob(".*.tmp"):
         leftover.unlink()
-    validated = partial(job.task.training_environment, job.validated, ROADMAP_KEYS, "accurate")
+    environment = partial(
+        job.task.training_environment, observation=ROADMAP_KEYS, observe_every=job.settings.action_repeat
+    )
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies) + len(job.validated))  # all take turns
     training = Training(
         replace(job.settings, device=report.device),
-        partial(job.task.training_environment, job.anatomies, ROADMAP_KEYS),
+        partial(environment, job.anatomies),
         job.own_folder,
         seed=job.seed,
         demonstrations=read_demonstrations(job.folder / DEMONSTRATIONS, job.anatomies) if job.demonstrated else [],
         metadata={**job.origin.configuration("training"), TASK: asdict(job.task.task)},
         starts=read_starts(job.folder / STARTS, job.anatomies, job.task.targets) if job.laid else [],
-        make_validation_env=validated if job.validated else None,
+        make_validation_env=partial(environment, job.validated, accuracy="accurate") if job.validated else None,
     )
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda p: report(0.7 * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"))

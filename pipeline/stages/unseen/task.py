@@ -80,9 +80,13 @@ class UnseenTask:
         return {name: value for name, value in self.task.devices().items() if name != "wire"}
 
     def training_environment(
-        self, anatomies: Sequence[int], observation: tuple[str, ...], accuracy: str | None = None
+        self,
+        anatomies: Sequence[int],
+        observation: tuple[str, ...],
+        accuracy: str | None = None,
+        observe_every: int = 1,
     ) -> NavigateManyEnv:
-        """An environment over random arches with the shaped reward."""
+        """An environment over random arches with the shaped reward; `observe_every` as of `cathsim.NavigateEnv`."""
         from cathsim.many_anatomies import NavigateManyEnv
 
         return NavigateManyEnv(
@@ -93,6 +97,7 @@ class UnseenTask:
             **self._catheter(),
             accuracy=accuracy or self.accuracy,
             observation=observation,
+            observe_every=observe_every,
             reward=REWARD_OF_TRAINING,
             **self.task.rules(),
         )

@@ -34,6 +34,7 @@ from cathsim.robot.feeders import Feeders
 from cathsim.robot.follower import FollowerRobot
 from cathsim.robot.pace import Pace, named_pace
 from cathsim.simulation import CONTROL_STEP
+from cathsim.validation import Count, quantity
 from cathsim.viewing.display import MODES, Display
 
 ACTIONS = ("feeder", "tip_motors")
@@ -156,6 +157,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         scan: None, or a `Scan` that roadmap and history show instead of the vessel itself.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
+        observe_every: steps between two observations; in between, `step` returns the last one, for policies that hold
+            an action for so many steps. At the reset and the episode's end there is always one, the same as with 1.
         task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
             replace the task's: success_radius, max_steps, start_jitter, start_rotation, reward, force_penalty,
             path_penalty.
@@ -188,6 +191,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         registration_noise: float = 0.0,
         scan: Scan | None = None,
         contact_info: bool = False,
+        observe_every: int = 1,
         task: NavigationTask | None = None,
         **task_fields: Any,
     ) -> None:
@@ -212,6 +216,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             breathing=None if breathing is None else chosen("breathing", breathing, Breathing, _no_named_breathing),
         )
         self.render_mode, self._contact_info = render_mode, contact_info
+        self._observe_every, self._observed = quantity("observe_every", observe_every, Count), None
         self.feeders = Feeders(self.simulation, drive)
         biplane = None
         if cameras is not None:
@@ -300,7 +305,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         if self.task.reads_progress:
             self._remaining = self.task.remaining(self.phantom, inside)
         self._display.show(self._goal)
-        return self.observe(), self._info(tip, straight_distance(inside, self._goal), success=False, invalid=False)
+        self._observed = self.observe()
+        return self._observed, self._info(tip, straight_distance(inside, self._goal), success=False, invalid=False)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by one control step.
@@ -329,7 +335,9 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         truncated = not success and (invalid or self.steps >= task.max_steps)
         self.ended = success or truncated
         self._display.show(self._goal)
-        return self.observe(), reward, success, truncated, info
+        if self.ended or self.steps % self._observe_every == 0:
+            self._observed = self.observe()
+        return self._observed, reward, success, truncated, info
 
     def start_state(self) -> np.ndarray:
         """The moment as a start that `reset(options={"start": …})` takes. Shape (n,)."""
@@ -359,7 +367,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.steps, self.ended, self._remaining = state["steps"], state["ended"], state["remaining"]
         self.sensors.restore(state["sensors"])
         self.feeders.restore(state["robots"])
-        return self.observe()
+        self._observed = self.observe()
+        return self._observed
 
     def _reward(self, before_step: np.ndarray, action: np.ndarray, info: dict[str, Any]) -> float:
         task, before = self.task, self._remaining

@@ -189,7 +189,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         return self._seen(observation), info
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advances by 0.1 s."""
+        """Advances by one control step."""
         observation, reward, terminated, truncated, info = self.environment.step(action)
         self._step += 1
         return self._seen(observation), reward, terminated, truncated, info
