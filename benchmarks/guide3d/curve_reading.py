@@ -15,6 +15,7 @@ import json
 import os
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -24,6 +25,7 @@ import numpy as np
 from guide3d.geometry.polyline import Array, arc_length, at_length, distances_to, resample
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy, RandomImage
 from guide3d.reading.image_reading import ImageReading, read, shipped_reader
+from guide3d.reading.maps import Reader
 
 NEAR_PX = 4.0
 SHORTEST_PX = 20.0
@@ -103,12 +105,14 @@ def interval(values: list[Any]) -> list[float]:
 def main() -> int:
     """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reader", type=Path, help="file of a trained reader; the shipped one if left out")
     parser.add_argument("--images", type=int, default=40)
     parser.add_argument("--first", type=int, default=1000, help="index of the first image")
     parser.add_argument("--seed", type=int, default=1000003)
     parser.add_argument("--rows", action="store_true", help="print a line for every image, too (stderr)")
     arguments = parser.parse_args()
-    drawn, reader = RandomFluoroscopy(seed=arguments.seed), shipped_reader()
+    drawn = RandomFluoroscopy(seed=arguments.seed)
+    reader = Reader.load(arguments.reader) if arguments.reader else shipped_reader()
     rows = []
     for index in range(arguments.first, arguments.first + arguments.images):
         image = drawn.image(index)
