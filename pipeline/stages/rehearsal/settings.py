@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import field
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Ge, Le
@@ -17,14 +16,13 @@ from pipeline.settings.kinds import (
     Episodes,
     FolderNames,
     Hyperparameters,
-    PathText,
     Processes,
     Units,
     Weight,
     one_of,
 )
+from pipeline.stages.learning.starting_policy import StartingPolicySettings
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import hash_file
 from pipeline.task import DeviceSettings
 
 if TYPE_CHECKING:
@@ -36,14 +34,15 @@ _Percent = Annotated[float, Ge(0), Le(90)]
 
 
 @validated()
-class RehearsalSettings(ChosenAnatomies, DeviceSettings):
-    """Settings of a rehearsal; a wire of length 0 becomes as long as the way asks for, at least the preset."""
+class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings):
+    """Settings of a rehearsal; a wire of length 0 becomes as long as the way asks for, at least the preset.
+
+    Without `policy` it starts from the stage unseen's, or a shipped one, with the same devices.
+    """
 
     name: str = "rehearsal"
     phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan
     targets: FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
-    # saved with critics, to start from; null: the stage unseen's, or a shipped one, with the same devices
-    policy: PathText | None = None
     choose_catheter: bool = True  # over the wire, where its target's take-off is steep and no catheter is named
     fresh: bool = False  # starts from nothing even where there is one
     walls_mm: _Millimetres = 1.0  # largest differences of a copy from the scan
@@ -69,19 +68,12 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings):
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # that step the environments; 0: one a core
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)
-    policy_sha256: str | None = None  # filled in: results depend on what is in the file
 
     def __post_init__(self) -> None:
         """Reads the files, and refuses what contradicts itself."""
         DeviceSettings.__post_init__(self)
         ChosenAnatomies.__post_init__(self)
-        self.policy_sha256 = None
-        if self.policy is not None:
-            if not Path(self.policy).is_file():
-                raise ConfigurationError(
-                    f"stage.policy={self.policy} is no file: give a policy.pt that was saved with critics"
-                )
-            self.policy_sha256 = hash_file(Path(self.policy))
+        StartingPolicySettings.__post_init__(self)
         for key in ("phantoms", "targets"):
             if len(getattr(self, key)) > 1:
                 raise ConfigurationError(f"stage.{key} names several: a rehearsal has one scan and one target")

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.jobs.freed_memory import map_simulations
@@ -58,12 +59,14 @@ class RoadmapJob(PolicyJob):
         validated: seeds of random arches that the best policy is chosen by; none: those trained on.
         demonstrated: whether it learns from the stage's demonstrations in its anatomies.
         laid: whether the stage's laid starts in its anatomies go into the reset bank.
+        start: file of the policy that it starts from; None: from nothing.
     """
 
     settings: TrainingSettings
     validated: tuple[int, ...] = ()
     demonstrated: bool = False
     laid: bool = True
+    start: Path | None = None
 
 
 def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
@@ -85,6 +88,7 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
         ``training_s`` and a summary for each test set, target and mode.
     """
     from cathsim.many_anatomies import SHELF
+    from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
     from enn.reinforcement.training import Training
 
@@ -104,8 +108,9 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
         metadata={**job.origin.configuration("training"), TASK: asdict(job.task.task)},
         starts=read_starts(job.folder / STARTS, job.anatomies, job.task.targets) if job.laid else [],
         make_validation_env=partial(environment, job.validated, accuracy="accurate") if job.validated else None,
+        initial=None if job.start is None else Policy.load(job.start, report.device),
     )
-    with stopping_the_stage(CheckpointError):
+    with stopping_the_stage(CheckpointError, *([ValueError] if job.start is not None else [])):
         result = training.run(lambda p: report(0.7 * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"))
 
     def controllers(mode: str) -> Callable[[int], Controller]:

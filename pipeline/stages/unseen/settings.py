@@ -24,6 +24,7 @@ from pipeline.settings.kinds import (
     Units,
     one_of,
 )
+from pipeline.stages.learning.starting_policy import StartingPolicySettings
 from pipeline.stages.unseen.task import TEST_PHANTOM, VARIETY
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
@@ -36,8 +37,8 @@ _MOST_CLUTTERED_PX = 1024  # side of the images of guide3d's random fluoroscopy
 
 
 @validated()
-class UnseenSettings(ChosenAnatomies):
-    """Settings of the policies for anatomies that were never seen."""
+class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
+    """Settings of the policies for anatomies that were never seen; `policy` starts the main one by a roadmap."""
 
     needs_anatomy: ClassVar[bool] = False
 
@@ -88,7 +89,8 @@ class UnseenSettings(ChosenAnatomies):
 
     def __post_init__(self) -> None:
         """Takes the choices of the command line over."""
-        super().__post_init__()
+        ChosenAnatomies.__post_init__(self)
+        StartingPolicySettings.__post_init__(self)
         if not self.targets:
             raise ConfigurationError("stage.targets is empty: name at least one")
         if self.task.wire == NO_WIRE:

@@ -46,6 +46,7 @@ from pipeline.store.errors import ConfigurationError
 from pipeline.task import decision_steps, require_feeder, require_known_task
 
 if TYPE_CHECKING:
+    from enn.policy import Policy
     from enn.reinforcement.training import TrainingSettings
 
 ROADMAP_TESTS = "roadmap tests"
@@ -53,6 +54,7 @@ EVALUATIONS, OF_THE_CURVE = 5, 2  # of a training; policies of few anatomies fai
 STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
 _ANATOMIES_A_JOB = 16
 _MOST_TRIED = 1_000  # arches, to find those with a steep take-off
+_ACTS_FIRST = 0.05  # of the decisions, where a training starts from a policy: it fills the replay buffer
 _PARTS = 2  # jobs that demonstrate beside each other
 DEMONSTRATED = "lcca"  # the target that is hard to find without
 BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
@@ -69,6 +71,8 @@ def check_unseen(settings: UnseenSettings) -> None:
     """
     from cathsim import GUIDEWIRES
 
+    if settings.policy is not None:
+        _policy_to_start_from(settings)
     require_known_targets(settings.targets)
     if settings.arches == VARIETY and settings.file is not None:
         raise ConfigurationError(f"stage.arches={VARIETY} tries policies in such arches alone: leave phantom.file out")
@@ -145,6 +149,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     taught = (*built, *(job.key for job in (*laid, *shown)))
     main, among = test_sets(settings), cluttered(settings)
     plain = (replace(main[0], modes=("deterministic",)),)
+    start = None if settings.policy is None else _policy_to_start_from(settings)
     vectors, images = policy_gb(settings.task.image_size_px, 0), policy_gb(settings.task.image_size_px, 1)
     for row, count, decisions in policies_of(settings):
         given = RoadmapJob(
@@ -153,7 +158,10 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
             task=task,
             anatomies=tuple(arches[:count]),
             tests=(*main, *misregistered(settings)) if row == ROADMAP else plain,
-            settings=training_settings(settings, count, decisions, EVALUATIONS if row == ROADMAP else OF_THE_CURVE),
+            settings=training_settings(
+                settings, count, decisions, *((EVALUATIONS, start) if row == ROADMAP else (OF_THE_CURVE,))
+            ),
+            start=Path(settings.policy) if row == ROADMAP and settings.policy is not None else None,
             validated=tuple(validated),
             demonstrated=bool(shown),
         )
@@ -236,14 +244,20 @@ def _tests(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
 
 
 def training_settings(
-    settings: UnseenSettings, anatomies: int, decisions: int, evaluations: int = EVALUATIONS
+    settings: UnseenSettings,
+    anatomies: int,
+    decisions: int,
+    evaluations: int = EVALUATIONS,
+    start: Policy | None = None,
 ) -> TrainingSettings:
     """Those of the roadmap policies: a wider network than for one anatomy, and a reset bank with its cases.
 
     Args:
         anatomies: how many the policy is trained on.
         evaluations: on the validation anatomies, the best of which decides.
+        start: the policy that it starts from.
     """
+    from enn.reinforcement.rehearsal import starting_from
     from enn.reinforcement.training import DESK_SAC
 
     training = replace(
@@ -266,7 +280,23 @@ def training_settings(
         tensorboard=settings.tensorboard,
         keep_critics=True,  # a rehearsal starts from it
     )
+    if start is not None:
+        training = starting_from(training, start, _ACTS_FIRST)
     return with_hyperparameters(training, settings.training)
+
+
+def _policy_to_start_from(settings: UnseenSettings) -> Policy:
+    from enn.policy import Policy
+
+    try:
+        policy = Policy.load(Path(str(settings.policy)))
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"stage.policy={settings.policy} can't be read: {error}") from None
+    if not policy.critics or policy.keys != ROADMAP_KEYS:
+        raise ConfigurationError(
+            f"stage.policy={settings.policy} is no policy by a roadmap that was saved with critics: give such a one"
+        )
+    return policy
 
 
 STAGE = Stage(

@@ -90,12 +90,7 @@ def rehearse(
     env.close()
     changed = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
     if policy is not None:
-        changed = replace(
-            changed.with_network(policy.network),
-            action_repeat=policy.action_repeat,
-            learning_rate=SLOWER * changed.learning_rate,
-            learning_starts=max(changed.learning_starts, round(FIRST * changed.decisions)),
-        )
+        changed = starting_from(replace(changed, action_repeat=policy.action_repeat), policy)
     training = Training(
         changed,
         make_env,
@@ -107,6 +102,19 @@ def rehearse(
         initial=policy,
     )
     return training.run(progress)
+
+
+def starting_from(settings: TrainingSettings, policy: Policy, first: float = FIRST) -> TrainingSettings:
+    """Settings of a training that starts from a policy: its network, a fifth of the learning rate.
+
+    Args:
+        first: share of the decisions in which the policy only acts.
+    """
+    return replace(
+        settings.with_network(policy.network),
+        learning_rate=SLOWER * settings.learning_rate,
+        learning_starts=max(settings.learning_starts, round(first * settings.decisions)),
+    )
 
 
 def play_cases(
