@@ -68,8 +68,14 @@ class RehearsalJob:
         return self.folder / f"seed{self.origin.training_seed}"
 
 
-def copies_environment(job: RehearsalJob, copies: Sequence[int], *, training: bool = False) -> NavigateCopiesEnv:
-    """An environment over copies; that of a training has the shaped reward and its physics."""
+def copies_environment(
+    job: RehearsalJob, copies: Sequence[int], *, training: bool = False, observe_every: int = 1
+) -> NavigateCopiesEnv:
+    """An environment over copies; that of a training has the shaped reward and its physics.
+
+    Args:
+        observe_every: as of `cathsim.NavigateEnv`.
+    """
     from cathsim.rehearsal.environment import NavigateCopiesEnv
     from cathsim.rehearsal.perturbation import Perturbation
 
@@ -92,6 +98,7 @@ def copies_environment(job: RehearsalJob, copies: Sequence[int], *, training: bo
         accuracy=settings.accuracy if training else "accurate",
         observation=ROADMAP_KEYS,
         reward=REWARD_OF_TRAINING if training else REWARD_OF_EVALUATION,
+        observe_every=observe_every,
         **(shaped if training else {}),
         **job.task.devices(),
         **job.task.rules(),
@@ -130,10 +137,13 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     )
     training = with_hyperparameters(training, settings.training)
     with stopping_the_stage(CheckpointError, ValueError):
+        policy = None if job.start is None else Policy.load(job.start, report.device)
+        held = training.action_repeat if policy is None else policy.action_repeat
+        environment = partial(copies_environment, job, observe_every=held)
         result = rehearse(
-            partial(copies_environment, job, copies, training=True),
-            make_validation_env=partial(copies_environment, job, (0, *validation_copies(settings.validation_copies))),
-            policy=None if job.start is None else Policy.load(job.start, report.device),
+            partial(environment, copies, training=True),
+            make_validation_env=partial(environment, (0, *validation_copies(settings.validation_copies))),
+            policy=policy,
             settings=training,
             starts=starts,
             folder=job.own_folder,

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from enn.policy import Policy
+from enn.shipped import weight_files
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
@@ -213,6 +215,18 @@ def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
         check_unseen(settings(**changed))
 
 
+def test_only_a_roadmap_policy_with_critics_starts_a_training(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"stage\.policy=missing\.pt is no file"):
+        settings(policy="missing.pt")
+    (damaged := tmp_path / "damaged.pt").write_bytes(b"nothing")
+    with pytest.raises(ConfigurationError, match=r"damaged\.pt can't be read"):
+        check_unseen(settings(policy=str(damaged)))
+    acting = tmp_path / "acting.pt"
+    Policy.load(next(file for file in weight_files() if file.stem == "generalist")).save(acting)
+    with pytest.raises(ConfigurationError, match="is no policy by a roadmap that was saved with critics"):
+        check_unseen(settings(policy=str(acting)))
+
+
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"stage\.advised_episodes must be 1 or more, got 0"):
         settings(advised_episodes=0)
@@ -267,6 +281,18 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     again = train_roadmap(teacher, Report())
     assert again["tests"] == by_roadmap["tests"]
     assert log.stat().st_mtime_ns == written
+
+    started = teacher.own_folder / "policy.pt"
+    given = settings(targets=["lcca"], anatomies=1, curve=[1], policy=str(started), training={"learning_starts": 32})
+    check_unseen(given)
+    main, of_curve = (job.given for job in plan(given, tmp_path, 0, "desk") if job.key in ("roadmap", "roadmap 1"))
+    assert (main.start, of_curve.start) == (started, None)
+    assert (main.settings.hidden, of_curve.settings.hidden) == ((16, 16), (256, 256))
+    assert main.settings.learning_rate == 0.2 * of_curve.settings.learning_rate
+    further = replace(teacher, start=started, origin=replace(teacher.origin, training_seed=1), tests=())
+    train_roadmap(replace(further, settings=replace(tiny, hidden=(16, 16), learning_rate=1e-12)), Report())
+    assert np.allclose(*(Policy.load(job.own_folder / "policy.pt").module.state_dict()["actor.mu.weight"]
+                         for job in (teacher, further)), atol=1e-6)  # fmt: skip
 
     # stopped after its first round, then gone on with: the same policy as without the stop
     class Stopped(Report):

