@@ -193,9 +193,32 @@ def test_without_curves_in_space_it_says_so(data: Dataset, monkeypatch: pytest.M
         walks_of(data, 1.7)
 
 
-def test_command_line_refuses_in_a_sentence(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_command_line_refuses_in_a_sentence(
+    data: Dataset, tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([str(tmp_path / "none"), "--network", "unet", "--output", str(tmp_path)]) == 2
     assert "is missing" in caplog.records[-1].getMessage()
+    for option, text, sentence in (
+        ("--settings", '{"sizes": {"layers": 3}}', "unet cannot have the sizes {'layers': 3}"),
+        ("--settings", '{"images": -1}', "images must be greater than or equal to 0, got -1"),
+        ("--fit", '{"rate": 1}', "rate Unexpected keyword argument, got 1"),
+    ):
+        words = [str(data.root), "--network", "unet", "--size", "smoke", "--output", str(tmp_path / "fit")]
+        assert main([*words, option, text]) == 2
+        assert sentence in caplog.records[-1].getMessage()
+    for text in ("[1]", "{"):
+        with pytest.raises(SystemExit):
+            main([*words, "--fit", text])
+        assert "expected a JSON object of fields" in capsys.readouterr().err
+
+
+def test_the_command_line_changes_recipe_and_fit(data: Dataset, tmp_path: Path) -> None:
+    words = [str(data.root), "--network", "unet", "--size", "smoke", "--output", str(tmp_path)]
+    changed = ["--settings", '{"sizes": {"widths": [2, 4], "kind": "none"}}', "--fit", '{"epochs": 2}']
+    assert main([*words, *changed]) == 0
+    network = SegmentationPredictor.load(tmp_path / "predictor.pt").network
+    assert next(network.parameters()).shape[0] == 2
+    assert len(json.loads((tmp_path / "training.json").read_text())["rows"]) == 2
 
 
 @pytest.mark.slow

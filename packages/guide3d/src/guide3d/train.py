@@ -23,7 +23,14 @@ from guide3d.learning.losses import ShapeLoss
 from guide3d.learning.network_training import train_network
 from guide3d.learning.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.learning.training import FitReport
-from guide3d.learning.training_command import Progress, main_of, run_training, training_parser, with_epochs
+from guide3d.learning.training_command import (
+    Progress,
+    json_fields,
+    main_of,
+    run_training,
+    training_parser,
+    with_epochs,
+)
 
 ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
 NETWORKS = (*FORMS, ANGLES_ALONE, "fgrn", *SEGMENTERS)
@@ -34,6 +41,8 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser = training_parser("guide3d.train", __doc__)
     parser.add_argument("--network", choices=NETWORKS, required=True)
     parser.add_argument("--size", choices=SIZES, default="desk")
+    parser.add_argument("--settings", type=json_fields, default={}, help="JSON: fields of the recipe, such as images")
+    parser.add_argument("--fit", type=json_fields, default={}, help="JSON: fields of the fit, such as learning_rate")
     parser.add_argument("--pretrained", type=Path, help="weights of a vision transformer, of timm or torchvision")
     parser.add_argument("--curves", type=Path, help="file of fitted curves and curves in space, like sphere.json")
     return parser.parse_args(words)
@@ -59,7 +68,8 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
             recipe = replace(recipe, loss=ShapeLoss())
     else:
         recipe = fgrn_recipe(given.size) if form == "fgrn" else segmentation_recipe(form, given.size)
-    recipe = with_epochs(recipe, given.epochs)
+    changed = {"fit": replace(recipe.fit, **given.fit), **given.settings}
+    recipe = with_epochs(replace(recipe, **changed), given.epochs)
 
     def learn(data: Dataset, parts: Split, **common: Any) -> tuple[Any, FitReport]:
         return train_network(data, parts, recipe, form, pretrained=given.pretrained, **common)

@@ -28,7 +28,7 @@ from guide3d.dataset.dataset import Dataset
 from guide3d.learning.reader.calibration import calibrate
 from guide3d.learning.reader.evaluation import evaluate_reader
 from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, smoke_recipe, train_reader
-from guide3d.learning.training_command import TABLE, main_of
+from guide3d.learning.training_command import TABLE, json_fields, main_of
 from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.reading.maps import SHIPPED, Reader
@@ -46,8 +46,8 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, required=True, help="folder of the reader")
     parser.add_argument("--size", choices=("default", "smoke"), default="default")
     parser.add_argument("--steps", type=int, help="instead of the recipe's")
-    parser.add_argument("--settings", type=json.loads, default={}, help="JSON: fields of the recipe")
-    parser.add_argument("--fluoroscopy", type=json.loads, default={}, help="JSON: fields of FluoroscopySettings")
+    parser.add_argument("--settings", type=json_fields, default={}, help="JSON: fields of the recipe")
+    parser.add_argument("--fluoroscopy", type=json_fields, default={}, help="JSON: fields of FluoroscopySettings")
     parser.add_argument("--processes", type=int, default=1, help="that draw; 0: none besides this one")
     parser.add_argument("--data", type=Path, action="append", default=[], help="data set whose curves are drawn, too")
     parser.add_argument("--backgrounds", type=Path, help=".npz of attenuations (h, w), drawn behind some images")

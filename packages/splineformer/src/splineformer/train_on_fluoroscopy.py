@@ -24,7 +24,7 @@ import torch
 from guide3d.atomic_file import whole_file
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.training import FitProgress, finished
-from guide3d.learning.training_command import PREDICTOR, TABLE, Progress, main_of, with_epochs
+from guide3d.learning.training_command import PREDICTOR, TABLE, Progress, json_fields, main_of, with_epochs
 from guide3d.opencv import cv2
 from guide3d.setting_kinds import seed
 from splineformer.build import VARIANTS
@@ -46,10 +46,10 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--input", choices=INPUTS, default="maps", help="maps of the shipped reader, or grey levels")
     parser.add_argument("--pictures", type=Path, help="folder that keeps the drawn pictures")
     parser.add_argument("--epochs", type=int, help="instead of the recipe's")
-    parser.add_argument("--settings", type=json.loads, default={}, help="JSON: fields of the recipe, such as images")
-    parser.add_argument("--fit", type=json.loads, default={}, help="JSON: fields of the fit, such as learning_rate")
-    parser.add_argument("--network", type=json.loads, default={}, help="JSON: sizes of the network")
-    parser.add_argument("--fluoroscopy", type=json.loads, default={}, help="JSON: fields of FluoroscopySettings")
+    parser.add_argument("--settings", type=json_fields, default={}, help="JSON: fields of the recipe, such as images")
+    parser.add_argument("--fit", type=json_fields, default={}, help="JSON: fields of the fit, such as learning_rate")
+    parser.add_argument("--network", type=json_fields, default={}, help="JSON: sizes of the network")
+    parser.add_argument("--fluoroscopy", type=json_fields, default={}, help="JSON: fields of FluoroscopySettings")
     parser.add_argument("--weights", type=Path, help="network with whose weights the training begins")
     parser.add_argument("--test-images", type=int, default=40, help="random whole images to evaluate with")
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")

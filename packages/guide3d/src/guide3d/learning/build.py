@@ -119,15 +119,16 @@ def build_segmenter(name: str, image_px: int, **sizes: Any) -> nn.Module:
     """Builds a segmentation network ("unet", "transunet", "swinunet"): one channel in, one logit a pixel out.
 
     Raises:
-        ValueError: an unknown name.
+        ValueError: an unknown name, or sizes that the network does not have.
     """
-    if name == "unet":
-        return UNet(**sizes)
-    if name == "transunet":
-        return TransUnet(image_px=image_px, **sizes)
-    if name == "swinunet":
-        return SwinUnet(image_px=image_px, **sizes)
-    raise ValueError(f"unknown segmentation network '{name}'; there are {', '.join(SEGMENTERS)}")
+    if name not in SEGMENTERS:
+        raise ValueError(f"unknown segmentation network '{name}'; there are {', '.join(SEGMENTERS)}")
+    try:
+        if name == "unet":
+            return UNet(**sizes)
+        return (TransUnet if name == "transunet" else SwinUnet)(image_px=image_px, **sizes)
+    except TypeError as error:
+        raise ValueError(f"{name} cannot have the sizes {sizes}: {error}") from error
 
 
 def described(size: ShapeSize, form: SphericalForm | None, positions: int) -> dict[str, Any]:
