@@ -1,10 +1,12 @@
 """A policy in ArchVariety: arches of six branching types that it has never seen, to random points.
 
-    python benchmarks/enn/arch_variety.py --policy FILE [--arches 20] [--draw]
+    python benchmarks/enn/arch_variety.py --policy FILE [--steep FILE] [--arches 20] [--draw]
 
 One episode in each of so many arches of the test seeds a type, of which nothing was trained or chosen on; episode k of
-a type begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. Prints a row a type with
-Wilson's 95 % interval, which branches were missed, and one JSON object as its last line.
+a type begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. With `--steep`, that
+policy steers with its own devices where the ostium of the target's branch is set back by 13 mm or more, which the scan
+tells beforehand. Prints a row a type with Wilson's 95 % interval, which branches were missed, and one JSON object as
+its last line.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.policy import Policy
 from enn.shipped import read_policy
-from pipeline.task import task_in_random_arches
+from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
+from pipeline.task import TASK, task_in_random_arches
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class Outcome:
 
     success: bool
     branch: str  # that its target lies in
+    steep: bool  # whether that is set back by `STEEP_MM` or more
     forces: np.ndarray  # of each step, N
 
 
@@ -47,6 +51,7 @@ def arguments() -> argparse.Namespace:
     """Understands the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", default="generalist", help=f"a file, or among {', '.join(enn.models())}")
+    parser.add_argument("--steep", metavar="POLICY", help=f"for targets set back by {STEEP_MM:g} mm or more")
     parser.add_argument("--types", default=",".join(ARCH_TYPES))
     parser.add_argument("--arches", type=int, default=20, help="a type, one episode each")
     parser.add_argument("--max-steps", type=int, default=TEST_STEPS)
@@ -54,9 +59,50 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def play(environment: Any, controller: Any, case: int, seed: int) -> Outcome:
-    """Plays one episode."""
-    observation, info = environment.reset(seed=seed, options={"case": case})
+class Player:
+    """A policy with an environment of the devices that it was trained with.
+
+    Args:
+        name: of a shipped policy, or its file.
+
+    Raises:
+        OSError, ValueError: no such policy, or one that cannot do what is asked.
+    """
+
+    def __init__(self, name: str, given: argparse.Namespace) -> None:
+        self.policy: Any = read_policy(Path(name)) if name.endswith(".pt") else enn.load(name)
+        self.draw = given.draw
+        self.by_roadmap, side = isinstance(self.policy, Policy), task_in_random_arches().image_size_px
+        if self.draw and not self.by_roadmap:
+            raise ValueError("--draw: a policy that sees images always takes the best action")
+        catheter = self.policy.metadata.get(TASK, {}).get("catheter") if self.by_roadmap else None
+        self.bare = ArchVarietyEnv(
+            given.types.split(","), TEST_SEEDS[: given.arches], max_steps=given.max_steps, image_size=side,
+            observation=self.policy.keys if self.by_roadmap else ("goal_image",), catheter=catheter,
+        )  # fmt: skip
+        self.environment: Any = self.bare if self.by_roadmap else XrayEnvironment(self.bare, side)
+
+    def begin(self, case: int, seed: int) -> tuple[Any, dict[str, Any]]:
+        """Begins an episode."""
+        observation, info = self.environment.reset(seed=seed, options={"case": self.bare.case_of(case)})
+        return observation, info
+
+    def steep(self) -> bool:
+        """Whether the ostium of the present target's branch is set back far."""
+        return set_back_mm(self.bare.phantom, self.bare.task.target) >= STEEP_MM
+
+
+def play(players: list[Player], case: int, seed: int) -> Outcome:
+    """Plays one episode, by the last player where the target is steep, else by the first."""
+    player = players[0]
+    observation, info = player.begin(case, seed)
+    goal, steep = player.bare.task.target, player.steep()
+    if steep and len(players) > 1:
+        player = players[1]
+        observation, info = player.begin(case, seed)
+        assert player.bare.task.target == goal
+    drawn = {"deterministic": not player.draw, "seed": seed} if player.by_roadmap else {}
+    environment, controller = player.environment, player.policy.controller(**drawn)
     controller.reset()
     forces: list[float] = []
     ended = success = False
@@ -64,8 +110,7 @@ def play(environment: Any, controller: Any, case: int, seed: int) -> Outcome:
         observation, _, success, truncated, info = environment.step(controller(observation, info))
         forces.append(float(info["force"]))
         ended = success or truncated
-    goal = environment.unwrapped.task.target
-    return Outcome(bool(success), environment.unwrapped.phantom.target(goal).branch, np.array(forces))
+    return Outcome(bool(success), player.bare.phantom.target(goal).branch, steep, np.array(forces))
 
 
 def row_of(name: str, outcomes: list[Outcome], seconds: float) -> dict[str, Any]:
@@ -85,7 +130,7 @@ def row_of(name: str, outcomes: list[Outcome], seconds: float) -> dict[str, Any]
     share = f"{100 * len(won) / len(outcomes):3.0f} % ({100 * low:.0f} to {100 * high:.0f})"
     forces = ", ".join(f"{row[key]:.2f}" for key in ("force_mean_n", "force_max_n", "force_max_median_n"))
     missed = ", ".join(f"{count} {branch}" for branch, count in row["missed"].items())
-    print(f"{name:5}{len(won)} of {len(outcomes)}  {share}  {row['steps']} steps  {forces} N  {missed}", flush=True)
+    print(f"{name:22} {len(won)} of {len(outcomes)}  {share}  {row['steps']} steps  {forces} N  {missed}", flush=True)
     return row
 
 
@@ -93,27 +138,20 @@ def main() -> None:
     """Runs the command line."""
     given = arguments()
     try:
-        policy = read_policy(Path(given.policy)) if given.policy.endswith(".pt") else enn.load(given.policy)
-        by_roadmap, side = isinstance(policy, Policy), task_in_random_arches().image_size_px
-        if given.draw and not by_roadmap:
-            raise ValueError("--draw: a policy that sees images always takes the best action")
-        seeds, kinds = TEST_SEEDS[: given.arches], given.types.split(",")
-        keys = policy.keys if by_roadmap else ("goal_image",)
-        bare = ArchVarietyEnv(kinds, seeds, observation=keys, max_steps=given.max_steps, image_size=side)
+        players = [Player(name, given) for name in (given.policy, given.steep) if name is not None]
     except (OSError, ValueError) as error:
         sys.exit(str(error))
-    environment: Any = bare if by_roadmap else XrayEnvironment(bare, side)
-    rows, together, began = [], [], time.process_time()
-    for index, kind in enumerate(kinds):
-        outcomes, start = [], time.process_time()
-        for number in range(len(seeds)):
-            drawn = {"deterministic": not given.draw, "seed": number} if by_roadmap else {}
-            case = bare.case_of(index * len(seeds) + number)
-            outcomes.append(play(environment, policy.controller(**drawn), case, number))
+    rows, together, began, arches = [], [], time.process_time(), min(given.arches, len(TEST_SEEDS))
+    for index, kind in enumerate(given.types.split(",")):
+        start = time.process_time()
+        outcomes = [play(players, index * arches + number, number) for number in range(arches)]
         rows.append(row_of(kind, outcomes, time.process_time() - start))
         together += outcomes
+    for name, steep in ((f"set back below {STEEP_MM:g} mm", False), ("set back further", True)):
+        if part := [one for one in together if one.steep == steep]:
+            rows.append(row_of(name, part, 0.0))
     rows.append(row_of("all", together, time.process_time() - began))
-    print(json.dumps({"policy": given.policy, "drawn": given.draw, "rows": rows}))
+    print(json.dumps({"policy": given.policy, "steep": given.steep, "drawn": given.draw, "rows": rows}))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from itertools import islice
 
 from pipeline.anatomies.take_offs import set_back_mm
-from pipeline.stages.unseen.task import RESOLUTION, training_arch
+from pipeline.stages.unseen.task import RESOLUTION, TEST_PHANTOM, training_arch
 from pipeline.store.errors import ConfigurationError
 
 _OFTEN = 10  # arches between two lines of the log
@@ -15,7 +15,9 @@ _OFTEN = 10  # arches between two lines of the log
 _LOGGER = logging.getLogger(__name__)
 
 
-def with_steep_take_off(seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int) -> list[int]:
+def with_steep_take_off(
+    seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int, arches: str = TEST_PHANTOM
+) -> list[int]:
     """The first arches of a training that have a target set back far enough.
 
     They are built on the way, if they are not in the cache.
@@ -24,6 +26,7 @@ def with_steep_take_off(seeds: Iterable[int], targets: Sequence[str], least_mm: 
         seeds: to choose from, in order.
         targets: of which one at least has to be set back.
         least_mm: its set-back at least.
+        arches: as of `training_arch`.
 
     Returns:
         Their seeds.
@@ -34,7 +37,7 @@ def with_steep_take_off(seeds: Iterable[int], targets: Sequence[str], least_mm: 
     from cathsim import load_phantom
 
     def steep(seed: int) -> bool:
-        kind, own = training_arch(seed)
+        kind, own = training_arch(seed, arches)
         phantom = load_phantom(kind, seed=own, resolution=RESOLUTION)
         return max(set_back_mm(phantom, target) for target in targets) >= least_mm
 

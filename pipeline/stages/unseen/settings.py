@@ -105,10 +105,10 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
                 "with a catheter stage unseen trains by a roadmap alone: give stage.image=false stage.xray=false"
             )
 
-        if self.arches == VARIETY and (self.phantoms or self.mesh is not None or self.least_set_back_mm):
+        if self.arches == VARIETY and (self.phantoms or self.mesh is not None):
             raise ConfigurationError(
                 f"with stage.arches={VARIETY} policies are trained and tested in any such arches and in no others: "
-                "give stage.phantoms=[] stage.mesh=null stage.least_set_back_mm=0"
+                "give stage.phantoms=[] stage.mesh=null"
             )
 
     def learnt_targets(self) -> tuple[str, ...]:

@@ -191,13 +191,13 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
 def arches_of(settings: UnseenSettings, run_seed: int, count: int) -> tuple[list[int], list[int]]:
     """The arches that are trained in, so many, and those that choose the best policy."""
     least, chosen_by = settings.least_set_back_mm, settings.validation_anatomies
+    every = 1 if settings.arches == VARIETY else 2
     if not least:
-        every = 1 if settings.arches == VARIETY else 2
         return list(training_arches(run_seed, count)), list(validation_arches(chosen_by, every))
-    targets = settings.targets
+    targets, tried = settings.learnt_targets(), _MOST_TRIED
     return (
-        with_steep_take_off(training_arches(run_seed, _MOST_TRIED), targets, least, count),
-        with_steep_take_off(validation_arches(_MOST_TRIED // 2), targets, least, chosen_by),
+        with_steep_take_off(training_arches(run_seed, tried), targets, least, count, settings.arches),
+        with_steep_take_off(validation_arches(tried // 2, every), targets, least, chosen_by, settings.arches),
     )
 
 

@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cathsim import load_phantom
 from enn.policy import Policy
 from enn.shipped import weight_files
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
+from pipeline.anatomies.take_offs import set_back_mm
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.report.learning.tables import tables_from_logs
@@ -354,8 +356,8 @@ def test_arches_with_a_steep_take_off_are_chosen_in_order(monkeypatch: pytest.Mo
 
 
 def test_steep_arches_are_trained_in_and_chosen_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def every_tenth(seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int) -> list[int]:
-        assert (list(targets), least_mm) == (["bca", "lcca", "lsa"], 13.0)
+    def every_tenth(seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int, kind: str) -> list[int]:
+        assert (list(targets), least_mm, kind) == (["bca", "lcca", "lsa"], 13.0, "random")
         return list(seeds)[::10][:count]
 
     monkeypatch.setattr("pipeline.stages.unseen.stage.with_steep_take_off", every_tenth)
@@ -387,6 +389,15 @@ def test_plan_in_arch_variety_has_all_types_and_points_of_each_arch(tmp_path: Pa
     assert (given.settings.action_repeat, given.settings.reset_bank_cases) == (2, 16)  # 0.3 s; arches times points
 
 
+def test_arches_of_arch_variety_with_a_steep_point_are_found() -> None:
+    chosen = arches.with_steep_take_off(range(40), ("point_1", "point_2"), 8.0, 2, "arch_variety")
+    for seed in range(chosen[-1] + 1):
+        kind, own = training_arch(seed, "arch_variety")
+        phantom = load_phantom(kind, seed=own, resolution=1e-3)
+        steep = max(set_back_mm(phantom, target) for target in ("point_1", "point_2")) >= 8.0
+        assert steep == (seed in chosen)
+
+
 def test_environments_of_arch_variety_have_its_pace_and_points() -> None:
     task = UnseenTask(("point_1", "point_2"), variety().task, arches="arch_variety")
     for environment in (
@@ -401,7 +412,7 @@ def test_environments_of_arch_variety_have_its_pace_and_points() -> None:
         environment.close()
 
 
-@pytest.mark.parametrize("changed", [{"phantoms": ["type_1"]}, {"mesh": "aorta.stl"}, {"least_set_back_mm": 10.0}])
+@pytest.mark.parametrize("changed", [{"phantoms": ["type_1"]}, {"mesh": "aorta.stl"}])
 def test_arch_variety_takes_no_other_anatomies(changed: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError, match=r"give stage\.phantoms=\[\] stage\.mesh=null"):
         variety(**changed)
