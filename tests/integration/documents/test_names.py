@@ -34,7 +34,7 @@ DOTTED = re.compile(rf"(?:{'|'.join((*PACKAGES, 'pipeline'))})(?:\.\w+)+")
 ENTRY_POINTS = {"cathsim.recorders"}
 # Names that the documents give as examples, and one of torch.
 OTHER_NAMES = {"branch_1", "error_mm", "angle_deg", "autograd", "saved_tensors_hooks"}
-COMMIT = re.compile(r"[0-9a-f]{7}")
+HASH = re.compile(r"[0-9a-f]{7}|[0-9a-f]{12}")  # of a commit or of a model's file
 
 
 def run_settings() -> set[str]:
@@ -143,8 +143,9 @@ def test_settings_exist(document: Path) -> None:
 
 @functools.cache
 def source_words() -> set[str]:
-    """Every word of the sources, tests, settings and pages of the console."""
+    """Every word of the sources, tests, settings and pages of the console, and the names of the shipped models."""
     words = set(re.findall(r"\w+", read(PROJECT_ROOT / "Makefile")))
+    words.update(path.stem for path in (PROJECT_ROOT / "packages").glob("*/src/*/weights/*.pt"))
     for folder in ("packages", "pipeline", "conf", "benchmarks", "tests"):
         for path in (PROJECT_ROOT / folder).rglob("*"):
             if (
@@ -159,7 +160,7 @@ def source_words() -> set[str]:
 def test_identifiers_occur_in_the_sources(document: Path) -> None:
     names = [re.match(r"[A-Za-z_][\w.]*(?=[(=]|$)", text) for text in quoted(read(document))]
     parts = {part for name in names if name for part in name[0].split(".") if part}
-    assert not sorted(part for part in parts - source_words() - OTHER_NAMES if not COMMIT.fullmatch(part))
+    assert not sorted(part for part in parts - source_words() - OTHER_NAMES if not HASH.fullmatch(part))
 
 
 def require_imports(source: str) -> None:

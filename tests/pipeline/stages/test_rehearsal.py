@@ -32,6 +32,7 @@ from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
 
+GENERALIST = next(file for file in weight_files() if file.stem == "generalist")
 FIRST = ANATOMY_COPIES["test"].first
 TINY: dict[str, Any] = {
     "copies": 1,
@@ -116,7 +117,7 @@ def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("changed", "choose"),
-    [({}, True), ({"choose_catheter": False}, False), ({"policy": str(weight_files()[0])}, False)],
+    [({}, True), ({"choose_catheter": False}, False), ({"policy": str(GENERALIST)}, False)],
 )
 def test_a_catheter_is_chosen_unless_a_policy_is_given(
     changed: dict[str, Any], choose: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -167,7 +168,7 @@ def test_the_anatomy_is_a_file_a_name_or_a_seed() -> None:
 
 
 def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> None:
-    alone, shipped = Task(), weight_files()[0]
+    alone, shipped = Task(), GENERALIST
     assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == shipped
     file = tmp_path / "unseen/roadmap/seed0/policy.pt"
     file.parent.mkdir(parents=True)

@@ -13,8 +13,8 @@ from pipeline.stages.baselines import training_settings as of_baselines
 from pipeline.stages.enn import training_settings as of_enn
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings
+from pipeline.stages.unseen.roadmap_training import training_settings as of_unseen
 from pipeline.stages.unseen.settings import UnseenSettings
-from pipeline.stages.unseen.stage import training_settings as of_unseen
 from pipeline.store.errors import ConfigurationError
 
 PLACE = {"phantoms": ["type_1"], "targets": ["bca"]}
