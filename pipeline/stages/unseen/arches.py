@@ -1,4 +1,4 @@
-"""Random arches of the stage `unseen` with a steep take-off."""
+"""Which random arches the stage `unseen` trains in and chooses its best policy by; those with a steep take-off."""
 
 from __future__ import annotations
 
@@ -7,12 +7,28 @@ from collections.abc import Iterable, Sequence
 from itertools import islice
 
 from pipeline.anatomies.take_offs import set_back_mm
-from pipeline.stages.unseen.task import RESOLUTION, TEST_PHANTOM, training_arch
+from pipeline.seeds import training_arches, validation_arches
+from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.stages.unseen.task import RESOLUTION, TEST_PHANTOM, VARIETY, training_arch
 from pipeline.store.errors import ConfigurationError
 
+_MOST_TRIED = 1_000  # arches, to find those with a steep take-off
 _OFTEN = 10  # arches between two lines of the log
 
 _LOGGER = logging.getLogger(__name__)
+
+
+def arches_of(settings: UnseenSettings, run_seed: int, count: int) -> tuple[list[int], list[int]]:
+    """The arches that are trained in, so many, and those that choose the best policy."""
+    least, chosen_by = settings.least_set_back_mm, settings.validation_anatomies
+    every = 1 if settings.arches == VARIETY else 2
+    if not least:
+        return list(training_arches(run_seed, count)), list(validation_arches(chosen_by, every))
+    targets, tried = settings.learnt_targets(), _MOST_TRIED
+    return (
+        with_steep_take_off(training_arches(run_seed, tried), targets, least, count, settings.arches),
+        with_steep_take_off(validation_arches(tried // 2, every), targets, least, chosen_by, settings.arches),
+    )
 
 
 def with_steep_take_off(

@@ -28,12 +28,10 @@ from pipeline.stages.unseen.jobs import (
     build_anatomies,
     train_roadmap,
 )
+from pipeline.stages.unseen.plan import plan
+from pipeline.stages.unseen.roadmap_training import training_settings
 from pipeline.stages.unseen.settings import UnseenSettings
-from pipeline.stages.unseen.stage import (
-    check_unseen,
-    plan,
-    training_settings,
-)
+from pipeline.stages.unseen.stage import check_unseen
 from pipeline.stages.unseen.starts import StartsJob, lay_starts, read_starts
 from pipeline.stages.unseen.tables import curve, registration
 from pipeline.stages.unseen.task import UnseenTask, training_arch
@@ -360,7 +358,7 @@ def test_steep_arches_are_trained_in_and_chosen_by(tmp_path: Path, monkeypatch: 
         assert (list(targets), least_mm, kind) == (["bca", "lcca", "lsa"], 13.0, "random")
         return list(seeds)[::10][:count]
 
-    monkeypatch.setattr("pipeline.stages.unseen.stage.with_steep_take_off", every_tenth)
+    monkeypatch.setattr("pipeline.stages.unseen.arches.with_steep_take_off", every_tenth)
     wanted = settings(least_set_back_mm=13.0, image=False, xray=False, curve=[], test_anatomies=5)
     jobs = {job.key: job.given for job in plan(wanted, tmp_path, 1, "desk")}
     assert jobs["roadmap"].anatomies == tuple(range(1000, 1080, 10))

@@ -1,0 +1,85 @@
+"""How the roadmap policies of unseen anatomies are trained, and the policy that a training may start from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipeline.stages.learning.hyperparameters import with_hyperparameters
+from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.stages.unseen.task import ROADMAP_KEYS
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import decision_steps
+
+if TYPE_CHECKING:
+    from enn.policy import Policy
+    from enn.reinforcement.training import TrainingSettings
+
+EVALUATIONS = 5  # of a training
+STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
+BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
+_ACTS_FIRST = 0.05  # of the decisions, where a training starts from a policy: it fills the replay buffer
+
+
+def training_settings(
+    settings: UnseenSettings,
+    anatomies: int,
+    decisions: int,
+    evaluations: int = EVALUATIONS,
+    start: Policy | None = None,
+) -> TrainingSettings:
+    """Those of the roadmap policies: a wider network than for one anatomy, and a reset bank with its cases.
+
+    Args:
+        anatomies: how many the policy is trained on.
+        evaluations: on the validation anatomies, the best of which decides.
+        start: the policy that it starts from.
+    """
+    from enn.reinforcement.rehearsal import starting_from
+    from enn.reinforcement.training import DESK_SAC
+
+    training = replace(
+        DESK_SAC,
+        keys=ROADMAP_KEYS,
+        hidden=(settings.hidden, settings.hidden),
+        batch_size=256,
+        gradient_steps=0.5,
+        n_envs=16,
+        decisions=decisions,
+        buffer_size=max(decisions, 1000),
+        learning_starts=min(DESK_SAC.learning_starts, decisions // 4),
+        action_repeat=decision_steps(settings.task),
+        reset_bank_share=BANK_SHARE,
+        reset_bank_capacity=BANK_CAPACITY,
+        reset_bank_cases=anatomies * len(settings.learnt_targets()),
+        evaluate_every=max(decisions // evaluations, 1),
+        evaluation_episodes=settings.validation_episodes,
+        stop_after=STOP_AFTER,
+        tensorboard=settings.tensorboard,
+        keep_critics=True,  # a rehearsal starts from it
+    )
+    if start is not None:
+        training = starting_from(training, start, _ACTS_FIRST)
+    return with_hyperparameters(training, settings.training)
+
+
+def policy_to_start_from(settings: UnseenSettings) -> Policy | None:
+    """The policy of `stage.policy`, if there is one.
+
+    Raises:
+        ConfigurationError: it can't be read, has no critics, or sees something else than a roadmap.
+    """
+    if settings.policy is None:
+        return None
+    from enn.policy import Policy
+
+    try:
+        policy = Policy.load(Path(str(settings.policy)))
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"stage.policy={settings.policy} can't be read: {error}") from None
+    if not policy.critics or policy.keys != ROADMAP_KEYS:
+        raise ConfigurationError(
+            f"stage.policy={settings.policy} is no policy by a roadmap that was saved with critics: give such a one"
+        )
+    return policy
