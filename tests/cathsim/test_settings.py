@@ -37,6 +37,7 @@ RECORDS = {
     ),
     *("lattice.node_blocks:NodeBlocks", "lattice.node_set:NodeSet"),
     *("anatomy.entry:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),
+    "anatomy.generator.supra_aortic:_Origin",
     *("anatomy.phantom_cache:PhantomCache", "anatomy.phantom_cache:_FieldReader"),
     *("anatomy.volume.courses:Courses", "anatomy.volume.courses:Tip"),
     *("anatomy.volume.family:Family", "anatomy.volume.family:Link"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,131 +52,172 @@ def locate_origins(parameters: ArchParameters, aorta: Aorta) -> dict[str, int]:
     }
 
 
+@dataclass(frozen=True)
+class _Origin:
+    """Where a branch begins.
+
+    Attributes:
+        start: (3,) m, on its parent's centreline.
+        outward: (3,) unit vector to its ostium.
+        depth: m from the start to the ostium.
+        arc: m along the parent.
+    """
+
+    start: Array
+    outward: Array
+    depth: float
+    arc: float
+
+
 def grow_supra_aortic(
     parameters: ArchParameters, aorta: Aorta, origins: dict[str, int], rng: np.random.Generator
 ) -> list[Branch]:
     """Grows bca, rsa, rcca, lcca and lsa, each along key directions to the left (x), back (y) and up (z)."""
-    wind = parameters.branch_tortuosity
-    bca_origin, lcca_origin, lsa_origin = (
-        diameter / 2 for diameter in (parameters.bca_diameter, parameters.lcca_diameter, parameters.lsa_diameter)
-    )
+    origin = _origin_on_aorta(aorta, origins["bca"])
+    bca = _trunk(parameters, origin, rng)
+    rsa = _right_subclavian(parameters, bca, rng)
+    rcca = _right_carotid(parameters, bca, rng)
+    if parameters.bovine:
+        # A common origin: the left carotid leaves the trunk just above the aorta.
+        arc = float(bca.arc[np.searchsorted(bca.arc, origin.depth + 0.008)])
+        origin = _Origin(bca.point_at(arc), _unit(0.72, 0.25, 0.65), parameters.bca_diameter / 2, arc)
+    else:
+        origin = _origin_on_aorta(aorta, origins["lcca"])
+    lcca = _left_carotid(parameters, origin, rng)
+    lsa = _left_subclavian(parameters, _origin_on_aorta(aorta, origins["lsa"]), rng)
+    return [bca, rsa, rcca, lcca, lsa]
 
-    def origin(name: str) -> tuple[Array, Array, float, float]:
-        """Start on the aorta's axis, direction, distance to the ostium and arc length of a branch.
 
-        On the slopes of the arch a branch starts below its ostium, so that it leaves obliquely upwards.
-        """
-        ostium = origins[name]
-        lower = _LEAN * aorta.radius[ostium] * (1 - aorta.outward[ostium, 2]) / STEP
-        index = ostium - round(float(np.sign(aorta.tangents[ostium, 2]) * lower))
-        way = aorta.outer_wall[ostium] - aorta.points[index]
-        depth = float(np.linalg.norm(way))
-        return aorta.points[index], way / depth, depth, aorta.arc_of(index)
+def _origin_on_aorta(aorta: Aorta, ostium: int) -> _Origin:
+    """That of a branch whose ostium lies at a point of the aorta.
 
-    start, outward, depth, arc = origin("bca")
+    On the slopes of the arch it starts below its ostium, so that it leaves obliquely upwards.
+    """
+    lower = _LEAN * aorta.radius[ostium] * (1 - aorta.outward[ostium, 2]) / STEP
+    index = ostium - round(float(np.sign(aorta.tangents[ostium, 2]) * lower))
+    way = aorta.outer_wall[ostium] - aorta.points[index]
+    depth = float(np.linalg.norm(way))
+    return _Origin(aorta.points[index], way / depth, depth, aorta.arc_of(index))
+
+
+def _trunk(parameters: ArchParameters, origin: _Origin, rng: np.random.Generator) -> Branch:
+    depth, outward = origin.depth, origin.outward
+    length = depth + parameters.trunk_length
     leave = _leaning(parameters.bca_takeoff, [-0.95, 0.30])
     steeper = _leaning(0.55 * parameters.bca_takeoff, [-0.9, 0.45])
-    trunk_end = 0.78 * parameters.bca_diameter / 2
-    bca = grow_branch(
+    wide, narrow = parameters.bca_diameter / 2, _trunk_end(parameters)
+    return grow_branch(
         "bca",
-        start,
-        [(0.0, outward), (0.5 * depth, outward), (depth + 0.012, leave), (depth + parameters.trunk_length, steeper)],
-        [(0.0, bca_origin), (depth, bca_origin), (depth + 0.018, trunk_end), (0.2, trunk_end)],
-        depth + parameters.trunk_length,
+        origin.start,
+        [(0.0, outward), (0.5 * depth, outward), (depth + 0.012, leave), (length, steeper)],
+        [(0.0, wide), (depth, wide), (depth + 0.018, narrow), (0.2, narrow)],
+        length,
         parent="aorta",
-        parent_arc=arc,
-        winding_amplitude=0.5 * wind,
+        parent_arc=origin.arc,
+        winding_amplitude=0.5 * parameters.branch_tortuosity,
         rng=rng,
         open_end=False,
     )
-    fork, onward = bca.points[-1], bca.tangents[-1]
-    rsa_radius = 0.36 * parameters.lsa_diameter
-    rsa = grow_branch(
+
+
+def _right_subclavian(parameters: ArchParameters, bca: Branch, rng: np.random.Generator) -> Branch:
+    radius = 0.36 * parameters.lsa_diameter
+    return grow_branch(
         "rsa",
-        fork,
+        bca.points[-1],
         [
-            (0.0, onward),
+            (0.0, bca.tangents[-1]),
             (0.012, _unit(-0.75, 0.25, 0.60)),
             (0.028, _unit(-0.92, 0.10, 0.38)),
             (0.040, _unit(-0.95, -0.20, -0.15)),
         ],
-        [(0.0, 0.92 * trunk_end), (0.012, rsa_radius), (0.05, 0.95 * rsa_radius)],
+        [(0.0, 0.92 * _trunk_end(parameters)), (0.012, radius), (0.05, 0.95 * radius)],
         0.040,
         parent="bca",
         parent_arc=bca.length,
         winding_amplitude=0.0,
         rng=rng,
     )
-    carotid = 0.40 * parameters.lcca_diameter
-    rcca_length = max(0.046, parameters.carotid_length - 0.9 * parameters.trunk_length)
-    rcca = grow_branch(
+
+
+def _right_carotid(parameters: ArchParameters, bca: Branch, rng: np.random.Generator) -> Branch:
+    radius = _carotid(parameters)
+    length = max(0.046, parameters.carotid_length - 0.9 * parameters.trunk_length)
+    return grow_branch(
         "rcca",
-        fork,
+        bca.points[-1],
         [
-            (0.0, onward),
+            (0.0, bca.tangents[-1]),
             (0.014, _unit(0.06, 0.12, 1.0)),
-            (0.6 * rcca_length, _unit(0.05, 0.16, 1.0)),
-            (rcca_length, _unit(-0.10, 0.10, 1.0)),
+            (0.6 * length, _unit(0.05, 0.16, 1.0)),
+            (length, _unit(-0.10, 0.10, 1.0)),
         ],
-        [(0.0, 0.85 * trunk_end), (0.014, carotid), (rcca_length, 0.95 * carotid)],
-        rcca_length,
+        [(0.0, 0.85 * _trunk_end(parameters)), (0.014, radius), (length, 0.95 * radius)],
+        length,
         parent="bca",
         parent_arc=bca.length,
-        winding_amplitude=wind,
+        winding_amplitude=parameters.branch_tortuosity,
         rng=rng,
     )
 
-    if parameters.bovine:
-        # A common origin: the left carotid leaves the trunk just above the aorta.
-        arc = bca.arc[np.searchsorted(bca.arc, depth + 0.008)]
-        depth = parameters.bca_diameter / 2
-        start = bca.point_at(arc)
-        outward = _unit(0.72, 0.25, 0.65)
-    else:
-        start, outward, depth, arc = origin("lcca")
+
+def _left_carotid(parameters: ArchParameters, origin: _Origin, rng: np.random.Generator) -> Branch:
+    depth, outward = origin.depth, origin.outward
+    length = depth + parameters.carotid_length
     leave = _leaning(parameters.lcca_takeoff, [0.9, 0.1])
-    end = depth + parameters.carotid_length
-    lcca = grow_branch(
+    wide, radius = parameters.lcca_diameter / 2, _carotid(parameters)
+    return grow_branch(
         "lcca",
-        start,
+        origin.start,
         [
             (0.0, outward),
             (0.5 * depth, outward),
             (depth + 0.010, leave),
             (depth + 0.5 * parameters.carotid_length, _unit(0.04, 0.16, 1.0)),
-            (end, _unit(0.06, 0.05, 1.0)),
+            (length, _unit(0.06, 0.05, 1.0)),
         ],
-        [(0.0, lcca_origin), (depth, lcca_origin), (depth + 0.014, carotid), (end, 0.95 * carotid)],
-        end,
+        [(0.0, wide), (depth, wide), (depth + 0.014, radius), (length, 0.95 * radius)],
+        length,
         parent="bca" if parameters.bovine else "aorta",
-        parent_arc=float(arc),
-        winding_amplitude=wind,
+        parent_arc=origin.arc,
+        winding_amplitude=parameters.branch_tortuosity,
         rng=rng,
     )
 
-    start, outward, depth, arc = origin("lsa")
+
+def _left_subclavian(parameters: ArchParameters, origin: _Origin, rng: np.random.Generator) -> Branch:
+    depth, outward = origin.depth, origin.outward
+    length = depth + parameters.subclavian_length
     leave = _leaning(parameters.lsa_takeoff, [0.75, 0.55])
-    narrow = 0.37 * parameters.lsa_diameter
-    end = depth + parameters.subclavian_length
-    lsa = grow_branch(
+    wide, narrow = parameters.lsa_diameter / 2, 0.37 * parameters.lsa_diameter
+    return grow_branch(
         "lsa",
-        start,
+        origin.start,
         [
             (0.0, outward),
             (0.5 * depth, outward),
             (depth + 0.010, leave),
             (depth + 0.40 * parameters.subclavian_length, _unit(0.30, 0.12, 0.94)),
             (depth + 0.75 * parameters.subclavian_length, _unit(0.80, -0.10, 0.55)),
-            (end, _unit(0.95, -0.30, -0.10)),
+            (length, _unit(0.95, -0.30, -0.10)),
         ],
-        [(0.0, lsa_origin), (depth, lsa_origin), (depth + 0.018, narrow), (end, 0.92 * narrow)],
-        end,
+        [(0.0, wide), (depth, wide), (depth + 0.018, narrow), (length, 0.92 * narrow)],
+        length,
         parent="aorta",
-        parent_arc=arc,
-        winding_amplitude=0.7 * wind,
+        parent_arc=origin.arc,
+        winding_amplitude=0.7 * parameters.branch_tortuosity,
         rng=rng,
     )
-    return [bca, rsa, rcca, lcca, lsa]
+
+
+def _trunk_end(parameters: ArchParameters) -> float:
+    """m: the radius of the brachiocephalic trunk where it forks."""
+    return 0.78 * parameters.bca_diameter / 2
+
+
+def _carotid(parameters: ArchParameters) -> float:
+    """m: the radius of both carotids behind their ostia."""
+    return 0.40 * parameters.lcca_diameter
 
 
 def _leaning(angle: float, horizontal: list[float]) -> Array:

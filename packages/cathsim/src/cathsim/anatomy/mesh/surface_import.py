@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.centreline import LumenPaths, Voxels
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.mesh.arches.arch_naming import LabelOf, labelled_names, labelled_sides, name_vessels
-from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels, turned
+from cathsim.anatomy.mesh.branches import RoughVessel, turned
 from cathsim.anatomy.mesh.budget import Budget
-from cathsim.anatomy.mesh.cavity import Cavity, find_cavity, largest_part
+from cathsim.anatomy.mesh.cavity import Cavity, find_cavity
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity, voxels_away
-from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, same_end, severs
 from cathsim.anatomy.mesh.lattice import lattice_spacing
+from cathsim.anatomy.mesh.lumen_vessels import find_ends, find_vessels
 from cathsim.anatomy.mesh.naming import (
-    ascending_score,
     ordered_names,
     propose_entries,
     propose_targets,
@@ -32,6 +32,7 @@ from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, draw_ref
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
 from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.vessel_tree import VesselTree
 
 logger = logging.getLogger(__name__)
 
@@ -39,11 +40,6 @@ LEAST_WIDTH = 1e-3  # m: a lumen of a smaller radius is too narrow for a wire to
 _PASSABLE = 6e-4  # m: the aorta of a smaller radius lets no wire pass
 _CHILD = 16e-3  # m of width, of the widest place: narrower aortas get a grid of half the distance
 _FINEST_GRID = 5e-4  # m
-_TORN_OFF = 0.03  # of the lumen: a part of this size that no coarse voxel joins to the rest is no speck
-_AT_OPENING = 3.0  # coarse voxels between the middle of an opening and the lumen's nearest one
-_SHORT_OF = 4e-3  # m before an opening at which an end that was found otherwise may lie
-_BESIDE = 1.6  # radii from the middle of an end: a way that leads further off leads elsewhere
-_NARROWER = 0.7  # of a wide vessel's radius: the end of a short one beside it is not wider
 _SAMPLES = 0.7  # voxels between points on the surface
 
 Names = Mapping[str, str] | Sequence[str] | None
@@ -101,6 +97,25 @@ def phantom_of_surface(
         raise MeshRefusedError(error.reason, drawn) from None
 
 
+@dataclass(frozen=True)
+class _Pose:
+    """From the surface's frame to the phantom's: turned, then moved.
+
+    Attributes:
+        rotation: (3, 3).
+        offset: (3,) m.
+        axes_kept: whether each axis stays along an axis.
+    """
+
+    rotation: Array
+    offset: Array
+    axes_kept: bool
+
+    def in_surface(self, points: Array) -> Array:
+        """Points (..., 3) m of the phantom, in the surface's frame."""
+        return (points - self.offset) @ self.rotation
+
+
 @dataclass(eq=False)
 class SurfaceImport:
     """One import; keeps what it found so far, for a picture of a refusal."""
@@ -116,87 +131,28 @@ class SurfaceImport:
     samples: SurfaceSamples | None = None
     cavity: Cavity | None = None
     surface: Array | None = None
+    notes: list[str] = field(default_factory=list)
 
     def phantom(self, mesh: Triangles) -> Phantom:
         """Builds the phantom."""
-        notes = self.facts.notes
-        mesh, more = clean_triangles(mesh)
-        notes += more
-        self.surface = mesh.corners.mean(axis=1)
-        if len(mesh.faces) < 4:
-            raise MeshRefusedError(f"{self.facts.file} holds no surface; its faces have no area.")
-        mesh, openings, put_back = close_openings(mesh)
-        if put_back:
-            notes += (f"{put_back} missing triangles put back",)
-        sides = np.ptp(mesh.bounds, axis=0)
-        width = self.facts.width or measure_size(mesh, self.budget).width
-        if width < _CHILD and self.resolution / 2 >= _FINEST_GRID:
-            self.resolution /= 2
-            notes += (f"distances every {1e3 * self.resolution:g} mm: its vessels are a child's",)
-        spacing = lattice_spacing(width, sides, self.resolution, self.budget, self.facts.unit)
-        self.samples = sample_surface(mesh.corners, _SAMPLES * spacing, self.budget)
-        self.budget.check_time("finding the lumen")
-        self.cavity = cavity = find_cavity(self.samples, spacing)
-        scale = self.facts.scale
-        given = self.facts.unit_reason == "given"
-        if given and (hint := Size(2 * cavity.widest / scale, mesh.extent / scale).hint(self.facts.unit)):
-            notes += (hint,)
+        self.notes = list(self.facts.notes)
+        mesh, openings = self._closed(mesh)
+        samples, cavity = self._lumen(mesh)
         self.budget.check_time("finding its ends")
-        ends, lost = _find_ends(cavity, openings)
-        notes += lost
+        ends, lost = find_ends(cavity, openings)
+        self.notes += lost
         inside = trim_cavity(cavity, ends)
         away = voxels_away(inside)
-        surface = lumen_samples(self.samples, cavity, inside, ends, away)
+        surface = lumen_samples(samples, cavity, inside, ends, away)
         self.budget.check_time("finding its vessels")
-        aorta, ends = _find_vessels(cavity, inside, ends)
-
-        if self.frame is None:
-            leftward = None if self.label_of is None else labelled_sides(aorta, self.label_of)
-            rotation, kept = world_rotation(aorta, leftward)
-        else:
-            rotation = np.asarray(self.frame, dtype=np.float64)
-            kept = bool(np.isclose(np.abs(rotation).max(axis=1), 1.0).all())
-        lumen = (cavity.origin + np.argwhere(inside) * spacing) @ rotation.T
-        offset = -(lumen.min(axis=0) + lumen.max(axis=0)) / 2
-        if not kept and self.frame is None:
-            notes += ("the file's axes are not the patient's: the pose is estimated from the vessels",)
-        aorta = turned(aorta, rotation, offset)
-        if self.label_of is None:
-            automatic, named = name_vessels(aorta, sides_known=self.frame is not None)
-        else:
-            label_of = self.label_of
-            automatic, named = labelled_names(aorta, lambda points: label_of((points - offset) @ rotation))
-        own = self.names if self.names is None or isinstance(self.names, Mapping) else None
-        if self.names is not None and own is None:
-            own = ordered_names(aorta, automatic, list(self.names))
-        final = renamed(automatic, own)
-        while True:
-            self.budget.check_time("measuring distances to its wall")
-            grid = distance_grid(
-                surface, cavity, inside, ends, away, rotation=rotation, offset=offset, resolution=self.resolution
-            )
-            self.budget.check_time("drawing its centrelines")
-            least = max(LEAST_WIDTH, 1.25 * self.resolution)
-            tree, left_out = grow_tree(aorta, final, grid, TreeSettings(least))
-            thinnest = int(np.argmin(tree.root.radius))
-            narrowest = float(tree.root.radius[thinnest])
-            if narrowest >= least or self.resolution / 2 < _FINEST_GRID:
-                break
-            self.resolution /= 2
-            notes += (f"distances every {1e3 * self.resolution:g} mm: the aorta is narrow",)
-        if narrowest < least and grid.sample(tree.root.points[thinnest]) <= 0:
-            place = (tree.root.points[thinnest] - offset) @ rotation / scale
-            raise MeshRefusedError(
-                f"the aorta cannot be followed at ({', '.join(f'{x:.4g}' for x in place)}) of the file: its surface is "
-                "torn, doubled or badly closed there; repair it, or cut the mesh to the arch and its branches."
-            )
-        if narrowest < _PASSABLE:
-            raise MeshRefusedError(
-                f"the aorta narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire "
-                f"({_PASSABLE * 1e3:.1f} mm); check the unit, here {self.facts.unit}."
-            )
-        if narrowest < least:
-            notes += (f"the aorta narrows to {narrowest * 1e3:.1f} mm of radius",)
+        aorta = find_vessels(cavity, inside, ends)
+        pose = self._pose(aorta, cavity.origin + np.argwhere(inside) * cavity.spacing)
+        aorta = turned(aorta, pose.rotation, pose.offset)
+        automatic, final, named = self._named(aorta, pose)
+        grid_of = partial(
+            distance_grid, surface, cavity, inside, ends, away, rotation=pose.rotation, offset=pose.offset
+        )
+        tree, grid, left_out = self._measured(aorta, final, grid_of, pose)
         targets, shortened = propose_targets(tree)
         if not targets:
             raise MeshRefusedError("no branch of this vessel is wide and long enough for a wire and a target.")
@@ -209,17 +165,103 @@ class SurfaceImport:
             faces=self.facts.faces,
             kind=cavity.kind,
             borders=len(openings),
-            rotation=tuple(tuple(float(x) for x in row) for row in rotation),  # type: ignore[misc]
-            offset=tuple(float(x) for x in offset),  # type: ignore[arg-type]
-            scale=scale,
-            axes_kept=kept,
+            rotation=tuple(tuple(float(x) for x in row) for row in pose.rotation),  # type: ignore[misc]
+            offset=tuple(float(x) for x in pose.offset),  # type: ignore[arg-type]
+            scale=self.facts.scale,
+            axes_kept=pose.axes_kept,
             automatic_names={automatic[key]: name for key, name in final.items() if name in tree},
             way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
-            notes=notes + named + left_out + shortened,
+            notes=(*self.notes, *named, *left_out, *shortened),
         )
         for note in report.notes:
             logger.info("%s: %s.", self.facts.file, note)
         return replace(phantom, imported=report)
+
+    def _closed(self, mesh: Triangles) -> tuple[Triangles, Array]:
+        """The surface without what is no triangle and with its openings closed, and where these are."""
+        mesh, notes = clean_triangles(mesh)
+        self.notes += notes
+        self.surface = mesh.corners.mean(axis=1)
+        if len(mesh.faces) < 4:
+            raise MeshRefusedError(f"{self.facts.file} holds no surface; its faces have no area.")
+        mesh, openings, put_back = close_openings(mesh)
+        if put_back:
+            self.notes.append(f"{put_back} missing triangles put back")
+        return mesh, openings
+
+    def _lumen(self, mesh: Triangles) -> tuple[SurfaceSamples, Cavity]:
+        """Points on the surface, and the lumen that it encloses."""
+        width = self.facts.width or measure_size(mesh, self.budget).width
+        if width < _CHILD and self.resolution / 2 >= _FINEST_GRID:
+            self.resolution /= 2
+            self.notes.append(f"distances every {1e3 * self.resolution:g} mm: its vessels are a child's")
+        sides = np.ptp(mesh.bounds, axis=0)
+        spacing = lattice_spacing(width, sides, self.resolution, self.budget, self.facts.unit)
+        self.samples = sample_surface(mesh.corners, _SAMPLES * spacing, self.budget)
+        self.budget.check_time("finding the lumen")
+        self.cavity = cavity = find_cavity(self.samples, spacing)
+        if self.facts.unit_reason == "given":
+            size = Size(2 * cavity.widest / self.facts.scale, mesh.extent / self.facts.scale)
+            if hint := size.hint(self.facts.unit):
+                self.notes.append(hint)
+        return self.samples, cavity
+
+    def _pose(self, aorta: RoughVessel, lumen: Array) -> _Pose:
+        """How the lumen (n, 3) m is turned into the patient's axes and centred."""
+        if self.frame is None:
+            leftward = None if self.label_of is None else labelled_sides(aorta, self.label_of)
+            rotation, kept = world_rotation(aorta, leftward)
+            if not kept:
+                self.notes.append("the file's axes are not the patient's: the pose is estimated from the vessels")
+        else:
+            rotation = np.asarray(self.frame, dtype=np.float64)
+            kept = bool(np.isclose(np.abs(rotation).max(axis=1), 1.0).all())
+        lumen = lumen @ rotation.T
+        return _Pose(rotation, -(lumen.min(axis=0) + lumen.max(axis=0)) / 2, kept)
+
+    def _named(self, aorta: RoughVessel, pose: _Pose) -> tuple[dict[int, str], dict[int, str], tuple[str, ...]]:
+        """Automatic and final names of the vessels, and notes on them."""
+        if self.label_of is None:
+            automatic, notes = name_vessels(aorta, sides_known=self.frame is not None)
+        else:
+            label_of = self.label_of
+            automatic, notes = labelled_names(aorta, lambda points: label_of(pose.in_surface(points)))
+        own = self.names if self.names is None or isinstance(self.names, Mapping) else None
+        if self.names is not None and own is None:
+            own = ordered_names(aorta, automatic, list(self.names))
+        return automatic, renamed(automatic, own), notes
+
+    def _measured(
+        self, aorta: RoughVessel, names: dict[int, str], grid_of: Callable[..., SignedDistanceGrid], pose: _Pose
+    ) -> tuple[VesselTree, SignedDistanceGrid, tuple[str, ...]]:
+        """Centrelines and distance grid, a finer one where the aorta is narrow, and notes on vessels left out."""
+        while True:
+            self.budget.check_time("measuring distances to its wall")
+            grid = grid_of(resolution=self.resolution)
+            self.budget.check_time("drawing its centrelines")
+            least = max(LEAST_WIDTH, 1.25 * self.resolution)
+            tree, left_out = grow_tree(aorta, names, grid, TreeSettings(least))
+            thinnest = int(np.argmin(tree.root.radius))
+            narrowest = float(tree.root.radius[thinnest])
+            if narrowest >= least:
+                return tree, grid, left_out
+            if self.resolution / 2 < _FINEST_GRID:
+                break
+            self.resolution /= 2
+            self.notes.append(f"distances every {1e3 * self.resolution:g} mm: the aorta is narrow")
+        if grid.sample(tree.root.points[thinnest]) <= 0:
+            place = pose.in_surface(tree.root.points[thinnest]) / self.facts.scale
+            raise MeshRefusedError(
+                f"the aorta cannot be followed at ({', '.join(f'{x:.4g}' for x in place)}) of the file: its surface is "
+                "torn, doubled or badly closed there; repair it, or cut the mesh to the arch and its branches."
+            )
+        if narrowest < _PASSABLE:
+            raise MeshRefusedError(
+                f"the aorta narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire "
+                f"({_PASSABLE * 1e3:.1f} mm); check the unit, here {self.facts.unit}."
+            )
+        self.notes.append(f"the aorta narrows to {narrowest * 1e3:.1f} mm of radius")
+        return tree, grid, left_out
 
     def picture(self, reason: str, path: Path) -> Path | None:
         """Draws what came."""
@@ -230,128 +272,3 @@ class SurfaceImport:
         if self.cavity is not None:
             found = self.cavity.origin + np.argwhere(self.cavity.inside) * self.cavity.spacing
         return draw_refusal(surface, found, f"{self.facts.file}: {reason}", path)
-
-
-def _find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[str, ...]]:
-    """The ends of all vessels, and notes on those that were given up.
-
-    A lumen of fewer than three ends has no branch to steer into.
-    """
-    from scipy.ndimage import binary_dilation, label
-
-    paths = _coarse(cavity, cavity.inside)
-    labels, _ = label(paths.inside, np.ones((3, 3, 3)))
-    parts = np.sort(np.bincount(labels[paths.inside]))[::-1]
-    if parts[1] > _TORN_OFF * parts.sum():
-        raise MeshRefusedError(
-            f"the lumen narrows to less than {1e3 * paths.spacing:.1f} mm of width between two parts of it, too narrow "
-            "for a wire at this resolution; take a finer one, or check the unit."
-        )
-    voxels = paths.ends(_voxels_at(paths, openings))
-    if len(voxels) < 2:
-        raise MeshRefusedError("the lumen is no vessel: it has no two ends; expected an aorta with its branches.")
-    ways = paths.ways(voxels[0], voxels[1:])
-    longest = max(ways, key=len)
-    wall = binary_dilation(cavity.wall)
-    found: list[tuple[VesselEnd, Voxels]] = []
-    lost = 0
-    for way in [longest[::-1], *ways]:
-        points, depth = paths.points(way), paths.depth[tuple(way.T)]
-        end = find_end(cavity, wall, points, depth)
-        if end is not None and (others := [o for o, _ in found if same_end(end, o) and _is_beside(o, points[-1])]):
-            # A short vessel beside a wide one: what was found is that one's end.
-            end = end_at_opening(cavity, points, depth, openings, flared=True)
-            end = end or find_end(cavity, wall, points, depth, others)
-            if end is not None and end.radius > _NARROWER * others[0].radius:
-                end = None
-        else:
-            open_end = end_at_opening(cavity, points, depth, openings)
-            if open_end is not None and (end is None or (end.centre - open_end.centre) @ open_end.normal < -_SHORT_OF):
-                end = open_end
-        if end is None:
-            lost += 1
-        elif not any(same_end(end, other) for other, _ in found):
-            found.append((end, way))
-    ends = [
-        end
-        for end, own in found
-        if not any(severs(end, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
-    ]
-    lost += len(found) - len(ends)
-    if lost > len(voxels) // 2:
-        raise MeshRefusedError(
-            f"no wall surrounds the vessel at {lost} of the lumen's {len(voxels)} ends: loose sheets or spikes stand "
-            "in it, or its wall is torn; repair the mesh, or cut it to the arch and its branches."
-        )
-    if len(ends) < 3:
-        raise MeshRefusedError(
-            f"the lumen has {len(ends)} ends, an aorta with a branch has at least three; "
-            "a vessel without a side branch offers no target."
-        )
-    return ends, (f"{lost} of {len(voxels)} ends of vessels left out: the wall does not surround them",) if lost else ()
-
-
-def _leads_elsewhere(way: Voxels, own: Voxels) -> bool:
-    """Whether a way has other ends than the one that an end was found along."""
-    return not (np.array_equal(way[0], own[0]) and np.array_equal(way[-1], own[-1]))
-
-
-def _voxels_at(paths: LumenPaths, places: Array) -> Voxels:
-    """The lumen's voxels (k, 3) next to those of some places (n, 3) m that lie at the lumen, the widest first."""
-    lumen = np.argwhere(paths.inside)
-    if len(places) == 0:
-        return lumen[:0]
-    from scipy.spatial import cKDTree
-
-    away, nearest = cKDTree(paths.points(lumen)).query(places)
-    at = lumen[nearest[away < _AT_OPENING * paths.spacing]]
-    return at[np.argsort(-paths.depth[tuple(at.T)], kind="stable")]
-
-
-def _is_beside(end: VesselEnd, tip: Array) -> bool:
-    """Whether a way's last point lies beside the vessel that an end closes."""
-    return bool(np.linalg.norm(tip - end.centre) > _BESIDE * end.radius)
-
-
-def _find_vessels(
-    cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd]
-) -> tuple[RoughVessel, list[VesselEnd]]:
-    """Vessels between the ends, from the descending end of the aorta on."""
-    paths = _coarse(cavity, inside)
-    lumen = np.argwhere(largest_part(paths.inside, np.ones((3, 3, 3))))  # no way leads to the other parts
-    at = paths.points(lumen)
-    places = []
-    for end in ends:
-        behind = end.centre - min(0.5 * end.radius, 3e-3) * end.normal
-        away = ((at - behind) ** 2).sum(axis=1)
-        nearest = int(np.argmin(away))
-        if away[nearest] > (end.radius + 4 * cavity.spacing) ** 2:
-            raise MeshRefusedError(
-                "the lumen falls apart where its ends are cut: its surface is torn, doubled or crosses itself; repair "
-                "it, or cut the mesh to the arch and its branches."
-            )
-        places.append(lumen[nearest])
-    by_radius = sorted(range(len(ends)), key=lambda n: -ends[n].radius)
-
-    def vessels(first: int, last: int) -> RoughVessel:
-        others = [n for n in range(len(ends)) if n != first]
-        ways = paths.ways(places[first], np.array([places[n] for n in others]))
-        points = [
-            np.concatenate([ends[first].centre[None], paths.points(way)[1:-1], ends[n].centre[None]])
-            for n, way in zip(others, ways, strict=True)
-        ]
-        depths = [paths.depth[tuple(way.T)] for way in ways]
-        return build_vessels(ways, points, depths, others.index(last))
-
-    first, last = by_radius[1], by_radius[0]
-    aorta = vessels(first, last)
-    if ascending_score(aorta, ends[first].radius, ends[last].radius) < 0:
-        aorta = vessels(last, first)
-    if not aorta.children:
-        raise MeshRefusedError("the aorta has no branch to steer into; expected an aortic arch with its branches.")
-    return aorta, ends
-
-
-def _coarse(cavity: Cavity, inside: NDArray[np.bool_]) -> LumenPaths:
-    """Every second voxel: fine enough for ways, and eight times as fast."""
-    return LumenPaths(np.ascontiguousarray(inside[::2, ::2, ::2]), cavity.origin, 2 * cavity.spacing)

@@ -1,0 +1,149 @@
+"""The ends of all vessels of a lumen, and the vessels between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.centreline import LumenPaths, Voxels
+from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels
+from cathsim.anatomy.mesh.cavity import Cavity, largest_part
+from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, same_end, severs
+from cathsim.anatomy.mesh.naming import ascending_score
+from cathsim.anatomy.mesh.report import MeshRefusedError
+
+_TORN_OFF = 0.03  # of the lumen: a part of this size that no coarse voxel joins to the rest is no speck
+_AT_OPENING = 3.0  # coarse voxels between the middle of an opening and the lumen's nearest one
+_SHORT_OF = 4e-3  # m before an opening at which an end that was found otherwise may lie
+_BESIDE = 1.6  # radii from the middle of an end: a way that leads further off leads elsewhere
+_NARROWER = 0.7  # of a wide vessel's radius: the end of a short one beside it is not wider
+
+Array = NDArray[np.float64]
+
+
+def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[str, ...]]:
+    """The ends of all vessels, and notes on those that were given up.
+
+    Raises:
+        MeshRefusedError: there are fewer than three, so no branch to steer into, or it is no vessel at all.
+    """
+    from scipy.ndimage import binary_dilation, label
+
+    paths = _coarse(cavity, cavity.inside)
+    labels, _ = label(paths.inside, np.ones((3, 3, 3)))
+    parts = np.sort(np.bincount(labels[paths.inside]))[::-1]
+    if parts[1] > _TORN_OFF * parts.sum():
+        raise MeshRefusedError(
+            f"the lumen narrows to less than {1e3 * paths.spacing:.1f} mm of width between two parts of it, too narrow "
+            "for a wire at this resolution; take a finer one, or check the unit."
+        )
+    voxels = paths.ends(_voxels_at(paths, openings))
+    if len(voxels) < 2:
+        raise MeshRefusedError("the lumen is no vessel: it has no two ends; expected an aorta with its branches.")
+    ways = paths.ways(voxels[0], voxels[1:])
+    longest = max(ways, key=len)
+    wall = binary_dilation(cavity.wall)
+    found: list[tuple[VesselEnd, Voxels]] = []
+    lost = 0
+    for way in [longest[::-1], *ways]:
+        points, depth = paths.points(way), paths.depth[tuple(way.T)]
+        end = find_end(cavity, wall, points, depth)
+        if end is not None and (others := [o for o, _ in found if same_end(end, o) and _is_beside(o, points[-1])]):
+            # A short vessel beside a wide one: what was found is that one's end.
+            end = end_at_opening(cavity, points, depth, openings, flared=True)
+            end = end or find_end(cavity, wall, points, depth, others)
+            if end is not None and end.radius > _NARROWER * others[0].radius:
+                end = None
+        else:
+            open_end = end_at_opening(cavity, points, depth, openings)
+            if open_end is not None and (end is None or (end.centre - open_end.centre) @ open_end.normal < -_SHORT_OF):
+                end = open_end
+        if end is None:
+            lost += 1
+        elif not any(same_end(end, other) for other, _ in found):
+            found.append((end, way))
+    ends = [
+        end
+        for end, own in found
+        if not any(severs(end, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
+    ]
+    lost += len(found) - len(ends)
+    if lost > len(voxels) // 2:
+        raise MeshRefusedError(
+            f"no wall surrounds the vessel at {lost} of the lumen's {len(voxels)} ends: loose sheets or spikes stand "
+            "in it, or its wall is torn; repair the mesh, or cut it to the arch and its branches."
+        )
+    if len(ends) < 3:
+        raise MeshRefusedError(
+            f"the lumen has {len(ends)} ends, an aorta with a branch has at least three; "
+            "a vessel without a side branch offers no target."
+        )
+    return ends, (f"{lost} of {len(voxels)} ends of vessels left out: the wall does not surround them",) if lost else ()
+
+
+def _leads_elsewhere(way: Voxels, own: Voxels) -> bool:
+    """Whether a way has other ends than the one that an end was found along."""
+    return not (np.array_equal(way[0], own[0]) and np.array_equal(way[-1], own[-1]))
+
+
+def _voxels_at(paths: LumenPaths, places: Array) -> Voxels:
+    """The lumen's voxels (k, 3) next to those of some places (n, 3) m that lie at the lumen, the widest first."""
+    lumen = np.argwhere(paths.inside)
+    if len(places) == 0:
+        return lumen[:0]
+    from scipy.spatial import cKDTree
+
+    away, nearest = cKDTree(paths.points(lumen)).query(places)
+    at = lumen[nearest[away < _AT_OPENING * paths.spacing]]
+    return at[np.argsort(-paths.depth[tuple(at.T)], kind="stable")]
+
+
+def _is_beside(end: VesselEnd, tip: Array) -> bool:
+    """Whether a way's last point lies beside the vessel that an end closes."""
+    return bool(np.linalg.norm(tip - end.centre) > _BESIDE * end.radius)
+
+
+def find_vessels(cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd]) -> RoughVessel:
+    """The aorta with its branches, from its descending end on.
+
+    Raises:
+        MeshRefusedError: the ends are not of one lumen, or the aorta has no branch.
+    """
+    paths = _coarse(cavity, inside)
+    lumen = np.argwhere(largest_part(paths.inside, np.ones((3, 3, 3))))  # no way leads to the other parts
+    at = paths.points(lumen)
+    places = []
+    for end in ends:
+        behind = end.centre - min(0.5 * end.radius, 3e-3) * end.normal
+        away = ((at - behind) ** 2).sum(axis=1)
+        nearest = int(np.argmin(away))
+        if away[nearest] > (end.radius + 4 * cavity.spacing) ** 2:
+            raise MeshRefusedError(
+                "the lumen falls apart where its ends are cut: its surface is torn, doubled or crosses itself; repair "
+                "it, or cut the mesh to the arch and its branches."
+            )
+        places.append(lumen[nearest])
+    by_radius = sorted(range(len(ends)), key=lambda n: -ends[n].radius)
+
+    def vessels(first: int, last: int) -> RoughVessel:
+        others = [n for n in range(len(ends)) if n != first]
+        ways = paths.ways(places[first], np.array([places[n] for n in others]))
+        points = [
+            np.concatenate([ends[first].centre[None], paths.points(way)[1:-1], ends[n].centre[None]])
+            for n, way in zip(others, ways, strict=True)
+        ]
+        depths = [paths.depth[tuple(way.T)] for way in ways]
+        return build_vessels(ways, points, depths, others.index(last))
+
+    first, last = by_radius[1], by_radius[0]
+    aorta = vessels(first, last)
+    if ascending_score(aorta, ends[first].radius, ends[last].radius) < 0:
+        aorta = vessels(last, first)
+    if not aorta.children:
+        raise MeshRefusedError("the aorta has no branch to steer into; expected an aortic arch with its branches.")
+    return aorta
+
+
+def _coarse(cavity: Cavity, inside: NDArray[np.bool_]) -> LumenPaths:
+    """Every second voxel: fine enough for ways, and eight times as fast."""
+    return LumenPaths(np.ascontiguousarray(inside[::2, ::2, ::2]), cavity.origin, 2 * cavity.spacing)
