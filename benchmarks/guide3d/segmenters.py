@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from real_xray import annotated_images
+from real_xray import NEAR_PX, annotated_images, drawn
 
 from guide3d.dataset.dataset import VIEWS, Dataset, images_of, split
 from guide3d.geometry.polyline import resample
@@ -38,7 +38,7 @@ from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.reading.maps import Reader
 
-WIDTH_PX, NEAR_PX, LEVEL, DRAWS = 6, 4.0, 0.5, 2000
+LEVEL, DRAWS = 0.5, 2000
 ONE_WIRE = FluoroscopySettings(no_wire=0.0, two_devices=0.0, field=0.0, catheter=0.0)
 RANDOM = {"random, no clutter": replace(ONE_WIRE, clutter=1e-6, contrast=0.0), "random": ONE_WIRE}
 Image = NDArray[np.uint8]
@@ -56,8 +56,8 @@ def of_data_set(data: Dataset, count: int, fluoroscopy: RandomFluoroscopy | None
             yield frame.image(VIEWS[camera]), line
             continue
         side, scale = data.side_px, fluoroscopy.settings.image_px / data.side_px
-        drawn = fluoroscopy.along(item, [(line + 0.5) * scale - 0.5]).image
-        yield cv2.resize(drawn, (side, side), interpolation=cv2.INTER_AREA), line
+        image = fluoroscopy.along(item, [(line + 0.5) * scale - 0.5]).image
+        yield cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA), line
 
 
 def of_real(folder: Path, curves: Path) -> Items:
@@ -88,17 +88,16 @@ def figures(marks: Marks, items: Items) -> tuple[dict[str, object], float]:
         began = time.process_time()
         mask = marks(image)
         spent += time.process_time() - began
-        canvas = np.zeros(image.shape, np.uint8)
-        cv2.polylines(canvas, [np.rint(line * 16).astype(np.int32)], False, 1, WIDTH_PX, cv2.LINE_8, 4)
-        away = cv2.distanceTransform(np.uint8(1) - canvas, cv2.DIST_L2, 5) > NEAR_PX
+        true = drawn(image.shape, line)
+        away = cv2.distanceTransform((~true).astype(np.uint8), cv2.DIST_L2, 5) > NEAR_PX
         to_mask = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
         places = np.rint(resample(line, spacing=1.0)).astype(int)
         inside = ((places >= 0) & (places < image.shape[::-1])).all(axis=1)
         column, row = places[inside].T
-        rows.append((dice(mask, canvas), float((to_mask[row, column] <= NEAR_PX).mean()), float((mask & away).sum())))
+        rows.append((dice(mask, true), float((to_mask[row, column] <= NEAR_PX).mean()), float((mask & away).sum())))
     table = np.array(rows)
-    drawn = np.random.default_rng(0).integers(len(table), size=(DRAWS, len(table)))
-    interval = np.quantile(table[:, 0][drawn].mean(axis=1), [0.025, 0.975])
+    chosen = np.random.default_rng(0).integers(len(table), size=(DRAWS, len(table)))
+    interval = np.quantile(table[:, 0][chosen].mean(axis=1), [0.025, 0.975])
     mean = dict(zip(("dice", "recall", "false_px"), table.mean(axis=0).round(3).tolist(), strict=True))
     return {**mean, "dice_interval": interval.round(3).tolist(), "images": len(table)}, spent / len(table)
 

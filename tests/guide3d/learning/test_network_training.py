@@ -127,8 +127,17 @@ def test_a_damaged_image_is_skipped_once_by_name(tmp_path: Path, caplog: pytest.
         train_network(data, parts, recipe, folder=tmp_path / "segmenter")
         told = [record.getMessage() for record in caplog.records if "is skipped" in record.getMessage()]
         assert len(told) == 2  # both cameras, once each
+    assert len(data.frames) > 6
     for frame in data.frames:
         frame.image_path("a").write_bytes(b"")
+    caplog.clear()
+    store = PictureStore(data.frames, "a", Preprocessing(32, 128))
+    with caplog.at_level(logging.WARNING):
+        assert not store.healthy(np.arange(len(data.frames))).any()
+    assert [record.getMessage().partition(":")[0] for record in caplog.records] == [
+        *(f"frame {frame.label} is skipped" for frame in data.frames[:5]),
+        "more frames are skipped, which are not named",
+    ]
     with pytest.raises(ValueError, match="images cannot be read, the first of frame"):
         train_network(data, parts, shape_recipe("smoke"), "spherical", folder=tmp_path / "none")
 
@@ -200,6 +209,7 @@ def test_command_line_refuses_in_a_sentence(
     assert "is missing" in caplog.records[-1].getMessage()
     for option, text, sentence in (
         ("--settings", '{"sizes": {"layers": 3}}', "unet cannot have the sizes {'layers': 3}"),
+        ("--settings", '{"fit": {"epochs": 2}}', "--settings: the fields of the fit are given by --fit"),
         ("--settings", '{"images": -1}', "images must be greater than or equal to 0, got -1"),
         ("--fit", '{"rate": 1}', "rate Unexpected keyword argument, got 1"),
     ):

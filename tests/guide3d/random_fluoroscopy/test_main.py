@@ -48,8 +48,10 @@ def test_bad_settings_are_refused_in_one_sentence(tmp_path: Path, capsys: pytest
     words = [str(tmp_path / "data"), "--output", str(tmp_path / "new"), "--settings"]
     assert main([*words, '{"noise": -3}']) == 2
     assert "noise" in capsys.readouterr().err
-    assert main([*words, "[1]"]) == 2
-    assert "expected a JSON object" in capsys.readouterr().err
+    for text in ("[1]", "{"):
+        with pytest.raises(SystemExit, match="2"):
+            main([*words, text])
+        assert "expected a JSON object of fields" in capsys.readouterr().err
     assert main([*words, '{"noises": 3}']) == 2
     assert "'noises' is unknown: expected fields among" in capsys.readouterr().err
 

@@ -18,19 +18,13 @@ from typing import Any
 
 from guide3d.dataset.acquisition_split import Split
 from guide3d.dataset.dataset import Dataset
+from guide3d.json_file import json_fields
 from guide3d.learning.build import SEGMENTERS, SIZES
 from guide3d.learning.losses import ShapeLoss
 from guide3d.learning.network_training import train_network
 from guide3d.learning.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.learning.training import FitReport
-from guide3d.learning.training_command import (
-    Progress,
-    json_fields,
-    main_of,
-    run_training,
-    training_parser,
-    with_epochs,
-)
+from guide3d.learning.training_command import Progress, main_of, run_training, training_parser, with_epochs
 
 ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
 NETWORKS = (*FORMS, ANGLES_ALONE, "fgrn", *SEGMENTERS)
@@ -68,8 +62,10 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
             recipe = replace(recipe, loss=ShapeLoss())
     else:
         recipe = fgrn_recipe(given.size) if form == "fgrn" else segmentation_recipe(form, given.size)
-    changed = {"fit": replace(recipe.fit, **given.fit), **given.settings}
-    recipe = with_epochs(replace(recipe, **changed), given.epochs)
+    if "fit" in given.settings:
+        raise ValueError("--settings: the fields of the fit are given by --fit")
+    recipe = replace(recipe, fit=replace(recipe.fit, **given.fit), **given.settings)
+    recipe = with_epochs(recipe, given.epochs)
 
     def learn(data: Dataset, parts: Split, **common: Any) -> tuple[Any, FitReport]:
         return train_network(data, parts, recipe, form, pretrained=given.pretrained, **common)

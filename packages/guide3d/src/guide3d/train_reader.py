@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 
 from guide3d.atomic_file import whole_file
 from guide3d.dataset.dataset import Dataset
+from guide3d.json_file import json_fields
 from guide3d.learning.reader.calibration import calibrate
 from guide3d.learning.reader.evaluation import evaluate_reader
 from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, smoke_recipe, train_reader
-from guide3d.learning.training_command import TABLE, json_fields, main_of
+from guide3d.learning.training_command import TABLE, main_of
 from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.reading.maps import SHIPPED, Reader

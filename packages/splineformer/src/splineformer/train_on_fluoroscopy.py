@@ -22,9 +22,10 @@ from typing import Any
 import torch
 
 from guide3d.atomic_file import whole_file
+from guide3d.json_file import json_fields
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.training import FitProgress, finished
-from guide3d.learning.training_command import PREDICTOR, TABLE, Progress, json_fields, main_of, with_epochs
+from guide3d.learning.training_command import PREDICTOR, TABLE, Progress, main_of, with_epochs
 from guide3d.opencv import cv2
 from guide3d.setting_kinds import seed
 from splineformer.build import VARIANTS

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from guide3d.dataset.frame import Frame
 
 UNREAD, READY, DAMAGED = 0, 1, 2
+_NAMED = 5  # damaged images of a store that the log names one by one
 _DRAWS = 50  # of another item in place of one that cannot be read
 
 _LOGGER = logging.getLogger(__name__)
@@ -74,7 +75,10 @@ class PictureStore:
         except (ValueError, OSError) as error:
             self._damaged.add(index)
             self._state[index] = DAMAGED
-            _LOGGER.warning("frame %s is skipped: %s", frame.label, error)
+            if len(self._damaged) <= _NAMED:
+                _LOGGER.warning("frame %s is skipped: %s", frame.label, error)
+            elif len(self._damaged) == _NAMED + 1:
+                _LOGGER.warning("more frames are skipped, which are not named")
             return
         self._pictures[index] = picture
         self._state[index] = READY  # last: another process that sees it finds the picture

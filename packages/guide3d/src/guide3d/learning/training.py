@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Protocol
@@ -144,14 +144,7 @@ def fit(
     ranks = ranks or Ranks(0, 1, torch.device("cpu"))
     folder = Path(folder)
     module.to(ranks.device, **_CHANNELS_LAST)
-    optimiser = _optimiser(module, settings)
-    plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
-        optimiser, factor=settings.factor, patience=settings.plateau_patience
-    )
-    on_gpu = ranks.device.type == "cuda"
-    precision = torch.bfloat16 if on_gpu and torch.cuda.is_bf16_supported() else torch.float16
-    scaler = torch.amp.GradScaler(ranks.device.type, enabled=on_gpu and precision == torch.float16)
-    parts: dict[str, Any] = {"module": module, "optimiser": optimiser, "plateau": plateau, "scaler": scaler}
+    steps = _Steps(module, settings, ranks.device)
     report = FitReport()
     identity = {
         "weights": {name: list(value.shape) for name, value in module.state_dict().items()},
@@ -160,29 +153,14 @@ def fit(
         "seed": seed,
     }
     if (folder / LAST).is_file():
-        _resume(folder / LAST, identity, parts, report)
+        _resume(folder / LAST, identity, steps.parts, report)
     shared = ranks.wrapped(module)
     while len(report.rows) < settings.epochs and not _out_of_patience(report, settings):
         epoch, started = len(report.rows), time.process_time()
         torch.manual_seed((seed * _PRIME + epoch) * 64 + ranks.rank)
         generator = np.random.default_rng((seed, epoch, ranks.rank))
-        shared.train()
-        total = count = 0.0
         batches = _batches(objective.training_items, settings, np.random.default_rng((seed, epoch)), ranks)
-        for number, items in enumerate(batches):
-            _set_rate(optimiser, settings, (epoch + number / len(batches)) / settings.epochs)
-            batch = _moved(objective.batch(items, generator), ranks.device)
-            with torch.autocast(ranks.device.type, precision, enabled=on_gpu):
-                value = objective.loss(shared, batch)
-            optimiser.zero_grad()
-            scaler.scale(value).backward()
-            if settings.clip:
-                scaler.unscale_(optimiser)
-                nn.utils.clip_grad_norm_(module.parameters(), settings.clip)
-            scaler.step(optimiser)
-            scaler.update()
-            total, count = total + float(value.detach()) * len(items), count + len(items)
-        total, count = ranks.summed(total, count)
+        total, count = ranks.summed(*steps.epoch(shared, objective, batches, epoch, generator))
         mean = total / count
         if not math.isfinite(mean):
             raise TrainingError(
@@ -190,11 +168,10 @@ def fit(
             )
         validation = validate(module, objective, settings, ranks)
         if settings.schedule == "plateau":
-            plateau.step(mean if validation is None else validation)
+            steps.plateau.step(mean if validation is None else validation)
         spent = time.process_time() - started + report.cpu_s
-        rate = float(optimiser.param_groups[0]["lr"])
         known = [row["validation"] for row in report.rows]
-        row = {"epoch": epoch + 1, "loss": mean, "validation": validation, "learning_rate": rate, "cpu_s": spent}
+        row = {"epoch": epoch + 1, "loss": mean, "validation": validation, "learning_rate": steps.rate, "cpu_s": spent}
         report.rows.append(row)
         better = validation is None or all(other is None or validation < other for other in known)
         if better:
@@ -202,7 +179,7 @@ def fit(
         if ranks.rank == 0:
             if better:
                 write_content(folder / BEST, module.state_dict())
-            states = {name: part.state_dict() for name, part in parts.items()}
+            states = {name: part.state_dict() for name, part in steps.parts.items()}
             write_content(folder / LAST, {"format": FORMAT, "identity": identity, "report": asdict(report), **states})
         if progress is not None:
             progress(FitProgress(epoch + 1, settings.epochs, mean, validation))
@@ -213,6 +190,63 @@ def fit(
         raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start again") from error
     module.to(**_CHANNELS_FIRST).eval()
     return report
+
+
+class _Steps:
+    """Steps of the optimiser, with its rates and, on a GPU, in mixed precision."""
+
+    def __init__(self, module: nn.Module, settings: NetworkFitSettings, device: torch.device) -> None:
+        self.module, self.settings, self.device = module, settings, device
+        self.optimiser = _optimiser(module, settings)
+        self.plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
+            self.optimiser, factor=settings.factor, patience=settings.plateau_patience
+        )
+        self.on_gpu = device.type == "cuda"
+        self.precision = torch.bfloat16 if self.on_gpu and torch.cuda.is_bf16_supported() else torch.float16
+        self.scaler = torch.amp.GradScaler(device.type, enabled=self.on_gpu and self.precision == torch.float16)
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What a checkpoint holds the states of."""
+        return {"module": self.module, "optimiser": self.optimiser, "plateau": self.plateau, "scaler": self.scaler}
+
+    @property
+    def rate(self) -> float:
+        """The learning rate of the last step."""
+        return float(self.optimiser.param_groups[0]["lr"])
+
+    def epoch(
+        self,
+        network: nn.Module,
+        objective: Objective,
+        batches: Sequence[Indices],
+        epoch: int,
+        generator: np.random.Generator,
+    ) -> tuple[float, float]:
+        """A step for each batch.
+
+        Args:
+            network: the module, or what shares its gradients with other processes.
+
+        Returns:
+            The sum of the losses of all samples, and their number.
+        """
+        network.train()
+        total = count = 0.0
+        for number, items in enumerate(batches):
+            _set_rate(self.optimiser, self.settings, (epoch + number / len(batches)) / self.settings.epochs)
+            batch = _moved(objective.batch(items, generator), self.device)
+            with torch.autocast(self.device.type, self.precision, enabled=self.on_gpu):
+                value = objective.loss(network, batch)
+            self.optimiser.zero_grad()
+            self.scaler.scale(value).backward()
+            if self.settings.clip:
+                self.scaler.unscale_(self.optimiser)
+                nn.utils.clip_grad_norm_(self.module.parameters(), self.settings.clip)
+            self.scaler.step(self.optimiser)
+            self.scaler.update()
+            total, count = total + float(value.detach()) * len(items), count + len(items)
+        return total, count
 
 
 def finished(folder: Path | str) -> None:

@@ -39,17 +39,6 @@ def training_parser(module: str, description: str | None) -> argparse.ArgumentPa
     return parser
 
 
-def json_fields(text: str) -> dict[str, Any]:
-    """What an option that changes fields of settings gives: a JSON object; argparse refuses anything else."""
-    try:
-        content = json.loads(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"expected a JSON object of fields: {error}") from None
-    if not isinstance(content, dict):
-        raise argparse.ArgumentTypeError(f"expected a JSON object of fields, got {text}")
-    return content
-
-
 def with_epochs(recipe: Any, epochs: int | None) -> Any:
     """A recipe with another number of epochs; None: its own."""
     return recipe if epochs is None else replace(recipe, fit=replace(recipe.fit, epochs=epochs))

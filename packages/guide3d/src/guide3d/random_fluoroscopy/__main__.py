@@ -24,7 +24,7 @@ import numpy as np
 from guide3d.atomic_file import whole_file
 from guide3d.dataset.dataset import Dataset
 from guide3d.image_file import write_image
-from guide3d.json_file import read_json
+from guide3d.json_file import json_fields, read_json
 from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
@@ -44,7 +44,7 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("data", type=Path, help="folder of the data set")
     parser.add_argument("--output", type=Path, required=True, help="folder of the images")
     parser.add_argument("--frames", type=int, help="at most so many, evenly chosen; others get no image")
-    parser.add_argument("--settings", type=json.loads, default={}, help="JSON: fields of FluoroscopySettings")
+    parser.add_argument("--settings", type=json_fields, default={}, help="JSON: fields of FluoroscopySettings")
     parser.add_argument("--seed", type=seed, default=0)
     return parser.parse_args(words)
 
@@ -52,8 +52,6 @@ def arguments(words: list[str]) -> argparse.Namespace:
 def draw(given: argparse.Namespace) -> int:
     """Draws what the command line asks for; returns the number of images in the folder."""
     data = Dataset.open(given.data)
-    if not isinstance(given.settings, dict):
-        raise ValueError(f"--settings: expected a JSON object of fields, got {given.settings!r}")
     known = [field.name for field in fields(FluoroscopySettings)]
     unknown = [name for name in given.settings if name not in known]
     if unknown:
