@@ -24,7 +24,7 @@ from enn.reinforcement.checkpoint import CheckpointFolder, random_states, restor
 from enn.reinforcement.evaluation import BestPolicy
 from enn.reinforcement.free_memory import trim_heap
 from enn.reinforcement.proximal_policy import PpoLearner
-from enn.reinforcement.replay import demonstration_replay
+from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
 from enn.reinforcement.sampling import SampledEnvs, without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
@@ -94,37 +94,15 @@ class TrainingRun:
         self.inputs, self.settings, self.progress = inputs, settings, progress
         self.folder = None if inputs.folder is None else Path(inputs.folder)
         torch.set_num_threads(1)
-        reset_bank: ResetBank | None = None
-        kept = settings.reset_bank_share, settings.reset_bank_capacity, inputs.seed
-        if settings.reset_bank_cases:
-            reset_bank = CaseResetBank(settings.reset_bank_cases, *kept)
-        elif settings.reset_bank_share > 0:
-            reset_bank = ResetBank(*kept)
-        keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
-        self.sampled = SampledEnvs(
-            [inputs.make_env] * settings.n_envs,
-            seed=inputs.seed,
-            threads=settings.threads,
-            action_repeat=settings.action_repeat,
-            reset_bank=reset_bank,
-            keys=keys if inputs.encoder is None else (),
-        )
+        reset_bank = _make_reset_bank(settings, inputs.seed)
+        self.sampled = _make_envs(inputs, settings, reset_bank)
         self.envs: Any = self.sampled
         if inputs.encoder is not None:
             from enn.reinforcement.encoded import EncodedEnvs
 
             inputs.encoder.to(get_device(settings.device))
             self.envs = EncodedEnvs(self.sampled, inputs.encoder, settings.passthrough)
-        demonstrations = None
-        if settings.learns_from_demonstrations and inputs.demonstrations:
-            demonstrations = demonstration_replay(
-                inputs.demonstrations,
-                self.envs.observation_space,
-                self.envs.action_space,
-                action_repeat=settings.action_repeat,
-                encode=None if inputs.encoder is None else self.envs.encode,
-                seed=inputs.seed,
-            )
+        demonstrations = self._demonstrations()
         self.learner: SacLearner | PpoLearner
         if settings.algorithm == "sac":
             self.learner = SacLearner(settings, self.envs, inputs.seed, demonstrations)
@@ -160,6 +138,29 @@ class TrainingRun:
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             self.checkpoint = CheckpointFolder(self.folder / "checkpoint", self._architecture())
+        self._begin(reset_bank)
+        self.saved = time.perf_counter()
+        if settings.tensorboard and self.folder is not None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self.writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self.decisions or None)
+
+    def _demonstrations(self) -> ReplayBuffer | None:
+        """Those that take part in updates."""
+        inputs, settings = self.inputs, self.settings
+        if not (settings.learns_from_demonstrations and inputs.demonstrations):
+            return None
+        return demonstration_replay(
+            inputs.demonstrations,
+            self.envs.observation_space,
+            self.envs.action_space,
+            action_repeat=settings.action_repeat,
+            encode=None if inputs.encoder is None else self.envs.encode,
+            seed=inputs.seed,
+        )
+
+    def _begin(self, reset_bank: ResetBank | None) -> None:
+        """Goes on from the checkpoint, or from the start where there is none."""
         if self.checkpoint is not None and self.checkpoint.exists():
             state, pieces = self.checkpoint.read()
             try:
@@ -167,17 +168,12 @@ class TrainingRun:
             except UNFIT as error:
                 reason = " ".join(str(error).split())[:200]
                 raise self.checkpoint.unusable(f"its state cannot be taken up: {reason}") from error
-        else:
-            if reset_bank is not None:
-                fill_reset_bank(reset_bank, inputs.demonstrations)
-                for states in inputs.starts:
-                    reset_bank.add_episode(states)
-            self.observations = self.envs.reset()
-        self.saved = time.perf_counter()
-        if settings.tensorboard and self.folder is not None:
-            from torch.utils.tensorboard import SummaryWriter
-
-            self.writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self.decisions or None)
+            return
+        if reset_bank is not None:
+            fill_reset_bank(reset_bank, self.inputs.demonstrations)
+            for states in self.inputs.starts:
+                reset_bank.add_episode(states)
+        self.observations = self.envs.reset()
 
     def train(self) -> TrainingResult:
         """Trains to the end; whatever stops it between decisions leaves a checkpoint of that moment."""
@@ -380,6 +376,26 @@ class TrainingRun:
         self.sampled.close()
         for env in self._evaluation_envs:
             env.close()
+
+
+def _make_reset_bank(settings: TrainingSettings, seed: int) -> ResetBank | None:
+    kept = settings.reset_bank_share, settings.reset_bank_capacity, seed
+    if settings.reset_bank_cases:
+        return CaseResetBank(settings.reset_bank_cases, *kept)
+    return ResetBank(*kept) if settings.reset_bank_share > 0 else None
+
+
+def _make_envs(inputs: TrainingInputs, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs:
+    """The environments that are sampled; they observe what the networks read, or all that an encoder may."""
+    keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
+    return SampledEnvs(
+        [inputs.make_env] * settings.n_envs,
+        seed=inputs.seed,
+        threads=settings.threads,
+        action_repeat=settings.action_repeat,
+        reset_bank=reset_bank,
+        keys=keys if inputs.encoder is None else (),
+    )
 
 
 def _digest(network: torch.nn.Module | None) -> int:
