@@ -55,7 +55,7 @@ setup(
             include_dirs=[mujoco_include(), str(NATIVE)],
             define_macros=[("CATHSIM_SOURCES", f'"{sources_digest()}"')],
             # no contraction: the same bits whatever the compiler thinks of fused multiply-add
-            extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off", "-Wall", "-Wextra"],
+            extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra"],
             libraries=["m", "pthread"],
         )
     ],

@@ -190,7 +190,9 @@ def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
     if missing:  # the expert plays on
         cases = [((settings.anatomy(job.phantom), NAMED), job.target)] * missing
         seeds = further_expert_seeds(job.seed, missing)
-        starts = episode_starts(settings.task, cases, seeds, settings.arms, teacher.keys, perception.settings)
+        starts = episode_starts(
+            settings.task, cases, seeds, settings.arms, teacher.keys, perception.settings, settings.action_repeat
+        )
         episodes += play_advised(
             starts, teacher, navigator_on(perception, settings, settings.hidden), perception, teacher_share=1.0,
             generator=np.random.default_rng(0), tick=lambda done: report((begun + done) / count, "played on"),
@@ -317,8 +319,9 @@ def _play(
 
         seeds = navigation_episode_seeds(seed, number, index, count)
         starts = episode_starts(
-            course.task, chosen[:count], seeds, job.settings.arms, teacher.keys, perception.settings
-        )
+            course.task, chosen[:count], seeds, job.settings.arms, teacher.keys, perception.settings,
+            job.settings.action_repeat,
+        )  # fmt: skip
         episodes += play_advised(
             starts, teacher, policy, perception, teacher_share=teacher_share, noise=noise, generator=generator,
             hint_key=HINT_KEY if course.hints else None, tick=tick,

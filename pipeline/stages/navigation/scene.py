@@ -137,15 +137,18 @@ class Scene:
         return view_of(settings, self.environment.phantom, self.target, self.arms, self.images)
 
 
-def scene_of(task: Task, anatomy: Anatomy, target: str, arms: CArms, observation: Sequence[str]) -> Scene:
+def scene_of(
+    task: Task, anatomy: Anatomy, target: str, arms: CArms, observation: Sequence[str], observe_every: int = 1
+) -> Scene:
     """A scene.
 
     Args:
         task: wire, limits and start; its images are those of a teacher.
         arms: of the navigator's images; the wire that they show is the task's.
+        observe_every: as of `cathsim.NavigateEnv`.
     """
     seen = replace(arms, wire=task.wire)
-    arguments = {"reward": REWARD_OF_EVALUATION, **task.arguments()}
+    arguments = {"reward": REWARD_OF_EVALUATION, "observe_every": observe_every, **task.arguments()}
     return Scene(c_arm_environment(phantom_of(anatomy), target, seen, observation, **arguments), seen)
 
 
@@ -156,17 +159,19 @@ def episode_starts(
     arms: CArms,
     observation: Sequence[str],
     settings: NavigatorPerceptionSettings,
+    action_repeat: int,
 ) -> Iterator[EpisodeStart]:
     """Starts of advised episodes, each scene made when its turn comes and closed when the episode has ended.
 
     Args:
         cases: anatomy and target of each.
         settings: of the navigator's perception.
+        action_repeat: steps that the navigator holds an action: what lies between is not observed.
     """
     from enn.imitation.advised_episodes import EpisodeStart
 
     for (anatomy, target), seed in zip(cases, seeds, strict=True):
-        scene = scene_of(task, anatomy, target, arms, observation)
+        scene = scene_of(task, anatomy, target, arms, observation, action_repeat)
 
         def begin(first: object, scene: Scene = scene) -> EpisodeView:
             return scene.view(settings)

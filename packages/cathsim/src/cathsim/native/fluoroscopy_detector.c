@@ -4,6 +4,14 @@
 #include <stdint.h>
 #include <string.h>
 
+/* Compiled for the wide registers of newer processors, too, and chosen when the library is loaded. Contraction is off,
+ * so that both give the same bits. */
+#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+
 typedef struct {
   int left, top, width, height; /* window of the image, px */
   int sections, rows, entries;  /* of `profiles`: materials, wire radii, squared distances */
@@ -101,29 +109,33 @@ static float few_photons(float expected, float u) {
 /* Many photons: the normal quantile z, with the distribution's skewness to first order (Cornish and Fisher). */
 static inline float photons(float expected, float z) { return expected + sqrtf(expected) * z + (z * z - 1) / 6; }
 
-/* One row of counts, `pad` clamped values on either side. `chance` holds 16 random bits a pixel. */
-static void count_row(const Exposure* e, int row, const uint16_t* chance, float* counts, int pad) {
+/* Expected photons of a row. */
+WIDE static void expect_row(const Exposure* e, int row, float* restrict out) {
   const size_t start = (size_t)row * e->width;
   const float *primary = e->primary + start, *veil = e->veil + start;
-  float* out = counts + pad;
   for (int x = 0; x < e->width; x++) out[x] = primary[x] + veil[x];
   if (e->transmission && row >= e->top && row < e->top + e->high) {
     const float* t = e->transmission + (size_t)(row - e->top) * e->wide;
     for (int x = 0; x < e->wide; x++) out[e->left + x] = primary[e->left + x] * t[x] + veil[e->left + x];
   }
-  if (e->counting) {
-    for (int x = 0; x < e->width; x++) {
-      const float expected = out[x];
-      if (expected >= FEW)
-        out[x] = photons(expected, e->normal[chance[x] >> 4]);
-      else
-        out[x] = few_photons(expected, ((float)chance[x] + 0.5f) / 65536.0f);
-    }
-  }
-  for (int i = 0; i < pad; i++) counts[i] = out[0], out[e->width + i] = out[e->width - 1];
 }
 
-static void blur_row(const float* counts, const float* kernel, int radius, int width, float* out) {
+/* Counts of `width` pixels by their expectation. `chance` holds 16 random bits a pixel. */
+WIDE static void count_row(const float* restrict expected, const uint16_t* restrict chance, const float* normal,
+                           int width, float* restrict counts) {
+  float few = 0;
+  for (int x = 0; x < width; x++) {
+    counts[x] = photons(expected[x], normal[chance[x] >> 4]);
+    few += expected[x] < FEW;
+  }
+  if (few == 0) return;
+  for (int x = 0; x < width; x++)
+    if (!(expected[x] >= FEW)) counts[x] = few_photons(expected[x], ((float)chance[x] + 0.5f) / 65536.0f);
+}
+
+/* `counts` has `radius` values on either side of its row. */
+WIDE static void blur_row(const float* restrict counts, const float* kernel, int radius, int width,
+                          float* restrict out) {
   const float* in = counts + radius;
   for (int x = 0; x < width; x++) out[x] = kernel[0] * in[x];
   for (int k = 1; k <= radius; k++) {
@@ -132,49 +144,69 @@ static void blur_row(const float* counts, const float* kernel, int radius, int w
   }
 }
 
+WIDE static void add_row(const float* restrict row, float weight, int width, float* restrict sum) {
+  for (int x = 0; x < width; x++) sum[x] += weight * row[x];
+}
+
+/* What the display shows of light: its square root. */
+WIDE static void show_row(float* sum, float gain, int width) {
+  for (int x = 0; x < width; x++) sum[x] = 255 * sqrtf((sum[x] > 0 ? sum[x] : 0) * gain) + 0.5f;
+}
+
+WIDE static void add_noise(float* restrict sum, float spread, const uint16_t* restrict chance,
+                           const float* restrict normal, int width) {
+  for (int x = 0; x < width; x++) sum[x] += spread * normal[chance[x] >> 4];
+}
+
+WIDE static void quantise_row(const float* restrict sum, int width, unsigned char* restrict out) {
+  for (int x = 0; x < width; x++) {
+    const float level = sum[x] > 0 ? sum[x] : 0;
+    out[x] = (unsigned char)(int)(level < 255.0f ? level : 255.0f);
+  }
+}
+
+/* 16 random bits for each of `width` pixels. */
+static void draw_row(uint64_t state, int width, uint16_t* chance) {
+  for (int x = 0; x < width; x += 4) {
+    const uint64_t bits = draw(&state);
+    memcpy(chance + x, &bits, sizeof bits);
+  }
+}
+
 static inline int clamp(int i, int last) { return i < 0 ? 0 : i > last ? last : i; }
 
 /* Makes the image (height x width). Every row draws from a stream of its own, so that the seed alone decides it.
  * Returns 0, or 1 where a size exceeds what this code is made for. */
 int cathsim_expose(const Exposure* e, uint64_t seed, unsigned char* image) {
-  static _Thread_local float ring[2 * MAX_RADIUS + 1][MAX_WIDTH], counts[MAX_WIDTH + 2 * MAX_RADIUS], sum[MAX_WIDTH];
-  static _Thread_local uint16_t chance[2 * MAX_WIDTH + 8];
+  static _Thread_local float ring[2 * MAX_RADIUS + 1][MAX_WIDTH], counts[MAX_WIDTH + 2 * MAX_RADIUS];
+  static _Thread_local float expected[MAX_WIDTH], sum[MAX_WIDTH];
+  static _Thread_local uint16_t chance[MAX_WIDTH + 8];
   if (e->width > MAX_WIDTH || e->radius > MAX_RADIUS) return 1;
-  const int taps = 2 * e->radius + 1, last = e->height - 1;
+  const int width = e->width, radius = e->radius, taps = 2 * radius + 1, last = e->height - 1;
   const float gain = 1 / e->white;
-  for (int row = -e->radius; row <= last; row++) {
+  for (int row = -radius; row <= last; row++) {
     /* the row that enters the blur is `radius` ahead of the one that leaves it */
-    const int entering = row + e->radius;
+    const int entering = row + radius;
     if (entering <= last) {
+      float* middle = counts + radius;
+      expect_row(e, entering, e->counting ? expected : middle);
       if (e->counting) {
-        uint64_t state = seed ^ ((uint64_t)(2 * entering + 1) * 0xd1342543de82ef95u);
-        for (int x = 0; x < e->width; x += 4) {
-          const uint64_t bits = draw(&state);
-          memcpy(chance + x, &bits, sizeof bits);
-        }
+        draw_row(seed ^ ((uint64_t)(2 * entering + 1) * 0xd1342543de82ef95u), width, chance);
+        count_row(expected, chance, e->normal, width, middle);
       }
-      count_row(e, entering, chance, counts, e->radius);
-      blur_row(counts, e->kernel, e->radius, e->width, ring[entering % taps]);
+      for (int i = 0; i < radius; i++) counts[i] = middle[0], middle[width + i] = middle[width - 1];
+      blur_row(counts, e->kernel, radius, width, ring[entering % taps]);
     }
     if (row < 0) continue;
-    memset(sum, 0, sizeof(float) * e->width);
-    for (int k = -e->radius; k <= e->radius; k++) {
-      const float* blurred = ring[clamp(row + k, last) % taps];
-      const float weight = e->kernel[k < 0 ? -k : k];
-      for (int x = 0; x < e->width; x++) sum[x] += weight * blurred[x];
-    }
-    unsigned char* out = image + (size_t)row * e->width;
-    /* the display shows the square root of the light */
-    for (int x = 0; x < e->width; x++) sum[x] = 255 * sqrtf(fmaxf(sum[x], 0) * gain) + 0.5f;
+    memset(sum, 0, sizeof(float) * width);
+    for (int k = -radius; k <= radius; k++)
+      add_row(ring[clamp(row + k, last) % taps], e->kernel[k < 0 ? -k : k], width, sum);
+    show_row(sum, gain, width);
     if (e->video > 0) {
-      uint64_t state = seed ^ ((uint64_t)(2 * row + 2) * 0xd1342543de82ef95u);
-      for (int x = 0; x < e->width; x += 4) {
-        const uint64_t bits = draw(&state);
-        memcpy(chance + x, &bits, sizeof bits);
-      }
-      for (int x = 0; x < e->width; x++) sum[x] += e->video * e->normal[chance[x] >> 4];
+      draw_row(seed ^ ((uint64_t)(2 * row + 2) * 0xd1342543de82ef95u), width, chance);
+      add_noise(sum, e->video, chance, e->normal, width);
     }
-    for (int x = 0; x < e->width; x++) out[x] = (unsigned char)fminf(fmaxf(sum[x], 0), 255.0f);
+    quantise_row(sum, width, image + (size_t)row * width);
   }
   return 0;
 }

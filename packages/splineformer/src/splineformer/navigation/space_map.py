@@ -6,6 +6,7 @@ looks along it. A way through it is no longer led astray by vessels that cross i
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -145,11 +146,9 @@ class SpaceMap:
 
     def _tightened(self, points: Array) -> Array:
         """The way, whose steps from cell to cell know few directions, pulled tight where that stays in the lumen."""
-        bends = np.diff(np.eye(len(points)), 2, axis=0)
-        tight = np.eye(len(points))
-        tight[1:-1] -= _PULL * bends
+        pull = _pulling(len(points))
         for _ in range(_PULLS):
-            wanted = np.linalg.solve(tight, points)
+            wanted = pull @ points
             free = self.sample(wanted) > _WITHIN
             points = np.where(free[:, None], wanted, points)
         return points
@@ -159,3 +158,11 @@ class SpaceMap:
         places = np.asarray(places, float)
         cells = ((places - self.hull.origin_mm) / CELL_MM).reshape(-1, 3).T
         return np.asarray(ndimage.map_coordinates(self.hull.lumen, cells, order=1)).reshape(places.shape[:-1])
+
+
+@functools.lru_cache(maxsize=256)
+def _pulling(count: int) -> Array:
+    """The (count, count) matrix that pulls a way of so many points tight."""
+    tight = np.eye(count)
+    tight[1:-1] -= _PULL * np.diff(tight, 2, axis=0)
+    return np.linalg.inv(tight)

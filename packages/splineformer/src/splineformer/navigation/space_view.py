@@ -7,6 +7,7 @@ shaft behind it. So what lies ahead is given as a turn of the wire would meet it
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -78,7 +79,7 @@ class SpaceView:
             a, b = (resample(curve, count=count) for curve in curves)
             share = 0.0
         points = triangulate_linear(*cameras, a, b)
-        smooth = savgol_filter(points, _WINDOW, 2, axis=0, mode="interp")
+        smooth = _smoothing(len(points)) @ points
         step_mm = np.linalg.norm(np.diff(smooth, axis=0), axis=1)
         return smooth[np.concatenate(([True], step_mm > 1e-3))], share
 
@@ -150,6 +151,12 @@ def _beginning(reading: WireReading, camera: Camera, step: float) -> Array:
         points = np.concatenate([points, points[-1:] + (short + step) * _unit(points[-1] - points[0])])
     length = min(float(arc_length(points)[-1]), _SEEN * camera.width)
     return at_length(points, step * np.arange(int(length / step) + 1))
+
+
+@functools.lru_cache(maxsize=256)
+def _smoothing(count: int) -> Array:
+    """The (count, count) matrix that smooths so many points."""
+    return np.asarray(savgol_filter(np.eye(count), _WINDOW, 2, axis=0, mode="interp"))
 
 
 def _unit(vector: Array) -> Array:
