@@ -80,7 +80,9 @@ class Player:
             given.types.split(","), TEST_SEEDS[: given.arches], max_steps=given.max_steps, image_size=side,
             observation=self.policy.keys if self.by_roadmap else ("goal_image",), catheter=catheter,
         )  # fmt: skip
-        self.environment: Any = self.bare if self.by_roadmap else XrayEnvironment(self.bare, side)
+        self.environment: Any = (
+            self.bare if self.by_roadmap else XrayEnvironment(self.bare, side, views=self.policy.cameras)
+        )
 
     def begin(self, case: int, seed: int) -> tuple[Any, dict[str, Any]]:
         """Begins an episode."""

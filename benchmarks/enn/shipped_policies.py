@@ -109,7 +109,7 @@ def play(
     else:
         side = task.task.image_size_px
         bare = task.test_environment(place, target, "default", ("goal_image",))
-        environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter))
+        environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), views=policy.cameras)
         controller = policy.controller()
     observation, info = environment.reset(seed=seed)
     controller.reset()

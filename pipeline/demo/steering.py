@@ -101,13 +101,13 @@ class Scene:
         return f"the {self.model} steers to the {self.target.upper()} of {self.anatomy}"
 
     def read_off_image(self) -> ImageReading:
-        """What a policy of images reads off the last image."""
+        """What a policy of images reads off the last image, of several views the first."""
         controller: Any = self.steer
         perception, seen = controller.perception, self.environment.observation
         if controller.view is None and self._first_view is None:  # before its first decision
             self._first_view = perception.begin(seen)
-        view = controller.view or self._first_view
-        wire = view.wire(seen["image"], perception.mask(seen))
+        view, *_ = controller.view or self._first_view
+        wire = view.wire(seen["image"][:1], perception.mask(seen)[:1])
         way, _ = view.way(wire[0])
         return ImageReading(wire[:, ::-1], way[:, ::-1], view.lumen)
 
@@ -166,7 +166,7 @@ def _environment(task: UnseenTask, place: int | AnatomyFile, target: str, policy
 
     if policy.keys == XRAY_KEYS:
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
-        return XrayEnvironment(bare, task.task.image_size_px)  # type: ignore[return-value]
+        return XrayEnvironment(bare, task.task.image_size_px, views=policy.cameras)  # type: ignore[return-value]
     return task.test_environment(place, target, task.task.wire, policy.keys)
 
 

@@ -24,7 +24,7 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY, Controller
 from pipeline.seeds import unseen_episode_seeds
 from pipeline.stages.learning.advised_rounds import FinishedRound, forget_rounds, last_policy, teach
-from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.stages.unseen.settings import ONE_VIEW, UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, training_arch
 from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests
 from pipeline.store.atomic_files import write_json, write_text
@@ -58,6 +58,11 @@ class ImagePolicyJob(PolicyJob):
         """Whether it sees noisy X-ray images and a contrast run instead of images and the true mask."""
         return self.origin.row == XRAY
 
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Whose images it sees; the true mask is that of the frontal view."""
+        return tuple(self.settings.views) if self.xray else ONE_VIEW
+
     def observations(self, *further: str) -> tuple[str, ...]:
         """What an environment is made with, beside what `seen` adds."""
         from enn.imitation.image_perception import IMAGE_KEYS
@@ -70,7 +75,9 @@ class ImagePolicyJob(PolicyJob):
 
         if not self.xray:
             return environment
-        return XrayEnvironment(environment, self.task.task.image_size_px, clutter=clutter_of(clutter), **further)
+        return XrayEnvironment(
+            environment, self.task.task.image_size_px, clutter=clutter_of(clutter), views=self.views, **further
+        )
 
 
 def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
@@ -105,7 +112,6 @@ def _train(
     """Fits the perception, then plays and fits round by round, going on after the last finished one."""
     from cathsim.many_anatomies import SHELF
     from enn.imitation.advised_episodes import SIDE_BY_SIDE, play_advised
-    from enn.imitation.egocentric import VIEW_SIZE
     from enn.imitation.image_perception import ImagePerception, load_image_policy
     from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
     from enn.imitation.sequence_cloning import SequenceCloningSettings
@@ -120,10 +126,11 @@ def _train(
     else:
         segmenter = _lumen_segmenter(job, report, device)
         perception = ImagePerception(
-            segmenter, _wire_segmenter(job, expert, report, device) if job.xray else None, device, subtracts=job.xray
-        )
+            segmenter, _wire_segmenter(job, expert, report, device) if job.xray else None, device, subtracts=job.xray,
+            cameras=job.views,
+        )  # fmt: skip
         hints = int(np.prod(expert.observation_space[expert.keys[0]].shape))  # type: ignore[index]
-        settings = RecurrentPolicySettings(features=VIEW_SIZE, hints=hints, action_repeat=expert.action_repeat)
+        settings = RecurrentPolicySettings(features=perception.size, hints=hints, action_repeat=expert.action_repeat)
         policy = RecurrentPolicy(settings, job.seed, device, perception.content())
     observation = job.observations(*expert.keys)
     side_by_side = min(SIDE_BY_SIDE, count)
@@ -193,14 +200,15 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
     for number, seed in enumerate(job.anatomies):
         report(0.1 * number / len(job.anatomies) / rounds, "images")
         phantom = SHELF.take(training_arch(seed, job.task.arches), RESOLUTION)
-        projector = Projector.frontal(phantom.bounds, size_px)
-        if job.xray:
-            clutter = None if draw is None or number % 2 else draw(generator, size_px)
-            run = contrast_run(phantom, size_px, task.guidewire().radius, clutter)
-            images.append(subtracted(run.plain[0], run.contrast[0]))
-        else:
-            images.append(background_image(phantom.grid, projector, key=phantom.hash))
-        lumens.append(lumen_path_length(phantom.grid, projector) > LUMEN_DEPTH)
+        for view in job.views:
+            projector = Projector.view(view, phantom.bounds, size_px)
+            if job.xray:
+                clutter = None if draw is None or number % 2 else draw(generator, size_px)
+                run = contrast_run(phantom, size_px, task.guidewire().radius, clutter, view)
+                images.append(subtracted(run.plain[0], run.contrast[0]))
+            else:
+                images.append(background_image(phantom.grid, projector, key=phantom.hash))
+            lumens.append(lumen_path_length(phantom.grid, projector) > LUMEN_DEPTH)
     network, overlap = fit_segmenter(
         np.stack(images),
         np.stack(lumens).astype(np.float32),

@@ -21,6 +21,7 @@ from pipeline.settings.kinds import (
     Hyperparameters,
     PathText,
     Processes,
+    SomeFolderNames,
     Units,
     one_of,
 )
@@ -32,6 +33,7 @@ from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
+ONE_VIEW = ("frontal",)
 _Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
 _MOST_CLUTTERED_PX = 1024  # side of the images of guide3d's random fluoroscopy
 
@@ -63,6 +65,8 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
     validation_episodes: Episodes = 48  # in them
     image: bool = True  # also the policy that observes images and the wire's true mask
     xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
+    # of noisy X-ray, an image of each a decision: two are those of a bi-planar fluoroscope
+    views: SomeFolderNames = field(default_factory=lambda: list(ONE_VIEW))
     # of clutter in X-ray images, 1 as in guide3d's random fluoroscopy: in those that the wire's network learns from, in
     # every second one of the lumen's, in every second environment of the rounds, in a further set of tests; 0: none
     clutter: Annotated[float, Ge(0), Le(4)] = 0.0

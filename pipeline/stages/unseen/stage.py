@@ -25,12 +25,13 @@ from pipeline.task import require_feeder, require_known_task
 
 
 def check_unseen(settings: UnseenSettings) -> None:
-    """Refuses unknown phantoms, targets and wires.
+    """Refuses unknown phantoms, targets, wires and views.
 
     Raises:
         ConfigurationError: listing the valid names.
     """
     from cathsim import GUIDEWIRES
+    from cathsim.fluoroscopy.projector import VIEWS
 
     policy_to_start_from(settings)
     require_known_targets(settings.targets)
@@ -45,6 +46,9 @@ def check_unseen(settings: UnseenSettings) -> None:
     unknown = [name for name in settings.wires if name not in wires]
     if unknown:
         raise ConfigurationError(f"unknown wire {', '.join(map(repr, unknown))}: choose from {', '.join(wires)}")
+    unknown = [name for name in settings.views if name not in VIEWS]
+    if unknown:
+        raise ConfigurationError(f"unknown view {', '.join(map(repr, unknown))}: choose from {', '.join(VIEWS)}")
     require_known_task(settings.task)
     require_feeder(settings.task, "unseen")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cathsim.fluoroscopy import Projector
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.xray import XrayEnvironment, contrast_run
 
@@ -34,7 +35,6 @@ def test_observations_are_noisy_images_and_a_contrast_run_alone() -> None:
     assert 1.0 < np.std(images[0] - images[1]) < 6.0
     plain, contrast = contrast_run(env.phantom, 96, env.simulation.wire.radius)
     filled = plain.astype(float) - contrast
-    from cathsim.fluoroscopy import Projector
     from cathsim.fluoroscopy.attenuation import lumen_path_length
 
     lumen = lumen_path_length(env.phantom.grid, Projector.frontal(env.phantom.bounds, 96)) > 5e-3
@@ -99,3 +99,36 @@ def test_pulsed_images_are_those_of_every_step() -> None:
             shown, kept = every.step(FORWARD)[0], pulsed.step(FORWARD)[0]
     with pytest.raises(ValueError, match="at least 1"):
         environment(every=0)
+
+
+def test_several_views_show_the_same_moment() -> None:
+    two, one = environment(with_mask=True, views=("frontal", "lao_45")), environment(with_mask=True)
+    seen, _ = two.reset(seed=3, options={"case": 0})
+    alone, _ = one.reset(seed=3, options={"case": 0})
+    assert two.observation_space.contains(seen)
+    for _ in range(15):
+        seen, alone = two.step(FORWARD)[0], one.step(FORWARD)[0]
+    for name in ("image", "plain", "contrast", "mask", "goal_image"):
+        assert seen[name].shape == (2, 96, 96), name
+        np.testing.assert_array_equal(seen[name][:1], alone[name])
+    for view, name in enumerate(two.views):
+        projector = Projector.view(name, two.phantom.bounds, 96)
+        column, row = projector.project(two.task.goal(two.phantom)[None])[0]
+        assert seen["goal_image"][view, round(row), round(column)] == 255
+        column, row = projector.project(two.simulation.wire_points()[2:3])[0]
+        assert seen["mask"][view, round(row), round(column)] == 255
+        darker = seen["plain"][view].astype(float) - seen["image"][view]
+        assert darker[seen["mask"][view] > 0].mean() > 10
+
+
+def test_clutter_is_another_in_each_view() -> None:
+    env = environment(clutter=stripes, views=("frontal", "lateral"))
+    seen, _ = env.reset(seed=3, options={"case": 0})
+    edges = [np.abs(np.diff(picture.astype(float).mean(axis=0))).argmax() for picture in seen["plain"]]
+    assert edges[0] != edges[1]
+
+
+@pytest.mark.parametrize("views", [(), ("frontal", "frontal"), ("above",)])
+def test_views_are_checked(views: tuple[str, ...]) -> None:
+    with pytest.raises(ValueError, match="views must be some of frontal, lateral"):
+        environment(views=views)

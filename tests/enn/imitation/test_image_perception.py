@@ -109,3 +109,19 @@ def test_subtracted_images_lose_what_stands_still(segmenter: LumenSegmenter) -> 
     older = ImagePerception(segmenter, wire, subtracts=True).content()
     del older["subtracts"]
     assert not ImagePerception.of(older).subtracts
+
+
+def test_each_camera_has_a_view_of_its_own(segmenter: LumenSegmenter) -> None:
+    two, one = ImagePerception(segmenter, cameras=("frontal", "lateral")), ImagePerception(segmenter)
+    (first, _), (other, _) = WireEnv().reset(seed=1), WireEnv().reset(seed=2)
+    both = {key: np.concatenate((first[key], other[key])) for key in one.keys}
+    action = np.array([0.5, 0.0], np.float32)
+    parts = [one([one.begin(seen)], [seen], [action])[0] for seen in (first, other)]
+    np.testing.assert_array_equal(two([two.begin(both)], [both], [action])[0], np.concatenate(parts))
+    assert two.size == len(parts[0]) + len(parts[1])
+    assert ImagePerception.of(two.content()).cameras == ("frontal", "lateral")
+    older = two.content()
+    del older["cameras"]
+    assert ImagePerception.of(older).cameras == ("frontal",)
+    with pytest.raises(ValueError, match="the policy sees the views frontal, lateral, got 1 of them"):
+        two.begin(first)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cathsim import load_phantom
+from enn.imitation.image_policy import ImagePolicy
 from enn.policy import Policy
 from enn.shipped import weight_files
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
@@ -208,6 +209,7 @@ def test_wires_of_the_tests() -> None:
         ({"targets": ["aorta"]}, "unknown target 'aorta': choose from bca, lcca, lsa"),
         ({"phantoms": ["type_9"]}, "unknown phantom 'type_9': choose from type_1"),
         ({"wires": ["rope"]}, "unknown wire 'rope': choose from default"),
+        ({"views": ["above"]}, "unknown view 'above': choose from frontal, lateral, lao_45"),
     ],
 )
 def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
@@ -314,7 +316,10 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     assert [row["round"] for row in record["rounds"]] == [0, 1]
     assert not (job.own_folder / "advised_episodes").exists()
 
-    by_xray = train_image_policy(image_job(tmp_path, 1, "xray"), Report())
+    one = image_job(tmp_path, 1, "xray")
+    two = replace(one, settings=replace(one.settings, views=["frontal", "lao_45"]))
+    by_xray = train_image_policy(two, Report())
+    assert ImagePolicy.load(two.own_folder / "image_policy.pt").cameras == ("frontal", "lao_45")
 
     tables = tables_from_logs(tmp_path / "unseen")
     names = ("roadmap", "image_true_mask", "xray")

@@ -1,13 +1,14 @@
-"""X-ray images as observations: noisy frontal images of an environment, and the contrast run before its episodes.
+"""X-ray images as observations: noisy images of an environment, and the contrast run before its episodes.
 
-Before an episode there is a contrast run: an image of the vessels without wire or contrast medium, and one with
-contrast medium. While the wire moves, its images have neither. Nothing else shows where the wire is. Clutter, where it
-is asked for, stands still for an episode and its contrast run.
+The view is frontal, or there are several (`cathsim.fluoroscopy.projector.VIEWS`), as of a bi-planar fluoroscope. Before
+an episode there is a contrast run: an image of the vessels without wire or contrast medium, and one with contrast
+medium. While the wire moves, its images have neither. Nothing else shows where the wire is. Clutter, where it is asked
+for, stands still for an episode and its contrast run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -19,10 +20,13 @@ from cathsim.devices.catheter import Catheter
 from cathsim.environment import NavigateEnv
 from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, DetectorDistortion, Projector, scene, wire_material
 from cathsim.fluoroscopy.c_arms import XRayCamera
+from cathsim.fluoroscopy.projector import VIEWS
 from cathsim.fluoroscopy.radiograph import expose_depth, optical_depth
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.fluoroscopes import catheter_in, frame_of, material_of, wire_radius_of
+from cathsim.observations.observables import DOT_SHARE, LEAST_DOT
+from cathsim.observations.roadmap import target_image
 
 VIEW = "frontal"
 BEFORE, MOVING, FILLED = "plain", "fluid", "contrast"  # what is kept of the run, and fillings of the lumen
@@ -32,7 +36,7 @@ DrawClutter = Callable[[np.random.Generator, int], Clutter]  # from a generator,
 
 
 class ContrastRun(NamedTuple):
-    """Two images from before an episode. Shapes (1, size, size), uint8."""
+    """Two images of a view from before an episode. Shapes (1, size, size), uint8."""
 
     plain: NDArray[np.uint8]
     contrast: NDArray[np.uint8]
@@ -104,48 +108,52 @@ def _depth(phantom: Phantom, size: int, filling: str, view: str) -> NDArray[np.f
     return optical_depth(phantom.grid, _camera(phantom, size, view).projector, scene("bath", filling))
 
 
-def contrast_run(phantom: Phantom, size: int, wire_radius: float, clutter: Clutter | None = None) -> ContrastRun:
+def contrast_run(
+    phantom: Phantom, size: int, wire_radius: float, clutter: Clutter | None = None, view: str = VIEW
+) -> ContrastRun:
     """The images before an episode, with a noise of the phantom's own.
 
     Args:
         size: side of the images, px.
         wire_radius: m, of the wire that is not in them.
-        clutter: as of `fluoroscope_of`.
+        clutter, view: as of `fluoroscope_of`.
     """
     if clutter is None:
-        return _clean_run(phantom, size, wire_radius)
-    moving, filled = (_among(clutter, phantom, size, wire_radius, one) for one in (MOVING, FILLED))
-    return _run(phantom, moving, filled)
+        return _clean_run(phantom, size, wire_radius, view)
+    moving, filled = (_among(clutter, phantom, size, wire_radius, one, view) for one in (MOVING, FILLED))
+    return _run(phantom, moving, filled, view)
 
 
 @kept_with_owner
-def _clean_run(phantom: Phantom, size: int, wire_radius: float) -> ContrastRun:
-    moving, filled = (_fluoroscope(phantom, size, wire_radius, one) for one in (MOVING, FILLED))
-    return _run(phantom, moving, filled)
+def _clean_run(phantom: Phantom, size: int, wire_radius: float, view: str) -> ContrastRun:
+    moving, filled = (_fluoroscope(phantom, size, wire_radius, one, view) for one in (MOVING, FILLED))
+    return _run(phantom, moving, filled, view)
 
 
-def _run(phantom: Phantom, moving: BiplaneFluoroscope, filled: BiplaneFluoroscope) -> ContrastRun:
+def _run(phantom: Phantom, moving: BiplaneFluoroscope, filled: BiplaneFluoroscope, view: str) -> ContrastRun:
     nothing, generator = np.empty((0, 3)), np.random.default_rng(int(phantom.hash[:8], 16))
-    before, full = (one.render(nothing, generator)[VIEW] for one in (moving, filled))
+    before, full = (one.render(nothing, generator)[view] for one in (moving, filled))
     return ContrastRun(before.image[None], full.image[None])
 
 
 class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
-    """An environment with X-ray images among its observations: `image`, `plain` and `contrast`, (1, size, size) uint8.
+    """An environment with X-ray images among its observations: `image`, `plain` and `contrast`, (n, size, size) uint8,
+    one after the other the n views. With several, `goal_image` is the target's dot in each of them, too.
 
-    The noise of an image depends on the seed of the reset and on the step.
+    The noise of an image depends on the seed of the reset, on the step and on the view's place.
 
     Args:
         environment: with a dictionary of observations, none of them of these names.
         size: side of the images, px.
         with_mask: also `mask`, the devices' pixels in `image`, for a segmenter to learn from; with a catheter also
             `mask_wire` and `mask_catheter`.
-        clutter: draws the clutter of each episode; None: there is none.
+        clutter: draws the clutter of each episode and view; None: there is none.
+        views: names of `cathsim.fluoroscopy.projector.VIEWS`.
         every: steps between two images, as with pulsed fluoroscopy; in between the observations keep the last one.
             The images that are drawn, at the reset and after every so many steps, are the same as with 1.
 
     Raises:
-        ValueError: `every` is not a positive whole number.
+        ValueError: `every` is not a positive whole number; no view, one twice, or an unknown one.
     """
 
     def __init__(
@@ -155,23 +163,30 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         *,
         with_mask: bool = False,
         clutter: DrawClutter | None = None,
+        views: Sequence[str] = (VIEW,),
         every: int = 1,
     ) -> None:
         if not isinstance(every, int) or every < 1:
             raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
+        if not views or len(set(views)) < len(views) or not set(views) <= set(VIEWS):
+            raise ValueError(f"views must be some of {', '.join(VIEWS)}, each once, got {', '.join(views) or 'none'}")
         self.environment, self.size, self.draw_clutter, self.every = environment, size, clutter, every
-        self._room: tuple[BiplaneFluoroscope, ContrastRun] | None = None  # of the episode, where there is clutter
+        self.views = tuple(views)
+        # of the episode, where there is clutter
+        self._rooms: list[tuple[BiplaneFluoroscope, ContrastRun]] | None = None
         assert isinstance(environment.observation_space, gymnasium.spaces.Dict)
         masks = ("mask",) if catheter_in(environment.simulation) is None else ("mask", "mask_wire", "mask_catheter")
         self._masks = masks if with_mask else ()
-        names = ("image", "plain", "contrast", *self._masks)
-        picture = gymnasium.spaces.Box(0, 255, (1, size, size), np.uint8)
+        dots = ("goal_image",) if self._draws_dots else ()
+        names = ("image", "plain", "contrast", *self._masks, *dots)
+        picture = gymnasium.spaces.Box(0, 255, (len(self.views), size, size), np.uint8)
         self.observation_space = gymnasium.spaces.Dict(
             {**environment.observation_space.spaces, **dict.fromkeys(names, picture)}
         )
         self.action_space = environment.action_space
         self._noise, self._step = 0, 0
         self._pictures: dict[str, NDArray[np.uint8]] = {}
+        self._dots: dict[str, NDArray[np.uint8]] = {}
 
     def __getattr__(self, name: str) -> Any:
         """Whatever else an environment has: its simulation, phantom and task."""
@@ -185,7 +200,8 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         self._noise, self._step = int(self.np_random.integers(2**63)), 0
         observation, info = self.environment.reset(seed=seed, options=options)
         if self.draw_clutter is not None:
-            self._room = self._seen_by(self.draw_clutter(self.np_random, self.size))
+            self._rooms = [self._seen_by(view, self.draw_clutter(self.np_random, self.size)) for view in self.views]
+        self._dots = self._drawn_dots() if self._draws_dots else {}
         return self._seen(observation), info
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -194,21 +210,36 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         self._step += 1
         return self._seen(observation), reward, terminated, truncated, info
 
-    def _seen_by(self, clutter: Clutter | None) -> tuple[BiplaneFluoroscope, ContrastRun]:
+    @property
+    def _draws_dots(self) -> bool:
+        """Whether the target's dot is drawn here: the environment's own is that of the frontal view."""
+        return self.views != (VIEW,)
+
+    def _drawn_dots(self) -> dict[str, NDArray[np.uint8]]:
+        phantom, radius = self.environment.phantom, max(DOT_SHARE * self.size, LEAST_DOT)
+        goal = self.environment.task.goal(phantom)[None]
+        seen = (Projector.view(view, phantom.bounds, self.size).project(goal)[0] for view in self.views)
+        return {"goal_image": np.stack([target_image(pixel, self.size, radius) for pixel in seen])}
+
+    def _seen_by(self, view: str, clutter: Clutter | None) -> tuple[BiplaneFluoroscope, ContrastRun]:
         simulation, phantom = self.environment.simulation, self.environment.phantom
         radius, catheter = wire_radius_of(simulation), catheter_in(simulation)
-        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, clutter=clutter)
-        return fluoroscope, contrast_run(phantom, self.size, radius, clutter)
+        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, view, clutter)
+        return fluoroscope, contrast_run(phantom, self.size, radius, clutter, view)
 
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
         if self._step % self.every == 0:
-            self._pictures = self._drawn()
+            self._pictures = self._drawn() | self._dots
         return {**observation, **self._pictures}
 
     def _drawn(self) -> dict[str, NDArray[np.uint8]]:
-        fluoroscope, run = self._room or self._seen_by(None)
-        generator = np.random.default_rng((self._noise, self._step))
-        frame = frame_of(self.environment.simulation, fluoroscope, generator, VIEW)
+        rooms = self._rooms or [self._seen_by(view, None) for view in self.views]
+        each = [self._drawn_in(place, *room) for place, room in enumerate(rooms)]
+        return each[0] if len(each) == 1 else {name: np.concatenate([one[name] for one in each]) for name in each[0]}
+
+    def _drawn_in(self, place: int, fluoroscope: BiplaneFluoroscope, run: ContrastRun) -> dict[str, NDArray[np.uint8]]:
+        generator = np.random.default_rng((self._noise, self._step, place) if place else (self._noise, self._step))
+        frame = frame_of(self.environment.simulation, fluoroscope, generator, self.views[place])
         masks = {name: getattr(frame, name)[None] * np.uint8(255) for name in self._masks}
         return {"image": frame.image[None], "plain": run.plain, "contrast": run.contrast, **masks}
 

@@ -1,4 +1,4 @@
-"""Image perception: the egocentric view of an episode as a recurrent policy's features.
+"""Image perception: the egocentric views of an episode, one of each camera, as a recurrent policy's features.
 
 There are two kinds. One observes the wire's mask and finds the lumen in the episode's first image. The other has X-ray
 images alone, and from before the episode a contrast run: an image without wire or contrast medium, and one with
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from enn.imitation.egocentric import EgocentricView, without_wire
+from enn.imitation.egocentric import VIEW_SIZE, EgocentricView, without_wire
 from enn.imitation.lumen_segmentation import LumenSegmenter
 from enn.imitation.recurrent_policy import Observation, RecurrentController, RecurrentPolicy
 from enn.imitation.wire_segmentation import WireSegmenter
@@ -24,6 +24,7 @@ from enn.model_file import UNFIT, another_architecture
 
 IMAGE_KEYS = ("image", "mask", "goal_image")  # observations of a policy that observes the wire's mask
 XRAY_KEYS = ("image", "plain", "contrast", "goal_image")  # ... and of one that finds wire and lumen itself
+ONE_CAMERA = ("frontal",)
 _DARKEST = 10.0  # grey levels, added to both images of a quotient: where no light falls it is 1
 
 
@@ -38,12 +39,13 @@ def subtracted(plain: NDArray[np.uint8], contrast: NDArray[np.uint8]) -> NDArray
 
 
 class ImagePerception:
-    """Segmenters and egocentric view: from images to `enn.imitation.egocentric.VIEW_SIZE` features.
+    """Segmenters and egocentric views: from images to `enn.imitation.egocentric.VIEW_SIZE` features of each camera.
 
     Args:
         segmenter: finds the lumen in an episode's first image, or in that of a contrast run.
         wire: finds the wire in every image; None: the mask is observed.
         subtracts: whether the lumen is looked for in `subtracted` images of contrast runs.
+        cameras: names of the views whose images, one after the other, are the first axis of every observation.
     """
 
     def __init__(
@@ -53,8 +55,9 @@ class ImagePerception:
         device: torch.device | str = "cpu",
         *,
         subtracts: bool = False,
+        cameras: Sequence[str] = ONE_CAMERA,
     ) -> None:
-        self.segmenter, self.subtracts = segmenter.to(device), subtracts
+        self.segmenter, self.subtracts, self.cameras = segmenter.to(device), bool(subtracts), tuple(cameras)
         self.wire = None if wire is None else wire.to(device)
 
     @property
@@ -62,17 +65,23 @@ class ImagePerception:
         """Names of the observations that it sees."""
         return IMAGE_KEYS if self.wire is None else XRAY_KEYS
 
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return len(self.cameras) * VIEW_SIZE
+
     def mask(self, observation: Observation) -> NDArray[np.uint8]:
-        """The wire's pixels, not 0, as observed or found. Shape (1, size, size)."""
+        """The wire's pixels, not 0, as observed or found. Shape (cameras, size, size)."""
         if self.wire is None:
             return observation["mask"]
-        return self.wire.mask(observation["image"][0], observation["plain"][0])[None]
+        pairs = zip(observation["image"], observation["plain"], strict=True)
+        return np.stack([self.wire.mask(image, plain) for image, plain in pairs])
 
-    def begin(self, observation: Observation) -> EgocentricView:
-        """The view of an episode, from its first observation.
+    def begin(self, observation: Observation) -> list[EgocentricView]:
+        """The views of an episode, one of each camera, from its first observation.
 
         Raises:
-            ValueError: an image is missing.
+            ValueError: an image is missing, or there are images of more or fewer cameras.
         """
         missing = [key for key in self.keys if key not in observation]
         if missing:
@@ -80,25 +89,50 @@ class ImagePerception:
                 f"the policy sees {', '.join(self.keys)}, but {', '.join(missing)} is missing: make the environment "
                 "with these observations"
             )
-        image, mask, dot = observation["image"], self.mask(observation), observation["goal_image"]
+        if len(observation["image"]) != len(self.cameras):
+            raise ValueError(
+                f"the policy sees the views {', '.join(self.cameras)}, got {len(observation['image'])} of them: make "
+                "the environment with these views"
+            )
+        masks = self.mask(observation)
+        return [self._begun(observation, masks, camera) for camera in range(len(self.cameras))]
+
+    def _begun(self, observation: Observation, masks: NDArray[np.uint8], camera: int) -> EgocentricView:
+        own = slice(camera, camera + 1)
+        image, mask, dot = observation["image"][own], masks[own], observation["goal_image"][own]
         view = EgocentricView()
-        empty = None if self.wire is None else observation["plain"]
-        view.start(image, mask, dot, self.lumen(observation, mask), empty=empty)
+        empty = None if self.wire is None else observation["plain"][own]
+        view.start(image, mask, dot, self.lumen(observation, mask, camera), empty=empty)
         return view
 
-    def lumen(self, observation: Observation, mask: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Probability of the lumen, shape (size, size), by an episode's first observation and the wire's mask in it."""
+    def lumen(self, observation: Observation, mask: NDArray[np.uint8], camera: int = 0) -> NDArray[np.float32]:
+        """Probability of the lumen in a camera's image.
+
+        Args:
+            observation: an episode's first.
+            mask: the wire's in that camera. Shape (1, size, size).
+
+        Returns:
+            Shape (size, size).
+        """
         if self.wire is None:
-            return self.segmenter.lumen(without_wire(observation["image"][0], mask[0] > 0))
-        contrast = observation["contrast"][0]
-        return self.segmenter.lumen(subtracted(observation["plain"][0], contrast) if self.subtracts else contrast)
+            return self.segmenter.lumen(without_wire(observation["image"][camera], mask[0] > 0))
+        contrast = observation["contrast"][camera]
+        return self.segmenter.lumen(subtracted(observation["plain"][camera], contrast) if self.subtracts else contrast)
 
     def __call__(
-        self, views: Sequence[EgocentricView], observations: Sequence[Observation], actions: Sequence[NDArray[Any]]
+        self,
+        views: Sequence[Sequence[EgocentricView]],
+        observations: Sequence[Observation],
+        actions: Sequence[NDArray[Any]],
     ) -> NDArray[np.float32]:
         """Features of N episodes' moment, as `enn.imitation.recurrent_policy.Perception` says."""
-        moments = zip(views, observations, actions, strict=True)
-        return np.stack([view.look(seen["image"], self.mask(seen), action) for view, seen, action in moments])
+        return np.stack([self._look(*moment) for moment in zip(views, observations, actions, strict=True)])
+
+    def _look(self, views: Sequence[EgocentricView], seen: Observation, action: NDArray[Any]) -> NDArray[np.float32]:
+        images, masks = seen["image"], self.mask(seen)
+        parts = [view.look(images[k : k + 1], masks[k : k + 1], action) for k, view in enumerate(views)]
+        return np.concatenate(parts)
 
     def controller(self, policy: RecurrentPolicy) -> RecurrentController:
         """A policy on this perception over episodes."""
@@ -113,6 +147,7 @@ class ImagePerception:
             },
             "wire": None if self.wire is None else {"width": self.wire.width, "weights": self.wire.state_dict()},
             "subtracts": self.subtracts,
+            "cameras": list(self.cameras),
         }
 
     @classmethod
@@ -129,7 +164,8 @@ class ImagePerception:
             wire = WireSegmenter(content["wire"]["width"])
             wire.load_state_dict(content["wire"]["weights"])
             wire.eval()
-        return cls(segmenter.eval(), wire, device, subtracts=bool(content.get("subtracts", False)))  # older files: not
+        older: dict[str, Any] = {"subtracts": False, "cameras": ONE_CAMERA}  # what files of older versions do not say
+        return cls(segmenter.eval(), wire, device, **{name: content.get(name, value) for name, value in older.items()})
 
 
 def load_image_policy(path: Path | str, device: torch.device | str = "cpu") -> tuple[RecurrentPolicy, ImagePerception]:

@@ -40,6 +40,11 @@ class ImagePolicy:
         return self.perception.keys
 
     @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the views whose images it sees."""
+        return self.perception.cameras
+
+    @property
     def action_repeat(self) -> int:
         """Environment steps that each action is meant for."""
         return self.policy.settings.action_repeat

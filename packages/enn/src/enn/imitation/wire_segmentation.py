@@ -190,9 +190,9 @@ def wire_frames(
         over, step = False, 0
         while not over:
             if step % BETWEEN == 0:
-                images.append(observation["image"][0])
-                plains.append(observation["plain"][0])
-                masks.append(observation["mask"][0])
+                images += list(observation["image"])  # of one camera or of several
+                plains += list(observation["plain"])
+                masks += list(observation["mask"])
             observation, _, terminated, truncated, _ = environment.step(steer(observation))
             over, step = terminated or truncated, step + 1
     return np.stack(images), np.stack(plains), np.stack(masks)
