@@ -9,6 +9,7 @@ A policy's folder, ``<row>/seed<k>/``, draws as::
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -18,15 +19,17 @@ from typing import TYPE_CHECKING, Any
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import Controller
+from pipeline.recording.trials import POLICY, Controller
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, read_demonstrations
 from pipeline.stages.unseen.starts import STARTS, read_starts
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP_KEYS
 from pipeline.stages.unseen.trials import PolicyJob, run_tests
+from pipeline.store.atomic_files import atomic_path
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
 
 if TYPE_CHECKING:
+    from enn.policy import Policy
     from enn.reinforcement.training import TrainingSettings
 
 PRELOAD = (
@@ -56,13 +59,14 @@ class RoadmapJob(PolicyJob):
     """A policy on the local roadmap.
 
     Attributes:
+        settings: of its training; None: the policy of `start` is taken as it is.
         validated: seeds of random arches that the best policy is chosen by; none: those trained on.
         demonstrated: whether it learns from the stage's demonstrations in its anatomies.
         laid: whether the stage's laid starts in its anatomies go into the reset bank.
         start: file of the policy that it starts from; None: from nothing.
     """
 
-    settings: TrainingSettings
+    settings: TrainingSettings | None
     validated: tuple[int, ...] = ()
     demonstrated: bool = False
     laid: bool = True
@@ -87,20 +91,41 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     Returns:
         ``training_s`` and a summary for each test set, target and mode.
     """
+    map_simulations()
+    policy, training_s = _taken_over(job) if job.settings is None else _trained(job, job.settings, report)
+
+    def controllers(mode: str) -> Callable[[int], Controller]:
+        return lambda seed: policy.controller(deterministic=mode == "deterministic", seed=seed)
+
+    tested = run_tests(job, controllers, ROADMAP_KEYS, report.part(0.7, 1.0, "tests"))
+    return {"training_s": training_s, "tests": tested}
+
+
+def _taken_over(job: RoadmapJob) -> tuple[Policy, float]:
+    """The policy that the job starts from, as its own."""
+    from enn.policy import Policy
+
+    assert job.start is not None, "without a training there is a policy to take"
+    file = job.own_folder / POLICY
+    if not file.is_file():
+        with atomic_path(file) as unfinished:
+            shutil.copyfile(job.start, unfinished)
+    return Policy.load(file), 0.0
+
+
+def _trained(job: RoadmapJob, settings: TrainingSettings, report: Report) -> tuple[Policy, float]:
+    """The policy of a training, and the seconds that it took."""
     from cathsim.many_anatomies import SHELF
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
     from enn.reinforcement.training import Training
 
-    map_simulations()
     for leftover in job.own_folder.glob(".*.tmp"):
         leftover.unlink()
-    environment = partial(
-        job.task.training_environment, observation=ROADMAP_KEYS, observe_every=job.settings.action_repeat
-    )
+    environment = partial(job.task.training_environment, observation=ROADMAP_KEYS, observe_every=settings.action_repeat)
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies) + len(job.validated))  # all take turns
     training = Training(
-        replace(job.settings, device=report.device),
+        replace(settings, device=report.device),
         partial(environment, job.anatomies),
         job.own_folder,
         seed=job.seed,
@@ -112,9 +137,4 @@ def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     )
     with stopping_the_stage(CheckpointError, *([ValueError] if job.start is not None else [])):
         result = training.run(lambda p: report(0.7 * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"))
-
-    def controllers(mode: str) -> Callable[[int], Controller]:
-        return lambda seed: result.policy.controller(deterministic=mode == "deterministic", seed=seed)
-
-    tested = run_tests(job, controllers, ROADMAP_KEYS, report.part(0.7, 1.0, "tests"))
-    return {"training_s": result.timings["wall_s"], "tests": tested}
+    return result.policy, result.timings["wall_s"]

@@ -67,8 +67,9 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     arches, validated = arches_of(settings, run_seed, max(most, settings.image_anatomies if images else 0))
     run = _Run(settings, folder, run_seed, variant, task, tuple(arches), tuple(validated))
     built = _anatomies(run)
-    laid = _starts(run, most)
-    shown = _demonstrations(run, after=_keys(built)) if DEMONSTRATED in task.targets else []
+    trains = bool(settings.decisions or curve)
+    laid = _starts(run, most) if trains else []
+    shown = _demonstrations(run, after=_keys(built)) if trains and DEMONSTRATED in task.targets else []
     prepared = [*built, *laid, *shown]
     teacher, tests = _roadmap(run, _keys(prepared), demonstrated=bool(shown))
     # policies by images are the longest chain of jobs: next after their teacher
@@ -130,22 +131,24 @@ def _demonstrations(run: _Run, after: tuple[str, ...]) -> list[Job]:
 def _roadmap(run: _Run, after: tuple[str, ...], *, demonstrated: bool) -> list[Job]:
     """The main policy, and its tests as a job of their own, so that the image policies need not wait for them."""
     settings = run.settings
-    start = policy_to_start_from(settings)
+    start, training = policy_to_start_from(settings), None
+    if settings.decisions:
+        training = training_settings(settings, settings.anatomies, settings.decisions, EVALUATIONS, start)
     given = RoadmapJob(
         folder=run.folder,
         origin=run.origin(ROADMAP),
         task=run.task,
         anatomies=run.arches[: settings.anatomies],
         tests=(*test_sets(settings), *misregistered(settings)),
-        settings=training_settings(settings, settings.anatomies, settings.decisions, EVALUATIONS, start),
+        settings=training,
         start=None if settings.policy is None else Path(settings.policy),
         validated=run.validated,
         demonstrated=demonstrated,
     )
-    training, gpu_gb = replace(given, tests=()), policy_gb(settings.task.image_size_px, 0)
+    untested, gpu_gb = replace(given, tests=()), policy_gb(settings.task.image_size_px, 0)
     weight, tests = settings.decisions * _SECONDS["decision"], _seconds_of(given.tests, settings)
     return [
-        Job(ROADMAP, train_roadmap, training, after=after, weight=weight, gpu_gb=gpu_gb),
+        Job(ROADMAP, train_roadmap, untested, after=after, weight=weight, gpu_gb=gpu_gb),
         Job(ROADMAP_TESTS, train_roadmap, given, after=(ROADMAP,), weight=tests, gpu_gb=gpu_gb),
     ]
 

@@ -10,7 +10,7 @@ from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import decision_steps
+from pipeline.task import MOTION, TASK, decision_steps, differences, task_from
 
 if TYPE_CHECKING:
     from enn.policy import Policy
@@ -68,7 +68,8 @@ def policy_to_start_from(settings: UnseenSettings) -> Policy | None:
     """The policy of `stage.policy`, if there is one.
 
     Raises:
-        ConfigurationError: it can't be read, has no critics, or sees something else than a roadmap.
+        ConfigurationError: it can't be read, has no critics to train on with, sees something else than a roadmap, or is
+            to be taken as it is and was trained for another task.
     """
     if settings.policy is None:
         return None
@@ -78,8 +79,13 @@ def policy_to_start_from(settings: UnseenSettings) -> Policy | None:
         policy = Policy.load(Path(str(settings.policy)))
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"stage.policy={settings.policy} can't be read: {error}") from None
-    if not policy.critics or policy.keys != ROADMAP_KEYS:
+    if policy.keys != ROADMAP_KEYS or (settings.decisions and not policy.critics):
+        with_critics = " that was saved with critics" if settings.decisions else ""
         raise ConfigurationError(
-            f"stage.policy={settings.policy} is no policy by a roadmap that was saved with critics: give such a one"
+            f"stage.policy={settings.policy} is no policy by a roadmap{with_critics}: give such a one"
         )
+    task = task_from(policy.metadata.get(TASK))
+    if not settings.decisions and task is not None and (differing := differences(settings.task, task, MOTION)):
+        values = ", ".join(f"stage.task.{name}={getattr(task, name)}" for name in differing)
+        raise ConfigurationError(f"stage.policy={settings.policy} was trained with {values}: give the stage the same")
     return policy

@@ -57,7 +57,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
     least_set_back_mm: Annotated[float, Ge(0), Le(100)] = 0.0
     curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each
     demonstrations: CountOrNone = 12  # that the sampling expert tries, in as many arches
-    decisions: Decisions = 16_000  # of the roadmap policy's training
+    decisions: CountOrNone = 16_000  # of the roadmap policy's training; 0: that of `policy` is taken as it is
     curve_decisions: Decisions = 8_000  # of each of the curve's policies, the one on `anatomies` arches among them
     hidden: Units = 256  # units of each of their two layers
     training: Hyperparameters = None  # their hyper-parameters: fields of enn's TrainingSettings
@@ -97,6 +97,10 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
         StartingPolicySettings.__post_init__(self)
         if not self.targets:
             raise ConfigurationError("stage.targets is empty: name at least one")
+        if not self.decisions and self.policy is None:
+            raise ConfigurationError(
+                "stage.decisions=0 takes a policy by a roadmap as it is: name its file by stage.policy, or train one"
+            )
         if self.task.wire == NO_WIRE:
             raise ConfigurationError(f"stage unseen steers a wire, got task.wire={NO_WIRE}: name a wire")
         if self.clutter and self.xray and self.task.image_size_px > _MOST_CLUTTERED_PX:

@@ -49,7 +49,8 @@ def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, 
             continue
         row, anatomies = job.given.origin.row, len(job.given.anatomies)
         kind = CURVE if row.startswith(f"{ROADMAP} ") else row
-        decisions = job.given.settings.decisions if isinstance(job.given, RoadmapJob) else None
+        training = job.given.settings if isinstance(job.given, RoadmapJob) else None
+        decisions = None if training is None else training.decisions
         success = _success(outcomes[job.key]["tests"], UNSEEN)
         table[f"{kind}/{anatomies}"] = {"decisions": decisions, **success}
     return table

@@ -229,6 +229,27 @@ def test_only_a_roadmap_policy_with_critics_starts_a_training(tmp_path: Path) ->
         check_unseen(settings(policy=str(acting)))
 
 
+def test_a_roadmap_policy_is_taken_as_it_is(tmp_path: Path) -> None:
+    file = next(file for file in weight_files() if file.stem == "arch_variety")  # without critics
+    with pytest.raises(ConfigurationError, match=r"stage\.decisions=0 takes a policy by a roadmap as it is: name its"):
+        settings(decisions=0)
+    with pytest.raises(
+        ConfigurationError, match=r"was trained with stage\.task\.wire=arch_variety, .*: give the stage"
+    ):
+        check_unseen(settings(decisions=0, policy=str(file)))
+    task = Task(**Policy.load(file).metadata["task"])
+    wanted = settings(decisions=0, policy=str(file), curve=[], task=task)
+    check_unseen(wanted)
+    jobs = {job.key: job.given for job in plan(wanted, tmp_path, 0, "desk")}
+    assert not [key for key in jobs if key.startswith(("starts", "demonstrations"))]
+    assert (jobs["roadmap"].settings, jobs["roadmap"].start, jobs["roadmap"].tests) == (None, file, ())
+    assert train_roadmap(replace(jobs["roadmap"], folder=tmp_path), Report()) == {"training_s": 0.0, "tests": []}
+    taken = tmp_path / "roadmap" / "seed0" / "policy.pt"
+    assert taken.read_bytes() == file.read_bytes()
+    with pytest.raises(ConfigurationError, match="is no policy by a roadmap: give such a one"):
+        check_unseen(settings(decisions=0, policy=str(file.with_name("type_1_bca.pt"))))
+
+
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"stage\.advised_episodes must be 1 or more, got 0"):
         settings(advised_episodes=0)
