@@ -1,4 +1,4 @@
-"""The demo's film: both X-ray views, what the policy reads drawn on the one that it sees, and the scene in 3-D."""
+"""The demo's film: two X-ray views, what the policy reads drawn on those that it sees, and the scene in 3-D."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VIEW_PX, SPACE_PX = 384, 300  # side of the X-ray views; width of the 3-D view
 TITLE_PX = 30
 FRAMES_PER_SECOND = 10.0  # of playback; every second step is shown, so at twice the episode's speed
 STRIDE = 2
-LATERAL = "lateral"
+USUAL_VIEWS = ("frontal", "lateral")
 # red, green, blue
 WIRE, WAY, LUMEN, TARGET = (255, 214, 10), (80, 220, 120), (90, 165, 255), (255, 92, 92)
 TRUE_WIRE = (226, 226, 236)
@@ -33,7 +33,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 class DemoFilm(Film):
-    """Three panels: the frontal X-ray view with what the policy reads, the lateral one, and the vessel in 3-D.
+    """Three panels: an X-ray view with what the policy reads, a second one, and the vessel in 3-D.
 
     Attributes:
         curves: of the episode, a value a step: distance of tip and target, mm, and contact force, N.
@@ -61,27 +61,34 @@ class DemoFilm(Film):
     def picture(self, environment: Any, goal: np.ndarray) -> np.ndarray:
         """The frame of the moment, (height, width, 3) uint8."""
         simulation = environment.simulation
-        if self.scene.by_images:
-            seen = self.scene.environment.observation["image"][0]
-            frontal = self._grey(seen, "frontal")
-            self._draw_reading(frontal)
-            title = "frontal X-ray: what it sees, and reads"
-        else:
-            frontal = self._grey(self._xray(environment, "frontal"), "frontal")
-            self._draw_scan(frontal, environment, "frontal")
-            title = "frontal X-ray, for you; it sees a roadmap"
-        lateral = self._grey(self._xray(environment, LATERAL), LATERAL)
-        if self.scene.by_images:  # the wire's shadow is faint through the shoulders
-            _line(lateral, self._project(environment, LATERAL, simulation.wire_points()), TRUE_WIRE)
-        else:
-            self._draw_scan(lateral, environment, LATERAL)
-        for panel, view in ((frontal, "frontal"), (lateral, LATERAL)):
-            _ring(panel, self._project(environment, view, goal[None])[0], TARGET)
-        panels = [_titled(frontal, title), _titled(lateral, "lateral X-ray, for you")]
+        panels = [self._titled_view(environment, goal, view) for view in self.views]
         space = self._space(simulation, goal)
         if space is not None:
             panels.append(_titled(space, f"in 3-D, for you   {environment.steps / 10:5.1f} s"))
         return np.concatenate(panels, axis=1)
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Those that the policy sees, and usual ones so that there are two."""
+        seen = self.scene.cameras[: len(USUAL_VIEWS)]
+        return (*seen, *(view for view in USUAL_VIEWS if view not in seen))[: len(USUAL_VIEWS)]
+
+    def _titled_view(self, environment: Any, goal: np.ndarray, view: str) -> np.ndarray:
+        if view in self.scene.cameras:
+            image = self.scene.environment.observation["image"][self.scene.cameras.index(view)]
+            panel = self._grey(image, view)
+            self._draw_reading(panel, view)
+            whose = ": what it sees, and reads"
+        else:
+            panel = self._grey(self._xray(environment, view), view)
+            whose = ", for you"
+            if self.scene.by_images:  # the wire's shadow is faint through the shoulders
+                _line(panel, self._project(environment, view, environment.simulation.wire_points()), TRUE_WIRE)
+            else:
+                self._draw_scan(panel, environment, view)
+                whose += "; it sees a roadmap" * (view == self.views[0])
+        _ring(panel, self._project(environment, view, goal[None])[0], TARGET)
+        return _titled(panel, f"{view.replace('_', ' ')} X-ray{whose}")
 
     def _grey(self, image: np.ndarray, view: str) -> np.ndarray:
         """A grey image as a panel: with more contrast, the same through the film; its pixels stay visible."""
@@ -94,8 +101,8 @@ class DemoFilm(Film):
         large = cv2.resize(shown, (VIEW_PX, VIEW_PX), interpolation=cv2.INTER_NEAREST)
         return np.repeat(large[:, :, None], 3, axis=2)
 
-    def _draw_reading(self, panel: np.ndarray) -> None:
-        read = self.scene.read_off_image()
+    def _draw_reading(self, panel: np.ndarray, view: str) -> None:
+        read = self.scene.read_off_image(view)
         lumen = cv2.resize(read.lumen.astype(np.float32), (VIEW_PX, VIEW_PX), interpolation=cv2.INTER_LINEAR)
         borders, _ = cv2.findContours((lumen > 0.5).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(panel, borders, -1, LUMEN, 1, cv2.LINE_AA)

@@ -86,9 +86,14 @@ class Scene:
     @property
     def by_images(self) -> bool:
         """Whether the policy sees nothing but images."""
+        return bool(self.cameras)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the views whose images the policy sees."""
         from enn.imitation.image_policy import ImagePolicy
 
-        return isinstance(self.policy, ImagePolicy)
+        return self.policy.cameras if isinstance(self.policy, ImagePolicy) else ()
 
     @property
     def target(self) -> str:
@@ -100,16 +105,17 @@ class Scene:
         """Who steers where, in a line."""
         return f"the {self.model} steers to the {self.target.upper()} of {self.anatomy}"
 
-    def read_off_image(self) -> ImageReading:
-        """What a policy of images reads off the last image, of several views the first."""
+    def read_off_image(self, view: str) -> ImageReading:
+        """What a policy of images reads off the last image of one of its views."""
         controller: Any = self.steer
         perception, seen = controller.perception, self.environment.observation
         if controller.view is None and self._first_view is None:  # before its first decision
             self._first_view = perception.begin(seen)
-        view, *_ = controller.view or self._first_view
-        wire = view.wire(seen["image"][:1], perception.mask(seen)[:1])
-        way, _ = view.way(wire[0])
-        return ImageReading(wire[:, ::-1], way[:, ::-1], view.lumen)
+        place = self.cameras.index(view)
+        own, of_view = slice(place, place + 1), (controller.view or self._first_view)[place]
+        wire = of_view.wire(seen["image"][own], perception.mask(seen)[own])
+        way, _ = of_view.way(wire[0])
+        return ImageReading(wire[:, ::-1], way[:, ::-1], of_view.lumen)
 
     def read_off_scan(self) -> tuple[np.ndarray, np.ndarray]:
         """Wire and way as a policy by a roadmap has them: (n, 3) m from the tip on, and the next 50 mm, (50, 3) m."""

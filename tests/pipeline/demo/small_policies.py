@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from enn import shipped
-from enn.imitation.egocentric import VIEW_SIZE
-from enn.imitation.image_perception import ImagePerception
+from enn.imitation.image_perception import ONE_CAMERA, ImagePerception
 from enn.imitation.lumen_segmentation import LumenSegmenter
 from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from enn.imitation.wire_segmentation import WireSegmenter
@@ -23,13 +22,17 @@ TASK_OF_DEMO = Task(wire_length_mm=380.0, image_size_px=64, max_steps=7)
 CARD = "# {0}\n\nSteers `{0}`.\n\n| file |\n\n**What it sees.** The `image`\nalone.\n\n**Figures.** None.\n"
 
 
-def ship(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Puts two untrained policies where enn finds the shipped ones; gives their folder."""
+def ship(folder: Path, monkeypatch: pytest.MonkeyPatch, cameras: tuple[str, ...] = ONE_CAMERA) -> Path:
+    """Puts two untrained policies where enn finds the shipped ones; gives their folder.
+
+    Args:
+        cameras: whose images the navigator sees.
+    """
     monkeypatch.setattr(shipped, "files", lambda package: folder / package)
     weights = folder / "enn.weights"
     metadata = {TASK: asdict(TASK_OF_DEMO)}
-    perception = ImagePerception(LumenSegmenter(4, 32), WireSegmenter(4))
-    settings = RecurrentPolicySettings(features=VIEW_SIZE, hidden=8, action_repeat=3)
+    perception = ImagePerception(LumenSegmenter(4, 32), WireSegmenter(4), cameras=cameras)
+    settings = RecurrentPolicySettings(features=perception.size, hidden=8, action_repeat=3)
     RecurrentPolicy(settings, perception=perception.content()).save(weights / "navigator.pt", **metadata)
     environment = UnseenTask(("bca",), TASK_OF_DEMO).test_environment("type_1", "bca", "default", ROADMAP_KEYS)
     spaces = environment.observation_space, environment.action_space

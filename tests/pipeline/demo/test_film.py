@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 
 from pipeline.demo.film import LUMEN, STRIDE, TARGET, TITLE_PX, TRUE_WIRE, VIEW_PX, WAY, WIRE, DemoFilm
-from pipeline.demo.steering import open_scene
+from pipeline.demo.steering import Scene, open_scene
 from tests.pipeline.demo.small_policies import ship
 
 
 def shows(panel: np.ndarray, colour: tuple[int, int, int]) -> bool:
     """Whether some pixels have nearly a colour."""
     return bool((np.abs(panel.astype(int) - colour).max(axis=2) < 40).any())
+
+
+def find_everything(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Has the scene's perception find a wire and a lumen in any image."""
+    perception = scene.steer.perception  # type: ignore[union-attr]
+    mask, lumen = np.zeros((len(perception.cameras), 64, 64), np.uint8), np.zeros((64, 64), np.float32)
+    mask[:, 40:, 32], lumen[:, 20:44] = 255, 1.0
+    monkeypatch.setattr(perception, "mask", lambda seen: mask)
+    monkeypatch.setattr(perception.segmenter, "lumen", lambda image: lumen)
 
 
 @pytest.mark.parametrize("model", ["navigator", "generalist"])
@@ -25,11 +34,7 @@ def test_panels_show_what_is_read(model: str, tmp_path: Path, monkeypatch: pytes
     environment = scene.environment
     by_images = model == "navigator"
     if by_images:  # an untrained network finds neither wire nor lumen
-        mask, lumen = np.zeros((1, 64, 64), np.uint8), np.zeros((64, 64), np.float32)
-        mask[0, 40:, 32], lumen[:, 20:44] = 255, 1.0
-        perception = scene.steer.perception  # type: ignore[union-attr]
-        monkeypatch.setattr(perception, "mask", lambda seen: mask)
-        monkeypatch.setattr(perception.segmenter, "lumen", lambda image: lumen)
+        find_everything(scene, monkeypatch)
     observation, info = environment.reset(seed=scene.start_seed)
     film.add(environment)
     for _ in range(STRIDE):
@@ -51,5 +56,21 @@ def test_panels_show_what_is_read(model: str, tmp_path: Path, monkeypatch: pytes
         "force_n": STRIDE + 1,
     }
     assert 10 < film.curves["distance_mm"][0] < 500
+    film.close()
+    environment.close()
+
+
+def test_both_views_show_what_a_policy_of_two_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ship(tmp_path, monkeypatch, ("lao_45", "frontal"))
+    scene = open_scene("navigator", seed=2)
+    film, environment = DemoFilm(scene), scene.environment
+    find_everything(scene, monkeypatch)
+    observation, info = environment.reset(seed=scene.start_seed)
+    environment.step(scene.steer(observation, info))
+    film.add(environment)
+    assert film.views == ("lao_45", "frontal")
+    (frame,) = film._frames
+    for panel in (frame[TITLE_PX:, :VIEW_PX], frame[TITLE_PX:, VIEW_PX : 2 * VIEW_PX]):
+        assert all(shows(panel, colour) for colour in (LUMEN, WAY, WIRE, TARGET))
     film.close()
     environment.close()

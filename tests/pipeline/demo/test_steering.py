@@ -25,9 +25,9 @@ def test_the_navigator_sees_images_alone() -> None:
     assert scene.title == "the navigator steers to the LCCA of random arch 40005"
     observation, info = scene.environment.reset(seed=scene.start_seed)
     assert set(observation) == {"image", "plain", "contrast", "goal_image"}
-    before = scene.read_off_image()
+    before = scene.read_off_image("frontal")
     scene.steer(observation, info)
-    after = scene.read_off_image()
+    after = scene.read_off_image("frontal")
     size = TASK_OF_DEMO.image_size_px
     for read in (before, after):
         assert read.lumen.shape == (size, size)
