@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pipeline.report.intervals import Interval, mean_interval
 from pipeline.report.results import SAMPLES, Table, mean_of
 
-_BOUNDS = ("_low_pct", "_high_pct")  # columns that are bounds of intervals themselves
-
+BOUNDS = ("_low_pct", "_high_pct")  # columns that are bounds of intervals themselves
+# ends of names of columns that are shares of something
 _SHARES = ("success_pct", "safety_pct", "spl_pct")
 
 CellName = tuple[str, str, str]  # table, row, column
@@ -55,7 +55,7 @@ def over_seeds(by_seed: Mapping[int, Mapping[str, Table]]) -> dict[CellName, Ove
                 for column, cell in columns.items():
                     if (
                         column != SAMPLES
-                        and not column.endswith(_BOUNDS)
+                        and not column.endswith(BOUNDS)
                         and cell is not None
                         and not isinstance(cell, str)
                     ):
@@ -65,5 +65,5 @@ def over_seeds(by_seed: Mapping[int, Mapping[str, Table]]) -> dict[CellName, Ove
         if len(set(means)) > 1:
             mean = math.fsum(means) / len(means)
             spread = math.sqrt(math.fsum((one - mean) ** 2 for one in means) / len(means))
-            found[name] = OverSeeds([mean, spread], len(means), is_share=name[2] in _SHARES)
+            found[name] = OverSeeds([mean, spread], len(means), is_share=name[2].endswith(_SHARES))
     return found

@@ -20,6 +20,8 @@ def test_every_seed_counts_alike_and_settings_do_not() -> None:
     assert (one.cell[0], one.seeds) == (90.0, 3)
     assert one.interval == (pytest.approx(90 - 24.84, abs=0.01), 100.0)  # a share is cut off
     assert OverSeeds(one.cell, 3).interval[1] == pytest.approx(90 + 24.84, abs=0.01)
+    of_a_target = {seed: {"t": {"r": {"bca_success_pct": mean}}} for seed, mean in enumerate((80.0, 90.0, 100.0))}
+    assert over_seeds(of_a_target)["t", "r", "bca_success_pct"].interval[1] == 100.0
 
 
 def test_one_seed_has_no_interval() -> None:

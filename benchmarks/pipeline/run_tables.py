@@ -1,0 +1,96 @@
+"""Tables of one or several runs as Markdown, from the `metrics.json` of their reports: several are joined over seeds.
+
+    python benchmarks/pipeline/run_tables.py runs/desk/report/metrics.json
+    python benchmarks/pipeline/run_tables.py docs/results/desk_run/seed*.json --tables generalisation navigation
+
+Of one run a cell is its value, or mean ± standard deviation; of several, one for each seed, it is the mean of their
+means and Student's 95 % interval, or the value that all of them have. So the seeds of `make all SEEDS=3` may run one by
+one, on several machines. `--keep FILE` writes the measured cells of one run alone, for the next time. Keys of the last
+line: runs, tables, cells (over seeds: that differ between them).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.report.over_seeds import BOUNDS, OverSeeds, over_seeds
+from pipeline.report.results import SAMPLES, Cell, Table
+from pipeline.report.table_formats import format_cell
+from pipeline.report.tables import OVER_SEEDS
+
+
+def measured(path: Path) -> dict[str, Table]:
+    """The tables of a run without rows and columns that were not measured."""
+    tables: dict[str, Table] = {}
+    for name, rows in json.loads(path.read_text(encoding="utf-8")).items():
+        kept = {
+            row: {key: cell for key, cell in cells.items() if cell is not None and key != OVER_SEEDS}
+            for row, cells in rows.items()
+        }
+        tables[name] = {row: cells for row, cells in kept.items() if set(cells) - {SAMPLES}}
+    return {name: rows for name, rows in tables.items() if rows}
+
+
+def words(cell: Cell, joined: OverSeeds | None) -> str:
+    """A cell of one run, or over seeds."""
+    if joined is None:
+        return format_cell(cell)
+    mean, low, high = (format_cell(float(f"{value:.3g}")) for value in (joined.cell[0], *joined.interval))
+    return f"{mean} ({low} to {high})"
+
+
+def as_markdown(name: str, rows: Table, joined: Mapping[tuple[str, str, str], OverSeeds]) -> str:
+    """A table under its heading."""
+    several = bool(joined)
+    columns = list(dict.fromkeys(column for cells in rows.values() for column in cells if column != SAMPLES))
+    columns = [column for column in columns if not (several and column.endswith(BOUNDS))]
+    lines = [f"| {name} | {' | '.join(columns)} |", "|" + "---|" * (len(columns) + 1)]
+    for row, cells in rows.items():
+        told = [words(cells.get(column), joined.get((name, row, column))) for column in columns]
+        lines.append(f"| {row} | {' | '.join(told)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Prints the tables and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("metrics", type=Path, nargs="+", metavar="METRICS", help="metrics.json of a run's report")
+    parser.add_argument("--tables", nargs="+", metavar="NAME", help="only these")
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="write the measured cells of one run there")
+    given = parser.parse_args()
+    missing = [str(path) for path in given.metrics if not path.is_file()]
+    if missing or (given.keep and len(given.metrics) > 1):
+        parser.error(f"there is no {missing[0]}" if missing else "--keep takes the metrics of one run")
+    runs = [measured(path) for path in given.metrics]
+    unknown = sorted(set(given.tables or ()) - set(runs[0]))
+    if unknown:
+        parser.error(f"unknown table {unknown[0]}: there are {', '.join(runs[0])}")
+    names = [name for name in runs[0] if not given.tables or name in given.tables]
+    if given.keep:
+        kept = json.dumps({name: runs[0][name] for name in names}, indent=1)
+        given.keep.write_text(kept + "\n", encoding="utf-8")
+    print(*tables_of(runs, names), sep="\n\n")
+    print(json.dumps(counts(runs, names)))
+
+
+def tables_of(runs: Sequence[dict[str, Table]], names: Sequence[str]) -> list[str]:
+    """The tables of these names, joined over the runs."""
+    joined = over_seeds(dict(enumerate(runs))) if len(runs) > 1 else {}
+    return [as_markdown(name, runs[0][name], joined) for name in names]
+
+
+def counts(runs: Sequence[dict[str, Table]], names: Sequence[str]) -> dict[str, Any]:
+    """Numbers of runs, tables, and cells or, of several runs, cells that differ between them."""
+    if len(runs) > 1:
+        cells = sum(table in names for table, _, _ in over_seeds(dict(enumerate(runs))))
+    else:
+        cells = sum(len(set(cells) - {SAMPLES}) for name in names for cells in runs[0][name].values())
+    return {"runs": len(runs), "tables": len(names), "cells": cells}
+
+
+if __name__ == "__main__":
+    main()
