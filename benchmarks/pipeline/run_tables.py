@@ -1,7 +1,8 @@
 """Tables of one or several runs as Markdown, from the `metrics.json` of their reports: several are joined over seeds.
 
     python benchmarks/pipeline/run_tables.py runs/desk/report/metrics.json
-    python benchmarks/pipeline/run_tables.py docs/results/desk_run/seed*.json --tables generalisation navigation
+    python benchmarks/pipeline/run_tables.py seed0.json seed1.json seed2.json --tables generalisation navigation
+    python benchmarks/pipeline/run_tables.py --quick    # of two runs of three cells, made up for it
 
 Of one run a cell is its value, or mean ± standard deviation; of several, one for each seed, it is the mean of their
 means and Student's 95 % interval, or the value that all of them have. So the seeds of `make all SEEDS=3` may run one by
@@ -21,6 +22,11 @@ from pipeline.report.over_seeds import BOUNDS, OverSeeds, over_seeds
 from pipeline.report.results import SAMPLES, Cell, Table
 from pipeline.report.table_formats import format_cell
 from pipeline.report.tables import OVER_SEEDS
+
+_MADE_UP: list[dict[str, Table]] = [
+    {"generalisation": {"roadmap/bca": {"success_pct": success, "force_n": [force, 0.01], "wire": "default"}}}
+    for success, force in ((90.0, 0.05), (96.0, 0.07))
+]
 
 
 def measured(path: Path) -> dict[str, Table]:
@@ -58,10 +64,17 @@ def as_markdown(name: str, rows: Table, joined: Mapping[tuple[str, str, str], Ov
 def main() -> None:
     """Prints the tables and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("metrics", type=Path, nargs="+", metavar="METRICS", help="metrics.json of a run's report")
+    parser.add_argument("metrics", type=Path, nargs="*", metavar="METRICS", help="metrics.json of a run's report")
+    parser.add_argument("--quick", action="store_true", help="two runs that are made up")
     parser.add_argument("--tables", nargs="+", metavar="NAME", help="only these")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="write the measured cells of one run there")
     given = parser.parse_args()
+    if given.quick:
+        print(*tables_of(_MADE_UP, list(_MADE_UP[0])), sep="\n\n")
+        print(json.dumps(counts(_MADE_UP, list(_MADE_UP[0]))))
+        return
+    if not given.metrics:
+        parser.error("name the metrics.json of a run's report")
     missing = [str(path) for path in given.metrics if not path.is_file()]
     if missing or (given.keep and len(given.metrics) > 1):
         parser.error(f"there is no {missing[0]}" if missing else "--keep takes the metrics of one run")
