@@ -257,8 +257,8 @@ def test_catheters_that_cannot_be_are_refused_in_one_sentence(tmp_path: Path) ->
         composed("stage=enn", "stage.torsion=soft")
     with pytest.raises(ConfigurationError, match=r"task\.actions=tip_motors bends the tip of a wire alone"):
         composed("stage=baselines", "budget=thesis", "stage.catheter=simmons2")
-    with pytest.raises(ConfigurationError, match=r"by a roadmap alone: give stage\.image=false stage\.xray=false"):
-        composed("stage=unseen", "stage.task.catheter=jb2")
+    with pytest.raises(ConfigurationError, match=r"images and the true mask: give stage\.image=false"):
+        composed("stage=unseen", "budget=smoke", "stage.task.catheter=jb2")
     with pytest.raises(ConfigurationError, match="stage navigation steers a wire without a catheter"):
         navigation.check_navigation(composed("stage=navigation", "task.catheter=jb2").stage)
     thick = tmp_path / "thick.yaml"

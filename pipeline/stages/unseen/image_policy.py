@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from enn.policy import Policy
 
 IMAGE_POLICY, RECORD, CURVE = "image_policy.pt", "training.json", "training.csv"
+CATHETER_MASK = "mask_catheter"  # its observation
 LUMEN_DEPTH = 1.5e-3  # m: a pixel shows the lumen where its ray passes through this much of it
 
 Tell = Callable[[float, str], None]  # the share done, and a few words
@@ -125,12 +126,16 @@ def _train(
         policy, perception = load_image_policy(last, device)
     else:
         segmenter = _lumen_segmenter(job, report, device)
+        devices = _device_segmenters(job, expert, report, device) if job.xray else {}
         perception = ImagePerception(
-            segmenter, _wire_segmenter(job, expert, report, device) if job.xray else None, device, subtracts=job.xray,
-            cameras=job.views,
+            segmenter, devices.get("mask"), device, subtracts=job.xray, cameras=job.views,
+            catheter=devices.get(CATHETER_MASK),
         )  # fmt: skip
         hints = int(np.prod(expert.observation_space[expert.keys[0]].shape))  # type: ignore[index]
-        settings = RecurrentPolicySettings(features=perception.size, hints=hints, action_repeat=expert.action_repeat)
+        actions = int(np.prod(expert.action_space.shape or ()))
+        settings = RecurrentPolicySettings(
+            features=perception.size, hints=hints, action_repeat=expert.action_repeat, actions=actions
+        )
         policy = RecurrentPolicy(settings, job.seed, device, perception.content())
     observation = job.observations(*expert.keys)
     side_by_side = min(SIDE_BY_SIDE, count)
@@ -221,23 +226,29 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
     return network
 
 
-def _wire_segmenter(job: ImagePolicyJob, expert: Policy, report: Tell, device: str) -> WireSegmenter:
-    """Trains the network that finds the wire, on an episode in each training anatomy."""
+def _device_segmenters(job: ImagePolicyJob, expert: Policy, report: Tell, device: str) -> dict[str, WireSegmenter]:
+    """Trains the network that finds the devices, and one that finds a catheter alone, on an episode in each training
+    anatomy; by the names of their masks.
+    """
     from enn.imitation.wire_segmentation import BETWEEN, fit_wire_segmenter, wire_frames
 
     environment = job.task.training_environment(job.anatomies, job.observations(*expert.keys))
     count, targets = len(job.anatomies), len(job.task.targets)
     cases = [environment.case_of(place, place % targets) for place in range(count)]
     rounds, epochs = job.settings.rounds, job.settings.wire_epochs
-    frames = wire_frames(
+    names = ("mask",) if job.task.task.catheter is None else ("mask", CATHETER_MASK)
+    images, plains, *masks = wire_frames(
         job.seen(environment, job.settings.clutter, with_mask=True, every=BETWEEN), expert, cases,
         np.random.default_rng((job.seed, count)),
         lambda done: report((0.1 + 0.07 * done / count) / rounds, "X-ray images of wires"),
-    )  # fmt: skip
-    network, score = fit_wire_segmenter(
-        *frames, epochs=epochs, seed=job.seed, device=device,
-        progress=lambda epoch, _: report((0.17 + 0.03 * epoch / epochs) / rounds, "wire segmenter"),
+        ("image", "plain", *names),
     )  # fmt: skip
     environment.close()
-    _LOGGER.info("the Dice score of the wire segmenter on its training images is %.3f", score)
-    return network
+    found = {}
+    for name, mask in zip(names, masks, strict=True):
+        found[name], score = fit_wire_segmenter(
+            images, plains, mask, epochs=epochs, seed=job.seed, device=device,
+            progress=lambda epoch, _: report((0.17 + 0.03 * epoch / epochs) / rounds, "wire segmenter"),
+        )  # fmt: skip
+        _LOGGER.info("the Dice score of the segmenter of %s on its training images is %.3f", name, score)
+    return found

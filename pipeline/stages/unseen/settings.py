@@ -108,11 +108,10 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
                 f"clutter is drawn in images of at most {_MOST_CLUTTERED_PX} px, got "
                 f"task.image_size_px={self.task.image_size_px}: make them smaller, or give stage.clutter=0"
             )
-        if self.task.catheter is not None and (self.image or self.xray):
+        if self.task.catheter is not None and self.image:
             raise ConfigurationError(
-                "with a catheter stage unseen trains by a roadmap alone: give stage.image=false stage.xray=false"
+                "with a catheter stage unseen trains no policy by images and the true mask: give stage.image=false"
             )
-
         if self.arches == VARIETY and (self.phantoms or self.mesh is not None):
             raise ConfigurationError(
                 f"with stage.arches={VARIETY} policies are trained and tested in any such arches and in no others: "

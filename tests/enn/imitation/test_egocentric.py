@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from enn.imitation.egocentric import (
+    CATHETER_SIZE,
+    LENGTH_SCALE,
     VIEW_SIZE,
     WAY_ARCS,
     WIRE_ARCS,
@@ -153,3 +155,26 @@ def test_refuses_images_that_do_not_fit() -> None:
         view.start(scene.image(scene.mask), scene.mask[:, 1:], scene.dot, scene.lumen)
     with pytest.raises(ValueError, match="shows no dot"):
         view.start(scene.image(scene.mask), scene.mask, np.zeros_like(scene.dot), scene.lumen)
+
+
+def test_a_catheters_end_is_seen_from_the_tip() -> None:
+    """The wire comes 20 px upwards out of the catheter and 12 px to the upper right."""
+    scene = Scene()
+    tube = drawn(scene.wire[2:], radius=1.6)[None]
+    look = scene.view().look(scene.image(scene.mask), scene.mask, REST, tube)
+    np.testing.assert_array_equal(look[:VIEW_SIZE], scene.look())
+    seen, far, near, along, across, *direction = look[VIEW_SIZE:]
+    assert len(look) == VIEW_SIZE + CATHETER_SIZE
+    assert seen == 1
+    assert 5 * LENGTH_SCALE * far * SIZE == pytest.approx(31.7, abs=4)
+    assert near == pytest.approx(np.tanh(5 * far), abs=1e-5)
+    up_right = (scene.wire[0] - scene.wire[1]) / np.hypot(*(scene.wire[0] - scene.wire[1]))
+    place = (scene.wire[2] - scene.wire[0]) / SIZE / LENGTH_SCALE
+    sideways = np.array([-up_right[1], up_right[0]])
+    np.testing.assert_allclose((along, across), (place @ up_right, place @ sideways), atol=0.35)
+    np.testing.assert_allclose(direction, (-up_right[0], -sideways[0]), atol=0.2)  # upwards
+    nothing = scene.view().look(scene.image(scene.mask), scene.mask, REST, 0 * tube)[VIEW_SIZE:]
+    assert nothing[0] == 0
+    assert 5 * LENGTH_SCALE * nothing[1] * SIZE == pytest.approx(71.7, abs=6)
+    covered = scene.view().look(scene.image(scene.mask), scene.mask, REST, scene.mask)[VIEW_SIZE:]
+    assert tuple(covered[:3]) == (1, 0, 0)

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from enn.imitation.egocentric import CATHETER_SIZE, VIEW_SIZE
 from enn.imitation.image_perception import XRAY_KEYS, ImagePerception, load_image_policy, subtracted
+from enn.imitation.image_policy import ImagePolicy
 from enn.imitation.lumen_segmentation import LumenSegmenter, fit_segmenter
-from enn.imitation.recurrent_policy import RecurrentPolicy
+from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from enn.imitation.sequence_cloning import SequenceCloningSettings, clone_sequences
 from enn.imitation.wire_segmentation import WireSegmenter, fit_wire_segmenter
 from tests.enn.imitation.straight_wire import CLONING, SIZE, SMALL, WireEnv, XrayWireEnv, advised, policy_on, vessels
@@ -125,3 +127,18 @@ def test_each_camera_has_a_view_of_its_own(segmenter: LumenSegmenter) -> None:
     assert ImagePerception.of(older).cameras == ("frontal",)
     with pytest.raises(ValueError, match="the policy sees the views frontal, lateral, got 1 of them"):
         two.begin(first)
+
+
+def test_with_a_catheter_there_are_four_actions_and_a_network_more(segmenter: LumenSegmenter, tmp_path: Path) -> None:
+    wire, tube = WireSegmenter(4), WireSegmenter(4)
+    perception, bare = ImagePerception(segmenter, wire, catheter=tube), ImagePerception(segmenter, wire)
+    seen, _ = XrayWireEnv().reset(seed=3)
+    action = np.array([0.5, 0.0, -0.5, 0.25], np.float32)
+    features = perception([perception.begin(seen)], [seen], [action])[0]
+    assert perception.size == len(features) == VIEW_SIZE + CATHETER_SIZE + 2
+    np.testing.assert_array_equal(features[:VIEW_SIZE], bare([bare.begin(seen)], [seen], [action])[0])
+    np.testing.assert_array_equal(features[-2:], action[2:])
+    settings = RecurrentPolicySettings(features=perception.size, hidden=8, actions=4)
+    RecurrentPolicy(settings, perception=perception.content()).save(tmp_path / "policy.pt")
+    steer = ImagePolicy.load(tmp_path / "policy.pt").controller()
+    assert steer(seen).shape == (4,)

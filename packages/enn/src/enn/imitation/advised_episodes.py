@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from enn.imitation.recurrent_policy import ACTIONS, Begin, Perception, RecurrentPolicy
+from enn.imitation.recurrent_policy import Begin, Perception, RecurrentPolicy, RecurrentPolicySettings
 from enn.imitation.sequence_cloning import AdvisedEpisode, SequenceCloningSettings, clone_sequences
 from enn.policy import Policy
 
@@ -75,7 +75,7 @@ def play_advised(
 
     def following(count: int) -> Iterator[_Running]:
         for _, start in zip(range(count), waiting, strict=False):
-            yield _Running(start, generator.random() < teacher_share, policy.settings.action_repeat, hint_key)
+            yield _Running(start, generator.random() < teacher_share, policy.settings, hint_key)
 
     running = list(following(side_by_side))
     while running:
@@ -158,13 +158,15 @@ def _joined(states: Sequence[Tensor | None], policy: RecurrentPolicy) -> Tensor:
 class _Running:
     """An episode under way."""
 
-    def __init__(self, start: EpisodeStart, by_teacher: bool, action_repeat: int, hint_key: str | None) -> None:
+    def __init__(
+        self, start: EpisodeStart, by_teacher: bool, settings: RecurrentPolicySettings, hint_key: str | None
+    ) -> None:
         self.by_teacher = by_teacher
-        self._start, self._repeat, self._hint_key = start, action_repeat, hint_key
+        self._start, self._repeat, self._hint_key = start, settings.action_repeat, hint_key
         self.observation, _ = start.environment.reset(seed=start.seed)
         self.view = start.begin(self.observation)
         self.state: Tensor | None = None
-        self.action: NDArray[np.float32] = np.zeros(ACTIONS, np.float32)
+        self.action: NDArray[np.float32] = np.zeros(settings.actions, np.float32)
         self._rows: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
         self._success = False
 

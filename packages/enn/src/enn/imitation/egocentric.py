@@ -23,7 +23,10 @@ LENGTH_SCALE, MOTION_SCALE = 0.1, 0.02
 _SMOOTHING = 5  # points
 _STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2**0.5), (1, -1, 2**0.5))
 
+_COVERED, _COVERED_SHARE = 8, 0.75  # points from the catheter's end on, and how many of them are to lie in it
+
 VIEW_SIZE = 2 * len(WAY_ARCS) + 2 * len(WIRE_ARCS) + 2 * RAYS + 17
+CATHETER_SIZE = 7  # further numbers where a catheter lies over the wire
 
 
 def trace_wire(mask: NDArray[np.bool_], entry: tuple[int, int] | None = None) -> NDArray[np.intp]:
@@ -238,13 +241,20 @@ class EgocentricView:
             points = np.concatenate((points[:1], inner, points[-1:]))
         return points, remaining
 
-    def look(self, image: NDArray[np.uint8], mask: NDArray[np.uint8], action: ArrayLike) -> NDArray[np.float32]:
+    def look(
+        self,
+        image: NDArray[np.uint8],
+        mask: NDArray[np.uint8],
+        action: ArrayLike,
+        catheter: NDArray[np.uint8] | None = None,
+    ) -> NDArray[np.float32]:
         """What the images show from the tip.
 
         Args:
             image: grey. Shape (1, size, size).
-            mask: the wire's pixels, not 0. Shape (1, size, size).
-            action: the previous decision, zeros for the first. Shape (2,).
+            mask: the wire's pixels, with a catheter those of both devices, not 0. Shape (1, size, size).
+            action: of the wire in the previous decision, zeros for the first. Shape (2,).
+            catheter: its pixels, not 0, shape (1, size, size); None: there is none.
 
         Returns:
             Points of the way ahead over their distances (14); length of the way and the hyperbolic tangent of it (2);
@@ -252,7 +262,7 @@ class EgocentricView:
             distance to the lumen's border along eight directions and the lumen's mean along them (16); the tip's
             direction in the image (2), its place relative to the entry (2); length of the wire seen (1) and its change
             (1); motion of the tip (2) and turn of its direction (2) since the last look; the previous action (2).
-            Shape (VIEW_SIZE,).
+            Shape (VIEW_SIZE,); with a catheter `catheter_end` follows, shape (VIEW_SIZE + CATHETER_SIZE,).
         """
         points = self.wire(image, mask)
         tip = points[0]
@@ -276,6 +286,7 @@ class EgocentricView:
         self._before = tip, heading, float(arc[-1])
         entry = points[-1]
         cosine, sine = float(heading @ before[1]), float(heading[1] * before[1][0] - heading[0] * before[1][1])
+        of_catheter = [] if catheter is None else [catheter_end(points, arc, axes, catheter[0] > 0)]
         return np.concatenate(
             (
                 ahead.ravel(),
@@ -291,8 +302,40 @@ class EgocentricView:
                 np.clip((tip - before[0]) @ axes / MOTION_SCALE, -5, 5),
                 (cosine, sine),
                 np.asarray(action, float),
+                *of_catheter,
             )
         ).astype(np.float32)
+
+
+def catheter_end(points: Array, arc: Array, axes: Array, catheter: NDArray[np.bool_]) -> Array:
+    """Where a catheter ends on the wire that comes out of it.
+
+    Args:
+        points: the axis of both devices from the tip on, rows and columns over the image's side. Shape (n, 2).
+        arc: its length up to each point, from 0. Shape (n,).
+        axes: columns along the tip and across it. Shape (2, 2).
+        catheter: its pixels. Shape (size, size).
+
+    Returns:
+        Whether it is seen (1), the distance along the axis from the tip to its end and the hyperbolic tangent of it
+        (2), the place of its end from the tip (2) and its direction there (2) in the tip's frame. Shape (7,). Where it
+        is not seen it ends where the wire comes in.
+    """
+    size = len(catheter)
+    wide = np.pad(catheter, 1)
+    beside = [wide[a : a + size, b : b + size] for a in range(3) for b in range(3)]  # of a thin tube pixels are missed
+    rows, columns = np.clip((points * size).astype(int), 0, size - 1).T
+    covered = np.concatenate((np.any(beside, axis=0)[rows, columns], np.zeros(_COVERED)))
+    shares = np.convolve(covered, np.ones(_COVERED) / _COVERED, "valid")[: len(points)]
+    there = np.flatnonzero((shares >= _COVERED_SHARE) & (covered[: len(points)] > 0))
+    end = int(there[0]) if len(there) else len(points) - 1
+    far = float(arc[end])
+    back = _at(points, arc, np.array([far + HEADING_ARC]))[0]
+    direction = points[end] - back
+    direction = direction / max(float(np.hypot(*direction)), 1e-9)
+    place = (points[end] - points[0]) @ axes / LENGTH_SCALE
+    lengths = (far / (5 * LENGTH_SCALE), np.tanh(far / LENGTH_SCALE))
+    return np.concatenate(((float(len(there) > 0),), lengths, place, direction @ axes))
 
 
 def sample(values: Array, places: Array) -> Array:

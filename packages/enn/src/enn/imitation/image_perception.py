@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from enn.imitation.egocentric import VIEW_SIZE, EgocentricView, without_wire
+from enn.imitation.egocentric import CATHETER_SIZE, VIEW_SIZE, EgocentricView, without_wire
 from enn.imitation.lumen_segmentation import LumenSegmenter
 from enn.imitation.recurrent_policy import Observation, RecurrentController, RecurrentPolicy
 from enn.imitation.wire_segmentation import WireSegmenter
@@ -25,6 +25,7 @@ from enn.model_file import UNFIT, another_architecture
 IMAGE_KEYS = ("image", "mask", "goal_image")  # observations of a policy that observes the wire's mask
 XRAY_KEYS = ("image", "plain", "contrast", "goal_image")  # ... and of one that finds wire and lumen itself
 ONE_CAMERA = ("frontal",)
+_OF_WIRE = 2  # actions
 _DARKEST = 10.0  # grey levels, added to both images of a quotient: where no light falls it is 1
 
 
@@ -43,7 +44,8 @@ class ImagePerception:
 
     Args:
         segmenter: finds the lumen in an episode's first image, or in that of a contrast run.
-        wire: finds the wire in every image; None: the mask is observed.
+        wire: finds the wire in every image, and a catheter over it; None: the mask is observed.
+        catheter: finds the catheter alone; None: there is none.
         subtracts: whether the lumen is looked for in `subtracted` images of contrast runs.
         cameras: names of the views whose images, one after the other, are the first axis of every observation.
     """
@@ -56,9 +58,10 @@ class ImagePerception:
         *,
         subtracts: bool = False,
         cameras: Sequence[str] = ONE_CAMERA,
+        catheter: WireSegmenter | None = None,
     ) -> None:
         self.segmenter, self.subtracts, self.cameras = segmenter.to(device), bool(subtracts), tuple(cameras)
-        self.wire = None if wire is None else wire.to(device)
+        self.wire, self.catheter = (None if one is None else one.to(device) for one in (wire, catheter))
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -68,14 +71,13 @@ class ImagePerception:
     @property
     def size(self) -> int:
         """Number of features."""
-        return len(self.cameras) * VIEW_SIZE
+        if self.catheter is None:
+            return len(self.cameras) * VIEW_SIZE
+        return len(self.cameras) * (VIEW_SIZE + CATHETER_SIZE) + _OF_WIRE  # as many actions of the catheter
 
     def mask(self, observation: Observation) -> NDArray[np.uint8]:
-        """The wire's pixels, not 0, as observed or found. Shape (cameras, size, size)."""
-        if self.wire is None:
-            return observation["mask"]
-        pairs = zip(observation["image"], observation["plain"], strict=True)
-        return np.stack([self.wire.mask(image, plain) for image, plain in pairs])
+        """The devices' pixels, not 0, as observed or found. Shape (cameras, size, size)."""
+        return observation["mask"] if self.wire is None else _found(self.wire, observation)
 
     def begin(self, observation: Observation) -> list[EgocentricView]:
         """The views of an episode, one of each camera, from its first observation.
@@ -130,9 +132,15 @@ class ImagePerception:
         return np.stack([self._look(*moment) for moment in zip(views, observations, actions, strict=True)])
 
     def _look(self, views: Sequence[EgocentricView], seen: Observation, action: NDArray[Any]) -> NDArray[np.float32]:
-        images, masks = seen["image"], self.mask(seen)
-        parts = [view.look(images[k : k + 1], masks[k : k + 1], action) for k, view in enumerate(views)]
-        return np.concatenate(parts)
+        images, masks, of_wire = seen["image"], self.mask(seen), action[:_OF_WIRE]
+        if self.catheter is None:
+            parts = [view.look(images[k : k + 1], masks[k : k + 1], of_wire) for k, view in enumerate(views)]
+            return np.concatenate(parts)
+        tubes = _found(self.catheter, seen)
+        parts = [
+            view.look(images[k : k + 1], masks[k : k + 1], of_wire, tubes[k : k + 1]) for k, view in enumerate(views)
+        ]
+        return np.concatenate([*parts, action[_OF_WIRE:]])
 
     def controller(self, policy: RecurrentPolicy) -> RecurrentController:
         """A policy on this perception over episodes."""
@@ -145,7 +153,8 @@ class ImagePerception:
                 "settings": [self.segmenter.width, self.segmenter.working_size],
                 "weights": self.segmenter.state_dict(),
             },
-            "wire": None if self.wire is None else {"width": self.wire.width, "weights": self.wire.state_dict()},
+            "wire": _kept(self.wire),
+            "catheter": _kept(self.catheter),
             "subtracts": self.subtracts,
             "cameras": list(self.cameras),
         }
@@ -159,13 +168,27 @@ class ImagePerception:
         """
         segmenter = LumenSegmenter(*content["segmenter"]["settings"])
         segmenter.load_state_dict(content["segmenter"]["weights"])
-        wire = None
-        if content["wire"] is not None:
-            wire = WireSegmenter(content["wire"]["width"])
-            wire.load_state_dict(content["wire"]["weights"])
-            wire.eval()
+        wire, catheter = _read(content["wire"]), _read(content.get("catheter"))
         older: dict[str, Any] = {"subtracts": False, "cameras": ONE_CAMERA}  # what files of older versions do not say
-        return cls(segmenter.eval(), wire, device, **{name: content.get(name, value) for name, value in older.items()})
+        further = {name: content.get(name, value) for name, value in older.items()}
+        return cls(segmenter.eval(), wire, device, catheter=catheter, **further)
+
+
+def _found(network: WireSegmenter, observation: Observation) -> NDArray[np.uint8]:
+    pairs = zip(observation["image"], observation["plain"], strict=True)
+    return np.stack([network.mask(image, plain) for image, plain in pairs])
+
+
+def _kept(network: WireSegmenter | None) -> dict[str, Any] | None:
+    return None if network is None else {"width": network.width, "weights": network.state_dict()}
+
+
+def _read(content: dict[str, Any] | None) -> WireSegmenter | None:
+    if content is None:
+        return None
+    network = WireSegmenter(content["width"])
+    network.load_state_dict(content["weights"])
+    return network.eval()
 
 
 def load_image_policy(path: Path | str, device: torch.device | str = "cpu") -> tuple[RecurrentPolicy, ImagePerception]:

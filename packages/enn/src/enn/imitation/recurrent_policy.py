@@ -23,7 +23,6 @@ from enn.model_file import UNFIT, another_architecture, read_model, write_model
 from enn.setting_kinds import Count, Units, UnitsOrNone, settings
 
 FORMAT = "enn-recurrent-policy-1"
-ACTIONS = 2  # translation and rotation, as shares of the most in a step
 _CLIP = 5.0  # standard deviations
 
 Observation = Mapping[str, NDArray[Any]]
@@ -42,7 +41,7 @@ class Perception(Protocol):
         """Features of N episodes' moment; called once a decision.
 
         Args:
-            actions: (2,) each, carried out since the last decision; zeros at first.
+            actions: those of each, (actions,), carried out since the last decision; zeros at first.
 
         Returns:
             (N, features).
@@ -62,6 +61,7 @@ class RecurrentPolicySettings:
         hidden: units of the recurrent layer.
         hints: numbers of the teacher's own observation that the network learns to predict along with the action.
         action_repeat: environment steps for which an action is held.
+        actions: translation and rotation as shares of the most in a step, of the wire and of a catheter over it.
     """
 
     features: Units
@@ -71,6 +71,7 @@ class RecurrentPolicySettings:
     hidden: Units = 128
     hints: UnitsOrNone = 0
     action_repeat: Count = 4
+    actions: Units = 2
 
     def __post_init__(self) -> None:
         """Refuses blocks of different lengths, blocks that overlap, and blocks outside the features."""
@@ -97,7 +98,7 @@ class RecurrentNetwork(nn.Module):
         self.inner = nn.Sequential(nn.Linear(narrow, s.hidden), nn.ReLU())
         self.recurrent = nn.GRU(s.hidden, s.hidden, batch_first=True)
         self.outer = nn.Sequential(nn.Linear(2 * s.hidden, s.hidden), nn.ReLU())
-        self.action, self.hint = nn.Linear(s.hidden, ACTIONS), nn.Linear(s.hidden, max(s.hints, 1))
+        self.action, self.hint = nn.Linear(s.hidden, s.actions), nn.Linear(s.hidden, max(s.hints, 1))
 
     def forward(self, features: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """Actions and hints for sequences of features, and the recurrent state after them.
@@ -107,7 +108,7 @@ class RecurrentNetwork(nn.Module):
             state: (1, N, hidden) from before; None: the episodes begin.
 
         Returns:
-            (N, T, 2) in -1 to 1, (N, T, hints), (1, N, hidden).
+            (N, T, actions) in -1 to 1, (N, T, hints), (1, N, hidden).
         """
         even = ((features - self.mean) * self.scale).clamp(-_CLIP, _CLIP)
         parts, place = [], 0
@@ -148,7 +149,7 @@ class RecurrentPolicy:
 
     @torch.inference_mode()
     def act(self, features: NDArray[np.float32], state: Tensor | None = None) -> tuple[NDArray[np.float32], Tensor]:
-        """Actions for one decision of N episodes and the state after it: (N, features) to (N, 2), (1, N, hidden)."""
+        """Actions of N episodes' decision and the state after it: (N, features) to (N, actions), (1, N, hidden)."""
         actions, _, state = self.network(torch.as_tensor(features)[:, None].to(self.device), state)
         return actions[:, 0].cpu().numpy(), state
 
@@ -191,7 +192,7 @@ class RecurrentController:
         """Starts an episode: the next observation is its first."""
         self._view: Any = None
         self._state: Tensor | None = None
-        self._action = np.zeros(ACTIONS, np.float32)
+        self._action = np.zeros(self.policy.settings.actions, np.float32)
         self._left = 0
 
     @property
@@ -200,7 +201,7 @@ class RecurrentController:
         return self._view
 
     def __call__(self, observation: Observation, info: Mapping[str, Any] | None = None) -> NDArray[np.float32]:
-        """The (2,) action of this step."""
+        """The (actions,) of this step."""
         if self._view is None:
             self._view = self._begin(observation)
         if self._left == 0:

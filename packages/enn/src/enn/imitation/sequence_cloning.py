@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.devices import seeded
-from enn.imitation.recurrent_policy import ACTIONS, RecurrentPolicy
+from enn.imitation.recurrent_policy import RecurrentPolicy
 from enn.setting_kinds import Count, CountOrNone, LearningRate, Weight, settings
 
 _SPREAD = 0.05  # added to each feature's standard deviation: what hardly varies must not become noise
@@ -51,7 +51,7 @@ class AdvisedEpisode:
 
     Attributes:
         features: (T, features).
-        actions: (T, 2).
+        actions: (T, actions).
         hints: (T, hints) of the teacher's observation; (T, 0) without.
         success: whether the target was reached.
         target: that was to be reached.
@@ -137,9 +137,9 @@ def _require_sizes(policy: RecurrentPolicy, episodes: Sequence[AdvisedEpisode]) 
     wanted = policy.settings
     for episode in episodes:
         sizes = [array.shape[1] for array in (episode.features, episode.actions, episode.hints)]
-        if sizes[:2] != [wanted.features, ACTIONS] or (wanted.hints and sizes[2] != wanted.hints):
+        if sizes[:2] != [wanted.features, wanted.actions] or (wanted.hints and sizes[2] != wanted.hints):
             raise ValueError(
-                f"the policy takes {wanted.features} features, {ACTIONS} actions and {wanted.hints} hints, got "
+                f"the policy takes {wanted.features} features, {wanted.actions} actions and {wanted.hints} hints, got "
                 f"{sizes[0]}, {sizes[1]} and {sizes[2]}"
             )
 

@@ -169,20 +169,22 @@ def wire_frames(
     cases: Sequence[int],
     generator: np.random.Generator,
     tick: Callable[[int], None] = lambda done: None,
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+    names: Sequence[str] = ("image", "plain", "mask"),
+) -> tuple[NDArray[np.uint8], ...]:
     """Images of episodes that an expert steers, each with a share of noise in its actions, from none to all.
 
     So the segmenter also sees tips that fold at walls and lie in wrong branches.
 
     Args:
-        environment: with the expert's observations, `image`, `plain` and `mask`, and the option `case` of a reset;
-            of every `BETWEEN`-th step the last three are enough.
+        environment: with the expert's observations, those of `names`, and the option `case` of a reset; of every
+            `BETWEEN`-th step the latter are enough.
         tick: called with the number of finished episodes.
+        names: of the observations that are kept, each of one camera or of several.
 
     Returns:
-        Images, images without a wire, and masks. Shapes (n, size, size).
+        Of each name the images. Shapes (n, size, size).
     """
-    images, plains, masks = [], [], []
+    kept: list[list[NDArray[np.uint8]]] = [[] for _ in names]
     for number, case in enumerate(cases):
         tick(number)
         observation, _ = environment.reset(seed=int(generator.integers(2**31)), options={"case": case})
@@ -190,9 +192,8 @@ def wire_frames(
         over, step = False, 0
         while not over:
             if step % BETWEEN == 0:
-                images += list(observation["image"])  # of one camera or of several
-                plains += list(observation["plain"])
-                masks += list(observation["mask"])
+                for images, name in zip(kept, names, strict=True):
+                    images.extend(observation[name])
             observation, _, terminated, truncated, _ = environment.step(steer(observation))
             over, step = terminated or truncated, step + 1
-    return np.stack(images), np.stack(plains), np.stack(masks)
+    return tuple(np.stack(images) for images in kept)
