@@ -93,7 +93,7 @@ def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int 
 
 def task_of(policy: Any, max_steps: int) -> UnseenTask:
     """The task of the tests, with the devices that a policy was trained with."""
-    catheter = policy.metadata.get(TASK, {}).get("catheter") if isinstance(policy, Policy) else None
+    catheter = policy.metadata.get(TASK, {}).get("catheter")
     usual = task_in_random_arches()
     rules = dataclasses.replace(usual, max_steps=max_steps, start_rotation_deg=180.0, catheter=catheter)
     return UnseenTask(TARGETS, rules)

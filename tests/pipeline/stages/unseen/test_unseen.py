@@ -370,6 +370,21 @@ def test_with_a_catheter_both_devices_are_steered_in_training_and_tests() -> Non
         environment.close()
 
 
+def test_by_x_ray_images_a_catheter_is_steered_too(tmp_path: Path) -> None:
+    teacher = next(file for file in weight_files() if file.stem == "generalist_simmons2")
+    task = replace(TASK, task=replace(TASK.task, catheter="simmons2"))
+    job = replace(image_job(tmp_path, 1, "xray"), task=task, tests=())
+    taken = tmp_path / "unseen" / "roadmap" / "seed0" / "policy.pt"
+    taken.parent.mkdir(parents=True)
+    shutil.copyfile(teacher, taken)
+    assert train_image_policy(job, Report())["tests"] == []
+    learnt = ImagePolicy.load(job.own_folder / "image_policy.pt")
+    assert (learnt.policy.settings.actions, learnt.perception.catheter is None) == (4, False)
+    environment = job.seen(task.test_environment(1, "lcca", "default", job.observations()))
+    seen, _ = environment.reset(seed=0)
+    assert learnt.controller()(seen).shape == environment.action_space.shape == (4,)
+
+
 def test_arches_with_a_steep_take_off_are_chosen_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
     backs = {seed: float(seed % 7) for seed in range(100)}
     monkeypatch.setattr("cathsim.load_phantom", lambda kind, seed, resolution: seed)
