@@ -104,67 +104,125 @@ def fit(
     Raises:
         FitError: a checkpoint of another architecture or other samples, or a loss that is not finite.
     """
-    module.to(**CHANNELS_LAST)
-    generator = np.random.default_rng(seed)
-    training, held_out = split(episodes, settings.validation_share, generator)
-    report = FitReport(samples=len(training))
-    optimiser = torch.optim.AdamW(
-        module.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True
-    )
-    best = copy.deepcopy(module.state_dict())
-    identity = {
-        "weights": {name: list(value.shape) for name, value in module.state_dict().items()},
-        "samples": [len(training), len(held_out)],
-        "settings": {k: v for k, v in asdict(settings).items() if k != "checkpoint_seconds"},
-        "seed": seed,
-    }
-    file = None if folder is None else Path(folder) / FILE
-    if file is not None and file.is_file():
-        best = _resume(file, identity, module, optimiser, generator, report)
-    batches = max(1, math.ceil(len(training) / settings.batch_size))
-    began, resumed_at, written = time.monotonic(), len(report.rows), time.monotonic()
-    while len(report.rows) < settings.epochs and not _out_of_patience(report, settings):
-        epoch, started = len(report.rows), time.process_time()
-        module.train()
-        total = 0.0
-        order = generator.permutation(training)
+    whole = _Fit(module, loss, episodes, settings, seed, None if folder is None else Path(folder) / FILE)
+    whole.run(progress)
+    return whole.report
+
+
+class _Fit:
+    """A fit under way: what it needs from one epoch to the next."""
+
+    def __init__(
+        self, module: nn.Module, loss: Loss, episodes: NDArray[Any], settings: EpisodeFitSettings, seed: int,
+        file: Path | None,
+    ) -> None:  # fmt: skip
+        self.module, self.loss, self.settings, self.file = module.to(**CHANNELS_LAST), loss, settings, file
+        self.generator = np.random.default_rng(seed)
+        self.training, self.held_out = split(episodes, settings.validation_share, self.generator)
+        self.report = FitReport(samples=len(self.training))
+        self.optimiser = torch.optim.AdamW(
+            module.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True
+        )
+        self.best = copy.deepcopy(module.state_dict())
+        self.identity = {
+            "weights": {name: list(value.shape) for name, value in module.state_dict().items()},
+            "samples": [len(self.training), len(self.held_out)],
+            "settings": {k: v for k, v in asdict(settings).items() if k != "checkpoint_seconds"},
+            "seed": seed,
+        }
+        if file is not None and file.is_file():
+            self._resume(file)
+
+    def run(self, progress: Callable[[EpisodeFitProgress], None] | None) -> None:
+        """Fits to the end, and leaves the module with its best weights."""
+        epochs, resumed_at = self.settings.epochs, len(self.report.rows)
+        began = written = time.monotonic()
+        while len(self.report.rows) < epochs and not _out_of_patience(self.report, self.settings):
+            self._epoch()
+            done = len(self.report.rows)
+            if done < epochs and time.monotonic() - written >= self.settings.checkpoint_seconds:
+                self._write()
+                written = time.monotonic()
+            if progress is not None:
+                left = (time.monotonic() - began) / (done - resumed_at) * (epochs - done)
+                try:
+                    progress(self._progress(left))
+                except BaseException:
+                    self._write()
+                    raise
+        self.module.load_state_dict(self.best)
+        self.module.to(**CHANNELS_FIRST).eval()
+        if self.file is not None:
+            self.file.unlink(missing_ok=True)
+
+    def _epoch(self) -> None:
+        started, epoch = time.process_time(), len(self.report.rows) + 1
+        mean = self._pass(epoch)
+        if not math.isfinite(mean):
+            raise FitError(f"the loss became {mean} in epoch {epoch}: look for odd samples, or lower learning_rate")
+        validation = validate(self.module, self.loss, self.held_out) if len(self.held_out) else None
+        known = [row["validation"] for row in self.report.rows]
+        self.report.cpu_s += time.process_time() - started
+        self.report.rows.append({"epoch": epoch, "loss": mean, "validation": validation, "cpu_s": self.report.cpu_s})
+        if validation is None or all(other is None or validation < other for other in known):
+            self.report.best_epoch, self.best = epoch, copy.deepcopy(self.module.state_dict())
+
+    def _pass(self, epoch: int) -> float:
+        """Learns from every sample once; gives the mean loss."""
+        settings, count = self.settings, len(self.training)
+        self.module.train()
+        batches, total = max(1, math.ceil(count / settings.batch_size)), 0.0
+        order = self.generator.permutation(self.training)
         for batch in range(batches):
             chosen = order[batch * settings.batch_size : (batch + 1) * settings.batch_size]
-            rate = _rate(settings, (epoch + batch / batches) / settings.epochs)
-            for group in optimiser.param_groups:
+            rate = _rate(settings, (epoch - 1 + batch / batches) / settings.epochs)
+            for group in self.optimiser.param_groups:
                 group["lr"] = rate
-            value = loss(chosen, True, generator)
-            optimiser.zero_grad()
+            value = self.loss(chosen, True, self.generator)
+            self.optimiser.zero_grad()
             value.backward()
-            optimiser.step()
+            self.optimiser.step()
             total += float(value.detach()) * len(chosen)
-        mean = total / len(training)
-        if not math.isfinite(mean):
-            raise FitError(f"the loss became {mean} in epoch {epoch + 1}: look for odd samples, or lower learning_rate")
-        validation = validate(module, loss, held_out) if len(held_out) else None
-        report.cpu_s += time.process_time() - started
-        report.rows.append({"epoch": epoch + 1, "loss": mean, "validation": validation, "cpu_s": report.cpu_s})
-        known = [row["validation"] for row in report.rows[:-1]]
-        if validation is None or all(other is None or validation < other for other in known):
-            report.best_epoch, best = epoch + 1, copy.deepcopy(module.state_dict())
-        last = epoch + 1 == settings.epochs
-        if file is not None and not last and time.monotonic() - written >= settings.checkpoint_seconds:
-            _write(file, identity, module, best, optimiser, generator, report)
-            written = time.monotonic()
-        if progress is not None:
-            done = epoch + 1 - resumed_at
-            left = (time.monotonic() - began) / done * (settings.epochs - epoch - 1)
-            try:
-                progress(EpisodeFitProgress(epoch + 1, settings.epochs, mean, validation, left))
-            except BaseException:
-                if file is not None:
-                    _write(file, identity, module, best, optimiser, generator, report)
-                raise
-    module.load_state_dict(best)
-    module.to(**CHANNELS_FIRST).eval()
-    if file is not None:
-        file.unlink(missing_ok=True)
-    return report
+        return total / count
+
+    def _progress(self, left: float) -> EpisodeFitProgress:
+        last: dict[str, Any] = self.report.rows[-1]
+        return EpisodeFitProgress(last["epoch"], self.settings.epochs, last["loss"], last["validation"], left)
+
+    def _write(self) -> None:
+        """Writes a checkpoint, where there is a folder for it."""
+        if self.file is None:
+            return
+        content = {
+            "format": FORMAT,
+            "identity": self.identity,
+            "module": self.module.state_dict(),
+            "best": self.best,
+            "optimiser": self.optimiser.state_dict(),
+            "generator": self.generator.bit_generator.state,
+            "torch": torch.get_rng_state(),
+            "report": asdict(self.report),
+        }
+        write_model(self.file, content)
+
+    def _resume(self, file: Path) -> None:
+        try:
+            content = read_model(file, FORMAT, kind="checkpoint of a fit", verb="fit")
+            for name, mine in self.identity.items():
+                if content["identity"][name] != mine:
+                    what = "another architecture" if name == "weights" else f"a fit with other {name}"
+                    raise FitError(f"{file} is of {what}: remove it to start again, or take another folder")
+            self.module.load_state_dict(content["module"])
+            self.optimiser.load_state_dict(content["optimiser"])
+            self.generator.bit_generator.state = content["generator"]
+            torch.set_rng_state(content["torch"])
+            for name, value in content["report"].items():
+                setattr(self.report, name, value)
+            self.best = content["best"]
+        except FitError:
+            raise
+        except UNFIT as error:
+            raise FitError(f"{file} is damaged or no checkpoint of a fit: remove it to start again") from error
 
 
 def split(
@@ -207,53 +265,3 @@ def _rate(settings: EpisodeFitSettings, share: float) -> float:
 
 def _out_of_patience(report: FitReport, settings: EpisodeFitSettings) -> bool:
     return bool(settings.patience) and len(report.rows) - report.best_epoch >= settings.patience
-
-
-def _write(
-    file: Path,
-    identity: dict[str, Any],
-    module: nn.Module,
-    best: dict[str, Tensor],
-    optimiser: torch.optim.Optimizer,
-    generator: np.random.Generator,
-    report: FitReport,
-) -> None:
-    content = {
-        "format": FORMAT,
-        "identity": identity,
-        "module": module.state_dict(),
-        "best": best,
-        "optimiser": optimiser.state_dict(),
-        "generator": generator.bit_generator.state,
-        "torch": torch.get_rng_state(),
-        "report": asdict(report),
-    }
-    write_model(file, content)
-
-
-def _resume(
-    file: Path,
-    identity: dict[str, Any],
-    module: nn.Module,
-    optimiser: torch.optim.Optimizer,
-    generator: np.random.Generator,
-    report: FitReport,
-) -> dict[str, Tensor]:
-    try:
-        content = read_model(file, FORMAT, kind="checkpoint of a fit", verb="fit")
-        for name, mine in identity.items():
-            if content["identity"][name] != mine:
-                what = "another architecture" if name == "weights" else f"a fit with other {name}"
-                raise FitError(f"{file} is of {what}: remove it to start again, or take another folder")
-        module.load_state_dict(content["module"])
-        optimiser.load_state_dict(content["optimiser"])
-        generator.bit_generator.state = content["generator"]
-        torch.set_rng_state(content["torch"])
-        for name, value in content["report"].items():
-            setattr(report, name, value)
-        best: dict[str, Tensor] = content["best"]
-    except FitError:
-        raise
-    except UNFIT as error:
-        raise FitError(f"{file} is damaged or no checkpoint of a fit: remove it to start again") from error
-    return best
