@@ -66,6 +66,81 @@ class RoughVessel:
         return int(shrinking[0]) if len(shrinking) else len(self.points) - 1
 
 
+@dataclass(frozen=True, eq=False)
+class _Ways:
+    """Ways from one root, as `build_vessels` takes them."""
+
+    ways: Sequence[Voxels]
+    points: Sequence[Array]
+    depths: Sequence[Array]
+
+    def shared(self, a: int, b: int) -> int:
+        """How many voxels two ways have in common."""
+        n = min(len(self.ways[a]), len(self.ways[b]))
+        apart = np.flatnonzero((self.ways[a][:n] != self.ways[b][:n]).any(axis=1))
+        return int(apart[0]) if len(apart) else n
+
+    def _groups(self, numbers: list[int], beyond: int) -> list[list[int]]:
+        """Numbers whose ways go on together beyond a voxel."""
+        found: list[list[int]] = []
+        for number in numbers:
+            arc = arc_length(self.points[number])
+            limit = float(arc[min(beyond, len(arc) - 1)]) + _SAME_FORK
+            least = int(np.searchsorted(arc, limit))
+            for group in found:
+                if self.shared(number, group[0]) > least:
+                    group.append(number)
+                    break
+            else:
+                found.append([number])
+        return found
+
+    def _build(self, numbers: list[int], start: int) -> RoughVessel:
+        sides: list[tuple[list[int], int]] = []
+        current, stop = numbers, None
+        while len(current) > 1:
+            fork = min(self.shared(current[0], other) for other in current[1:])
+            parts = self._groups(current, fork)
+            if len(parts) == 1:  # they part within what counts as one fork
+                parts = [[number] for number in current]
+            if max(map(len, parts)) == 1:
+                stop = fork
+                break
+            parts.sort(key=len)
+            sides += [(part, fork) for part in parts[:-1]]
+            current = parts[-1]
+        return self.assemble(current, start, stop, sides)
+
+    def assemble(
+        self, current: list[int], start: int, stop: int | None, sides: list[tuple[list[int], int]]
+    ) -> RoughVessel:
+        """A vessel along some ways that are one.
+
+        Args:
+            current: their numbers.
+            start: their first voxel that is the vessel's.
+            stop: the voxel where they part into vessels that go on from it; None: it leads to an end.
+            sides: numbers of further ways that leave it together, and the voxel where.
+        """
+        first = current[0]
+        last = len(self.points[first]) if stop is None else max(stop, start + 2)
+        arc = arc_length(self.points[first])
+        vessel = RoughVessel(
+            self.points[first][start:last], self.depths[first][start:last], first if stop is None else None
+        )
+        for part, fork in sides:
+            child = self._build(part, max(fork - 1, 0))
+            child.start = float(arc[max(fork - 1, 0)] - arc[start])
+            vessel.children.append(child)
+        if stop is not None:
+            for number in current:
+                child = self._build([number], last - 1)
+                child.start, child.from_fork = vessel.length, True
+                vessel.children.append(child)
+        vessel.children.sort(key=lambda child: child.start)
+        return vessel
+
+
 def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Sequence[Array], main: int) -> RoughVessel:
     """Turns ways from one root into vessels; returns the main one.
 
@@ -75,75 +150,21 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
         depths: for each end the distances (n,) m to the wall.
         main: number of the end that the main vessel leads to.
     """
-
-    def shared(a: int, b: int) -> int:
-        """How many voxels two ways have in common."""
-        n = min(len(ways[a]), len(ways[b]))
-        apart = np.flatnonzero((ways[a][:n] != ways[b][:n]).any(axis=1))
-        return int(apart[0]) if len(apart) else n
-
-    def groups(numbers: list[int], beyond: int) -> list[list[int]]:
-        """Numbers whose ways go on together beyond a voxel."""
-        found: list[list[int]] = []
-        for number in numbers:
-            arc = arc_length(points[number])
-            limit = float(arc[min(beyond, len(arc) - 1)]) + _SAME_FORK
-            least = int(np.searchsorted(arc, limit))
-            for group in found:
-                if shared(number, group[0]) > least:
-                    group.append(number)
-                    break
-            else:
-                found.append([number])
-        return found
-
-    def build(numbers: list[int], start: int) -> RoughVessel:
-        sides: list[tuple[list[int], int]] = []
-        current, stop = numbers, None
-        while len(current) > 1:
-            fork = min(shared(current[0], other) for other in current[1:])
-            parts = groups(current, fork)
-            if len(parts) == 1:  # they part within what counts as one fork
-                parts = [[number] for number in current]
-            if max(map(len, parts)) == 1:
-                stop = fork
-                break
-            parts.sort(key=len)
-            sides += [(part, fork) for part in parts[:-1]]
-            current = parts[-1]
-        return assemble(current, start, stop, sides)
-
-    def assemble(current: list[int], start: int, stop: int | None, sides: list[tuple[list[int], int]]) -> RoughVessel:
-        first = current[0]
-        last = len(points[first]) if stop is None else max(stop, start + 2)
-        arc = arc_length(points[first])
-        vessel = RoughVessel(points[first][start:last], depths[first][start:last], first if stop is None else None)
-        for part, fork in sides:
-            child = build(part, max(fork - 1, 0))
-            child.start = float(arc[max(fork - 1, 0)] - arc[start])
-            vessel.children.append(child)
-        if stop is not None:
-            for number in current:
-                child = build([number], last - 1)
-                child.start, child.from_fork = vessel.length, True
-                vessel.children.append(child)
-        vessel.children.sort(key=lambda child: child.start)
-        return vessel
-
+    every = _Ways(ways, points, depths)
     others = [number for number in range(len(ways)) if number != main]
-    leaves = {number: shared(number, main) for number in others}
+    leaves = {number: every.shared(number, main) for number in others}
     trunk = RoughVessel(points[main], depths[main], main)
     # Ways that leave the main vessel together and part again within its lumen are branches of their own.
     families: list[list[int]] = []
     for number in sorted(others, key=lambda n: leaves[n]):
         for family in families:
-            fork = shared(number, family[0])
+            fork = every.shared(number, family[0])
             if fork > leaves[number] and _beside(trunk, points[number][: fork + 1][-1]) > 0:
                 family.append(number)
                 break
         else:
             families.append([number])
-    aorta = assemble([main], 0, None, [(family, min(leaves[n] for n in family)) for family in families])
+    aorta = every.assemble([main], 0, None, [(family, min(leaves[n] for n in family)) for family in families])
     _join_common_origins(aorta)
     _part_short_trunks(aorta)
     _move_forks(aorta)
