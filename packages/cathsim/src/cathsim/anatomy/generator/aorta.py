@@ -54,58 +54,12 @@ def shape_aorta(parameters: ArchParameters, rng: np.random.Generator) -> Aorta:
     Raises:
         ValueError: the measures do not fit together; the message says why.
     """
-    from scipy.optimize import brentq
-
-    turn = math.pi + parameters.ascending_lean
-
-    def bend(length: float) -> tuple[Array, Array]:
-        """Arch part (n, 2) in u, w and the turned angle (n,) for an arc of this length."""
-        from scipy.special import betainc
-
-        t = np.linspace(0, 1, 400)
-        skew = parameters.arch_skew
-        angle = turn * betainc(1.9 * math.exp(-skew), 1.9 * math.exp(skew), t)
-        velocity = np.stack([-np.sin(angle), np.cos(angle)], axis=1) * length
-        middle = 0.5 * (velocity[1:] + velocity[:-1]) * (t[1] - t[0])
-        return np.concatenate([np.zeros((1, 2)), np.cumsum(middle, axis=0)]), angle
-
-    def width_error(length: float) -> float:
-        return -float(bend(length)[0][:, 0].min()) - parameters.arch_width
-
-    length = brentq(width_error, 0.03, 0.6, xtol=1e-6)
-    curve, angle = bend(length)
-    curve = curve - np.array([-parameters.arch_width / 2, curve[:, 1].max()])
-    straight = parameters.descending_height + curve[0, 1]
-    tail = (parameters.ascending_height + curve[-1, 1]) / -math.cos(angle[-1])
-    if straight < STRAIGHT_ENTRY + 0.02 or tail < 0.01:
-        raise ValueError(
-            "the arch does not fit between its ends: raise descending_height or ascending_height, or lower arch_width."
-        )
-    below = curve[0] - np.array([0, 1]) * np.arange(straight, 0, -STEP)[:, None]
-    beyond = np.array([-math.sin(angle[-1]), math.cos(angle[-1])])
-    after = curve[-1] + beyond * np.arange(STEP, tail + STEP, STEP)[:, None]
-    plane = _resample(np.concatenate([below, curve, after]))
-
-    arc = np.arange(len(plane), dtype=np.float64) * STEP
-    total = arc[-1]
-    window = smoothstep((arc - STRAIGHT_ENTRY) / 0.07) * smoothstep((total - arc) / 0.04)
-    bow = np.sin(math.pi * np.clip((arc - straight) / length, 0, 1)) ** 2
-    sideways = parameters.out_of_plane * bow + window * winding(arc, parameters.tortuosity, 0.11, rng)
-    inplane = window * winding(arc, parameters.tortuosity, 0.12, rng)
-    tangent = np.gradient(plane, axis=0)
-    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1, keepdims=True)
-    plane = plane + inplane[:, None] * normal
-
-    yaw, tilt = parameters.arch_yaw, parameters.arch_tilt
-    u = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-    v = np.cross(_UP, u)
-    # Only what lies above the straight entry leans, so that the wire still enters along the vertical.
-    lean = math.tan(tilt) * _smooth_ramp(plane[:, 1] - plane[0, 1] - STRAIGHT_ENTRY, 0.03)
-    points = _resample(plane[:, :1] * u + (sideways + lean)[:, None] * v + plane[:, 1:] * _UP)
-
+    plane, straight, bent = _in_plane(parameters)
+    plane, sideways = _wound(parameters, plane, straight, bent, rng)
+    points, outward_axis = _in_space(parameters, plane, sideways)
     tangents = np.gradient(points, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    outward = np.cross(tangents, np.cross(_UP * math.cos(tilt) + v * math.sin(tilt), u))
+    outward = np.cross(tangents, outward_axis)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     if np.dot(outward[np.argmax(points[:, 2])], _UP) < 0:
         outward = -outward
@@ -122,6 +76,73 @@ def shape_aorta(parameters: ArchParameters, rng: np.random.Generator) -> Aorta:
             "raise arch_width, or lower root_diameter, arch_skew or tortuosity."
         )
     return Aorta(points, tangents, outward, radius)
+
+
+def _in_plane(parameters: ArchParameters) -> tuple[Array, float, float]:
+    """The aorta without winding in its own plane, (n, 2) m across and up, and lengths of its descending part and arch.
+
+    Raises:
+        ValueError: the arch does not fit between its ends.
+    """
+    from scipy.optimize import brentq
+
+    def width_error(length: float) -> float:
+        return -float(_arch(parameters, length)[0][:, 0].min()) - parameters.arch_width
+
+    length = float(brentq(width_error, 0.03, 0.6, xtol=1e-6))
+    curve, angle = _arch(parameters, length)
+    curve = curve - np.array([-parameters.arch_width / 2, curve[:, 1].max()])
+    straight = float(parameters.descending_height + curve[0, 1])
+    tail = (parameters.ascending_height + curve[-1, 1]) / -math.cos(angle[-1])
+    if straight < STRAIGHT_ENTRY + 0.02 or tail < 0.01:
+        raise ValueError(
+            "the arch does not fit between its ends: raise descending_height or ascending_height, or lower arch_width."
+        )
+    below = curve[0] - np.array([0, 1]) * np.arange(straight, 0, -STEP)[:, None]
+    beyond = np.array([-math.sin(angle[-1]), math.cos(angle[-1])])
+    after = curve[-1] + beyond * np.arange(STEP, tail + STEP, STEP)[:, None]
+    return _resample(np.concatenate([below, curve, after])), straight, length
+
+
+def _arch(parameters: ArchParameters, length: float) -> tuple[Array, Array]:
+    """The arch alone, (n, 2) m from its beginning, and the turned angle (n,), for an arc of this length."""
+    from scipy.special import betainc
+
+    t = np.linspace(0, 1, 400)
+    skew, turn = parameters.arch_skew, math.pi + parameters.ascending_lean
+    angle = turn * betainc(1.9 * math.exp(-skew), 1.9 * math.exp(skew), t)
+    velocity = np.stack([-np.sin(angle), np.cos(angle)], axis=1) * length
+    middle = 0.5 * (velocity[1:] + velocity[:-1]) * (t[1] - t[0])
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(middle, axis=0)]), angle
+
+
+def _wound(
+    parameters: ArchParameters, plane: Array, straight: float, bent: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """The aorta in its plane with its winding, (n, 2) m, and how far it lies out of that, (n,) m.
+
+    Args:
+        straight, bent: m, lengths of the descending part and of the arch.
+    """
+    arc = np.arange(len(plane), dtype=np.float64) * STEP
+    window = smoothstep((arc - STRAIGHT_ENTRY) / 0.07) * smoothstep((arc[-1] - arc) / 0.04)
+    bow = np.sin(math.pi * np.clip((arc - straight) / bent, 0, 1)) ** 2
+    sideways = parameters.out_of_plane * bow + window * winding(arc, parameters.tortuosity, 0.11, rng)
+    inplane = window * winding(arc, parameters.tortuosity, 0.12, rng)
+    tangent = np.gradient(plane, axis=0)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1, keepdims=True)
+    return plane + inplane[:, None] * normal, sideways
+
+
+def _in_space(parameters: ArchParameters, plane: Array, sideways: Array) -> tuple[Array, Array]:
+    """The aorta in space, (n, 3) m at steps of STEP, and the (3,) axis that the arch bends about."""
+    yaw, tilt = parameters.arch_yaw, parameters.arch_tilt
+    u = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    v = np.cross(_UP, u)
+    # Only what lies above the straight entry leans, so that the wire still enters along the vertical.
+    lean = math.tan(tilt) * _smooth_ramp(plane[:, 1] - plane[0, 1] - STRAIGHT_ENTRY, 0.03)
+    points = _resample(plane[:, :1] * u + (sideways + lean)[:, None] * v + plane[:, 1:] * _UP)
+    return points, np.cross(_UP * math.cos(tilt) + v * math.sin(tilt), u)
 
 
 def fusiform_widening(aneurysm: Aneurysm, points: Array, lsa_arc: float) -> Array:
