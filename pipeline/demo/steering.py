@@ -168,9 +168,9 @@ def open_scene(
 def _environment(task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy) -> NavigateEnv:
     """The environment with what the policy sees among its observations."""
     from cathsim.observations.xray import XrayEnvironment
-    from enn.imitation.image_perception import XRAY_KEYS
+    from enn.imitation.image_policy import ImagePolicy
 
-    if policy.keys == XRAY_KEYS:
+    if isinstance(policy, ImagePolicy):
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
         return XrayEnvironment(bare, task.task.image_size_px, views=policy.cameras)  # type: ignore[return-value]
     return task.test_environment(place, target, task.task.wire, policy.keys)

@@ -165,4 +165,4 @@ def _pulling(count: int) -> Array:
     """The (count, count) matrix that pulls a way of so many points tight."""
     tight = np.eye(count)
     tight[1:-1] -= _PULL * np.diff(tight, 2, axis=0)
-    return np.linalg.inv(tight)
+    return np.asarray(np.linalg.inv(tight), float)
