@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipeline.chain.durations import known_minutes
+from pipeline.chain.durations import minutes_here
 from pipeline.chain.running import run
 from pipeline.chain.steps import after_inputs, chosen_value, concerns, steps_of
 from pipeline.config import BUDGETS
@@ -31,6 +31,7 @@ _ALL, _INPUTS, _ESTIMATE, _SEEDS = "all", "--inputs", "--estimate", "--seeds"
 _BESIDE = "--beside"
 _MOST_SEEDS = 20  # that pipeline.seeds has ranges for
 _MOST_BESIDE = 64
+_WORTH_SAYING = 0.1  # difference of this machine's pace from that of the known minutes
 
 
 def main(arguments: list[str]) -> int:
@@ -64,7 +65,10 @@ def main(arguments: list[str]) -> int:
     steps = steps_of(stages, seeds)
     if only_estimate:
         return _estimate([step.stage for step in steps], overrides)
-    return run(steps, overrides, known_minutes(overrides), beside)
+    known, pace = minutes_here([step.stage for step in steps], overrides)
+    if abs(pace - 1) > _WORTH_SAYING:
+        _say(f"== this machine takes {pace:.1f} times as long as the one whose minutes are known")
+    return run(steps, overrides, known, beside)
 
 
 def _taken(words: list[str], option: str, largest: int) -> int:

@@ -7,9 +7,11 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from pipeline.chain.pace import machine_seconds
 from pipeline.chain.steps import chosen_value
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY
 
+_WORTH_MEASURING = 10.0  # minutes of a chain, before which this machine's pace is measured
 _WORKED = 0.3  # of what a stage is known to take: less, and it was up to date or went on from an earlier run
 
 
@@ -18,9 +20,28 @@ def known_minutes(overrides: Sequence[str]) -> dict[str, float]:
     budget = chosen_value(overrides, "budget", "desk")
     if budget not in BUDGETS:  # the first stage says so
         return {}
-    sizes: Any = OmegaConf.load(CONFIG_DIRECTORY / "budget" / f"{budget}.yaml")
-    minutes = sizes.get("minutes") or {}
+    minutes = of_budget(budget).get("minutes") or {}
     return {str(name): float(value) for name, value in minutes.items()}
+
+
+def minutes_here(stages: Sequence[str], overrides: Sequence[str]) -> tuple[dict[str, float], float]:
+    """Wall minutes of each stage on this machine, as far as they are known, and how many times those of the budget.
+
+    Args:
+        stages: of a chain; where they are short, or the budget's machine is not known, nothing is measured.
+    """
+    known = known_minutes(overrides)
+    reference = of_budget(chosen_value(overrides, "budget", "desk")).get("machine_seconds") if known else None
+    if reference is None or sum(known.get(name, 0.0) for name in stages) < _WORTH_MEASURING:
+        return known, 1.0
+    seconds = machine_seconds()
+    pace = 1.0 if seconds is None else seconds / float(reference)
+    return {name: pace * minutes for name, minutes in known.items()}, pace
+
+
+def of_budget(budget: str) -> Any:
+    """The settings of a budget, as its file has them."""
+    return OmegaConf.load(CONFIG_DIRECTORY / "budget" / f"{budget}.yaml")
 
 
 def minutes_left(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.chain.durations import known_minutes, minutes_left, worded
+from pipeline.chain import durations
+from pipeline.chain.durations import known_minutes, minutes_here, minutes_left, worded
+from pipeline.chain.pace import machine_seconds
 from pipeline.config import BUDGETS
 from pipeline.stages import available_stages
 
@@ -21,6 +23,30 @@ def test_the_estimate_follows_the_machine() -> None:
     assert 60 < after_short < 85
     assert minutes_left(["unseen"], [], [("enn", 0.1)], known) == pytest.approx(60.0)
     assert minutes_left(["unseen", "shape"], [], [], known) is None
+
+
+def test_minutes_are_those_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = known_minutes(["budget=desk"])
+    reference = durations.of_budget("desk")["machine_seconds"]
+    monkeypatch.setattr(durations, "machine_seconds", lambda: 1.5 * reference)
+    here, pace = minutes_here(available_stages(), ["budget=desk"])
+    assert pace == pytest.approx(1.5)
+    assert here == pytest.approx({name: 1.5 * minutes for name, minutes in known.items()})
+    monkeypatch.setattr(durations, "machine_seconds", lambda: None)  # it could not be measured
+    assert minutes_here(available_stages(), ["budget=desk"]) == (known, 1.0)
+
+
+def test_a_short_chain_measures_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(durations, "machine_seconds", lambda: pytest.fail("measured"))
+    assert minutes_here(["phantoms", "report"], ["budget=desk"])[1] == 1.0
+    assert minutes_here(available_stages(), ["budget=smoke"])[1] == 1.0
+    assert minutes_here(available_stages(), ["budget=none"]) == ({}, 1.0)
+
+
+def test_the_machine_is_measured() -> None:
+    seconds = machine_seconds()
+    assert seconds is not None
+    assert 0.05 < seconds < 60
 
 
 def test_what_stages_under_way_have_done_is_not_left() -> None:
