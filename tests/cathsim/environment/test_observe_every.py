@@ -11,7 +11,7 @@ from cathsim import NavigateEnv
 from cathsim.many_anatomies import NavigateManyEnv
 from tests.cathsim.equal_observations import same
 
-KEYS = ("roadmap", "history", "image", "joints")
+KEYS = ("roadmap", "history", "image", "joints", "sequential", "tracking", "force")
 STEPS = 14
 
 

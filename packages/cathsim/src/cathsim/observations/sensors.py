@@ -87,6 +87,8 @@ class Sensors:
             moves: translation and rotation of each feeder, as shares of those at full action.
         """
         self.fluoroscope.update()
+        if "sequential" in self._observables:  # the last three steps' images, whether somebody looks at them or not
+            self.fluoroscope.sequence()
         if self.biplane is not None:
             self.biplane.update()
         if self.history is not None:
