@@ -49,11 +49,15 @@ def words(cell: Cell, joined: OverSeeds | None) -> str:
     return f"{mean} ({low} to {high})"
 
 
-def as_markdown(name: str, rows: Table, joined: Mapping[tuple[str, str, str], OverSeeds]) -> str:
-    """A table under its heading."""
+def as_markdown(
+    name: str, rows: Table, joined: Mapping[tuple[str, str, str], OverSeeds], wanted: Sequence[str] | None = None
+) -> str:
+    """A table under its heading, with all columns or with those that are wanted."""
     several = bool(joined)
     columns = list(dict.fromkeys(column for cells in rows.values() for column in cells if column != SAMPLES))
     columns = [column for column in columns if not (several and column.endswith(BOUNDS))]
+    if wanted and set(wanted) & set(columns):
+        columns = [column for column in columns if column in wanted]
     lines = [f"| {name} | {' | '.join(columns)} |", "|" + "---|" * (len(columns) + 1)]
     for row, cells in rows.items():
         told = [words(cells.get(column), joined.get((name, row, column))) for column in columns]
@@ -67,6 +71,7 @@ def main() -> None:
     parser.add_argument("metrics", type=Path, nargs="*", metavar="METRICS", help="metrics.json of a run's report")
     parser.add_argument("--quick", action="store_true", help="two runs that are made up")
     parser.add_argument("--tables", nargs="+", metavar="NAME", help="only these")
+    parser.add_argument("--columns", nargs="+", metavar="NAME", help="only these, in tables that have one of them")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="write the measured cells of one run there")
     given = parser.parse_args()
     if given.quick:
@@ -86,14 +91,16 @@ def main() -> None:
     if given.keep:
         kept = json.dumps({name: runs[0][name] for name in names}, indent=1)
         given.keep.write_text(kept + "\n", encoding="utf-8")
-    print(*tables_of(runs, names), sep="\n\n")
+    print(*tables_of(runs, names, given.columns), sep="\n\n")
     print(json.dumps(counts(runs, names)))
 
 
-def tables_of(runs: Sequence[dict[str, Table]], names: Sequence[str]) -> list[str]:
+def tables_of(
+    runs: Sequence[dict[str, Table]], names: Sequence[str], columns: Sequence[str] | None = None
+) -> list[str]:
     """The tables of these names, joined over the runs."""
     joined = over_seeds(dict(enumerate(runs))) if len(runs) > 1 else {}
-    return [as_markdown(name, runs[0][name], joined) for name in names]
+    return [as_markdown(name, runs[0][name], joined, columns) for name in names]
 
 
 def counts(runs: Sequence[dict[str, Table]], names: Sequence[str]) -> dict[str, Any]:
