@@ -211,7 +211,7 @@ DESK_PPO = TrainingSettings(
     log_std_init=-1.0,
     cloning_weight=1.0,
     reset_bank_share=0.5,
-    evaluate_every=4000,
+    evaluate_every=2500,
     stop_after=1,
     curve_every=1024,
 )
