@@ -26,7 +26,7 @@ Overrides go to every stage, e.g. budget=desk name=desk engine=ray, stage.KEY=VA
 stage.device=cuda, and stage@NAME.KEY=VALUE to one. It ends with the first stage that fails; the same command goes on
 from there.
 """
-_EXIT_USAGE = 2
+_EXIT_USAGE, _EXIT_INTERRUPTED = 2, 130
 _ALL, _INPUTS, _ESTIMATE, _SEEDS = "all", "--inputs", "--estimate", "--seeds"
 _BESIDE = "--beside"
 _MOST_SEEDS = 20  # that pipeline.seeds has ranges for
@@ -65,7 +65,10 @@ def main(arguments: list[str]) -> int:
     steps = steps_of(stages, seeds)
     if only_estimate:
         return _estimate([step.stage for step in steps], overrides)
-    known, pace = minutes_here([step.stage for step in steps], overrides)
+    try:
+        known, pace = minutes_here([step.stage for step in steps], overrides)
+    except KeyboardInterrupt:  # no stage has begun
+        return _EXIT_INTERRUPTED
     if abs(pace - 1) > _WORTH_SAYING:
         _say(f"== this machine takes {pace:.1f} times as long as the one whose minutes are known")
     return run(steps, overrides, known, beside)

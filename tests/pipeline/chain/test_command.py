@@ -97,3 +97,11 @@ def test_settings_of_a_stage_go_to_the_stages_that_have_them(pipeline_process) -
 def test_numbers_that_cannot_be_are_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words) == 2
     assert capsys.readouterr().err.strip() == problem
+
+
+def test_ctrl_c_while_the_machine_is_measured_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(stages: object, overrides: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pipeline.chain.command.minutes_here", interrupted)
+    assert main(["all", "--", "budget=desk"]) == 130
