@@ -130,7 +130,7 @@ def test_kill_while_writing_leaves_a_checkpoint_to_go_on_from(point_env: Any, tm
     command = [sys.executable, "-c", SCRIPT, str(conftest), str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert process.stdout is not None
-    deadline, reached = time.monotonic() + 60, 0
+    deadline, reached = time.monotonic() + 300, 0
     while reached < 80 and time.monotonic() < deadline:
         reached = int(process.stdout.readline() or 0)
     # it writes a checkpoint after every decision, so this most likely hits a write

@@ -6,16 +6,13 @@ import json
 import logging
 import time
 import zlib
-from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.utils import get_device
 
 from enn.model_file import UNFIT
@@ -25,17 +22,16 @@ from enn.reinforcement.evaluation import BestPolicy
 from enn.reinforcement.free_memory import trim_heap
 from enn.reinforcement.proximal_policy import PpoLearner
 from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
-from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
-from enn.reinforcement.sampling import SampledEnvs, without_checks
+from enn.reinforcement.reset_bank import ResetBank, fill_reset_bank
+from enn.reinforcement.sampling import without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.starting_policy import start_from
-from enn.reinforcement.training.result import COLUMNS, Progress, TrainingResult, replace_text, write_curve
-from enn.reinforcement.training.settings import TrainingSettings
-from enn.trajectory import Trajectory
+from enn.reinforcement.training.course import Course
+from enn.reinforcement.training.inputs import TrainingInputs
+from enn.reinforcement.training.result import Progress, TrainingResult, replace_text
 
 logger = logging.getLogger(__name__)
 
-REWARD_WINDOW, EPISODE_WINDOW = 100, 50
 TICK = 0.25  # s between calls of the progress callback
 # settings that may change when a training is resumed
 CHANGEABLE = {
@@ -52,34 +48,6 @@ CHANGEABLE = {
 }
 
 
-@dataclass
-class TrainingInputs:
-    """What a training starts from.
-
-    Attributes:
-        make_env: makes one environment; called for each of those sampled, and for evaluation.
-        folder: where it is kept; None: only in memory.
-        demonstrations: their states enter the reset bank; their steps take part in updates, if the settings say so.
-        encoder: frozen, turns observations into features.
-        metadata: kept in the policy's file, with the seed.
-        starts: further states of the reset bank, an array for each case or way. Shapes (k, n).
-        make_validation_env: makes the environments of the evaluations that choose the best policy; None: `make_env`.
-        initial: a policy with critics to start from instead of fresh weights: it acts from the first decision on, is
-            evaluated before the first update, and its normalisation stays. Learning begins after `learning_starts`.
-    """
-
-    settings: TrainingSettings
-    make_env: Callable[[], gymnasium.Env[Any, Any]]
-    folder: Path | str | None = None
-    seed: int = 0
-    demonstrations: Sequence[Trajectory] = ()
-    encoder: Any = None
-    metadata: dict[str, Any] | None = None
-    starts: Sequence[NDArray[Any]] = ()
-    make_validation_env: Callable[[], gymnasium.Env[Any, Any]] | None = None
-    initial: Policy | None = None
-
-
 class TrainingRun:
     """A training while it runs: its environments, learner, counters and clocks.
 
@@ -94,8 +62,8 @@ class TrainingRun:
         self.inputs, self.settings, self.progress = inputs, settings, progress
         self.folder = None if inputs.folder is None else Path(inputs.folder)
         torch.set_num_threads(1)
-        reset_bank = _make_reset_bank(settings, inputs.seed)
-        self.sampled = _make_envs(inputs, settings, reset_bank)
+        reset_bank = inputs.make_reset_bank(settings)
+        self.sampled = inputs.make_envs(settings, reset_bank)
         self.envs: Any = self.sampled
         if inputs.encoder is not None:
             from enn.reinforcement.encoded import EncodedEnvs
@@ -121,19 +89,13 @@ class TrainingRun:
             metadata={"seed": inputs.seed, **(inputs.metadata or {})},
         )
         self._evaluation_envs: list[gymnasium.Env[Any, Any]] = []
-        self.decisions = self.env_steps = 0
+        self.decisions = 0
         self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
         self.best_policy = BestPolicy(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
-        self.curve: list[dict[str, Any]] = []
-        self.latest: dict[str, Any] = {}
-        self.rewards: deque[float] = deque(maxlen=REWARD_WINDOW)
-        self.episodes: deque[tuple[int, bool]] = deque(maxlen=EPISODE_WINDOW)
-        self.spent = {"wall_s": 0.0, "cpu_s": 0.0, "simulation_s": 0.0, "update_s": 0.0, "evaluation_s": 0.0}
-        self.began = time.perf_counter(), time.process_time()
+        self.course = Course(self.folder)
         self.here = 0  # decisions of this run alone
         self.ticked = 0.0
         self.consistent = False
-        self.writer: Any = None
         self.checkpoint = None
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -141,9 +103,7 @@ class TrainingRun:
         self._begin(reset_bank)
         self.saved = time.perf_counter()
         if settings.tensorboard and self.folder is not None:
-            from torch.utils.tensorboard import SummaryWriter
-
-            self.writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self.decisions or None)
+            self.course.show_in_tensorboard(self.folder / "tensorboard", self.decisions)
 
     def _demonstrations(self) -> ReplayBuffer | None:
         """Those that take part in updates."""
@@ -196,21 +156,16 @@ class TrainingRun:
         actions = self.learner.act(self.observations, explore=explore)
         clock = time.perf_counter()
         after, rewards, dones, infos = self.envs.step(actions)
-        self.spent["simulation_s"] += time.perf_counter() - clock
+        self.course.spent["simulation_s"] += time.perf_counter() - clock
         self.learner.observe(self.observations, rewards, dones, after, infos, explore=explore)
         self.observations = after
         self.decisions += self.sampled.num_envs
         self.here += self.sampled.num_envs
-        for reward, info in zip(rewards.tolist(), infos, strict=True):
-            self.env_steps += info["steps"]
-            self.rewards.append(reward / info["steps"])
-            episode = info.get("episode")
-            if episode is not None and episode["fresh"]:
-                self.episodes.append((episode["l"], episode["success"]))
+        self.course.observe(rewards.tolist(), infos)
         clock = time.perf_counter()
         self.learner.set_learning_rate(self._learning_rate())
         self.learner.update(explore=waiting)
-        self.spent["update_s"] += time.perf_counter() - clock
+        self.course.spent["update_s"] += time.perf_counter() - clock
         self.consistent = True
 
     def _learning_rate(self) -> float:
@@ -228,9 +183,8 @@ class TrainingRun:
             while self.next_evaluation <= self.decisions:
                 self.next_evaluation += self.settings.evaluate_every
         over |= 0 < self.settings.stop_after <= self.best_policy.perfect
-        last = self.curve[-1]["decisions"] if self.curve else 0
-        if self.decisions >= self.next_row or (over and last < self.decisions):
-            self._row()
+        if self.decisions >= self.next_row or (over and self.course.last_row_at() < self.decisions):
+            self.course.add_row(self.decisions, {} if self.course.writer is None else self.learner.scalars())
             trim_heap()
             while self.next_row <= self.decisions:
                 self.next_row += self.settings.curve_every
@@ -245,36 +199,10 @@ class TrainingRun:
         while len(self._evaluation_envs) < min(self.settings.evaluation_episodes, self.settings.n_envs):
             self._evaluation_envs.append(without_checks((self.inputs.make_validation_env or self.inputs.make_env)()))
         self.policy.module.set_training_mode(False)
-        self.latest = self.best_policy.evaluate(self.policy, self._evaluation_envs, self.decisions, self._tick)
-        self.spent["evaluation_s"] += time.perf_counter() - clock
-
-    def _row(self) -> None:
-        wall, cpu = self._clocks()
-        row = {
-            "decisions": self.decisions,
-            "env_steps": self.env_steps,
-            "wall_s": round(wall, 3),
-            "cpu_s": round(cpu, 3),
-            "reward": float(np.mean(self.rewards)) if self.rewards else None,
-            "episode_length": float(np.mean([length for length, _ in self.episodes])) if self.episodes else None,
-            "success": self._success(),
-            **self.latest,
-        }
-        self.latest = {}
-        self.curve.append({name: row.get(name) for name in COLUMNS})
-        if self.folder is not None:
-            write_curve(self.folder / "training.csv", self.curve)
-        if self.writer is not None:
-            for name, value in {**{f"curve/{k}": v for k, v in row.items()}, **self.learner.scalars()}.items():
-                if value is not None and name != "curve/decisions":
-                    self.writer.add_scalar(name, value, self.decisions)
-
-    def _success(self) -> float | None:
-        return float(np.mean([success for _, success in self.episodes])) if self.episodes else None
-
-    def _clocks(self) -> tuple[float, float]:
-        wall, cpu = time.perf_counter() - self.began[0], time.process_time() - self.began[1]
-        return self.spent["wall_s"] + wall, self.spent["cpu_s"] + cpu
+        self.course.evaluation = self.best_policy.evaluate(
+            self.policy, self._evaluation_envs, self.decisions, self._tick
+        )
+        self.course.spent["evaluation_s"] += time.perf_counter() - clock
 
     def _tick(self) -> None:
         now = time.perf_counter()
@@ -282,14 +210,14 @@ class TrainingRun:
             return
         self.ticked = now
         total = self.settings.decisions
-        pace = (now - self.began[0]) / self.here if self.here else 0.0
+        pace = (now - self.course.began[0]) / self.here if self.here else 0.0
         self.progress(
             Progress(
                 self.decisions,
                 total,
-                self._success(),
+                self.course.success(),
                 self.best_policy.success,
-                self._clocks()[0],
+                self.course.clocks()[0],
                 pace * (total - self.decisions),
             )
         )
@@ -309,18 +237,13 @@ class TrainingRun:
 
     def _save(self) -> None:
         assert self.checkpoint is not None
-        wall, cpu = self._clocks()
         state = {
             "learner": self.learner.state(),
             "envs": self.sampled.state(),
             "random": random_states(),
-            "counters": (self.decisions, self.env_steps, self.next_row, self.next_evaluation),
+            "counters": (self.decisions, self.course.env_steps, self.next_row, self.next_evaluation),
             "best_policy": self.best_policy.state(),
-            "curve": self.curve,
-            "latest": self.latest,
-            "rewards": list(self.rewards),
-            "episodes": list(self.episodes),
-            "spent": {**self.spent, "wall_s": wall, "cpu_s": cpu},
+            **self.course.state(),
         }
         self.checkpoint.write(state, self.learner.chunks())
         self.saved = time.perf_counter()
@@ -330,25 +253,22 @@ class TrainingRun:
         observations = self.sampled.restore(state["envs"])
         self.observations = observations if self.inputs.encoder is None else self.envs.encode(observations)
         restore_random_states(state["random"])
-        self.decisions, self.env_steps, self.next_row, self.next_evaluation = state["counters"]
+        self.decisions, self.course.env_steps, self.next_row, self.next_evaluation = state["counters"]
         self.best_policy.restore(state["best_policy"])
         # the intervals may have been changed since
         self.next_evaluation = min(self.next_evaluation, self.decisions + (self.settings.evaluate_every or 1 << 62))
         self.next_row = min(self.next_row, self.decisions + self.settings.curve_every)
-        self.curve, self.latest = state["curve"], state["latest"]
-        self.rewards.extend(state["rewards"])
-        self.episodes.extend(state["episodes"])
-        self.spent |= state["spent"]
+        self.course.restore(state)
         logger.info("training goes on after %d of %d decisions", self.decisions, self.settings.decisions)
 
     def _finish(self) -> TrainingResult:
-        wall, cpu = self._clocks()
+        wall, cpu = self.course.clocks()
         timings = {
-            **self.spent,
+            **self.course.spent,
             "wall_s": wall,
             "cpu_s": cpu,
             "decisions": float(self.decisions),
-            "env_steps": float(self.env_steps),
+            "env_steps": float(self.course.env_steps),
             "updates": float(self.learner.updates),
         }
         evaluation = self.best_policy.load_best_into(self.policy.module)
@@ -357,7 +277,7 @@ class TrainingRun:
             self.policy.metadata |= self.learner.further_state()
         if self.folder is not None:
             self.policy.save(self.folder / "policy.pt", critics=self.settings.keep_critics)
-            write_curve(self.folder / "training.csv", self.curve)
+            self.course.write()
             record = {
                 "settings": asdict(self.settings),
                 "metadata": self.policy.metadata,
@@ -367,35 +287,14 @@ class TrainingRun:
             replace_text(self.folder / "training.json", json.dumps(record, indent=2))
         if self.checkpoint is not None:
             self.checkpoint.remove()
-        return TrainingResult(self.policy, self.curve, timings, evaluation)
+        return TrainingResult(self.policy, self.course.curve, timings, evaluation)
 
     def close(self) -> None:
         """Frees environments and files."""
-        if self.writer is not None:
-            self.writer.close()
+        self.course.close()
         self.sampled.close()
         for env in self._evaluation_envs:
             env.close()
-
-
-def _make_reset_bank(settings: TrainingSettings, seed: int) -> ResetBank | None:
-    kept = settings.reset_bank_share, settings.reset_bank_capacity, seed
-    if settings.reset_bank_cases:
-        return CaseResetBank(settings.reset_bank_cases, *kept)
-    return ResetBank(*kept) if settings.reset_bank_share > 0 else None
-
-
-def _make_envs(inputs: TrainingInputs, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs:
-    """The environments that are sampled; they observe what the networks read, or all that an encoder may."""
-    keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
-    return SampledEnvs(
-        [inputs.make_env] * settings.n_envs,
-        seed=inputs.seed,
-        threads=settings.threads,
-        action_repeat=settings.action_repeat,
-        reset_bank=reset_bank,
-        keys=keys if inputs.encoder is None else (),
-    )
 
 
 def _digest(network: torch.nn.Module | None) -> int:

@@ -10,8 +10,9 @@ from stable_baselines3.common.utils import get_device
 
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError
+from enn.reinforcement.training.inputs import TrainingInputs
 from enn.reinforcement.training.result import Progress, TrainingResult, read_curve
-from enn.reinforcement.training.run import TrainingInputs, TrainingRun
+from enn.reinforcement.training.run import TrainingRun
 
 
 class Training(TrainingInputs):

@@ -1,0 +1,64 @@
+"""What a training starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from numpy.typing import NDArray
+
+from enn.policy import Policy
+from enn.reinforcement.reset_bank import CaseResetBank, ResetBank
+from enn.reinforcement.sampling import SampledEnvs
+from enn.reinforcement.training.settings import TrainingSettings
+from enn.trajectory import Trajectory
+
+
+@dataclass
+class TrainingInputs:
+    """What a training starts from.
+
+    Attributes:
+        make_env: makes one environment; called for each of those sampled, and for evaluation.
+        folder: where it is kept; None: only in memory.
+        demonstrations: their states enter the reset bank; their steps take part in updates, if the settings say so.
+        encoder: frozen, turns observations into features.
+        metadata: kept in the policy's file, with the seed.
+        starts: further states of the reset bank, an array for each case or way. Shapes (k, n).
+        make_validation_env: makes the environments of the evaluations that choose the best policy; None: `make_env`.
+        initial: a policy with critics to start from instead of fresh weights: it acts from the first decision on, is
+            evaluated before the first update, and its normalisation stays. Learning begins after `learning_starts`.
+    """
+
+    settings: TrainingSettings
+    make_env: Callable[[], gymnasium.Env[Any, Any]]
+    folder: Path | str | None = None
+    seed: int = 0
+    demonstrations: Sequence[Trajectory] = ()
+    encoder: Any = None
+    metadata: dict[str, Any] | None = None
+    starts: Sequence[NDArray[Any]] = ()
+    make_validation_env: Callable[[], gymnasium.Env[Any, Any]] | None = None
+    initial: Policy | None = None
+
+    def make_reset_bank(self, settings: TrainingSettings) -> ResetBank | None:
+        """An empty reset bank, or None where no episode is to start from one."""
+        kept = settings.reset_bank_share, settings.reset_bank_capacity, self.seed
+        if settings.reset_bank_cases:
+            return CaseResetBank(settings.reset_bank_cases, *kept)
+        return ResetBank(*kept) if settings.reset_bank_share > 0 else None
+
+    def make_envs(self, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs:
+        """The environments that are sampled; they observe what the networks read, or all that an encoder may."""
+        keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
+        return SampledEnvs(
+            [self.make_env] * settings.n_envs,
+            seed=self.seed,
+            threads=settings.threads,
+            action_repeat=settings.action_repeat,
+            reset_bank=reset_bank,
+            keys=keys if self.encoder is None else (),
+        )
