@@ -1,0 +1,128 @@
+"""The plan of the stage `unseen`: what is trained, tested and waits for what."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.seeds import unseen_arches, validation_arches
+from pipeline.stages.unseen.jobs import (
+    AnatomiesJob,
+    RoadmapJob,
+)
+from pipeline.stages.unseen.plan import plan
+from pipeline.stages.unseen.starts import StartsJob
+from pipeline.stages.unseen.tables import registration
+from pipeline.stages.unseen.task import training_arch
+from tests.pipeline.stages.unseen.small_unseen import TASK, small_settings
+
+
+def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(small_settings(), tmp_path, 3, "smoke")}
+    policies = ["roadmap", "xray", "image_true_mask", "roadmap 1", "roadmap 4", "roadmap 8"]
+    assert [key for key in jobs if "/" not in key] == [*policies[:3], "roadmap tests", *policies[3:]]
+    assert jobs["roadmap tests"].given == replace(jobs["roadmap"].given, tests=jobs["roadmap tests"].given.tests)
+    for key in (*policies, "roadmap tests"):
+        given = jobs[key].given
+        assert given.anatomies == tuple(range(3000, 3000 + len(given.anatomies)))
+        tested = {phantom for test in given.tests for phantom in test.phantoms}
+        assert not tested & set(given.anatomies)
+        assert given.origin.variant == "smoke"
+    assert [len(jobs[key].given.anatomies) for key in policies] == [8, 20, 20, 1, 4, 8]
+    by_image = [jobs["image_true_mask"], jobs["xray"]]
+    assert [test.name for test in by_image[0].given.tests] == ["unseen", "type_1", "unseen softer"]
+    assert by_image[0].given.tests == by_image[1].given.tests
+    assert [job.given.xray for job in by_image] == [False, True]
+    assert [test.name for test in jobs["roadmap 4"].given.tests] == ["unseen"]
+    assert by_image[0].after == by_image[1].after == ("roadmap",)
+    built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
+    tested = [("random", seed) for seed in unseen_arches(50)]
+    validated = [training_arch(seed) for seed in validation_arches(16)]
+    kinds = ("random", "random_wide", "random", "random_scan", "random_scan")
+    trained = [(kinds[seed % 5], seed) for seed in range(3000, 3020)]
+    assert built == [*trained, *validated, *tested]
+    assert jobs["roadmap"].given.validated == tuple(seed for _, seed in validated)
+    without = {job.key for job in plan(small_settings(image=False, xray=False), tmp_path, 3, "smoke")}
+    assert not without & {"image_true_mask", "xray"}
+
+
+def test_clutter_is_a_test_of_the_x_ray_policy_alone(tmp_path: Path) -> None:
+    wanted = small_settings(image=True, clutter=0.5, clutter_anatomies=1)
+    jobs = {job.key: job.given for job in plan(wanted, tmp_path, 0, "desk")}
+    (among,) = [test for test in jobs["xray"].tests if test.name == "unseen clutter"]
+    (usual,) = [test for test in jobs["xray"].tests if test.name == "unseen"]
+    assert (among.clutter, usual.clutter, among.phantoms) == (0.5, 0.0, usual.phantoms[:1])
+    for row in ("image_true_mask", "roadmap tests"):
+        assert "unseen clutter" not in {test.name for test in jobs[row].tests}
+    clean = {job.key: job.given for job in plan(small_settings(clutter=0.0), tmp_path, 0, "desk")}
+    assert "unseen clutter" not in {test.name for test in clean["xray"].tests}
+
+
+def test_points_of_the_curve_have_equally_many_decisions(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(small_settings(), tmp_path, 0, "desk")}
+    sizes = {key: job.given.settings.decisions for key, job in jobs.items() if isinstance(job.given, RoadmapJob)}
+    assert sizes == {"roadmap": 16_000, "roadmap tests": 16_000, **{f"roadmap {k}": 8_000 for k in (1, 4, 8)}}
+    every = {key: jobs[key].given.settings.evaluate_every for key in sizes}
+    assert every == {key: decisions // (2 if key[-1].isdigit() else 5) for key, decisions in sizes.items()}
+    assert {"roadmap", "xray", "image_true_mask"} <= set(
+        jobs["roadmap 8"].after
+    )  # two of them with as many arches would not fit the memory
+    without = [job.key for job in plan(small_settings(curve=[]), tmp_path, 0, "desk")]
+    assert [key for key in without if "roadmap " in key] == ["roadmap tests"]
+
+
+def test_registrations_are_tried_on_the_same_arches_and_starts(tmp_path: Path) -> None:
+    wanted = small_settings(registration_noise_mm=[0.0, 1.5, 4.0], test_anatomies=3)
+    tests = {test.name: test for test in next(job for job in plan(wanted, tmp_path, 0, "desk")
+                                              if job.key == "roadmap tests").given.tests}  # fmt: skip
+    noisy = [tests["misregistered 1.5 mm"], tests["misregistered 4 mm"]]
+    assert [test.registration_noise for test in noisy] == [1.5e-3, 4e-3]
+    assert {test.phantoms for test in noisy} == {tests["unseen"].phantoms}
+    tests_done = [
+        {"test_set": name, "mode": mode, "target": target, "success_pct": success, "n": 3}
+        for name, success in (("unseen", 100.0), ("misregistered 1.5 mm", 50.0), ("misregistered 4 mm", 0.0))
+        for mode, target in (("deterministic", "bca"), ("deterministic", "lcca"), ("stochastic", "bca"))
+    ]
+    table = registration(wanted, tests_done)
+    assert {row: cells["success_pct"] for row, cells in table.items()} == {"0 mm": 100, "1.5 mm": 50, "4 mm": 0}
+    assert table["4 mm"]["n"] == 6
+    # the noise moves the roadmap and leaves the start as it is
+    starts = []
+    for noise in (0.0, 4e-3):
+        env = TASK.test_environment("type_1", "lcca", "default", ("roadmap", "history", "tip"), noise)
+        starts.append(env.reset(seed=5)[0])
+    np.testing.assert_array_equal(starts[0]["tip"], starts[1]["tip"])
+    assert np.abs(starts[0]["roadmap"] - starts[1]["roadmap"]).max() > 0.01
+
+
+def test_plan_demonstrates_in_training_anatomies(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(small_settings(demonstrations=5), tmp_path, 1, "desk")}
+    shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
+    assert sorted(seed for given in shown for seed in given.shown) == list(range(1000, 1005))
+    assert {"demonstrations/0", "demonstrations/1"} <= set(jobs["roadmap 4"].after)
+    assert jobs["roadmap 4"].given.settings.reset_bank_cases == 12
+    none = plan(small_settings(demonstrations=0), tmp_path, 1, "desk")
+    assert not [job.key for job in none if job.key.startswith("demonstrations")]
+    assert jobs["roadmap"].given.demonstrated
+    assert not next(job for job in none if job.key == "roadmap").given.demonstrated
+
+
+def test_plan_lays_starts_in_every_training_anatomy(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(small_settings(anatomies=20), tmp_path, 1, "desk")}
+    laid = [job for job in jobs.values() if isinstance(job.given, StartsJob)]
+    assert [seed for job in laid for seed in job.given.anatomies] == list(range(1000, 1020))
+    assert {job.key for job in laid} <= set(jobs["roadmap 1"].after)
+    assert [job.after for job in laid] == [("training/1000",), ("training/1016",)]
+    assert jobs["roadmap"].given.laid
+
+
+def test_a_missing_mesh_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    jobs = plan(small_settings(curve=[], mesh=str(tmp_path / "aorta.stl")), tmp_path, 0, "desk")
+    assert "the test on a scanned anatomy is left out" in caplog.text
+    assert "real_mesh" not in [test.name for test in jobs[-1].given.tests]
+    (tmp_path / "aorta.stl").touch()
+    jobs = plan(small_settings(curve=[], mesh=str(tmp_path / "aorta.stl")), tmp_path, 0, "desk")
+    assert "real_mesh" in [test.name for test in jobs[-1].given.tests]
