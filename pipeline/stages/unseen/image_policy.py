@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 IMAGE_POLICY, RECORD, CURVE = "image_policy.pt", "training.json", "training.csv"
 CATHETER_MASK = "mask_catheter"  # its observation
+PERCEPTION = 2  # rounds that take as long as fitting the networks of the perception
 LUMEN_DEPTH = 1.5e-3  # m: a pixel shows the lumen where its ray passes through this much of it
 
 Tell = Callable[[float, str], None]  # the share done, and a few words
@@ -122,11 +123,19 @@ def _train(
     expert = Policy.load(policy_folder(job.folder, ROADMAP, job.seed) / POLICY, device)
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies))  # all take turns
     last, rounds, count = last_policy(job.own_folder), job.settings.rounds, job.settings.advised_episodes
+    seeing = PERCEPTION / (PERCEPTION + rounds)
+
+    def perceive(share: float, text: str = "") -> None:
+        report(seeing * share, text)
+
+    def learn(share: float, text: str = "") -> None:
+        report(seeing + (1.0 - seeing) * share, text)
+
     if last is not None:
         policy, perception = load_image_policy(last, device)
     else:
-        segmenter = _lumen_segmenter(job, report, device)
-        devices = _device_segmenters(job, expert, report, device) if job.xray else {}
+        segmenter = _lumen_segmenter(job, perceive, device)
+        devices = _device_segmenters(job, expert, perceive, device) if job.xray else {}
         perception = ImagePerception(
             segmenter, devices.get("mask"), device, subtracts=job.xray, cameras=job.views,
             catheter=devices.get(CATHETER_MASK),
@@ -152,11 +161,11 @@ def _train(
             _starts(envs, perception, unseen_episode_seeds(job.seed, number, count)), expert, policy, perception,
             teacher_share=teacher_share, noise=noise, generator=np.random.default_rng((job.seed, number)),
             hint_key=expert.keys[0], side_by_side=side_by_side,
-            tick=lambda done: report((number + 0.2 + 0.3 * done / count) / rounds, f"round {number + 1}, episodes"),
+            tick=lambda done: learn((number + 0.5 * done / count) / rounds, f"round {number + 1}, episodes"),
         )  # fmt: skip
 
     fits = SequenceCloningSettings(epochs=job.settings.epochs)
-    done = teach(job.own_folder, policy, [], play, fits, rounds=rounds, seed=job.seed, began=began, report=report)
+    done = teach(job.own_folder, policy, [], play, fits, rounds=rounds, seed=job.seed, began=began, report=learn)
     for environment in envs:
         environment.close()
     return policy, perception, done
@@ -199,11 +208,11 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
     from enn.imitation.image_perception import subtracted
     from enn.imitation.lumen_segmentation import fit_segmenter
 
-    task, rounds, epochs = job.task.task, job.settings.rounds, job.settings.segmenter_epochs
+    task, epochs = job.task.task, job.settings.segmenter_epochs
     size_px, draw, generator = task.image_size_px, clutter_of(job.settings.clutter), np.random.default_rng(job.seed)
     images, lumens = [], []
     for number, seed in enumerate(job.anatomies):
-        report(0.1 * number / len(job.anatomies) / rounds, "images")
+        report(0.1 * number / len(job.anatomies), "images")
         phantom = SHELF.take(training_arch(seed, job.task.arches), RESOLUTION)
         for view in job.views:
             projector = Projector.view(view, phantom.bounds, size_px)
@@ -220,7 +229,7 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
         epochs=epochs,
         seed=job.seed,
         device=device,
-        progress=lambda epoch, _: report((0.1 + 0.1 * epoch / epochs) / rounds, "lumen segmenter"),
+        progress=lambda epoch, _: report(0.1 + 0.4 * epoch / epochs, "lumen segmenter"),
     )
     _LOGGER.info("the lumen segmenter's overlap with its training lumens is %.3f", overlap)
     return network
@@ -235,20 +244,20 @@ def _device_segmenters(job: ImagePolicyJob, expert: Policy, report: Tell, device
     environment = job.task.training_environment(job.anatomies, job.observations(*expert.keys))
     count, targets = len(job.anatomies), len(job.task.targets)
     cases = [environment.case_of(place, place % targets) for place in range(count)]
-    rounds, epochs = job.settings.rounds, job.settings.wire_epochs
+    epochs = job.settings.wire_epochs
     names = ("mask",) if job.task.task.catheter is None else ("mask", CATHETER_MASK)
     images, plains, *masks = wire_frames(
         job.seen(environment, job.settings.clutter, with_mask=True, every=BETWEEN), expert, cases,
         np.random.default_rng((job.seed, count)),
-        lambda done: report((0.1 + 0.07 * done / count) / rounds, "X-ray images of wires"),
+        lambda done: report(0.5 + 0.2 * done / count, "X-ray images of wires"),
         ("image", "plain", *names),
     )  # fmt: skip
     environment.close()
-    found = {}
+    found: dict[str, WireSegmenter] = {}
     for name, mask in zip(names, masks, strict=True):
         found[name], score = fit_wire_segmenter(
             images, plains, mask, epochs=epochs, seed=job.seed, device=device,
-            progress=lambda epoch, _: report((0.17 + 0.03 * epoch / epochs) / rounds, "wire segmenter"),
+            progress=lambda epoch, _: report(0.7 + 0.3 * (len(found) + epoch / epochs) / len(names), "wire segmenter"),
         )  # fmt: skip
         _LOGGER.info("the Dice score of the segmenter of %s on its training images is %.3f", name, score)
     return found
