@@ -7,11 +7,30 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.store.errors import ConfigurationError
+
 if TYPE_CHECKING:
     from cathsim.observations.xray import Clutter, DrawClutter
     from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 
 _INDICES = 2**31
+_LARGEST_PX = 1024  # of the images of random fluoroscopy
+
+
+def require_clutter_fits(image_size_px: int, setting: str) -> None:
+    """Refuses images that are larger than those of random fluoroscopy, whose clutter is to be laid over them.
+
+    Args:
+        setting: that the size is of.
+
+    Raises:
+        ConfigurationError: saying what to do.
+    """
+    if image_size_px > _LARGEST_PX:
+        raise ConfigurationError(
+            f"clutter is drawn in images of at most {_LARGEST_PX} px, got {setting}={image_size_px}: make them "
+            "smaller, or give stage.clutter=0"
+        )
 
 
 def clutter_of(amount: float) -> DrawClutter | None:

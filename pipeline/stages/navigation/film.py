@@ -101,7 +101,8 @@ def film_trials(job: FilmJob, report: Report) -> dict[str, Any]:
         if trial is None:
             continue
         row, test, target, number, seed = trial
-        scene = scene_of(test.task, test.anatomies[number // test.trials], target, job.settings.arms, ("tip",))
+        anatomy = test.anatomies[number // test.trials]
+        scene = scene_of(test.task, anatomy, target, job.settings.arms, ("tip",), clutter=test.clutter)
         film = NavigationFilm(scene, network)
         policy, perception = load_navigator(job.folder / row / NAVIGATOR, network)
         record_episode(

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.anatomies.known import TARGETS
 from pipeline.anatomies.settings import fitted_task
-from pipeline.stages.navigation.scene import NAMED, Anatomy, phantom_of, scene_of
+from pipeline.stages.navigation.scene import NAMED, Anatomy, among_clutter, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.task import DESCENDING
 
@@ -82,6 +82,7 @@ def _steered(
         scene = scene_of(task, anatomy, target, settings.arms, policy.keys)
         environment = scene.environment
         observation, _ = environment.reset(seed=int(generator.integers(2**31)))
+        arms = _every_second_among_clutter(scene.arms, settings, number, generator)
         steer = PerturbedController(policy, generator)
         over, step = False, 0
         while not over and len(found) < count:
@@ -90,7 +91,7 @@ def _steered(
             if step % between == 0 and not over:
                 simulation = environment.simulation
                 nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
-                frame = _frame(phantom, scene.arms, nodes, size_px, int(generator.integers(2**31)))
+                frame = _frame(phantom, arms, nodes, size_px, int(generator.integers(2**31)))
                 if frame is not None:
                     found.append(frame)
         environment.close()
@@ -106,15 +107,16 @@ def _laid(
     from cathsim.wire_placement import pushed_shapes
 
     phantom, task = phantom_of(anatomy), settings.task if anatomy[1] == NAMED else settings.arch_task
-    wire, arms = task.guidewire(), replace(settings.arms, wire=task.wire)
+    wire = task.guidewire()
     entry = task.entry if anatomy[1] == NAMED else DESCENDING
     simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"], entry=entry)
     usual = [target for target in TARGETS if target in phantom.targets]
     ways = _ways(phantom, usual or settings.targets, simulation)
     found: list[Frame] = []
-    for _ in range(4 * count):
+    for number in range(4 * count):
         if len(found) >= count or not ways:
             break
+        arms = _every_second_among_clutter(settings.arms_for(task), settings, number, generator)
         way = ways[int(generator.integers(len(ways)))]
         try:
             shapes = pushed_shapes(simulation, way, generator)
@@ -126,6 +128,12 @@ def _laid(
             if frame is not None:
                 found.append(frame)
     return found[:count]
+
+
+def _every_second_among_clutter(
+    arms: CArms, settings: NavigationSettings, number: int, generator: np.random.Generator
+) -> CArms:
+    return among_clutter(arms, settings.clutter * (number % 2), generator)
 
 
 def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:

@@ -86,6 +86,7 @@ class Course:
         anatomies: in which it knows the way.
         targets: to which it knows the way.
         hints: whether the navigator learns to predict the teacher's roadmap.
+        clutter: in the images of every second anatomy.
     """
 
     teacher: Path
@@ -93,6 +94,7 @@ class Course:
     targets: tuple[str, ...]
     task: Task
     hints: bool = False
+    clutter: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -320,7 +322,7 @@ def _play(
         seeds = navigation_episode_seeds(seed, number, index, count)
         starts = episode_starts(
             course.task, chosen[:count], seeds, job.settings.arms, teacher.keys, perception.settings,
-            job.settings.action_repeat,
+            job.settings.action_repeat, dict.fromkeys(course.anatomies[1::2], course.clutter),
         )  # fmt: skip
         episodes += play_advised(
             starts, teacher, policy, perception, teacher_share=teacher_share, noise=noise, generator=generator,

@@ -5,15 +5,23 @@ A navigator is given images, the target's marks and what the contrast run shows,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cathsim.lifetime_cache import kept_with_owner
-from cathsim.observations.c_arm_view import CArms, c_arm_environment, contrast_images, fluoroscope_of, marks_of
+from cathsim.observations.c_arm_view import (
+    CArmClutter,
+    CArms,
+    c_arm_environment,
+    contrast_images,
+    fluoroscope_of,
+    marks_of,
+)
 from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.clutter import clutter_of
 from pipeline.stages.learning.task import REWARD_OF_EVALUATION
 from pipeline.task import Task
 
@@ -47,6 +55,24 @@ def room_for(anatomies: Sequence[Anatomy]) -> None:
     from cathsim.many_anatomies import SHELF
 
     SHELF.capacity = max(SHELF.capacity, len(set(anatomies)))
+
+
+def among_clutter(arms: CArms, amount: float, generator: np.random.Generator) -> CArms:
+    """The C-arms with clutter in the way that a generator draws, or as they are where there is to be none.
+
+    Args:
+        amount: as of `pipeline.clutter.clutter_of`.
+    """
+    draw = clutter_of(amount)
+    if draw is None:
+        return arms
+    return replace(arms, clutter=CArmClutter(tuple(draw(generator, arms.image_size_px) for _ in arms.cameras)))
+
+
+@kept_with_owner
+def _among_its_own(phantom: Phantom, arms: CArms, amount: float) -> CArms:
+    """The C-arms over a phantom, with clutter that is the phantom's own: other phantoms have other clutter."""
+    return among_clutter(arms, amount, np.random.default_rng(int(phantom.hash[:8], 16)))
 
 
 @kept_with_owner
@@ -138,7 +164,13 @@ class Scene:
 
 
 def scene_of(
-    task: Task, anatomy: Anatomy, target: str, arms: CArms, observation: Sequence[str], observe_every: int = 1
+    task: Task,
+    anatomy: Anatomy,
+    target: str,
+    arms: CArms,
+    observation: Sequence[str],
+    observe_every: int = 1,
+    clutter: float = 0.0,
 ) -> Scene:
     """A scene.
 
@@ -146,10 +178,12 @@ def scene_of(
         task: wire, limits and start; its images are those of a teacher.
         arms: of the navigator's images; the wire that they show is the task's.
         observe_every: as of `cathsim.NavigateEnv`.
+        clutter: how much of it is in the way, always the same in an anatomy.
     """
-    seen = replace(arms, wire=task.wire)
+    phantom = phantom_of(anatomy)
+    seen = _among_its_own(phantom, replace(arms, wire=task.wire), clutter)
     arguments = {"reward": REWARD_OF_EVALUATION, "observe_every": observe_every, **task.arguments()}
-    return Scene(c_arm_environment(phantom_of(anatomy), target, seen, observation, **arguments), seen)
+    return Scene(c_arm_environment(phantom, target, seen, observation, **arguments), seen)
 
 
 def episode_starts(
@@ -160,6 +194,7 @@ def episode_starts(
     observation: Sequence[str],
     settings: NavigatorPerceptionSettings,
     action_repeat: int,
+    clutter: Mapping[Anatomy, float] | None = None,
 ) -> Iterator[EpisodeStart]:
     """Starts of advised episodes, each scene made when its turn comes and closed when the episode has ended.
 
@@ -167,11 +202,12 @@ def episode_starts(
         cases: anatomy and target of each.
         settings: of the navigator's perception.
         action_repeat: steps that the navigator holds an action: what lies between is not observed.
+        clutter: how much of it is in the way, by anatomy; where one is not named there is none.
     """
     from enn.imitation.advised_episodes import EpisodeStart
 
     for (anatomy, target), seed in zip(cases, seeds, strict=True):
-        scene = scene_of(task, anatomy, target, arms, observation, action_repeat)
+        scene = scene_of(task, anatomy, target, arms, observation, action_repeat, (clutter or {}).get(anatomy, 0.0))
 
         def begin(first: object, scene: Scene = scene) -> EpisodeView:
             return scene.view(settings)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from annotated_types import Ge, Le
 
 from pipeline.anatomies.settings import ChosenAnatomies
+from pipeline.clutter import require_clutter_fits
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
     NOT_EMPTY,
@@ -59,6 +60,10 @@ class NavigationSettings(ChosenAnatomies):
     arch_epochs: Count = 20
     arch_hidden: Units = 256  # units of that navigator
     test_arches: CountOrNone = 20
+    # of clutter in images, 1 as in guide3d's random fluoroscopy: in every second picture of the perception network, in
+    # every second arch of that navigator, and in a further set of trials of it; 0: none
+    clutter: Annotated[float, Ge(0), Le(4)] = 0.0
+    clutter_arches: Count = 20  # unseen arches of that set
     trials: Episodes = 30  # a target in each named phantom
     perception_arches: CountOrNone = 30  # random ones in which the SplineFormer is fine-tuned
     perception_frames: Count = 40  # in each
@@ -89,9 +94,11 @@ class NavigationSettings(ChosenAnatomies):
         return self.space and self.guided and len(self.cameras) == 2
 
     def __post_init__(self) -> None:
-        """Takes the choices over and checks that no phantom is both learnt in and kept for the transfer."""
+        """Takes the choices over; refuses a phantom both learnt in and kept for the transfer, and too large clutter."""
         chosen = self.phantom is not None
         super().__post_init__()
+        if self.clutter:
+            require_clutter_fits(self.image_size_px, "stage.image_size_px")
         if self.file is not None:
             self.transfer_phantoms = []
         if chosen:

@@ -38,7 +38,7 @@ from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.provenance import hash_file
 from pipeline.task import TASK, require_feeder, require_known_task, require_same_task, task_from
 
-UNSEEN = "unseen_arches"
+UNSEEN, CLUTTERED = "unseen_arches", "unseen_arches_clutter"
 RIVAL_VARIANT = "desk"  # network of the rival that clones pixels, whatever the budget: the thesis prints none for it
 _SECONDS = {"frame": 0.06, "episode": 1.2, "advised": 2.4, "trial": 2.0}  # guesses, for the estimate of the end
 
@@ -119,7 +119,8 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     if settings.arches:  # takes longest: goes first, beside the experts' episodes
         rounds, count = settings.arch_rounds, settings.arch_episodes
         navigator(
-            ARCHES, (PERCEPTION,), rounds * count * _SECONDS["advised"], tests, settings.arch_epochs,
+            ARCHES, (PERCEPTION,), rounds * count * _SECONDS["advised"], (*tests, *cluttered(settings)),
+            settings.arch_epochs,
             courses=(_arches(settings, context),), rounds=rounds, round_episodes=count, hidden=settings.arch_hidden,
         )  # fmt: skip
     first = len(navigators)
@@ -140,7 +141,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
         order = [ARCHES, DAGGER, *(row_of(settings, count) for count in reversed(settings.episodes))]
         shown = tuple(row for row in order if row in rows)
         origin = Origin("navigation", FILMS, context.seed, context.budget)
-        filmed = FilmJob(context.path, settings, shown, tests, origin)
+        filmed = FilmJob(context.path, settings, shown, (*tests, *cluttered(settings)), origin)
         jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0, gpu_gb=reading_gb))
     return jobs
 
@@ -181,7 +182,7 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
 def _arches(settings: NavigationSettings, context: StageContext) -> Course:
     anatomies = tuple(training_arch(seed) for seed in training_arches(context.seed, settings.arches))
     teacher = _teacher(settings, context)
-    return Course(teacher, anatomies, tuple(settings.targets), settings.arch_task, hints=True)
+    return Course(teacher, anatomies, tuple(settings.targets), settings.arch_task, hints=True, clutter=settings.clutter)
 
 
 def _teacher(settings: NavigationSettings, context: StageContext) -> Path:
@@ -202,8 +203,20 @@ def trial_sets(settings: NavigationSettings) -> tuple[TrialSet, ...]:
         TrialSet(name, ((settings.anatomy(name), NAMED),), settings.trials, settings.task)
         for name in (*settings.phantoms, *settings.transfer_phantoms)
     ]
-    unseen: tuple[Anatomy, ...] = tuple((TEST_PHANTOM, arch) for arch in unseen_arches(settings.test_arches))
+    unseen = _unseen(settings)
     return (*tests, *([TrialSet(UNSEEN, unseen, 1, settings.arch_task)] if unseen else []))
+
+
+def cluttered(settings: NavigationSettings) -> tuple[TrialSet, ...]:
+    """The trials of the navigator of random arches among clutter, in the first of the unseen ones."""
+    arches = _unseen(settings)[: settings.clutter_arches]
+    if not (settings.clutter and arches):
+        return ()
+    return (TrialSet(CLUTTERED, arches, 1, settings.arch_task, settings.clutter),)
+
+
+def _unseen(settings: NavigationSettings) -> tuple[Anatomy, ...]:
+    return tuple((TEST_PHANTOM, arch) for arch in unseen_arches(settings.test_arches))
 
 
 def _recordings(run_path: Path) -> dict[str, str]:

@@ -35,12 +35,14 @@ class TrialSet:
     Attributes:
         anatomies: one after the other.
         trials: in each, for each target.
+        clutter: in the images.
     """
 
     name: str
     anatomies: tuple[Anatomy, ...]
     trials: int
     task: Task
+    clutter: float = 0.0
 
 
 def run_tests(
@@ -71,7 +73,7 @@ def run_tests(
         failures = Counter(dict.fromkeys(FAILURES, 0))
         seeds = held_out_seeds(origin.training_seed, len(test.anatomies) * test.trials)
         for place, anatomy in enumerate(test.anatomies):
-            scene = scene_of(test.task, anatomy, target, settings.arms, ("tip",))
+            scene = scene_of(test.task, anatomy, target, settings.arms, ("tip",), clutter=test.clutter)
             environment = scene.environment
             logs_in = folder / EVALUATION / test.name / target / environment.phantom.name
             metrics += run_trials(

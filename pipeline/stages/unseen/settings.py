@@ -9,6 +9,7 @@ from annotated_types import Ge, Le
 
 from pipeline.anatomies.known import TARGETS
 from pipeline.anatomies.settings import ChosenAnatomies
+from pipeline.clutter import require_clutter_fits
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
     UNIQUE,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 ONE_VIEW = ("frontal",)
 _Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
-_MOST_CLUTTERED_PX = 1024  # side of the images of guide3d's random fluoroscopy
 
 
 @validated()
@@ -103,11 +103,8 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
             )
         if self.task.wire == NO_WIRE:
             raise ConfigurationError(f"stage unseen steers a wire, got task.wire={NO_WIRE}: name a wire")
-        if self.clutter and self.xray and self.task.image_size_px > _MOST_CLUTTERED_PX:
-            raise ConfigurationError(
-                f"clutter is drawn in images of at most {_MOST_CLUTTERED_PX} px, got "
-                f"task.image_size_px={self.task.image_size_px}: make them smaller, or give stage.clutter=0"
-            )
+        if self.clutter and self.xray:
+            require_clutter_fits(self.task.image_size_px, "task.image_size_px")
         if self.task.catheter is not None and self.image:
             raise ConfigurationError(
                 "with a catheter stage unseen trains no policy by images and the true mask: give stage.image=false"

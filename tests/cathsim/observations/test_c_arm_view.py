@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from cathsim import load_phantom
 from cathsim.observations.c_arm_view import (
+    CArmClutter,
     CArms,
     c_arm_environment,
     contrast_images,
@@ -55,3 +59,33 @@ def test_mark_is_where_the_camera_shows_the_target() -> None:
     place = phantom.target("bca").position
     camera = fluoroscope_of(phantom, ARMS).cameras["a"]
     np.testing.assert_allclose(256 * marks_of(phantom, "bca", ARMS)["a"] - 0.5, camera.pixels(place[None])[0])
+
+
+def test_clutter_lies_in_the_way_of_the_wire_and_of_the_contrast_run() -> None:
+    phantom = load_phantom("type_1")
+    bars = np.zeros((2, 256, 256), np.float32)
+    bars[0, 100:120], bars[1, :, 40:50] = 0.8, 0.8
+    clean = CArms(("a", "b"), 256)
+    among = replace(clean, clutter=CArmClutter(tuple(bars)))
+    nothing = np.empty((0, 3))
+    for name, bar, plain, seen in zip(
+        "ab",
+        bars,
+        images_of_shape(phantom, clean, nothing, 1),
+        images_of_shape(phantom, among, nothing, 1),
+        strict=True,
+    ):
+        for with_bar, without in (
+            (seen, plain),
+            (contrast_images(phantom, among)[name][1], contrast_images(phantom, clean)[name][1]),
+        ):
+            change = without.astype(float) - with_bar
+            lit = without > 60  # within the field
+            assert change[(bar > 0) & lit].mean() > change[(bar == 0) & lit].mean() + 15
+
+
+@pytest.mark.parametrize("shapes", [[(256, 256)], [(256, 256), (128, 128)]])
+def test_clutter_of_other_images_is_refused(shapes: list[tuple[int, int]]) -> None:
+    clutter = CArmClutter(tuple(np.zeros(shape, np.float32) for shape in shapes))
+    with pytest.raises(ValueError, match=r"shape \(256, 256\) for each camera"):
+        CArms(("a", "b"), 256, clutter=clutter)

@@ -143,6 +143,50 @@ def test_map_in_space_leads_through_the_lumen() -> None:
     scene.environment.close()
 
 
+def test_every_second_wire_is_learnt_among_clutter() -> None:
+    def frames_of(clutter: float) -> list:
+        settings = replace(SETTINGS, perception_frames=8, clutter=clutter)
+        return frames_in(("type_1", NAMED), settings, 0, None, 64)
+
+    clean, among, again = frames_of(0.0), frames_of(2.0), frames_of(2.0)
+    assert len(clean) == len(among) == 8
+    assert all(np.array_equal(a[0], b[0]) for a, b in zip(among, again, strict=True))
+    same = [np.array_equal(a[0], b[0]) for a, b in zip(clean, among, strict=True)]
+    assert same[0]  # the first wire has none in its way
+    assert not all(same)
+
+
+def test_clutter_is_the_anatomys_own_and_stands_still() -> None:
+    arms = CArms(("a", "b"), 256)
+    scenes = [
+        scene_of(Task(), anatomy, "bca", arms, ("tip",), clutter=1.0)
+        for anatomy in (("type_1", NAMED), ("type_1", NAMED), ("type_2", NAMED))
+    ]
+    clutter = [scene.arms.clutter for scene in scenes]
+    assert clutter[0] is clutter[1] is not None
+    assert clutter[2] is not None
+    assert not np.array_equal(clutter[0].attenuation[0], clutter[2].attenuation[0])
+    assert not np.array_equal(clutter[0].attenuation[0], clutter[0].attenuation[1])
+    for scene in scenes:
+        scene.environment.close()
+    assert scene_of(Task(), ("type_1", NAMED), "bca", arms, ("tip",)).arms.clutter is None
+
+
+def test_trials_among_clutter_are_those_of_the_navigator_of_random_arches(run: Path) -> None:
+    settings = replace(SETTINGS, clutter=0.5, test_arches=3, clutter_arches=2)
+    jobs = {job.key: job.given for job in navigation.plan(settings, context(run, "navigation", reads=READS))}
+    (among,) = [test for test in jobs["splineformer_arches"].tests if test.clutter]
+    (usual,) = [test for test in jobs["splineformer_arches"].tests if test.name == navigation.UNSEEN]
+    assert (among.name, among.clutter, among.anatomies) == (navigation.CLUTTERED, 0.5, usual.anatomies[:2])
+    assert jobs["splineformer_arches"].courses[0].clutter == 0.5
+    for row in ("splineformer", "splineformer_dagger"):
+        assert not any(test.clutter for test in jobs[row].tests)
+        assert not any(course.clutter for course in jobs[row].courses)
+    assert not any(
+        test.clutter for test in navigation.plan(SETTINGS, context(run, "navigation", reads=READS))[1].given.tests
+    )
+
+
 def test_tables(results: dict) -> None:
     table = results["navigation"]
     rows = ["splineformer", "splineformer_3", "splineformer_dagger", "splineformer_arches"]
@@ -245,6 +289,10 @@ def test_missing_teacher_is_refused_before_any_work(run: Path, tmp_path: Path) -
         ({"splineformer": "unet"}, "stage.splineformer has no 'unet'"),
         ({"trials": 0}, "stage.trials must be 1 or more"),
         ({"dagger_rounds": -1}, "must be 0 or more"),
+        (
+            {"clutter": 1.0, "image_size_px": 1025},
+            "clutter is drawn in images of at most 1024 px, got stage.image_size",
+        ),
     ],
 )
 def test_bad_settings_are_refused(changed: dict, words: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,24 @@ from numpy.typing import NDArray
 from cathsim.anatomy import Phantom
 from cathsim.environment import NavigateEnv
 from cathsim.fluoroscopy import BiplaneFluoroscope, askew_pair, scene, wire_material
+from cathsim.fluoroscopy.radiograph import expose_depth, optical_depth
 from cathsim.guidewire import load_guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.validation import Pixels, settings
 
 _RUN_SEED = 7  # of the contrast run's noise
 _BEHIND_M = 0.3  # m of wire outside the body, which no image shows the end of
+
+
+@dataclass(frozen=True, eq=False)
+class CArmClutter:
+    """What lies in the way of the cameras and stands still; equal to itself alone, so that images can be kept by it.
+
+    Attributes:
+        attenuation: (size, size) of each camera.
+    """
+
+    attenuation: tuple[NDArray[np.float32], ...]
 
 
 @settings
@@ -27,12 +40,23 @@ class CArms:
         cameras: names, "a" and "b" of the public data set's geometry.
         filling: of the lumen while the wire moves, "fluid" (clear) or "air".
         wire: preset whose material is drawn.
+        clutter: in the way of each camera, also in the contrast run; None: there is none.
     """
 
     cameras: tuple[str, ...] = ("a",)
     image_size_px: Pixels = 1024
     filling: str = "fluid"
     wire: str = "default"
+    clutter: CArmClutter | None = None
+
+    def __post_init__(self) -> None:
+        """Refuses clutter of other cameras or another size."""
+        if self.clutter is not None:
+            shapes, side = [one.shape for one in self.clutter.attenuation], self.image_size_px
+            if shapes != [(side, side)] * len(self.cameras):
+                raise ValueError(
+                    f"clutter must have shape ({side}, {side}) for each camera of {self.cameras}, got {shapes}"
+                )
 
 
 @kept_with_owner
@@ -42,9 +66,21 @@ def fluoroscope_of(phantom: Phantom, arms: CArms) -> BiplaneFluoroscope:
 
 
 def _fluoroscope(phantom: Phantom, arms: CArms, filling: str) -> BiplaneFluoroscope:
-    pair = askew_pair(phantom.bounds.mean(axis=0), arms.image_size_px, distorted=False)
+    centre = phantom.bounds.mean(axis=0)
+    pair = askew_pair(centre, arms.image_size_px, distorted=False)
+    cameras, around = [pair[name] for name in arms.cameras], scene("bath", filling)
     material = wire_material(arms.wire, load_guidewire(arms.wire).radius)
-    return BiplaneFluoroscope.over(phantom, [pair[name] for name in arms.cameras], scene("bath", filling), material)
+    if arms.clutter is None:
+        return BiplaneFluoroscope.over(phantom, cameras, around, material)
+    depths = [
+        optical_depth(phantom.grid, camera.projector, around) + clutter
+        for camera, clutter in zip(cameras, arms.clutter.attenuation, strict=True)
+    ]
+    stills = [
+        expose_depth(camera, around, lambda _, depth=depth: depth)  # type: ignore[misc]
+        for camera, depth in zip(cameras, depths, strict=True)
+    ]
+    return BiplaneFluoroscope(cameras, stills, material=material, centre=centre)
 
 
 def contrast_images(phantom: Phantom, arms: CArms) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
