@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +22,23 @@ if TYPE_CHECKING:
 
 _STEERED = 0.6  # share of the pictures of wires that a teacher steers, where there is one
 BETWEEN = 12  # steps between two pictures of those
+CLUTTERED = 2  # of so many wires one is among clutter, where there is to be any
 _CURVE_M = 0.5e-3  # between the points of a true curve
 
 Frame = tuple[np.ndarray, np.ndarray]  # pictures, and curves
+
+
+@dataclass(frozen=True)
+class _Rooms:
+    """Which wires are among clutter, each among its own."""
+
+    clutter: float
+    every: int
+    generator: np.random.Generator
+
+    def arms(self, arms: CArms, number: int) -> CArms:
+        """The C-arms for the wire of a number."""
+        return among_clutter(arms, self.clutter * (number % self.every == self.every - 1), self.generator)
 
 
 def frames_in(
@@ -36,21 +50,24 @@ def frames_in(
     device: str = "cpu",
     *,
     between: int = BETWEEN,
+    cluttered: int = CLUTTERED,
 ) -> list[Frame]:
     """Pictures of wires in an anatomy: laid ones, then steered ones.
 
     Args:
         teacher: file of a policy that steers; None: all wires are laid.
         between: steps between two pictures of a steered wire.
+        cluttered: every so many-th wire is among clutter, where the settings ask for any.
 
     Returns:
         A (cameras, size, size) stack of pictures and (cameras, 240, 2) curves as shares of the sides, each.
     """
     generator = np.random.default_rng((seed, int(phantom_of(anatomy).hash[:8], 16)))
     steered = 0 if teacher is None else round(_STEERED * settings.perception_frames)
-    found = _laid(anatomy, settings, size_px, settings.perception_frames - steered, generator)
+    rooms = _Rooms(settings.clutter, cluttered, generator)
+    found = _laid(anatomy, settings, size_px, settings.perception_frames - steered, generator, rooms)
     if teacher is not None and steered:
-        found += _steered(anatomy, settings, size_px, steered, generator, teacher, device, between)
+        found += _steered(anatomy, settings, size_px, steered, generator, teacher, device, between, rooms)
     return found
 
 
@@ -63,6 +80,7 @@ def _steered(
     teacher: Path,
     device: str,
     between: int,
+    rooms: _Rooms,
 ) -> list[Frame]:
     """Pictures of episodes that a teacher steers, each with a share of noise in its actions, from none to all."""
     from cathsim.observations.c_arm_view import with_shaft
@@ -82,7 +100,7 @@ def _steered(
         scene = scene_of(task, anatomy, target, settings.arms, policy.keys)
         environment = scene.environment
         observation, _ = environment.reset(seed=int(generator.integers(2**31)))
-        arms = _every_second_among_clutter(scene.arms, settings, number, generator)
+        arms = rooms.arms(scene.arms, number)
         steer = PerturbedController(policy, generator)
         over, step = False, 0
         while not over and len(found) < count:
@@ -99,7 +117,12 @@ def _steered(
 
 
 def _laid(
-    anatomy: Anatomy, settings: NavigationSettings, size_px: int, count: int, generator: np.random.Generator
+    anatomy: Anatomy,
+    settings: NavigationSettings,
+    size_px: int,
+    count: int,
+    generator: np.random.Generator,
+    rooms: _Rooms,
 ) -> list[Frame]:
     """Pictures of wires that are laid along ways and moved on from there."""
     from cathsim import ACCURACY, Simulation
@@ -116,7 +139,7 @@ def _laid(
     for number in range(4 * count):
         if len(found) >= count or not ways:
             break
-        arms = _every_second_among_clutter(settings.arms_for(task), settings, number, generator)
+        arms = rooms.arms(settings.arms_for(task), number)
         way = ways[int(generator.integers(len(ways)))]
         try:
             shapes = pushed_shapes(simulation, way, generator)
@@ -128,12 +151,6 @@ def _laid(
             if frame is not None:
                 found.append(frame)
     return found[:count]
-
-
-def _every_second_among_clutter(
-    arms: CArms, settings: NavigationSettings, number: int, generator: np.random.Generator
-) -> CArms:
-    return among_clutter(arms, settings.clutter * (number % 2), generator)
 
 
 def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:
