@@ -6,6 +6,10 @@ the lumen (0.2 mm) and bending stiffness (10 %), all normal. With --pair a verte
 insertion and rotation are wrong by as much as the wire's. The last line is JSON.
 
     python benchmarks/cathsim/contact_forces.py [--quick] [--training | --pair] [--members 16] [--out results.json]
+    python benchmarks/cathsim/contact_forces.py --arches 220 80 --noises 0.5 --seeds 1 --out calibration.json
+
+The second command is for the calibration of the intervals: "widening" is the factor on `WIDENING` of
+`cathsim.statics.ensemble_summary` with which 90 % of them would hold the truth.
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ from cathsim.simulation import Simulation
 from cathsim.statics import (
     ContactForceEstimator,
     ContactForces,
+    Estimate,
     Uncertainty,
     drawn_errors,
     inserted_curve,
@@ -61,10 +66,18 @@ def compared(state: State, estimate: ContactForces) -> dict[str, float]:
         row[f"{name}_held"] = float(found.low <= true <= found.high)
         row[f"{name}_low"], row[f"{name}_high"] = found.low, found.high
         row[f"{name}_value"], row[f"{name}_true"] = found.value, true
+        row[f"{name}_widening"] = needed_widening(found, true)
     if len(estimate.points) and len(state.truth.points):
         place = estimate.points[np.argmax(estimate.normal_forces)]
         row["place_mm"] = 1e3 * float(np.linalg.norm(place - state.truth.points[np.argmax(state.truth.normal_forces)]))
     return row
+
+
+def needed_widening(found: Estimate, true: float) -> float:
+    """The factor on the interval's half width, in logarithms, with which its end would be the truth."""
+    value, truth = (float(np.log(max(number, 1e-4))) for number in (found.value, true))
+    end = float(np.log(max(found.high if truth > value else found.low, 1e-4)))
+    return abs(truth - value) / max(abs(end - value), 1e-9)
 
 
 def measured(
@@ -128,6 +141,9 @@ def table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 held = np.array([row[f"{name}_held"] for row in chosen])
                 line[name]["held_pct"] = 100 * float(held.mean())
                 line[name]["held_95"] = [100 * end for end in interval(held, groups, lambda v: float(np.mean(v)))]
+                needed = np.array([row[f"{name}_widening"] for row in chosen])
+                line[name]["widening"] = float(np.quantile(needed, 0.9))
+                line[name]["widening_95"] = interval(needed, groups, lambda v: float(np.quantile(v, 0.9)))
         places = [row["place_mm"] for row in chosen if "place_mm" in row]
         line["place_mm"] = [float(np.median(places)), float(np.percentile(places, 90))]
         line["s"] = float(np.median([row["s"] for row in chosen]))
@@ -189,12 +205,17 @@ def main() -> None:
     parser.add_argument(
         "--pair", action="store_true", help="a vertebral catheter over the wire; noise 0.5 mm, one draw"
     )
+    parser.add_argument(
+        "--arches", type=int, nargs=2, metavar=("FIRST", "COUNT"), help="a state in each of these alone"
+    )
+    parser.add_argument("--noises", type=float, nargs="+", help="of the curve, mm, instead of all")
     parser.add_argument("--members", type=int, default=MEMBERS, help="of the ensemble")
     parser.add_argument("--workers", type=int, default=1, help="threads")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="of noise and errors at 0.5 mm; one at the others")
     parser.add_argument("--out", type=Path, help="gets every single row too")
     chosen = parser.parse_args()
     noises = (RECONSTRUCTED_MM,) if chosen.quick or chosen.training or chosen.pair else NOISES_MM
+    noises = tuple(chosen.noises or noises)
     device = PAIR if chosen.pair else WIRE
     places: list[tuple[str, int | None, int]] = [(name, None, 2 if chosen.quick else NAMED_STATES) for name in NAMED]
     places += [
@@ -202,6 +223,8 @@ def main() -> None:
     ]
     if chosen.training:
         places = [("random", seed, 3) for seed in TRAINING]
+    if chosen.arches:
+        places = [("random", chosen.arches[0] + one, RANDOM_STATES) for one in range(chosen.arches[1])]
     began, rows, number = time.perf_counter(), [], 0
     for name, seed, count in places:
         for state in states_at_rest(load_phantom(name, seed=seed), count, seed or 0, device):
@@ -225,7 +248,9 @@ def main() -> None:
     print(f"{'case':22s} noise    n | {head} | place, mm    | s\n{'':34s} | (median %, 90th percentile %, held %)")
     print("\n".join(printed(line) for line in lines))
     tracked = (
-        [] if chosen.pair else [sequences(3, 10 if chosen.quick else 40, members) for members in (1, chosen.members)]
+        []
+        if chosen.pair or chosen.arches
+        else [sequences(3, 10 if chosen.quick else 40, members) for members in (1, chosen.members)]
     )
     for line in tracked:
         print({key: round(value, 1) for key, value in line.items()})

@@ -1,12 +1,13 @@
 """A policy in ArchVariety: arches of six branching types that it has never seen, to random points.
 
-    python benchmarks/enn/arch_variety.py --policy FILE [--steep FILE] [--arches 20] [--draw]
+    python benchmarks/enn/arch_variety.py --policy FILE [--steep FILE] [--arches 20] [--draw] [--attempt-steps 150]
 
 One episode in each of so many arches of the test seeds a type, of which nothing was trained or chosen on; episode k of
 a type begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. With `--steep`, that
 policy steers with its own devices where the ostium of the target's branch is set back by 13 mm or more, which the scan
-tells beforehand. Prints a row a type with Wilson's 95 % interval, which branches were missed, and one JSON object as
-its last line.
+tells beforehand. With `--attempt-steps` devices that have not arrived after so many steps are drawn back and try again,
+within the same episode. Prints a row a type with Wilson's 95 % interval, which branches were missed, and one JSON
+object as its last line.
 """
 
 from __future__ import annotations
@@ -32,9 +33,12 @@ from cathsim.arch_variety.task import TEST_STEPS
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.policy import Policy
+from enn.retrying import RetryingController
 from enn.shipped import read_policy
 from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
 from pipeline.task import TASK, task_in_random_arches
+
+ANOTHER = 1_000_003  # between the seeds of an episode's attempts
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--types", default=",".join(ARCH_TYPES))
     parser.add_argument("--arches", type=int, default=20, help="a type, one episode each")
     parser.add_argument("--max-steps", type=int, default=TEST_STEPS)
+    parser.add_argument("--attempt-steps", type=int, help="of an attempt; without, there is one of --max-steps")
     parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
     return parser.parse_args()
 
@@ -71,7 +76,7 @@ class Player:
 
     def __init__(self, name: str, given: argparse.Namespace) -> None:
         self.policy: Any = read_policy(Path(name)) if name.endswith(".pt") else enn.load(name)
-        self.draw = given.draw
+        self.draw, self.attempt_steps = given.draw, given.attempt_steps or given.max_steps
         self.by_roadmap, side = isinstance(self.policy, Policy), task_in_random_arches().image_size_px
         if self.draw and not self.by_roadmap:
             raise ValueError("--draw: a policy that sees images always takes the best action")
@@ -89,6 +94,15 @@ class Player:
         observation, info = self.environment.reset(seed=seed, options={"case": self.bare.case_of(case)})
         return observation, info
 
+    def controller(self, seed: int) -> RetryingController:
+        """What steers an episode of a seed."""
+
+        def attempt(number: int) -> Any:
+            drawn = {"deterministic": not self.draw, "seed": seed + ANOTHER * number} if self.by_roadmap else {}
+            return self.policy.controller(**drawn)
+
+        return RetryingController(attempt, self.attempt_steps, seed)
+
     def steep(self) -> bool:
         """Whether the ostium of the present target's branch is set back far."""
         return set_back_mm(self.bare.phantom, self.bare.task.target) >= STEEP_MM
@@ -103,9 +117,7 @@ def play(players: list[Player], case: int, seed: int) -> Outcome:
         player = players[1]
         observation, info = player.begin(case, seed)
         assert player.bare.task.target == goal
-    drawn = {"deterministic": not player.draw, "seed": seed} if player.by_roadmap else {}
-    environment, controller = player.environment, player.policy.controller(**drawn)
-    controller.reset()
+    environment, controller = player.environment, player.controller(seed)
     forces: list[float] = []
     ended = success = False
     while not ended:

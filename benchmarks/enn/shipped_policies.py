@@ -3,10 +3,13 @@
     python benchmarks/enn/shipped_policies.py [--policy generalist] [--arches 50] [--draw]
     python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --first 40400 --draw
     python benchmarks/enn/shipped_policies.py --anatomies scan.stl labels.nii.gz --episodes 5 --max-steps 600 --draw
+    python benchmarks/enn/shipped_policies.py --policy navigator --attempts 3
 
 Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, then rows by how far
 the target's ostium is set back behind the top of the arch, and one JSON object as its last line. --steep names the
 policy for targets set back by 13 mm or more, which the scan tells beforehand; a policy of two devices steers its own.
+With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
+anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
 Arch k begins with seed 5,000,000,000 + 10 k + the target's number, which no training has used.
 """
 
@@ -31,6 +34,7 @@ from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.imitation.image_policy import ImagePolicy
 from enn.policy import Policy
+from enn.retrying import RetryingController
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
@@ -41,6 +45,8 @@ from pipeline.task import TASK, task_in_random_arches
 TARGETS = ("bca", "lcca", "lsa")
 FILE_TARGETS = (*TARGETS, "rsa", "rcca")
 FIRST_ARCH, FIRST_SEED = 40_100, 5_000_000_000
+DRAWN_BACK = 250  # steps in which any device is drawn back
+ANOTHER = 1_000_003  # between the seeds of an episode's attempts
 SET_BACK = (0.0, 5.0, 10.0, 13.0, 16.0, 20.0)  # mm, between the rows by set-back
 
 
@@ -51,6 +57,7 @@ class Outcome:
     success: bool
     steps: int
     forces: np.ndarray  # of each step, N
+    attempts: int
 
 
 def arguments() -> argparse.Namespace:
@@ -64,7 +71,8 @@ def arguments() -> argparse.Namespace:
         "--anatomies", type=Path, nargs="+", default=[], metavar="PATH", help="instead of random arches"
     )
     parser.add_argument("--episodes", type=int, default=5, help="in each file and towards each target")
-    parser.add_argument("--max-steps", type=int, default=300)
+    parser.add_argument("--max-steps", type=int, default=300, help="of an attempt")
+    parser.add_argument("--attempts", type=int, default=1)
     parser.add_argument("--clutter", type=float, default=0.0, help="in X-ray images, 1: as networks learn from")
     parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
     parser.add_argument("--quick", action="store_true", help="one arch")
@@ -91,10 +99,11 @@ def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int 
         yield "random", target, [(arch, FIRST_SEED + 10 * arch + number) for arch in arches]
 
 
-def task_of(policy: Any, max_steps: int) -> UnseenTask:
+def task_of(policy: Any, given: argparse.Namespace) -> UnseenTask:
     """The task of the tests, with the devices that a policy was trained with."""
     catheter = policy.metadata.get(TASK, {}).get("catheter")
     usual = task_in_random_arches()
+    max_steps = given.max_steps + (given.attempts - 1) * (given.max_steps + DRAWN_BACK)
     rules = dataclasses.replace(usual, max_steps=max_steps, start_rotation_deg=180.0, catheter=catheter)
     return UnseenTask(TARGETS, rules)
 
@@ -103,16 +112,21 @@ def play(
     task: UnseenTask, policy: Any, place: int | AnatomyFile, target: str, seed: int, given: argparse.Namespace
 ) -> Outcome:
     """Plays one episode."""
-    if isinstance(policy, Policy):
-        environment: Any = task.test_environment(place, target, "default", policy.keys)
-        controller: Any = policy.controller(deterministic=not given.draw, seed=seed)
+    environment: Any
+
+    def attempt(number: int) -> Any:
+        drawn = {"deterministic": not given.draw, "seed": seed + ANOTHER * number} if by_roadmap else {}
+        return policy.controller(**drawn)
+
+    by_roadmap = isinstance(policy, Policy)
+    if by_roadmap:
+        environment = task.test_environment(place, target, "default", policy.keys)
     else:
         side = task.task.image_size_px
         bare = task.test_environment(place, target, "default", ("goal_image",))
         environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), views=policy.cameras)
-        controller = policy.controller()
+    controller = RetryingController(attempt, given.max_steps, seed)
     observation, info = environment.reset(seed=seed)
-    controller.reset()
     forces: list[float] = []
     ended = success = False
     while not ended:
@@ -120,7 +134,7 @@ def play(
         forces.append(float(info["force"]))
         ended = success or truncated
     environment.close()
-    return Outcome(bool(success), len(forces), np.array(forces))
+    return Outcome(bool(success), len(forces), np.array(forces), controller.attempts)
 
 
 def ostium_set_back(place: int | AnatomyFile, target: str) -> float:
@@ -152,7 +166,7 @@ def main() -> None:
             raise ValueError("--draw: a policy that sees images always takes the best action")
         if given.clutter and any(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--clutter: a policy by roadmap sees no images")
-        tasks = [task_of(policy, given.max_steps) for policy in policies]
+        tasks = [task_of(policy, given) for policy in policies]
         rows, measured = [], []
         for name, target, episodes in cells(given):
             backs = [ostium_set_back(place, target) for place, _ in episodes]
@@ -167,6 +181,9 @@ def main() -> None:
             row = {
                 "anatomy": name, "target": target, "reached": won, "episodes": len(outcomes),
                 "interval_pct": [round(100 * low), round(100 * high)],
+                "within_attempts": [
+                    sum(one.success and one.attempts <= most + 1 for one in outcomes) for most in range(given.attempts)
+                ],
                 "steps": round(float(np.mean([one.steps for one in outcomes])), 1),
                 "force_mean_n": round(float(np.mean([one.forces.mean() for one in outcomes])), 3),
                 "force_p95_n": round(float(np.mean([np.percentile(one.forces, 95) for one in outcomes])), 3),
@@ -175,8 +192,9 @@ def main() -> None:
             rows.append(row)
             share = f"{100 * won / len(outcomes):3.0f} % ({100 * low:.0f} to {100 * high:.0f})"
             force = ", ".join(f"{row[key]:.2f}" for key in ("force_mean_n", "force_p95_n", "force_max_n"))
+            tried = f"  within attempts {row['within_attempts']}" if given.attempts > 1 else ""
             print(
-                f"{name:24} {target:5} {won} of {len(outcomes)}  {share}  {row['steps']:.0f} steps  {force} N",
+                f"{name:24} {target:5} {won} of {len(outcomes)}  {share}  {row['steps']:.0f} steps  {force} N{tried}",
                 flush=True,
             )
     except (OSError, ValueError) as error:

@@ -1,0 +1,95 @@
+"""Retrying: the first attempt is the controller's own, then devices are drawn back and the next one begins anew."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from enn.retrying import WITHIN, RetryingController
+
+FORWARDS = np.array([1.0, 0.2], np.float32)
+
+
+class _Feeders:
+    """Feeders alone: full actions are 2 mm."""
+
+    def __init__(self, count: int) -> None:
+        self.places = np.full(count, 0.001)
+
+    @property
+    def info(self) -> dict[str, float]:
+        return dict(zip(("insertion", "catheter_insertion"), self.places.tolist(), strict=False))
+
+    def step(self, action: np.ndarray) -> None:
+        self.places += 0.002 * action[::2]
+
+
+@pytest.mark.parametrize("feeders", [1, 2])
+def test_devices_are_drawn_back_between_attempts(feeders: int) -> None:
+    robot, made = _Feeders(feeders), []
+    actions = np.tile(FORWARDS, feeders)
+    actions[::2] = np.arange(1, feeders + 1) / feeders  # a catheter further in than the wire
+    began: list[np.ndarray] = []
+
+    def attempt(number: int) -> Any:
+        made.append(number)
+        began.append(robot.places.copy())
+        return lambda observation, info: actions
+
+    controller = RetryingController(attempt, 20)
+    seen = []
+    for _ in range(120):
+        seen.append(controller(None, robot.info))
+        robot.step(seen[-1])
+    assert made == list(range(controller.attempts))
+    assert controller.attempts >= 3
+    assert all((np.abs(place - 0.001) <= WITHIN + 1e-12).all() for place in began)
+    assert all(np.array_equal(action, actions) for action in seen[:20])
+    back = seen[20]
+    assert (back[::2] == -1).all()
+    assert (np.abs(back[1::2]) <= 1).all()
+    assert (back[1::2] != 0).all()
+
+
+def test_turns_depend_on_the_seed_and_an_episode_begins_anew() -> None:
+    def turn_after_first(controller: RetryingController) -> float:
+        robot = _Feeders(1)
+        for _ in range(6):
+            action = controller(None, robot.info)
+            robot.step(action)
+        return float(action[1])
+
+    def controller_of(seed: int) -> RetryingController:
+        return RetryingController(lambda number: lambda observation, info: FORWARDS, 5, seed)
+
+    same = controller_of(0)
+    first = turn_after_first(same)
+    same.reset()
+    assert same.attempts == 0
+    assert turn_after_first(same) == first == turn_after_first(controller_of(0))
+    assert turn_after_first(controller_of(1)) != first
+
+
+@pytest.mark.parametrize("catheter", [None, "simmons2"])
+def test_an_environments_devices_come_back_to_the_sheath(catheter: str | None) -> None:
+    environment = gymnasium.make("cathsim:cathsim/Navigate-v0", catheter=catheter, observation="tip", max_steps=400)
+    observation, info = environment.reset(seed=0)
+    insertions = [info["insertion"]]
+    actions = np.tile(FORWARDS, environment.action_space.shape[0] // 2)  # type: ignore[index]
+    controller = RetryingController(lambda number: lambda observation, info: actions, 40)
+    for _ in range(100):
+        observation, _, _, _, info = environment.step(controller(observation, info))
+        insertions.append(info["insertion"])
+    environment.close()
+    assert controller.attempts == 2
+    assert max(insertions) > 0.06
+    assert min(insertions[41:]) < insertions[0] + 2 * WITHIN
+    assert insertions[-1] > 0.01  # on its way again
+
+
+def test_an_attempt_without_a_step_is_refused() -> None:
+    with pytest.raises(ValueError, match="1 step at least, got 0"):
+        RetryingController(lambda number: lambda observation, info: FORWARDS, 0)
