@@ -84,7 +84,7 @@ test: setup  ## all tests, TEST_JOBS=2 beside each other (ARGS go to pytest)
 	@# Sweeps over Ray are tested, too; where it cannot be installed, that test is left out.
 	@$(PY) -c "import ray, hydra_plugins.hydra_ray_launcher" 2>/dev/null || $(MAKE) --no-print-directory ray \
 		|| echo "Ray could not be installed: its tests are left out" >&2
-	@$(GL) $(PY) -m pytest -n $(TEST_JOBS) --dist loadfile $(ARGS)
+	@$(GL) $(PY) -m pytest -n $(TEST_JOBS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: setup  ## ruff and mypy
 	@$(PY) -m ruff check .

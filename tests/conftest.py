@@ -18,6 +18,14 @@ PROJECT_ROOT = Path(__file__).resolve().parent.parent
 
 # Before numpy or torch is imported anywhere: tests run beside each other and beside other work.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Ray's workers have a niceness of 15 otherwise, and starve where other tests keep all cores busy.
+os.environ.setdefault("RAY_worker_niceness", "0")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts files with slow tests first: begun last, one of them would keep one worker busy while others have ended."""
+    slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 @pytest.fixture(autouse=True)

@@ -10,6 +10,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("package", ["enn", "splineformer", "pipeline"])
 def test_networks_train_and_are_read_on_a_second_device(package: str) -> None:

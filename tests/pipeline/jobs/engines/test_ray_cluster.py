@@ -18,6 +18,8 @@ from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.jobs.toy_training import Toy, square, train
 
+pytestmark = pytest.mark.slow
+
 NO_RAY = "Ray is not installed: make ray"
 
 
