@@ -101,7 +101,7 @@ class Player:
             drawn = {"deterministic": not self.draw, "seed": seed + ANOTHER * number} if self.by_roadmap else {}
             return self.policy.controller(**drawn)
 
-        return RetryingController(attempt, self.attempt_steps, seed)
+        return RetryingController(attempt, self.attempt_steps, seed=seed)
 
     def steep(self) -> bool:
         """Whether the ostium of the present target's branch is set back far."""

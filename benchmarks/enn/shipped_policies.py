@@ -125,7 +125,7 @@ def play(
         side = task.task.image_size_px
         bare = task.test_environment(place, target, "default", ("goal_image",))
         environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), views=policy.cameras)
-    controller = RetryingController(attempt, given.max_steps, seed)
+    controller = RetryingController(attempt, given.max_steps, given.attempts, seed)
     observation, info = environment.reset(seed=seed)
     forces: list[float] = []
     ended = success = False

@@ -18,6 +18,7 @@ EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 LOG, GIF, MP4 = "episode.mcap", "film.gif", "film.mp4"
 MODELS = ("navigator", "generalist")  # that can steer
 _SEEDS = ARCHES["test"].width  # of unseen arches
+_MOST_ATTEMPTS = 9
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -59,8 +60,9 @@ def run(options: argparse.Namespace) -> None:
     began = time.monotonic()
     print(f"demo: loading the {options.model} and the anatomy", flush=True)  # noqa: T201 - progress of a command
     scene = open_scene(
-        options.model, anatomy=options.anatomy, unit=options.unit, seed=options.seed, target=options.target
-    )
+        options.model, anatomy=options.anatomy, unit=options.unit, seed=options.seed, target=options.target,
+        attempts=options.attempts,
+    )  # fmt: skip
     print(f"demo: {scene.title}", flush=True)  # noqa: T201 - progress of a command
     folder = Path(options.output)
     folder.mkdir(parents=True, exist_ok=True)
@@ -82,9 +84,10 @@ def run(options: argparse.Namespace) -> None:
         scene.environment.close()
     page = write_page(folder, scene, asdict(metrics), film.curves, {"log": LOG, "gif": GIF, "mp4": MP4})
     outcome = "reached the target" if metrics.success else "did not reach the target"
+    tried = f" at attempt {scene.steer.attempts}" if scene.steer.attempts > 1 else ""
     print(  # noqa: T201 - the last word of a command line
-        f"demo: {outcome} in {metrics.steps / 10:.1f} s of simulated time, largest force {metrics.force_max:.2f} N; "
-        f"{time.monotonic() - began:.0f} s in all\nopen {page}"
+        f"demo: {outcome}{tried} in {metrics.steps / 10:.1f} s of simulated time, "
+        f"largest force {metrics.force_max:.2f} N; {time.monotonic() - began:.0f} s in all\nopen {page}"
     )
 
 
@@ -101,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--target", help="branch to steer to; default: the first of bca, lcca, lsa that is there")
     parser.add_argument("--model", default=MODELS[0], choices=MODELS, help=f"that steers (default {MODELS[0]})")
     parser.add_argument("--seed", type=_seed, default=0, help="of the random arch and the start, 0 to 999 (default 0)")
+    parser.add_argument("--attempts", type=_attempts, default=2, help="before the episode ends, 1 to 9 (default 2)")
     parser.add_argument("--output", default="runs/demo", metavar="FOLDER", help="(default runs/demo)")
     return parser
 
@@ -108,6 +112,12 @@ def _parser() -> argparse.ArgumentParser:
 def _seed(text: str) -> int:
     if not text.isdecimal() or int(text) >= _SEEDS:
         raise argparse.ArgumentTypeError(f"expected a whole number from 0 to {_SEEDS - 1}, got {text!r}")
+    return int(text)
+
+
+def _attempts(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= _MOST_ATTEMPTS:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to {_MOST_ATTEMPTS}, got {text!r}")
     return int(text)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +18,10 @@ from pipeline.task import TASK, Task
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
     from enn.imitation.image_policy import ImagePolicy
-    from enn.imitation.recurrent_policy import RecurrentController
-    from enn.policy import Policy, PolicyController
+    from enn.policy import Policy
 
 _ARCHES = ARCHES["test"].width
+_DRAWN_BACK = 250  # steps in which a wire is drawn back
 
 
 @dataclass(frozen=True)
@@ -71,15 +71,25 @@ class Scene:
         environment: as the policy sees it.
         anatomy: what it is, for people.
         start_seed: of the episode's start.
+        attempt_steps: after which the wire is drawn back and the policy tries again.
+        attempts: at most.
     """
 
     def __init__(
-        self, model: str, policy: Policy | ImagePolicy, environment: Any, anatomy: str, start_seed: int
+        self,
+        model: str,
+        policy: Policy | ImagePolicy,
+        environment: Any,
+        anatomy: str,
+        start_seed: int,
+        attempt_steps: int,
+        attempts: int,
     ) -> None:
+        from enn.retrying import RetryingController
+
         self.model, self.policy, self.anatomy, self.start_seed = model, policy, anatomy, start_seed
         self.environment: Any = WatchedEnvironment(environment)  # that of the policy in everything but its class
-        self.steer: PolicyController | RecurrentController = policy.controller()
-        self.steer.reset()
+        self.steer = RetryingController(lambda number: policy.controller(), attempt_steps, attempts, start_seed)
         self._first_view: Any = None
         self._roadmap: Any = None
 
@@ -107,12 +117,13 @@ class Scene:
 
     def read_off_image(self, view: str) -> ImageReading:
         """What a policy of images reads off the last image of one of its views."""
-        controller: Any = self.steer
-        perception, seen = controller.perception, self.environment.observation
-        if controller.view is None and self._first_view is None:  # before its first decision
+        policy: Any = self.policy
+        perception, seen = policy.perception, self.environment.observation
+        decided = getattr(self.steer.controller, "view", None)
+        if decided is None and self._first_view is None:  # before its first decision
             self._first_view = perception.begin(seen)
         place = self.cameras.index(view)
-        own, of_view = slice(place, place + 1), (controller.view or self._first_view)[place]
+        own, of_view = slice(place, place + 1), (decided or self._first_view)[place]
         wire = of_view.wire(seen["image"][own], perception.mask(seen)[own])
         way, _ = of_view.way(wire[0])
         return ImageReading(wire[:, ::-1], way[:, ::-1], of_view.lumen)
@@ -128,7 +139,13 @@ class Scene:
 
 
 def open_scene(
-    model: str, *, anatomy: str | None = None, unit: str | None = None, seed: int = 0, target: str | None = None
+    model: str,
+    *,
+    anatomy: str | None = None,
+    unit: str | None = None,
+    seed: int = 0,
+    target: str | None = None,
+    attempts: int = 1,
 ) -> Scene:
     """A shipped policy in a file's anatomy, or in a random arch that no policy was trained in.
 
@@ -138,6 +155,7 @@ def open_scene(
         unit: of a surface; None: detected.
         seed: of the arch among the unseen ones, and of the episode's start.
         target: None: the first of `TARGETS` that the anatomy has.
+        attempts: of the policy, each as long as an episode of its training.
 
     Raises:
         ConfigurationError: there is no such file or target, or the model says nothing of its task.
@@ -150,7 +168,9 @@ def open_scene(
         raise ConfigurationError(
             f"the model {model!r} does not say which task it was trained for: choose another model"
         )
-    task = UnseenTask(TARGETS, Task(**policy.metadata[TASK]))
+    rules = Task(**policy.metadata[TASK])
+    steps = rules.max_steps
+    task = UnseenTask(TARGETS, replace(rules, max_steps=steps + (attempts - 1) * (steps + _DRAWN_BACK)))
     place: int | AnatomyFile
     if anatomy is None:
         place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
@@ -162,7 +182,8 @@ def open_scene(
     if chosen is None or chosen not in known:
         wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
         raise ConfigurationError(f"{described} has {wanted}: choose --target from {', '.join(known) or 'none'}")
-    return Scene(model, policy, _environment(task, place, chosen, policy), described, held_out_seeds(0, _ARCHES)[seed])
+    start_seed = held_out_seeds(0, _ARCHES)[seed]
+    return Scene(model, policy, _environment(task, place, chosen, policy), described, start_seed, steps, attempts)
 
 
 def _environment(task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy) -> NavigateEnv:

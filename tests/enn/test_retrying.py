@@ -63,7 +63,7 @@ def test_turns_depend_on_the_seed_and_an_episode_begins_anew() -> None:
         return float(action[1])
 
     def controller_of(seed: int) -> RetryingController:
-        return RetryingController(lambda number: lambda observation, info: FORWARDS, 5, seed)
+        return RetryingController(lambda number: lambda observation, info: FORWARDS, 5, seed=seed)
 
     same = controller_of(0)
     first = turn_after_first(same)
@@ -90,6 +90,15 @@ def test_an_environments_devices_come_back_to_the_sheath(catheter: str | None) -
     assert insertions[-1] > 0.01  # on its way again
 
 
-def test_an_attempt_without_a_step_is_refused() -> None:
-    with pytest.raises(ValueError, match="1 step at least, got 0"):
-        RetryingController(lambda number: lambda observation, info: FORWARDS, 0)
+def test_the_last_attempt_goes_on() -> None:
+    robot, controller = _Feeders(1), RetryingController(lambda number: lambda observation, info: FORWARDS, 5, most=2)
+    for _ in range(60):
+        robot.step(controller(None, robot.info))
+    assert controller.attempts == 2
+    assert robot.places[0] == pytest.approx(0.001 + 0.002 * (60 - 5 - 5), abs=0.0021)
+
+
+@pytest.mark.parametrize(("steps", "most"), [(0, None), (5, 0)])
+def test_attempts_that_cannot_be_are_refused(steps: int, most: int | None) -> None:
+    with pytest.raises(ValueError, match=f"1 step at least, got {most} with {steps}"):
+        RetryingController(lambda number: lambda observation, info: FORWARDS, steps, most)

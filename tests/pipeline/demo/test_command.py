@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from cathsim import load_phantom
+from pipeline.demo import steering
 from pipeline.demo.command import EXIT_USAGE, GIF, LOG, MP4, main
 from pipeline.demo.film import TITLE_PX, VIEW_PX
 from pipeline.episodes import EpisodeReader
@@ -28,7 +29,7 @@ def one_sentence(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 def test_an_episode_leaves_log_films_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "demo"
-    assert main(("--output", str(folder), "--seed", "3")) == 0
+    assert main(("--output", str(folder), "--seed", "3", "--attempts", "1")) == 0
     printed = capsys.readouterr().out
     assert "the navigator steers to the BCA of random arch 40003" in printed
     assert printed.endswith(f"open {folder / 'index.html'}\n")
@@ -54,9 +55,19 @@ def test_a_surface_of_ones_own_and_the_roadmap(tmp_path: Path, capsys: pytest.Ca
     refused = one_sentence(capsys, *own, "--target", "spleen")
     assert refused.startswith("arch.stl has no target 'spleen': choose --target from ")
     known = refused.rpartition(" from ")[2].split(", ")
-    assert main((*own, "--target", known[0], "--output", str(tmp_path / "demo"))) == 0
+    assert main((*own, "--target", known[0], "--attempts", "1", "--output", str(tmp_path / "demo"))) == 0
     assert "of arch.stl" in capsys.readouterr().out
     assert "It gets no image" in (tmp_path / "demo" / "index.html").read_text(encoding="utf-8")
+
+
+def test_a_wire_that_has_not_arrived_is_drawn_back_and_tries_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(steering, "_DRAWN_BACK", 9)
+    assert main(("--output", str(tmp_path), "--seed", "3", "--attempts", "2")) == 0
+    assert "did not reach the target at attempt 2 in 2.3 s" in capsys.readouterr().out
+    with EpisodeReader(tmp_path / LOG) as episode:
+        assert episode.outcome.steps == 2 * TASK_OF_DEMO.max_steps + 9
 
 
 def test_files_that_are_no_anatomy_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,6 +88,7 @@ def test_a_model_that_is_not_there_is_refused(shipped: Path, capsys: pytest.Capt
     ("arguments", "message"),
     [
         (("--seed", "1000"), "expected a whole number from 0 to 999, got '1000'"),
+        (("--attempts", "0"), "expected a whole number from 1 to 9, got '0'"),
         (("--model", "reader"), "invalid choice: 'reader'"),
         (("--unit", "km"), "invalid choice: 'km'"),
     ],

@@ -19,7 +19,7 @@ def shows(panel: np.ndarray, colour: tuple[int, int, int]) -> bool:
 
 def find_everything(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Has the scene's perception find a wire and a lumen in any image."""
-    perception = scene.steer.perception  # type: ignore[union-attr]
+    perception = scene.policy.perception  # type: ignore[union-attr]
     mask, lumen = np.zeros((len(perception.cameras), 64, 64), np.uint8), np.zeros((64, 64), np.float32)
     mask[:, 40:, 32], lumen[:, 20:44] = 255, 1.0
     monkeypatch.setattr(perception, "mask", lambda seen: mask)

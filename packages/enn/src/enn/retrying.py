@@ -23,26 +23,34 @@ class RetryingController:
     Args:
         attempt: makes the controller of an attempt, from its number; it is called before the attempt's first step.
         steps: of an attempt.
+        most: attempts; the last one goes on to the episode's end. None: any number.
         seed: of the turns between attempts.
 
     Raises:
-        ValueError: an attempt has no step.
+        ValueError: an attempt has no step, or there is none.
     """
 
-    def __init__(self, attempt: Callable[[int], Controller], steps: int, seed: int = 0) -> None:
-        if steps < 1:
-            raise ValueError(f"an attempt must have 1 step at least, got {steps}")
-        self._attempt, self._steps, self._seed = attempt, steps, seed
+    def __init__(
+        self, attempt: Callable[[int], Controller], steps: int, most: int | None = None, seed: int = 0
+    ) -> None:
+        if steps < 1 or (most is not None and most < 1):
+            raise ValueError(f"there must be 1 attempt with 1 step at least, got {most} with {steps}")
+        self._attempt, self._steps, self._most, self._seed = attempt, steps, most, seed
         self.reset()
 
     def reset(self) -> None:
         """Starts an episode: the next call is the first of its first attempt."""
         self._generator = np.random.default_rng(self._seed)
+        self._controller: Controller | None = None
         self._number = -1  # of the attempt
         self._left = 0  # steps of it
-        self._controller: Controller | None = None
         self._turns: NDArray[np.float64] | None = None  # while feeders go back
         self._began: dict[str, float] = {}
+
+    @property
+    def controller(self) -> Controller | None:
+        """That of the present attempt, or of the last one while the devices go back; None before the first."""
+        return self._controller
 
     @property
     def attempts(self) -> int:
@@ -58,18 +66,17 @@ class RetryingController:
         there = {name: float(info[name]) for name in INSERTIONS if name in info}
         if not self._began:
             self._began = there
-        if self._left == 0 and self._controller is not None:
-            self._controller = None
+        ended = self._controller is not None and self._left == 0 and self._turns is None
+        if ended and self.attempts != self._most:
             self._turns = self._generator.uniform(-1.0, 1.0, len(there))
         if self._turns is not None:
             inside = [there[name] > self._began[name] + WITHIN for name in there]
             if any(inside):
-                pulled = zip(inside, self._turns, strict=True)
-                back = [(-1.0, turn) if out else (0.0, 0.0) for out, turn in pulled]
+                turns = zip(inside, self._turns, strict=True)
+                back = [(-1.0, turn) if pulled else (0.0, 0.0) for pulled, turn in turns]
                 return np.array(back, np.float32).ravel()
-            self._turns = None
-        if self._controller is None:
+        if self._controller is None or self._turns is not None:
             self._number += 1
-            self._controller, self._left = self._attempt(self._number), self._steps
-        self._left -= 1
+            self._controller, self._left, self._turns = self._attempt(self._number), self._steps, None
+        self._left = max(self._left - 1, 0)
         return self._controller(observation, info)
