@@ -5,7 +5,7 @@ Truth is a wire at rest after random pushes and turns. The estimator gets its cu
 the lumen (0.2 mm) and bending stiffness (10 %), all normal. With --pair a vertebral catheter lies over the wire; its
 insertion and rotation are wrong by as much as the wire's. The last line is JSON.
 
-    python benchmarks/cathsim/contact_forces.py [--quick] [--training | --pair] [--members 16] [--out results.json]
+    python benchmarks/cathsim/contact_forces.py [--quick] [--training | --pair] [--members 40] [--out results.json]
     python benchmarks/cathsim/contact_forces.py --arches 220 80 --noises 0.5 --seeds 1 --out calibration.json
 
 The second command is for the calibration of the intervals: "widening" is the factor on `WIDENING` of
@@ -37,6 +37,7 @@ from cathsim.statics import (
     inserted_curve,
     noisy_curve,
 )
+from cathsim.statics.estimator import MEMBERS
 from cathsim.statics.observed_curve import observed_curve
 from cathsim.statics.resting_contacts import resting_contacts
 
@@ -49,7 +50,6 @@ RECONSTRUCTED_MM = (
     0.5  # the noise of a reconstruction, at which there are more draws, and estimates without feeder data
 )
 SEEDS = 3  # of noise and errors at that noise; one at the others
-MEMBERS = 16
 QUANTITIES = ("resultant", "normal_sum", "largest")
 RESAMPLES = 1000
 

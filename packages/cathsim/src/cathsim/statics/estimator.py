@@ -26,7 +26,7 @@ from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.simulated_device import simulated_device
 from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations, smooth_noise
 
-MEMBERS = 16
+MEMBERS = 40  # with 16 the ends of a 90 % interval are two of 16 numbers, and 78 to 88 % of them held the truth
 REST_STEPS = 10  # control steps of 0.1 s in which the device finds its place between the walls
 FOLLOW_DISTANCE = 2.0e-3  # m between a followed device and the curve beyond which it is laid anew
 MOST_REFINEMENT = 3  # of substeps that end in the wall: with more, forces stay the same and hard states take minutes
