@@ -1,6 +1,6 @@
 """Navigation by SplineFormer among clutter: its perception network, and the navigator of random arches.
 
-    python benchmarks/splineformer/navigation_clutter.py SPLINEFORMER --folder FOLDER [--train 0 1] [--rounds 5]
+    python benchmarks/splineformer/navigation_clutter.py SPLINEFORMER --folder FOLDER [--train 0 1] [--subtracted]
 
 SPLINEFORMER is the model file of the stage splineformer. The jobs are those of the stage navigation, without its other
 stages: the perception network is fine-tuned once for each amount of clutter (`stage.clutter`) in training, with wires
@@ -69,7 +69,13 @@ def settings(clutter: float, given: argparse.Namespace) -> NavigationSettings:
         "arch_hidden": 16,
         "test_arches": 1,
     }
-    return NavigationSettings(**{**DESK, **(few if given.quick else {})}, clutter=clutter, task=task, arch_task=task)
+    return NavigationSettings(
+        **{**DESK, **(few if given.quick else {})},
+        clutter=clutter,
+        subtracted=given.subtracted,
+        task=task,
+        arch_task=task,
+    )
 
 
 def perception_errors(network: PerceptionNetwork, chosen: NavigationSettings, seeds: range) -> dict[str, float]:
@@ -135,6 +141,7 @@ def main(words: list[str] | None = None) -> int:
     )
     parser.add_argument("--folder", type=Path, required=True, help="of what is trained")
     parser.add_argument("--train", type=float, nargs="+", default=[0.0, 1.0], help="amounts of clutter in training")
+    parser.add_argument("--subtracted", action="store_true", help="images are divided by one without a wire")
     parser.add_argument("--arches", type=int, default=10, help="further arches that perception networks are tried in")
     parser.add_argument("--rounds", type=int, default=0, help="of advised episodes of a navigator; 0: none")
     parser.add_argument("--episodes", type=int, default=90, help="a round")

@@ -15,6 +15,7 @@ from cathsim.lifetime_cache import kept_with_owner
 from cathsim.observations.c_arm_view import (
     CArmClutter,
     CArms,
+    as_shown,
     c_arm_environment,
     contrast_images,
     fluoroscope_of,
@@ -151,7 +152,8 @@ class Scene:
         """The moment's image of each camera."""
         view = self.environment.biplane
         assert view is not None
-        return [view.frame(name).image for name in self.arms.cameras]
+        images = [view.frame(name).image for name in self.arms.cameras]
+        return as_shown(self.environment.phantom, self.arms, images)
 
     @property
     def marks(self) -> dict[str, np.ndarray]:

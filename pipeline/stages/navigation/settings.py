@@ -64,6 +64,7 @@ class NavigationSettings(ChosenAnatomies):
     # every second arch of that navigator, and in a further set of trials of it; 0: none
     clutter: Annotated[float, Ge(0), Le(4)] = 0.0
     clutter_arches: Count = 20  # unseen arches of that set
+    subtracted: bool = False  # navigators see images divided by the contrast run's image without a wire
     trials: Episodes = 30  # a target in each named phantom
     perception_arches: CountOrNone = 30  # random ones in which the SplineFormer is fine-tuned
     perception_frames: Count = 40  # in each
@@ -82,7 +83,7 @@ class NavigationSettings(ChosenAnatomies):
         """The C-arms that take the images."""
         from cathsim.observations.c_arm_view import CArms
 
-        return CArms(tuple(self.cameras), self.image_size_px)
+        return CArms(tuple(self.cameras), self.image_size_px, subtracted=self.subtracted)
 
     def arms_for(self, task: Task) -> CArms:
         """The C-arms with the wire of a task to be drawn."""

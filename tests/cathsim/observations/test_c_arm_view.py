@@ -84,6 +84,25 @@ def test_clutter_lies_in_the_way_of_the_wire_and_of_the_contrast_run() -> None:
             assert change[(bar > 0) & lit].mean() > change[(bar == 0) & lit].mean() + 15
 
 
+def test_subtracted_images_show_the_wire_and_no_clutter() -> None:
+    phantom, bars = load_phantom("type_1"), np.zeros((256, 256), np.float32)
+    bars[100:120] = 0.8
+    nodes = np.linspace((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 30) + phantom.bounds.mean(axis=0) - (0.0, 0.0, 0.05)
+    arms = CArms(("a",), 256, clutter=CArmClutter((bars,)))
+    seen, shown = (
+        images_of_shape(phantom, one, nodes, 1)[0].astype(float) for one in (arms, replace(arms, subtracted=True))
+    )
+    column, row = np.floor(fluoroscope_of(phantom, arms).cameras["a"].pixels(nodes[5:25])).astype(int).T
+    lit = np.zeros((256, 256), bool)
+    lit[64:192, 64:192] = True
+    lit &= seen > 40
+    wire = np.zeros_like(lit)
+    wire[row, column] = True
+    assert abs(shown[lit & (bars > 0)].mean() - shown[lit & (bars == 0)].mean()) < 4
+    assert abs(seen[lit & (bars > 0)].mean() - seen[lit & (bars == 0)].mean()) > 15
+    assert shown[lit & ~wire].mean() - shown[lit & wire].mean() > 8
+
+
 @pytest.mark.parametrize("shapes", [[(256, 256)], [(256, 256), (128, 128)]])
 def test_clutter_of_other_images_is_refused(shapes: list[tuple[int, int]]) -> None:
     clutter = CArmClutter(tuple(np.zeros(shape, np.float32) for shape in shapes))

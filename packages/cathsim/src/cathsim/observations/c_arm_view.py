@@ -18,6 +18,8 @@ from cathsim.lifetime_cache import kept_with_owner
 from cathsim.validation import Pixels, settings
 
 _RUN_SEED = 7  # of the contrast run's noise
+_NOTHING = np.empty((0, 3))  # no wire
+_EVEN, _DARK = 180, 24  # grey levels: of what is the same in both images, and of the field's rim
 _BEHIND_M = 0.3  # m of wire outside the body, which no image shows the end of
 
 
@@ -41,6 +43,7 @@ class CArms:
         filling: of the lumen while the wire moves, "fluid" (clear) or "air".
         wire: preset whose material is drawn.
         clutter: in the way of each camera, also in the contrast run; None: there is none.
+        subtracted: images are divided by the contrast run's image without a wire, so that what stands still is gone.
     """
 
     cameras: tuple[str, ...] = ("a",)
@@ -48,6 +51,7 @@ class CArms:
     filling: str = "fluid"
     wire: str = "default"
     clutter: CArmClutter | None = None
+    subtracted: bool = False
 
     def __post_init__(self) -> None:
         """Refuses clutter of other cameras or another size."""
@@ -85,11 +89,16 @@ def _fluoroscope(phantom: Phantom, arms: CArms, filling: str) -> BiplaneFluorosc
 
 def contrast_images(phantom: Phantom, arms: CArms) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
     """The contrast run before a procedure: of each camera an image without wire or contrast medium, and one with it."""
-    nothing = np.empty((0, 3))
-    plain = fluoroscope_of(phantom, arms).render(nothing, _RUN_SEED)
     # filled with contrast medium it is seen once: nothing of that is kept
-    contrast = _fluoroscope(phantom, arms, "contrast").render(nothing, _RUN_SEED + 1)
-    return {name: (plain[name].image, contrast[name].image) for name in arms.cameras}
+    contrast = _fluoroscope(phantom, arms, "contrast").render(_NOTHING, _RUN_SEED + 1)
+    plain = _plain_images(phantom, arms)
+    return {name: (image, contrast[name].image) for name, image in zip(arms.cameras, plain, strict=True)}
+
+
+def _plain_images(phantom: Phantom, arms: CArms) -> list[NDArray[np.uint8]]:
+    """The contrast run's images without wire or contrast medium, (size, size) of each camera."""
+    frames = fluoroscope_of(phantom, arms).render(_NOTHING, _RUN_SEED)
+    return [frames[name].image for name in arms.cameras]
 
 
 def marks_of(phantom: Phantom, target: str, arms: CArms) -> dict[str, np.ndarray]:
@@ -110,7 +119,30 @@ def images_of_shape(phantom: Phantom, arms: CArms, nodes: np.ndarray, seed: Any)
         An image a camera, in the order of `arms.cameras`.
     """
     frames = fluoroscope_of(phantom, arms).render(nodes, np.random.default_rng(seed))
-    return [frames[name].image for name in arms.cameras]
+    return as_shown(phantom, arms, [frames[name].image for name in arms.cameras])
+
+
+def as_shown(phantom: Phantom, arms: CArms, images: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
+    """What the C-arms show of the images that they take: the same, or what is left when they are subtracted.
+
+    Args:
+        images: (size, size), of each camera.
+    """
+    if not arms.subtracted:
+        return list(images)
+    return [_quotient(image, plain) for image, plain in zip(images, _kept_plain_images(phantom, arms), strict=True)]
+
+
+_kept_plain_images = kept_with_owner(_plain_images)
+
+
+def _quotient(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image (size, size) over another: `_EVEN` where they are equal, or the second is too dark to divide by."""
+    from cathsim.opencv import cv2  # here, as only subtracted views need it
+
+    even = np.asarray(cv2.divide(image, plain, scale=_EVEN), np.uint8)
+    even[plain < _DARK] = _EVEN
+    return even
 
 
 def with_shaft(nodes: np.ndarray, direction: np.ndarray) -> np.ndarray:
