@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -108,3 +110,15 @@ def test_clutter_of_other_images_is_refused(shapes: list[tuple[int, int]]) -> No
     clutter = CArmClutter(tuple(np.zeros(shape, np.float32) for shape in shapes))
     with pytest.raises(ValueError, match=r"shape \(256, 256\) for each camera"):
         CArms(("a", "b"), 256, clutter=clutter)
+
+
+def test_images_among_clutter_are_forgotten_with_it() -> None:
+    phantom = load_phantom("type_1")
+    arms = CArms(("a",), 256, clutter=CArmClutter((np.zeros((256, 256), np.float32),)), subtracted=True)
+    images_of_shape(phantom, arms, np.empty((0, 3)), 1)
+    kept = weakref.ref(fluoroscope_of(phantom, arms))
+    assert fluoroscope_of(phantom, arms) is kept()
+    assert fluoroscope_of(phantom, replace(arms, clutter=None)) is not kept()
+    del arms
+    gc.collect()
+    assert kept() is None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from cathsim.fluoroscopy.radiograph import expose_depth, optical_depth
 from cathsim.guidewire import load_guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.validation import Pixels, settings
+
+Result = TypeVar("Result")
 
 _RUN_SEED = 7  # of the contrast run's noise
 _NOTHING = np.empty((0, 3))  # no wire
@@ -63,7 +66,28 @@ class CArms:
                 )
 
 
-@kept_with_owner
+def _kept_in_a_room(make: Callable[[Phantom, CArms], Result]) -> Callable[[Phantom, CArms], Result]:
+    """Makes a function remember its results for as long as the clutter is in use, or the phantom without any.
+
+    Args:
+        make: its result must refer to neither.
+    """
+    bare = kept_with_owner(make)
+
+    @kept_with_owner
+    def among(clutter: CArmClutter, phantom: Phantom, arms: CArms) -> Result:
+        return make(phantom, replace(arms, clutter=clutter))
+
+    @functools.wraps(make)
+    def look_up(phantom: Phantom, arms: CArms) -> Result:
+        if arms.clutter is None:
+            return bare(phantom, arms)
+        return among(arms.clutter, phantom, replace(arms, clutter=None))
+
+    return look_up
+
+
+@_kept_in_a_room
 def fluoroscope_of(phantom: Phantom, arms: CArms) -> BiplaneFluoroscope:
     """The cameras over a phantom while the wire moves."""
     return _fluoroscope(phantom, arms, arms.filling)
@@ -133,7 +157,7 @@ def as_shown(phantom: Phantom, arms: CArms, images: Sequence[NDArray[np.uint8]])
     return [_quotient(image, plain) for image, plain in zip(images, _kept_plain_images(phantom, arms), strict=True)]
 
 
-_kept_plain_images = kept_with_owner(_plain_images)
+_kept_plain_images = _kept_in_a_room(_plain_images)
 
 
 def _quotient(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> NDArray[np.uint8]:
