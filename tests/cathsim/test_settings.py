@@ -59,6 +59,7 @@ RECORDS = {
     ),
     *(
         "fluoroscopy.radiograph:Radiograph",
+        "observations.c_arm_view:CArmClutter",
         "observations.observables:Observable",
         "observations.scan:Scan",
         "robot.cycle:Measured",
