@@ -10,6 +10,7 @@ the target's ostium is set back behind the top of the arch, and one JSON object 
 policy for targets set back by 13 mm or more, which the scan tells beforehand; a policy of two devices steers its own.
 With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
 anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
+With --most-force every attempt but the last also ends where it presses harder.
 Arch k begins with seed 5,000,000,000 + 10 k + the target's number, which no training has used.
 """
 
@@ -34,7 +35,7 @@ from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.imitation.image_policy import ImagePolicy
 from enn.policy import Policy
-from enn.retrying import RetryingController
+from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
@@ -45,8 +46,6 @@ from pipeline.task import TASK, task_in_random_arches
 TARGETS = ("bca", "lcca", "lsa")
 FILE_TARGETS = (*TARGETS, "rsa", "rcca")
 FIRST_ARCH, FIRST_SEED = 40_100, 5_000_000_000
-DRAWN_BACK = 250  # steps in which any device is drawn back
-ANOTHER = 1_000_003  # between the seeds of an episode's attempts
 SET_BACK = (0.0, 5.0, 10.0, 13.0, 16.0, 20.0)  # mm, between the rows by set-back
 
 
@@ -73,6 +72,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=5, help="in each file and towards each target")
     parser.add_argument("--max-steps", type=int, default=300, help="of an attempt")
     parser.add_argument("--attempts", type=int, default=1)
+    parser.add_argument("--most-force", type=float, metavar="N", help="of all contacts, with which an attempt ends")
     parser.add_argument("--clutter", type=float, default=0.0, help="in X-ray images, 1: as networks learn from")
     parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
     parser.add_argument("--quick", action="store_true", help="one arch")
@@ -103,7 +103,7 @@ def task_of(policy: Any, given: argparse.Namespace) -> UnseenTask:
     """The task of the tests, with the devices that a policy was trained with."""
     catheter = policy.metadata.get(TASK, {}).get("catheter")
     usual = task_in_random_arches()
-    max_steps = given.max_steps + (given.attempts - 1) * (given.max_steps + DRAWN_BACK)
+    max_steps = steps_of_attempts(given.max_steps, given.attempts)
     rules = dataclasses.replace(usual, max_steps=max_steps, start_rotation_deg=180.0, catheter=catheter)
     return UnseenTask(TARGETS, rules)
 
@@ -114,8 +114,8 @@ def play(
     """Plays one episode."""
     environment: Any
 
-    def attempt(number: int) -> Any:
-        drawn = {"deterministic": not given.draw, "seed": seed + ANOTHER * number} if by_roadmap else {}
+    def attempt(seed: int) -> Any:
+        drawn = {"deterministic": not given.draw, "seed": seed} if by_roadmap else {}
         return policy.controller(**drawn)
 
     by_roadmap = isinstance(policy, Policy)
@@ -125,7 +125,7 @@ def play(
         side = task.task.image_size_px
         bare = task.test_environment(place, target, "default", ("goal_image",))
         environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), views=policy.cameras)
-    controller = RetryingController(attempt, given.max_steps, given.attempts, seed)
+    controller = RetryingController(attempt, given.max_steps, given.attempts, seed, most_force=given.most_force)
     observation, info = environment.reset(seed=seed)
     forces: list[float] = []
     ended = success = False

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from enn.policy import Policy
 
 _ARCHES = ARCHES["test"].width
-_DRAWN_BACK = 250  # steps in which a wire is drawn back
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ class Scene:
 
         self.model, self.policy, self.anatomy, self.start_seed = model, policy, anatomy, start_seed
         self.environment: Any = WatchedEnvironment(environment)  # that of the policy in everything but its class
-        self.steer = RetryingController(lambda number: policy.controller(), attempt_steps, attempts, start_seed)
+        self.steer = RetryingController(lambda seed: policy.controller(), attempt_steps, attempts, start_seed)
         self._first_view: Any = None
         self._roadmap: Any = None
 
@@ -162,6 +161,7 @@ def open_scene(
         ValueError: there is no such model, or the file cannot be imported.
     """
     import enn
+    from enn.retrying import steps_of_attempts
 
     policy = enn.load(model)
     if TASK not in policy.metadata:
@@ -170,7 +170,7 @@ def open_scene(
         )
     rules = Task(**policy.metadata[TASK])
     steps = rules.max_steps
-    task = UnseenTask(TARGETS, replace(rules, max_steps=steps + (attempts - 1) * (steps + _DRAWN_BACK)))
+    task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     place: int | AnatomyFile
     if anatomy is None:
         place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from enn.retrying import WITHIN, RetryingController
+from enn.retrying import WITHIN, RetryingController, steps_of_attempts
 
 FORWARDS = np.array([1.0, 0.2], np.float32)
 
@@ -34,18 +34,19 @@ def test_devices_are_drawn_back_between_attempts(feeders: int) -> None:
     actions[::2] = np.arange(1, feeders + 1) / feeders  # a catheter further in than the wire
     began: list[np.ndarray] = []
 
-    def attempt(number: int) -> Any:
-        made.append(number)
+    def attempt(seed: int) -> Any:
+        made.append(seed)
         began.append(robot.places.copy())
         return lambda observation, info: actions
 
-    controller = RetryingController(attempt, 20)
+    controller = RetryingController(attempt, 20, seed=7)
     seen = []
     for _ in range(120):
         seen.append(controller(None, robot.info))
         robot.step(seen[-1])
-    assert made == list(range(controller.attempts))
     assert controller.attempts >= 3
+    assert made[0] == 7
+    assert len(set(made)) == controller.attempts
     assert all((np.abs(place - 0.001) <= WITHIN + 1e-12).all() for place in began)
     assert all(np.array_equal(action, actions) for action in seen[:20])
     back = seen[20]
@@ -63,7 +64,7 @@ def test_turns_depend_on_the_seed_and_an_episode_begins_anew() -> None:
         return float(action[1])
 
     def controller_of(seed: int) -> RetryingController:
-        return RetryingController(lambda number: lambda observation, info: FORWARDS, 5, seed=seed)
+        return RetryingController(lambda seed: lambda observation, info: FORWARDS, 5, seed=seed)
 
     same = controller_of(0)
     first = turn_after_first(same)
@@ -79,7 +80,7 @@ def test_an_environments_devices_come_back_to_the_sheath(catheter: str | None) -
     observation, info = environment.reset(seed=0)
     insertions = [info["insertion"]]
     actions = np.tile(FORWARDS, environment.action_space.shape[0] // 2)  # type: ignore[index]
-    controller = RetryingController(lambda number: lambda observation, info: actions, 40)
+    controller = RetryingController(lambda seed: lambda observation, info: actions, 40)
     for _ in range(100):
         observation, _, _, _, info = environment.step(controller(observation, info))
         insertions.append(info["insertion"])
@@ -91,14 +92,33 @@ def test_an_environments_devices_come_back_to_the_sheath(catheter: str | None) -
 
 
 def test_the_last_attempt_goes_on() -> None:
-    robot, controller = _Feeders(1), RetryingController(lambda number: lambda observation, info: FORWARDS, 5, most=2)
+    robot, controller = _Feeders(1), RetryingController(lambda seed: lambda observation, info: FORWARDS, 5, most=2)
     for _ in range(60):
         robot.step(controller(None, robot.info))
     assert controller.attempts == 2
     assert robot.places[0] == pytest.approx(0.001 + 0.002 * (60 - 5 - 5), abs=0.0021)
 
 
+def test_an_attempt_that_presses_too_hard_ends_but_for_the_last() -> None:
+    robot = _Feeders(1)
+    controller = RetryingController(lambda seed: lambda observation, info: FORWARDS, 50, most=2, most_force=1.0)
+    forces = [0.0] * 5 + [1.5] * 4 + [0.0] * 10 + [1.5] * 20  # drawn back at the sixth step, in spite of the force
+    began = [0]
+    for force in forces:
+        robot.step(controller(None, {**robot.info, "force": force}))
+        began.append(controller.attempts)
+    assert began.index(2) == 5 + 5 + 1
+    assert robot.places[0] == pytest.approx(0.001 + 0.002 * (len(forces) - 10), abs=1e-6)
+    with pytest.raises(ValueError, match="most_force must be above 0 N, got -1"):
+        RetryingController(lambda seed: lambda observation, info: FORWARDS, 50, most_force=-1.0)
+
+
+def test_an_episode_of_several_attempts_leaves_time_to_go_back() -> None:
+    assert steps_of_attempts(300, 1) == 300
+    assert steps_of_attempts(300, 3) - 3 * 300 >= 2 * 200  # an adult's way, at 2.5 mm a step
+
+
 @pytest.mark.parametrize(("steps", "most"), [(0, None), (5, 0)])
 def test_attempts_that_cannot_be_are_refused(steps: int, most: int | None) -> None:
     with pytest.raises(ValueError, match=f"1 step at least, got {most} with {steps}"):
-        RetryingController(lambda number: lambda observation, info: FORWARDS, steps, most)
+        RetryingController(lambda seed: lambda observation, info: FORWARDS, steps, most)

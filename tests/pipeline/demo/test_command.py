@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cathsim import load_phantom
-from pipeline.demo import steering
+from enn import retrying
 from pipeline.demo.command import EXIT_USAGE, GIF, LOG, MP4, main
 from pipeline.demo.film import TITLE_PX, VIEW_PX
 from pipeline.episodes import EpisodeReader
@@ -63,7 +63,7 @@ def test_a_surface_of_ones_own_and_the_roadmap(tmp_path: Path, capsys: pytest.Ca
 def test_a_wire_that_has_not_arrived_is_drawn_back_and_tries_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(steering, "_DRAWN_BACK", 9)
+    monkeypatch.setattr(retrying, "_BACK", 9)
     assert main(("--output", str(tmp_path), "--seed", "3", "--attempts", "2")) == 0
     assert "did not reach the target at attempt 2 in 2.3 s" in capsys.readouterr().out
     with EpisodeReader(tmp_path / LOG) as episode:

@@ -1,4 +1,4 @@
-"""Retrying controller: where an attempt takes too long, devices are drawn back and turned, and try again."""
+"""Retrying controller: where an attempt takes too long, or presses too hard, devices are drawn back and try again."""
 
 from __future__ import annotations
 
@@ -12,6 +12,14 @@ Controller = Callable[[Any, Mapping[str, Any]], NDArray[np.float32]]  # observat
 
 INSERTIONS = ("insertion", "catheter_insertion")  # of the feeders, in `info`, m
 WITHIN = 1e-3  # m of where they began: drawn back far enough
+FORCE = "force"  # in `info`: of all contacts, N
+_BACK = 250  # steps in which 0.5 m are drawn back at the usual pace, at most
+_ANOTHER = 1_000_003  # between the seeds of an episode's attempts
+
+
+def steps_of_attempts(steps: int, attempts: int) -> int:
+    """Steps of an episode that leaves the time for attempts of `steps` each, and for going back between them."""
+    return steps + (attempts - 1) * (steps + _BACK)
 
 
 class RetryingController:
@@ -21,21 +29,32 @@ class RetryingController:
     a speed that is drawn once: the next attempt begins with the bend pointing elsewhere.
 
     Args:
-        attempt: makes the controller of an attempt, from its number; it is called before the attempt's first step.
+        attempt: makes the controller of an attempt, from a seed of its own, which is `seed` for the first; it is called
+            before the attempt's first step.
         steps: of an attempt.
         most: attempts; the last one goes on to the episode's end. None: any number.
-        seed: of the turns between attempts.
+        seed: of the attempts and of the turns between them.
+        most_force: N of all contacts with which an attempt ends at once, the last one excepted; None: any.
 
     Raises:
-        ValueError: an attempt has no step, or there is none.
+        ValueError: an attempt has no step, there is none, or the force is not above zero.
     """
 
     def __init__(
-        self, attempt: Callable[[int], Controller], steps: int, most: int | None = None, seed: int = 0
+        self,
+        attempt: Callable[[int], Controller],
+        steps: int,
+        most: int | None = None,
+        seed: int = 0,
+        *,
+        most_force: float | None = None,
     ) -> None:
         if steps < 1 or (most is not None and most < 1):
             raise ValueError(f"there must be 1 attempt with 1 step at least, got {most} with {steps}")
+        if most_force is not None and not most_force > 0:
+            raise ValueError(f"most_force must be above 0 N, got {most_force:g}")
         self._attempt, self._steps, self._most, self._seed = attempt, steps, most, seed
+        self._most_force = np.inf if most_force is None else most_force
         self.reset()
 
     def reset(self) -> None:
@@ -61,13 +80,14 @@ class RetryingController:
         """The action of this step. Shape (actions,): translation and rotation of each feeder.
 
         Args:
-            info: of the environment, with the feeders' insertions.
+            info: of the environment, with the feeders' insertions, and its force where that ends an attempt.
         """
         there = {name: float(info[name]) for name in INSERTIONS if name in info}
         if not self._began:
             self._began = there
-        ended = self._controller is not None and self._left == 0 and self._turns is None
-        if ended and self.attempts != self._most:
+        pressed = float(info.get(FORCE, 0.0)) > self._most_force
+        steering = self._controller is not None and self._turns is None
+        if steering and (self._left == 0 or pressed) and self.attempts != self._most:
             self._turns = self._generator.uniform(-1.0, 1.0, len(there))
         if self._turns is not None:
             inside = [there[name] > self._began[name] + WITHIN for name in there]
@@ -77,6 +97,7 @@ class RetryingController:
                 return np.array(back, np.float32).ravel()
         if self._controller is None or self._turns is not None:
             self._number += 1
-            self._controller, self._left, self._turns = self._attempt(self._number), self._steps, None
+            own_seed = self._seed + _ANOTHER * self._number
+            self._controller, self._left, self._turns = self._attempt(own_seed), self._steps, None
         self._left = max(self._left - 1, 0)
         return self._controller(observation, info)
