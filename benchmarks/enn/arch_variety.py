@@ -84,7 +84,7 @@ class Player:
             observation=self.policy.keys if self.by_roadmap else ("goal_image",), catheter=catheter,
         )  # fmt: skip
         self.environment: Any = (
-            self.bare if self.by_roadmap else XrayEnvironment(self.bare, side, views=self.policy.cameras)
+            self.bare if self.by_roadmap else XrayEnvironment(self.bare, side, **self.policy.imaging)
         )
 
     def begin(self, case: int, seed: int) -> tuple[Any, dict[str, Any]]:

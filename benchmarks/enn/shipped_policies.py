@@ -74,6 +74,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--attempts", type=int, default=1)
     parser.add_argument("--most-force", type=float, metavar="N", help="of all contacts, with which an attempt ends")
     parser.add_argument("--clutter", type=float, default=0.0, help="in X-ray images, 1: as networks learn from")
+    parser.add_argument(
+        "--field", type=float, metavar="MM", help="of X-ray images, instead of what the policy learnt in"
+    )
     parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
     parser.add_argument("--quick", action="store_true", help="one arch")
     return parser.parse_args()
@@ -124,7 +127,8 @@ def play(
     else:
         side = task.task.image_size_px
         bare = task.test_environment(place, target, "default", ("goal_image",))
-        environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), views=policy.cameras)
+        imaging = policy.imaging | ({"field": 1e-3 * given.field} if given.field else {})
+        environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), **imaging)
     controller = RetryingController(attempt, given.max_steps, given.attempts, seed, most_force=given.most_force)
     observation, info = environment.reset(seed=seed)
     forces: list[float] = []

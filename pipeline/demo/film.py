@@ -116,10 +116,10 @@ class DemoFilm(Film):
 
     def _project(self, environment: Any, view: str, points: np.ndarray) -> np.ndarray:
         """World points (n, 3) m to shares of a view's side, (n, 2)."""
-        from cathsim.fluoroscopy import Projector
+        from cathsim.observations.framing import framed
 
         if view not in self._projectors:
-            self._projectors[view] = Projector.view(view, environment.phantom.bounds, VIEW_PX)
+            self._projectors[view] = framed(environment.phantom, view, VIEW_PX, self.scene.field)
         return (self._projectors[view].project(points) + 0.5) / VIEW_PX
 
     def _xray(self, environment: Any, view: str) -> np.ndarray:
@@ -127,7 +127,7 @@ class DemoFilm(Film):
         from cathsim.observations.xray import fluoroscope_of
 
         radius = wire_radius_of(environment.simulation)
-        fluoroscope = fluoroscope_of(environment.phantom, VIEW_PX, radius, view=view)
+        fluoroscope = fluoroscope_of(environment.phantom, VIEW_PX, radius, view=view, field=self.scene.field)
         return np.asarray(frame_of(environment.simulation, fluoroscope, self._noise, view).image)
 
     def _space(self, simulation: Any, goal: np.ndarray) -> np.ndarray | None:

@@ -105,6 +105,13 @@ class Scene:
         return self.policy.cameras if isinstance(self.policy, ImagePolicy) else ()
 
     @property
+    def field(self) -> float | None:
+        """Side of the views' field, m; None: they hold all of the anatomy."""
+        from enn.imitation.image_policy import ImagePolicy
+
+        return self.policy.perception.field if isinstance(self.policy, ImagePolicy) else None
+
+    @property
     def target(self) -> str:
         """The target's name."""
         return str(self.environment.task.target_name)
@@ -193,7 +200,7 @@ def _environment(task: UnseenTask, place: int | AnatomyFile, target: str, policy
 
     if isinstance(policy, ImagePolicy):
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
-        return XrayEnvironment(bare, task.task.image_size_px, views=policy.cameras)  # type: ignore[return-value]
+        return XrayEnvironment(bare, task.task.image_size_px, **policy.imaging)  # type: ignore[return-value]
     return task.test_environment(place, target, task.task.wire, policy.keys)
 
 

@@ -65,6 +65,11 @@ class ImagePolicyJob(PolicyJob):
         """Whose images it sees; the true mask is that of the frontal view."""
         return tuple(self.settings.views) if self.xray else ONE_VIEW
 
+    @property
+    def field(self) -> float | None:
+        """Side of the field of its images, m; None: all of the anatomy."""
+        return self.settings.field() if self.xray else None
+
     def observations(self, *further: str) -> tuple[str, ...]:
         """What an environment is made with, beside what `seen` adds."""
         from enn.imitation.image_perception import IMAGE_KEYS
@@ -78,8 +83,9 @@ class ImagePolicyJob(PolicyJob):
         if not self.xray:
             return environment
         return XrayEnvironment(
-            environment, self.task.task.image_size_px, clutter=clutter_of(clutter), views=self.views, **further
-        )
+            environment, self.task.task.image_size_px, clutter=clutter_of(clutter), views=self.views, field=self.field,
+            **further,
+        )  # fmt: skip
 
 
 def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
@@ -138,7 +144,7 @@ def _train(
         devices = _device_segmenters(job, expert, perceive, device) if job.xray else {}
         perception = ImagePerception(
             segmenter, devices.get("mask"), device, subtracts=job.xray, cameras=job.views,
-            catheter=devices.get(CATHETER_MASK),
+            catheter=devices.get(CATHETER_MASK), field=job.field,
         )  # fmt: skip
         hints = int(np.prod(expert.observation_space[expert.keys[0]].shape))  # type: ignore[index]
         actions = int(np.prod(expert.action_space.shape or ()))
@@ -201,9 +207,10 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
     """Trains the network that finds the lumen, on images of the training anatomies without a wire: those that are
     subtracted in contrast runs, or without noise.
     """
-    from cathsim.fluoroscopy import Projector, background_image
+    from cathsim.fluoroscopy import background_image
     from cathsim.fluoroscopy.attenuation import lumen_path_length
     from cathsim.many_anatomies import SHELF
+    from cathsim.observations.framing import framed
     from cathsim.observations.xray import contrast_run
     from enn.imitation.image_perception import subtracted
     from enn.imitation.lumen_segmentation import fit_segmenter
@@ -215,10 +222,10 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
         report(0.1 * number / len(job.anatomies), "images")
         phantom = SHELF.take(training_arch(seed, job.task.arches), RESOLUTION)
         for view in job.views:
-            projector = Projector.view(view, phantom.bounds, size_px)
+            projector = framed(phantom, view, size_px, job.field)
             if job.xray:
                 clutter = None if draw is None or number % 2 else draw(generator, size_px)
-                run = contrast_run(phantom, size_px, task.guidewire().radius, clutter, view)
+                run = contrast_run(phantom, size_px, task.guidewire().radius, clutter, view, job.field)
                 images.append(subtracted(run.plain[0], run.contrast[0]))
             else:
                 images.append(background_image(phantom.grid, projector, key=phantom.hash))

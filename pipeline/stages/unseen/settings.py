@@ -67,6 +67,8 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
     xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
     # of noisy X-ray, an image of each a decision: two are those of a bi-planar fluoroscope
     views: SomeFolderNames = field(default_factory=lambda: list(ONE_VIEW))
+    # side of the square that they show, about the arch, mm in the plane of the isocentre; 0: all of the anatomy
+    field_mm: Annotated[float, Ge(0), Le(400)] = 0.0
     # of clutter in X-ray images, 1 as in guide3d's random fluoroscopy: in those that the wire's network learns from, in
     # every second one of the lumen's, in every second environment of the rounds, in a further set of tests; 0: none
     clutter: Annotated[float, Ge(0), Le(4)] = 0.0
@@ -114,6 +116,10 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
                 f"with stage.arches={VARIETY} policies are trained and tested in any such arches and in no others: "
                 "give stage.phantoms=[] stage.mesh=null"
             )
+
+    def field(self) -> float | None:
+        """As of `cathsim.observations.framing.framed`, m."""
+        return 1e-3 * self.field_mm or None
 
     def learnt_targets(self) -> tuple[str, ...]:
         """The targets of every policy."""

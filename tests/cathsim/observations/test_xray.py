@@ -132,3 +132,21 @@ def test_clutter_is_another_in_each_view() -> None:
 def test_views_are_checked(views: tuple[str, ...]) -> None:
     with pytest.raises(ValueError, match="views must be some of frontal, lateral"):
         environment(views=views)
+
+
+def test_a_field_shows_the_arch_as_large_as_it_is() -> None:
+    from cathsim.observations.framing import framed
+
+    env = environment(with_mask=True, field=0.16)
+    seen, _ = env.reset(seed=3, options={"case": 0})
+    assert env.observation_space.contains(seen)
+    for _ in range(25):
+        seen = env.step(FORWARD)[0]
+    camera = framed(env.phantom, "frontal", 96, 0.16)
+    column, row = camera.project(env.task.goal(env.phantom)[None])[0]
+    assert seen["goal_image"][0, round(row), round(column)] == 255
+    column, row = camera.project(env.simulation.wire_points()[2:3])[0]
+    assert seen["mask"][0, round(row), round(column)] == 255
+    whole = environment(with_mask=True)
+    whole.reset(seed=3, options={"case": 0})
+    assert not np.array_equal(seen["plain"], whole.step(FORWARD)[0]["plain"])

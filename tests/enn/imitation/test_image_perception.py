@@ -123,8 +123,10 @@ def test_each_camera_has_a_view_of_its_own(segmenter: LumenSegmenter) -> None:
     assert two.size == len(parts[0]) + len(parts[1])
     assert ImagePerception.of(two.content()).cameras == ("frontal", "lateral")
     older = two.content()
-    del older["cameras"]
+    del older["cameras"], older["field"]
     assert ImagePerception.of(older).cameras == ("frontal",)
+    assert ImagePerception.of(older).field is None
+    assert ImagePerception.of(ImagePerception(segmenter, field=0.18).content()).field == 0.18
     with pytest.raises(ValueError, match="the policy sees the views frontal, lateral, got 1 of them"):
         two.begin(first)
 

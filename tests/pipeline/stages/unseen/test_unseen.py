@@ -135,9 +135,10 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     assert not (job.own_folder / "advised_episodes").exists()
 
     one = image_job(tmp_path, 1, "xray")
-    two = replace(one, settings=replace(one.settings, views=["frontal", "lao_45"]))
+    two = replace(one, settings=replace(one.settings, views=["frontal", "lao_45"], field_mm=180.0))
     by_xray = train_image_policy(two, Report())
-    assert ImagePolicy.load(two.own_folder / "image_policy.pt").cameras == ("frontal", "lao_45")
+    learnt = ImagePolicy.load(two.own_folder / "image_policy.pt")
+    assert learnt.imaging == {"views": ("frontal", "lao_45"), "field": 0.18}
 
     tables = tables_from_logs(tmp_path / "unseen")
     names = ("roadmap", "image_true_mask", "xray")

@@ -1,9 +1,9 @@
 """X-ray images as observations: noisy images of an environment, and the contrast run before its episodes.
 
-The view is frontal, or there are several (`cathsim.fluoroscopy.projector.VIEWS`), as of a bi-planar fluoroscope. Before
-an episode there is a contrast run: an image of the vessels without wire or contrast medium, and one with contrast
-medium. While the wire moves, its images have neither. Nothing else shows where the wire is. Clutter, where it is asked
-for, stands still for an episode and its contrast run.
+The view is frontal, or there are several (`cathsim.fluoroscopy.projector.VIEWS`), as of a bi-planar fluoroscope; what
+they hold says `cathsim.observations.framing`. Before an episode there is a contrast run: an image of the vessels
+without wire or contrast medium, and one with contrast medium. While the wire moves, its images have neither. Nothing
+else shows where the wire is. Clutter, where it is asked for, stands still for an episode and its contrast run.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from cathsim.anatomy import Phantom
 from cathsim.devices.catheter import Catheter
 from cathsim.environment import NavigateEnv
-from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, DetectorDistortion, Projector, scene, wire_material
+from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, DetectorDistortion, scene, wire_material
 from cathsim.fluoroscopy.c_arms import XRayCamera
 from cathsim.fluoroscopy.projector import VIEWS
 from cathsim.fluoroscopy.radiograph import expose_depth, optical_depth
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.fluoroscopes import catheter_in, frame_of, material_of, wire_radius_of
+from cathsim.observations.framing import arch_centre, framed
 from cathsim.observations.observables import DOT_SHARE, LEAST_DOT
 from cathsim.observations.roadmap import target_image
 
@@ -49,6 +50,7 @@ def fluoroscope_of(
     catheter: Catheter | None = None,
     view: str = VIEW,
     clutter: Clutter | None = None,
+    field: float | None = None,
 ) -> BiplaneFluoroscope:
     """An X-ray camera over a phantom while the devices move.
 
@@ -58,75 +60,91 @@ def fluoroscope_of(
         catheter: over the wire, or None.
         view: one of `cathsim.fluoroscopy.projector.VIEWS`.
         clutter: (size, size) attenuation; None: there is none. With clutter the camera is made anew at each call.
+        field: as of `cathsim.observations.framing.framed`.
     """
     if clutter is None:
-        bare = _fluoroscope(phantom, size, wire_radius, MOVING, view)
-        return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter, view)
-    bare = _among(clutter, phantom, size, wire_radius, MOVING, view)
+        bare = _fluoroscope(phantom, size, wire_radius, MOVING, view, field)
+        return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter, view, field)
+    bare = _among(clutter, phantom, size, wire_radius, MOVING, view, field)
     return bare if catheter is None else bare.with_catheter(material_of(catheter))
 
 
 @kept_with_owner
 def _with_catheter(
-    phantom: Phantom, size: int, wire_radius: float, catheter: Catheter, view: str
+    phantom: Phantom, size: int, wire_radius: float, catheter: Catheter, view: str, field: float | None
 ) -> BiplaneFluoroscope:
-    return _fluoroscope(phantom, size, wire_radius, MOVING, view).with_catheter(material_of(catheter))
+    return _fluoroscope(phantom, size, wire_radius, MOVING, view, field).with_catheter(material_of(catheter))
 
 
 @kept_with_owner
-def _fluoroscope(phantom: Phantom, size: int, wire_radius: float, filling: str, view: str = VIEW) -> BiplaneFluoroscope:
-    return _seeing(_depth(phantom, size, filling, view), phantom, size, wire_radius, filling, view)
+def _fluoroscope(
+    phantom: Phantom, size: int, wire_radius: float, filling: str, view: str, field: float | None
+) -> BiplaneFluoroscope:
+    return _seeing(_depth(phantom, size, filling, view, field), phantom, size, wire_radius, filling, view, field)
 
 
-def _camera(phantom: Phantom, size: int, view: str) -> XRayCamera:
+def _camera(phantom: Phantom, size: int, view: str, field: float | None) -> XRayCamera:
     centre = phantom.bounds.mean(axis=0)
     detector = PAIRS["guide3d"](centre, size)[0].detector  # light, blur and noise of the navigation's first camera
-    return XRayCamera(Projector.view(view, phantom.bounds, size), DetectorDistortion.none(size, size), detector)
+    return XRayCamera(framed(phantom, view, size, field), DetectorDistortion.none(size, size), detector)
 
 
 def _among(
-    clutter: Clutter, phantom: Phantom, size: int, wire_radius: float, filling: str, view: str = VIEW
+    clutter: Clutter, phantom: Phantom, size: int, wire_radius: float, filling: str, view: str, field: float | None
 ) -> BiplaneFluoroscope:
     """As `_fluoroscope`, with clutter in the way: automatic brightness and scatter are those of all together."""
     if clutter.shape != (size, size):
         raise ValueError(f"clutter must have shape ({size}, {size}), that of the images, got {clutter.shape}")
-    return _seeing(_depth(phantom, size, filling, view) + clutter, phantom, size, wire_radius, filling, view)
+    depth = _depth(phantom, size, filling, view, field) + clutter
+    return _seeing(depth, phantom, size, wire_radius, filling, view, field)
 
 
 def _seeing(
-    depth: NDArray[np.float32], phantom: Phantom, size: int, wire_radius: float, filling: str, view: str
+    depth: NDArray[np.float32],
+    phantom: Phantom,
+    size: int,
+    wire_radius: float,
+    filling: str,
+    view: str,
+    field: float | None,
 ) -> BiplaneFluoroscope:
     """A camera behind an optical depth."""
-    camera = _camera(phantom, size, view)
+    camera = _camera(phantom, size, view, field)
     still = expose_depth(camera, scene("bath", filling), lambda projector: depth)
-    material, centre = wire_material("default", wire_radius), phantom.bounds.mean(axis=0)
+    material = wire_material("default", wire_radius)
+    centre = phantom.bounds.mean(axis=0) if field is None else arch_centre(phantom, field)
     return BiplaneFluoroscope([camera], [still], material=material, centre=centre)
 
 
 @kept_with_owner
-def _depth(phantom: Phantom, size: int, filling: str, view: str) -> NDArray[np.float32]:
-    return optical_depth(phantom.grid, _camera(phantom, size, view).projector, scene("bath", filling))
+def _depth(phantom: Phantom, size: int, filling: str, view: str, field: float | None) -> NDArray[np.float32]:
+    return optical_depth(phantom.grid, _camera(phantom, size, view, field).projector, scene("bath", filling))
 
 
 def contrast_run(
-    phantom: Phantom, size: int, wire_radius: float, clutter: Clutter | None = None, view: str = VIEW
+    phantom: Phantom,
+    size: int,
+    wire_radius: float,
+    clutter: Clutter | None = None,
+    view: str = VIEW,
+    field: float | None = None,
 ) -> ContrastRun:
     """The images before an episode, with a noise of the phantom's own.
 
     Args:
         size: side of the images, px.
         wire_radius: m, of the wire that is not in them.
-        clutter, view: as of `fluoroscope_of`.
+        clutter, view, field: as of `fluoroscope_of`.
     """
     if clutter is None:
-        return _clean_run(phantom, size, wire_radius, view)
-    moving, filled = (_among(clutter, phantom, size, wire_radius, one, view) for one in (MOVING, FILLED))
+        return _clean_run(phantom, size, wire_radius, view, field)
+    moving, filled = (_among(clutter, phantom, size, wire_radius, one, view, field) for one in (MOVING, FILLED))
     return _run(phantom, moving, filled, view)
 
 
 @kept_with_owner
-def _clean_run(phantom: Phantom, size: int, wire_radius: float, view: str) -> ContrastRun:
-    moving, filled = (_fluoroscope(phantom, size, wire_radius, one, view) for one in (MOVING, FILLED))
+def _clean_run(phantom: Phantom, size: int, wire_radius: float, view: str, field: float | None) -> ContrastRun:
+    moving, filled = (_fluoroscope(phantom, size, wire_radius, one, view, field) for one in (MOVING, FILLED))
     return _run(phantom, moving, filled, view)
 
 
@@ -138,7 +156,8 @@ def _run(phantom: Phantom, moving: BiplaneFluoroscope, filled: BiplaneFluoroscop
 
 class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
     """An environment with X-ray images among its observations: `image`, `plain` and `contrast`, (n, size, size) uint8,
-    one after the other the n views. With several, `goal_image` is the target's dot in each of them, too.
+    one after the other the n views. Unless it is the frontal one alone, without a field, `goal_image` is the target's
+    dot in each of them, too.
 
     The noise of an image depends on the seed of the reset, on the step and on the view's place.
 
@@ -149,11 +168,13 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
             `mask_wire` and `mask_catheter`.
         clutter: draws the clutter of each episode and view; None: there is none.
         views: names of `cathsim.fluoroscopy.projector.VIEWS`.
+        field: of the views, m, as of `cathsim.observations.framing.framed`.
         every: steps between two images, as with pulsed fluoroscopy; in between the observations keep the last one.
             The images that are drawn, at the reset and after every so many steps, are the same as with 1.
 
     Raises:
-        ValueError: `every` is not a positive whole number; no view, one twice, or an unknown one.
+        ValueError: `every` is not a positive whole number; no view, one twice, or an unknown one; at the reset, a field
+            that is no positive length.
     """
 
     def __init__(
@@ -164,6 +185,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         with_mask: bool = False,
         clutter: DrawClutter | None = None,
         views: Sequence[str] = (VIEW,),
+        field: float | None = None,
         every: int = 1,
     ) -> None:
         if not isinstance(every, int) or every < 1:
@@ -171,7 +193,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         if not views or len(set(views)) < len(views) or not set(views) <= set(VIEWS):
             raise ValueError(f"views must be some of {', '.join(VIEWS)}, each once, got {', '.join(views) or 'none'}")
         self.environment, self.size, self.draw_clutter, self.every = environment, size, clutter, every
-        self.views = tuple(views)
+        self.views, self.field = tuple(views), field
         # of the episode, where there is clutter
         self._rooms: list[tuple[BiplaneFluoroscope, ContrastRun]] | None = None
         assert isinstance(environment.observation_space, gymnasium.spaces.Dict)
@@ -212,20 +234,20 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
 
     @property
     def _draws_dots(self) -> bool:
-        """Whether the target's dot is drawn here: the environment's own is that of the frontal view."""
-        return self.views != (VIEW,)
+        """Whether the target's dot is drawn here: the environment's own is that of the whole frontal view."""
+        return self.views != (VIEW,) or self.field is not None
 
     def _drawn_dots(self) -> dict[str, NDArray[np.uint8]]:
         phantom, radius = self.environment.phantom, max(DOT_SHARE * self.size, LEAST_DOT)
         goal = self.environment.task.goal(phantom)[None]
-        seen = (Projector.view(view, phantom.bounds, self.size).project(goal)[0] for view in self.views)
+        seen = (framed(phantom, view, self.size, self.field).project(goal)[0] for view in self.views)
         return {"goal_image": np.stack([target_image(pixel, self.size, radius) for pixel in seen])}
 
     def _seen_by(self, view: str, clutter: Clutter | None) -> tuple[BiplaneFluoroscope, ContrastRun]:
         simulation, phantom = self.environment.simulation, self.environment.phantom
         radius, catheter = wire_radius_of(simulation), catheter_in(simulation)
-        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, view, clutter)
-        return fluoroscope, contrast_run(phantom, self.size, radius, clutter, view)
+        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, view, clutter, self.field)
+        return fluoroscope, contrast_run(phantom, self.size, radius, clutter, view, self.field)
 
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
         if self._step % self.every == 0:

@@ -46,6 +46,7 @@ class ImagePerception:
         segmenter: finds the lumen in an episode's first image, or in that of a contrast run.
         wire: finds the wire in every image, and a catheter over it; None: the mask is observed.
         catheter: finds the catheter alone; None: there is none.
+        field: side of the square that X-ray images show in the plane of the isocentre, m; None: all of the anatomy.
         subtracts: whether the lumen is looked for in `subtracted` images of contrast runs.
         cameras: names of the views whose images, one after the other, are the first axis of every observation.
     """
@@ -59,8 +60,10 @@ class ImagePerception:
         subtracts: bool = False,
         cameras: Sequence[str] = ONE_CAMERA,
         catheter: WireSegmenter | None = None,
+        field: float | None = None,
     ) -> None:
         self.segmenter, self.subtracts, self.cameras = segmenter.to(device), bool(subtracts), tuple(cameras)
+        self.field = field
         self.wire, self.catheter = (None if one is None else one.to(device) for one in (wire, catheter))
 
     @property
@@ -157,6 +160,7 @@ class ImagePerception:
             "catheter": _kept(self.catheter),
             "subtracts": self.subtracts,
             "cameras": list(self.cameras),
+            "field": self.field,
         }
 
     @classmethod
@@ -169,7 +173,8 @@ class ImagePerception:
         segmenter = LumenSegmenter(*content["segmenter"]["settings"])
         segmenter.load_state_dict(content["segmenter"]["weights"])
         wire, catheter = _read(content["wire"]), _read(content.get("catheter"))
-        older: dict[str, Any] = {"subtracts": False, "cameras": ONE_CAMERA}  # what files of older versions do not say
+        # what files of older versions do not say
+        older: dict[str, Any] = {"subtracts": False, "cameras": ONE_CAMERA, "field": None}
         further = {name: content.get(name, value) for name, value in older.items()}
         return cls(segmenter.eval(), wire, device, catheter=catheter, **further)
 

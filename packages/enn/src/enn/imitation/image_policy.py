@@ -45,6 +45,11 @@ class ImagePolicy:
         return self.perception.cameras
 
     @property
+    def imaging(self) -> dict[str, Any]:
+        """How its X-ray images are taken: `views`, their names, and `field`, m, or None for all of the anatomy."""
+        return {"views": self.cameras, "field": self.perception.field}
+
+    @property
     def action_repeat(self) -> int:
         """Environment steps that each action is meant for."""
         return self.policy.settings.action_repeat

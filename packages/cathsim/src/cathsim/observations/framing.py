@@ -1,0 +1,51 @@
+"""What an X-ray view of an observation holds: all of a phantom, or a field of fixed size about the aortic arch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy import Phantom
+from cathsim.fluoroscopy import Projector
+from cathsim.fluoroscopy.projector import VIEWS
+
+ABOVE_ARCH = 4 / 9  # of a field's side: what it holds above the highest point of the aorta's axis
+
+
+def arch_centre(phantom: Phantom, field: float) -> NDArray[np.float64]:
+    """The isocentre for a field about the arch, m. Shape (3,).
+
+    The highest point of the aorta's axis lies `ABOVE_ARCH` of the field below its upper border; from side to side and
+    from front to back the isocentre is in the middle of what the field holds of the axis.
+
+    Args:
+        field: side of the square that the images show in the plane of the isocentre, m.
+    """
+    axis = np.asarray(phantom.tree.root.points)
+    top = axis[:, 2].max()
+    held = axis[axis[:, 2] > top - (1 - ABOVE_ARCH) * field]
+    middle = (held.min(axis=0) + held.max(axis=0)) / 2
+    return np.array([middle[0], middle[1], top + (ABOVE_ARCH - 0.5) * field])
+
+
+def framed(phantom: Phantom, view: str, size: int, field: float | None = None) -> Projector:
+    """The camera of a named view.
+
+    Args:
+        view: one of `cathsim.fluoroscopy.projector.VIEWS`.
+        size: side of the images, px.
+        field: side of the square that they show in the plane of the isocentre, m, `arch_centre` in its middle: then a
+            millimetre has as many pixels in every anatomy. None: what holds the phantom's bounding box.
+
+    Raises:
+        ValueError: an unknown view, or a field that is no positive length.
+    """
+    if field is None or view not in VIEWS:
+        return Projector.view(view, phantom.bounds, size)
+    if not (field > 0 and np.isfinite(field)):
+        raise ValueError(f"the field of view must be a positive length, got {field!r} m")
+    primary, secondary = VIEWS[view]
+    return Projector.c_arm(
+        centre=arch_centre(phantom, field), field_of_view=field, size=size, primary_deg=primary, secondary_deg=secondary,
+        name=view,
+    )  # fmt: skip

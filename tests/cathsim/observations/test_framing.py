@@ -1,0 +1,49 @@
+"""Framing: all of a phantom, or a field of fixed size about its arch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy import load_phantom
+from cathsim.fluoroscopy import Projector
+from cathsim.observations.framing import ABOVE_ARCH, arch_centre, framed
+
+FIELD, SIZE = 0.16, 160
+
+
+@pytest.mark.parametrize("view", ["frontal", "lateral", "lao_45"])
+def test_a_millimetre_has_as_many_pixels_in_every_phantom(view: str) -> None:
+    for name in ("type_1", "bovine"):
+        phantom = load_phantom(name, resolution=2e-3)
+        camera, centre = framed(phantom, view, SIZE, FIELD), arch_centre(phantom, FIELD)
+        places = camera.project(np.stack([centre, centre + (0.0, 0.0, 0.01)]))
+        np.testing.assert_allclose(places[0], (SIZE - 1) / 2, atol=1e-6)
+        np.testing.assert_allclose(places[0] - places[1], (0.0, 10.0), atol=1e-6)
+        assert camera.name == view
+
+
+def test_the_arch_lies_where_it_should() -> None:
+    phantom = load_phantom("type_1", resolution=2e-3)
+    axis = phantom.tree.root.points
+    centre = arch_centre(phantom, FIELD)
+    assert axis[:, 2].max() - centre[2] == pytest.approx((0.5 - ABOVE_ARCH) * FIELD)
+    held = axis[axis[:, 2] > centre[2] - FIELD / 2]
+    np.testing.assert_allclose(np.abs(held - centre)[:, :2].max(axis=0), np.ptp(held[:, :2], axis=0) / 2)
+    for name in ("bca", "lcca", "lsa"):
+        place = framed(phantom, "frontal", SIZE, FIELD).project(phantom.target(name).position[None])[0]
+        assert ((place > 0) & (place < SIZE)).all()
+
+
+def test_without_a_field_all_of_the_phantom_is_held() -> None:
+    phantom = load_phantom("type_1", resolution=2e-3)
+    np.testing.assert_array_equal(framed(phantom, "lateral", 96).P, Projector.view("lateral", phantom.bounds, 96).P)
+
+
+def test_bad_views_and_fields_are_refused() -> None:
+    phantom = load_phantom("type_1", resolution=2e-3)
+    with pytest.raises(ValueError, match="unknown view 'above'"):
+        framed(phantom, "above", 96, FIELD)
+    for field in (0.0, -0.1, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="the field of view must be a positive length"):
+            framed(phantom, "frontal", 96, field)
