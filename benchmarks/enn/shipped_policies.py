@@ -10,7 +10,7 @@ the target's ostium is set back behind the top of the arch, and one JSON object 
 policy for targets set back by 13 mm or more, which the scan tells beforehand; a policy of two devices steers its own.
 With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
 anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
-With --most-force every attempt but the last also ends where it presses harder.
+With --most-force an attempt also ends where it presses harder, the last one for good.
 Arch k begins with seed 5,000,000,000 + 10 k + the target's number, which no training has used.
 """
 

@@ -34,7 +34,8 @@ class RetryingController:
         steps: of an attempt.
         most: attempts; the last one goes on to the episode's end. None: any number.
         seed: of the attempts and of the turns between them.
-        most_force: N of all contacts with which an attempt ends at once, the last one excepted; None: any.
+        most_force: N of all contacts with which an attempt ends at once; after the last one the devices are drawn back
+            and rest. None: any.
 
     Raises:
         ValueError: an attempt has no step, there is none, or the force is not above zero.
@@ -87,7 +88,7 @@ class RetryingController:
             self._began = there
         pressed = float(info.get(FORCE, 0.0)) > self._most_force
         steering = self._controller is not None and self._turns is None
-        if steering and (self._left == 0 or pressed) and self.attempts != self._most:
+        if steering and (pressed or (self._left == 0 and self.attempts != self._most)):
             self._turns = self._generator.uniform(-1.0, 1.0, len(there))
         if self._turns is not None:
             inside = [there[name] > self._began[name] + WITHIN for name in there]
@@ -95,6 +96,8 @@ class RetryingController:
                 turns = zip(inside, self._turns, strict=True)
                 back = [(-1.0, turn) if pulled else (0.0, 0.0) for pulled, turn in turns]
                 return np.array(back, np.float32).ravel()
+            if self.attempts == self._most:
+                return np.zeros(2 * len(there), np.float32)
         if self._controller is None or self._turns is not None:
             self._number += 1
             own_seed = self._seed + _ANOTHER * self._number
