@@ -17,7 +17,7 @@ def test_a_millimetre_has_as_many_pixels_in_every_phantom(view: str) -> None:
     for name in ("type_1", "bovine"):
         phantom = load_phantom(name, resolution=2e-3)
         camera, centre = framed(phantom, view, SIZE, FIELD), arch_centre(phantom, FIELD)
-        places = camera.project(np.stack([centre, centre + (0.0, 0.0, 0.01)]))
+        places = camera.project(np.stack([centre, centre + np.array([0.0, 0.0, 0.01])]))
         np.testing.assert_allclose(places[0], (SIZE - 1) / 2, atol=1e-6)
         np.testing.assert_allclose(places[0] - places[1], (0.0, 10.0), atol=1e-6)
         assert camera.name == view

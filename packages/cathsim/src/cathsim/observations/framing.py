@@ -46,6 +46,10 @@ def framed(phantom: Phantom, view: str, size: int, field: float | None = None) -
         raise ValueError(f"the field of view must be a positive length, got {field!r} m")
     primary, secondary = VIEWS[view]
     return Projector.c_arm(
-        centre=arch_centre(phantom, field), field_of_view=field, size=size, primary_deg=primary, secondary_deg=secondary,
+        centre=arch_centre(phantom, field),
+        field_of_view=field,
+        size=size,
+        primary_deg=primary,
+        secondary_deg=secondary,
         name=view,
-    )  # fmt: skip
+    )
