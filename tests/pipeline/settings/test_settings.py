@@ -28,8 +28,8 @@ NONSENSE = ("nan", "inf", "-inf", "-1", "1e300", "99999999999999999999999", "tex
 ZERO_IS_LEGAL = {
     "annotation_noise_px", "arches", "dagger_rounds", "demonstrations", "disturbed_episodes", "disturbed_images",
     "clutter", "drawn_episodes",
-    "embed_limit_mb", "encoder_epochs", "epochs", "expert_episodes", "feature_matching", "film_episodes", "noise",
-    "path_penalty", "random_seeds", "perception_arches", "perception_epochs", "registration_noise_mm", "spell_chance",
+    "embed_limit_mb", "encoder_epochs", "epochs", "expert_episodes", "feature_matching", "field_mm",
+    "film_episodes", "noise", "path_penalty", "random_seeds", "perception_arches", "perception_epochs", "registration_noise_mm", "spell_chance",
     "split_seed", "start_jitter_mm",
     "start_rotation_deg", "test_arches", "test_images", "threads", "updates", "validation_noise_px", "wire_length_mm",
     "workers", "walls_mm", "shift_mm", "turn_deg", "stiffness_pct", "friction_pct", "breathing_mm", "phantom_seed",
