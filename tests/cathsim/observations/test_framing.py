@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from cathsim.anatomy import load_phantom
 from cathsim.fluoroscopy import Projector
-from cathsim.observations.framing import ABOVE_ARCH, arch_centre, framed
+from cathsim.observations.framing import ABOVE_ARCH, arch_centre, framed, raised_bath
 
 FIELD, SIZE = 0.16, 160
 
@@ -33,6 +35,17 @@ def test_the_arch_lies_where_it_should() -> None:
     for name in ("bca", "lcca", "lsa"):
         place = framed(phantom, "frontal", SIZE, FIELD).project(phantom.target(name).position[None])[0]
         assert ((place > 0) & (place < SIZE)).all()
+
+
+def test_the_bath_is_raised_where_the_arch_lies_far_from_the_middle() -> None:
+    phantom = load_phantom("type_1", resolution=2e-3)
+    assert raised_bath(phantom, FIELD) == 0.0
+    bounds = phantom.bounds.copy()
+    bounds[0, 2] -= 0.3  # 300 mm of aorta more below
+    whole = SimpleNamespace(tree=phantom.tree, bounds=bounds)
+    top = bounds[:, 2].mean() + raised_bath(whole, FIELD) + 0.182  # of the water
+    assert raised_bath(whole, FIELD) > 0.02
+    assert top >= arch_centre(phantom, FIELD)[2] + 1.1 * FIELD / 2
 
 
 def test_without_a_field_all_of_the_phantom_is_held() -> None:

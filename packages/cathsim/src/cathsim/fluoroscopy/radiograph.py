@@ -38,11 +38,17 @@ class Radiograph:
             array.flags.writeable = False
 
 
-def optical_depth(grid: DistanceGrid, projector: Projector, scene: XRayScene) -> NDArray[np.float32]:
-    """Optical depth (height, width) of a scene for every pixel of a pinhole camera."""
+def optical_depth(
+    grid: DistanceGrid, projector: Projector, scene: XRayScene, raised: float = 0.0
+) -> NDArray[np.float32]:
+    """Optical depth (height, width) of a scene for every pixel of a pinhole camera.
+
+    Args:
+        raised: how far the scene's body stands above the middle of the grid, m.
+    """
     depth = np.zeros((projector.height, projector.width), np.float32)
     if scene.body:
-        centre = np.asarray(grid.origin) + (np.array(grid.blocks.shape) - 1) * grid.spacing / 2
+        centre = np.asarray(grid.origin) + (np.array(grid.blocks.shape) - 1) * grid.spacing / 2 + (0.0, 0.0, raised)
         coarse = _every(projector, _BODY_STRIDE)
         depth += _between(body_depth(coarse, scene.body, centre), _BODY_STRIDE, depth.shape)
     if scene.filling or scene.wall:

@@ -10,6 +10,8 @@ from cathsim.fluoroscopy import Projector
 from cathsim.fluoroscopy.projector import VIEWS
 
 ABOVE_ARCH = 4 / 9  # of a field's side: what it holds above the highest point of the aorta's axis
+_BATH_HALF_HEIGHT = 0.182  # m, of the water in `cathsim.fluoroscopy.body.WATER_BATH`
+_NEARER = 1.15  # a field is as much wider on the side of the bath that is away from the source
 
 
 def arch_centre(phantom: Phantom, field: float) -> NDArray[np.float64]:
@@ -26,6 +28,16 @@ def arch_centre(phantom: Phantom, field: float) -> NDArray[np.float64]:
     held = axis[axis[:, 2] > top - (1 - ABOVE_ARCH) * field]
     middle = (held.min(axis=0) + held.max(axis=0)) / 2
     return np.array([middle[0], middle[1], top + (ABOVE_ARCH - 0.5) * field])
+
+
+def raised_bath(phantom: Phantom, field: float) -> float:
+    """How far the water bath has to stand above the middle of a phantom to fill a field about its arch, m.
+
+    0 in an arch alone, about which it stands anyhow. In a whole aorta the arch lies far from the middle.
+    """
+    room = max(_BATH_HALF_HEIGHT - _NEARER * field / 2, 0.0)
+    away = float(arch_centre(phantom, field)[2] - phantom.bounds[:, 2].mean())
+    return away - min(max(away, -room), room)
 
 
 def framed(phantom: Phantom, view: str, size: int, field: float | None = None) -> Projector:

@@ -25,7 +25,7 @@ from cathsim.fluoroscopy.radiograph import expose_depth, optical_depth
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.fluoroscopes import catheter_in, frame_of, material_of, wire_radius_of
-from cathsim.observations.framing import arch_centre, framed
+from cathsim.observations.framing import arch_centre, framed, raised_bath
 from cathsim.observations.observables import DOT_SHARE, LEAST_DOT
 from cathsim.observations.roadmap import target_image
 
@@ -118,7 +118,8 @@ def _seeing(
 
 @kept_with_owner
 def _depth(phantom: Phantom, size: int, filling: str, view: str, field: float | None) -> NDArray[np.float32]:
-    return optical_depth(phantom.grid, _camera(phantom, size, view, field).projector, scene("bath", filling))
+    raised = 0.0 if field is None else raised_bath(phantom, field)
+    return optical_depth(phantom.grid, _camera(phantom, size, view, field).projector, scene("bath", filling), raised)
 
 
 def contrast_run(
