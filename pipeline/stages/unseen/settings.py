@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 ONE_VIEW = ("frontal",)
+LEAST_FIELD_MM = 160.0  # whose upper 4/9 hold the targets of random arches, up to 63 mm above the arch
 _Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
 
 
@@ -105,6 +106,11 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
             )
         if self.task.wire == NO_WIRE:
             raise ConfigurationError(f"stage unseen steers a wire, got task.wire={NO_WIRE}: name a wire")
+        if 0 < self.field_mm < LEAST_FIELD_MM:
+            raise ConfigurationError(
+                f"stage.field_mm={self.field_mm:g} would leave targets out of the X-ray images: give "
+                f"{LEAST_FIELD_MM:g} or more, or 0 for all of the anatomy"
+            )
         if self.clutter and self.xray:
             require_clutter_fits(self.task.image_size_px, "task.image_size_px")
         if self.task.catheter is not None and self.image:

@@ -150,3 +150,9 @@ def test_a_field_shows_the_arch_as_large_as_it_is() -> None:
     whole = environment(with_mask=True)
     whole.reset(seed=3, options={"case": 0})
     assert not np.array_equal(seen["plain"], whole.step(FORWARD)[0]["plain"])
+
+
+@pytest.mark.parametrize("field", [0.0, -0.18, float("nan")])
+def test_a_field_that_cannot_be_is_refused(field: float) -> None:
+    with pytest.raises(ValueError, match="the field of view must be a positive length"):
+        environment(field=field)

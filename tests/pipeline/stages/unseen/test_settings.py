@@ -29,6 +29,13 @@ def test_clutter_in_larger_images_than_it_is_drawn_for_is_refused() -> None:
     assert FluoroscopySettings().image_px == 1024
 
 
+def test_a_field_that_targets_lie_outside_of_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"field_mm=100 would leave targets out .*: give 160 or more, or 0"):
+        small_settings(field_mm=100.0)
+    assert small_settings(field_mm=180.0).field() == pytest.approx(0.18)
+    assert small_settings().field() is None
+
+
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [

@@ -14,6 +14,12 @@ _BATH_HALF_HEIGHT = 0.182  # m, of the water in `cathsim.fluoroscopy.body.WATER_
 _NEARER = 1.15  # a field is as much wider on the side of the bath that is away from the source
 
 
+def require_field(field: float | None) -> None:
+    """Refuses a field that is no positive length with a ValueError; None is all of a phantom."""
+    if field is not None and not (field > 0 and np.isfinite(field)):
+        raise ValueError(f"the field of view must be a positive length, got {field!r} m")
+
+
 def arch_centre(phantom: Phantom, field: float) -> NDArray[np.float64]:
     """The isocentre for a field about the arch, m. Shape (3,).
 
@@ -54,8 +60,7 @@ def framed(phantom: Phantom, view: str, size: int, field: float | None = None) -
     """
     if field is None or view not in VIEWS:
         return Projector.view(view, phantom.bounds, size)
-    if not (field > 0 and np.isfinite(field)):
-        raise ValueError(f"the field of view must be a positive length, got {field!r} m")
+    require_field(field)
     primary, secondary = VIEWS[view]
     return Projector.c_arm(
         centre=arch_centre(phantom, field),

@@ -25,7 +25,7 @@ from cathsim.fluoroscopy.radiograph import expose_depth, optical_depth
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.fluoroscopes import catheter_in, frame_of, material_of, wire_radius_of
-from cathsim.observations.framing import arch_centre, framed, raised_bath
+from cathsim.observations.framing import arch_centre, framed, raised_bath, require_field
 from cathsim.observations.observables import DOT_SHARE, LEAST_DOT
 from cathsim.observations.roadmap import target_image
 
@@ -174,8 +174,8 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
             The images that are drawn, at the reset and after every so many steps, are the same as with 1.
 
     Raises:
-        ValueError: `every` is not a positive whole number; no view, one twice, or an unknown one; at the reset, a field
-            that is no positive length.
+        ValueError: `every` is not a positive whole number; no view, one twice, or an unknown one; a field that is no
+            positive length.
     """
 
     def __init__(
@@ -193,6 +193,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
             raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
         if not views or len(set(views)) < len(views) or not set(views) <= set(VIEWS):
             raise ValueError(f"views must be some of {', '.join(VIEWS)}, each once, got {', '.join(views) or 'none'}")
+        require_field(field)
         self.environment, self.size, self.draw_clutter, self.every = environment, size, clutter, every
         self.views, self.field = tuple(views), field
         # of the episode, where there is clutter
