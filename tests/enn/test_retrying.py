@@ -117,7 +117,7 @@ def test_an_attempt_that_presses_too_hard_ends_and_after_the_last_the_devices_re
 
 def test_an_episode_of_several_attempts_leaves_time_to_go_back() -> None:
     assert steps_of_attempts(300, 1) == 300
-    assert steps_of_attempts(300, 3) - 3 * 300 >= 2 * 200  # an adult's way, at 2.5 mm a step
+    assert steps_of_attempts(300, 3) - 3 * 300 >= 2 * 200  # an adult's 400 mm, at 2 mm a step
 
 
 @pytest.mark.parametrize(("steps", "most"), [(0, None), (5, 0)])

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
-from cathsim.fluoroscopy import Projector
+from cathsim.fluoroscopy import WATER_BATH, Box, Projector
 from cathsim.fluoroscopy.projector import VIEWS
 
 ABOVE_ARCH = 4 / 9  # of a field's side: what it holds above the highest point of the aorta's axis
-_BATH_HALF_HEIGHT = 0.182  # m, of the water in `cathsim.fluoroscopy.body.WATER_BATH`
+_BATH_HALF_HEIGHT = min(box.half_sides[2] for box in WATER_BATH[:2] if isinstance(box, Box))  # m: of the water
 _NEARER = 1.15  # a field is as much wider on the side of the bath that is away from the source
 
 
