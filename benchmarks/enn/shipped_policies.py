@@ -38,13 +38,12 @@ from enn.policy import Policy
 from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
+from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
 from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
 from pipeline.clutter import clutter_of
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.task import TASK, task_in_random_arches
 
-TARGETS = ("bca", "lcca", "lsa")
-FILE_TARGETS = (*TARGETS, "rsa", "rcca")
 FIRST_ARCH, FIRST_SEED = 40_100, 5_000_000_000
 SET_BACK = (0.0, 5.0, 10.0, 13.0, 16.0, 20.0)  # mm, between the rows by set-back
 
@@ -69,6 +68,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--anatomies", type=Path, nargs="+", default=[], metavar="PATH", help="instead of random arches"
     )
+    parser.add_argument(
+        "--targets", nargs="+", choices=GENERATED_TARGETS, metavar="NAME",
+        help=f"without: {', '.join(TARGETS)} of random arches, in files also {', '.join(GENERATED_TARGETS[3:])}",
+    )  # fmt: skip
     parser.add_argument("--episodes", type=int, default=5, help="in each file and towards each target")
     parser.add_argument("--max-steps", type=int, default=300, help="of an attempt")
     parser.add_argument("--attempts", type=int, default=1)
@@ -92,14 +95,16 @@ def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int 
     if given.anatomies:
         for path in given.anatomies:
             place = AnatomyFile(str(path))
-            there = [target for target in load_anatomy(place).targets if target in FILE_TARGETS]
+            there = [target for target in load_anatomy(place).targets if target in GENERATED_TARGETS]
             for number, target in enumerate(there):
-                first = FIRST_SEED + 100 * number
-                yield path.name, target, [(place, first + episode) for episode in range(given.episodes)]
+                if target in (given.targets or GENERATED_TARGETS):
+                    first = FIRST_SEED + 100 * number
+                    yield path.name, target, [(place, first + episode) for episode in range(given.episodes)]
         return
-    for number, target in enumerate(TARGETS):
-        arches = range(given.first, given.first + (1 if given.quick else given.arches))
-        yield "random", target, [(arch, FIRST_SEED + 10 * arch + number) for arch in arches]
+    for number, target in enumerate(GENERATED_TARGETS):
+        if target in (given.targets or TARGETS):
+            arches = range(given.first, given.first + (1 if given.quick else given.arches))
+            yield "random", target, [(arch, FIRST_SEED + 10 * arch + number) for arch in arches]
 
 
 def task_of(policy: Any, given: argparse.Namespace) -> UnseenTask:
@@ -108,7 +113,7 @@ def task_of(policy: Any, given: argparse.Namespace) -> UnseenTask:
     usual = task_in_random_arches()
     max_steps = steps_of_attempts(given.max_steps, given.attempts)
     rules = dataclasses.replace(usual, max_steps=max_steps, start_rotation_deg=180.0, catheter=catheter)
-    return UnseenTask(TARGETS, rules)
+    return UnseenTask(GENERATED_TARGETS, rules)
 
 
 def play(

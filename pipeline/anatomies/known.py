@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from pipeline.store.errors import ConfigurationError
 
-TARGETS = ("bca", "lcca", "lsa")  # that stages navigate to
+TARGETS = ("bca", "lcca", "lsa")  # that stages navigate to by themselves
+GENERATED_TARGETS = (*TARGETS, "rsa", "rcca")  # that every generated arch has
 
 
 def require_known_phantoms(names: Sequence[str], *, hint: str = "") -> None:
@@ -35,9 +36,9 @@ def require_known_targets(names: Sequence[str], phantoms: Sequence[str] = ()) ->
 
     Args:
         phantoms: in which they are to be; then any target of theirs is taken, and any point as `target_name` writes it:
-            point_27.0_-2.0_70.0_mm. Without, only those that stages navigate to everywhere.
+            point_27.0_-2.0_70.0_mm. Without, only those of every generated arch.
     """
-    unknown = [name for name in names if name not in TARGETS]
+    unknown = [name for name in names if name not in GENERATED_TARGETS]
     for phantom in phantoms if unknown else ():
         from cathsim import load_phantom
 
@@ -47,7 +48,9 @@ def require_known_targets(names: Sequence[str], phantoms: Sequence[str] = ()) ->
         except ValueError as error:
             raise ConfigurationError(str(error)) from error
     if unknown and not phantoms:
-        raise ConfigurationError(f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(TARGETS)}")
+        raise ConfigurationError(
+            f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(GENERATED_TARGETS)}"
+        )
 
 
 def require_known_entry(entry: str, phantoms: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Ge, Le
 
-from pipeline.anatomies.known import TARGETS
+from pipeline.anatomies.known import GENERATED_TARGETS
 from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.clutter import require_clutter_fits
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
@@ -137,7 +137,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
 
     def take_targets(self, names: list[str]) -> None:
         """Policies learn the targets of random arches alone; others are tried in `phantoms`."""
-        if set(names) <= set(TARGETS):
+        if set(names) <= set(GENERATED_TARGETS):
             self.targets = names
         else:
             self.own_targets = names

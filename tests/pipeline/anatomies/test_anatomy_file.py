@@ -9,7 +9,12 @@ import pytest
 
 from cathsim import load_phantom
 from pipeline.anatomies.anatomy_file import AnatomyFile, world_point
-from pipeline.anatomies.known import require_known_entry, require_known_phantoms
+from pipeline.anatomies.known import (
+    GENERATED_TARGETS,
+    require_known_entry,
+    require_known_phantoms,
+    require_known_targets,
+)
 from pipeline.store.errors import ConfigurationError
 
 
@@ -53,3 +58,11 @@ def test_unknown_names_say_what_there_is() -> None:
     with pytest.raises(ConfigurationError, match="unknown entry 'groin' in phantom 'type_1'; choose from descending"):
         require_known_entry("groin", ["type_1"])
     require_known_entry("lsa_end", ["type_1", "bovine"])
+
+
+def test_every_generated_arch_has_the_targets_that_stages_learn() -> None:
+    require_known_targets(GENERATED_TARGETS)
+    for arch in ("bovine", "random_7", "random_wide_5", "random_scan_11"):
+        assert set(load_phantom(arch).targets) >= set(GENERATED_TARGETS)
+    with pytest.raises(ConfigurationError, match="unknown target 'lcca_end': choose from bca, lcca, lsa, rsa, rcca"):
+        require_known_targets(["lcca_end"])

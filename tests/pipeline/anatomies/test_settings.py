@@ -53,6 +53,7 @@ def test_results_depend_on_the_file_s_content_and_name_and_not_on_where_it_lies(
 
 def test_unseen_learns_in_random_arches_and_tests_what_is_asked_for(mesh: Path) -> None:
     assert UnseenSettings(target="lsa").targets == ["lsa"]
+    assert UnseenSettings(target="rcca").targets == ["rcca"]
     other = UnseenSettings(target="lcca_end", file=str(mesh), phantoms=["type_1"], entry="lsa_end")
     assert (other.targets, other.own_targets, other.phantoms) == (["bca", "lcca", "lsa"], ["lcca_end"], ["patient"])
     assert (other.own_entry, other.task.entry) == ("lsa_end", "descending")

@@ -18,7 +18,7 @@ from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
 from cathsim.anatomy.generator.variety.variety_arch import VarietyArch, build_variety_arch, drawn_type
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.vessel_tree import VesselTree
-from cathsim.anatomy.wall_relief import raise_relief
+from cathsim.anatomy.wall.relief import raise_relief
 
 GENERATOR_VERSION = 6  # raise it whenever the same measures give another geometry
 VARIETY_VERSION = 1  # the same for the arch variety

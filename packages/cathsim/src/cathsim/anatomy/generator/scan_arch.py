@@ -15,7 +15,7 @@ from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import ArchParameters, draw_parameters
 from cathsim.anatomy.generator.random_arch import BOVINE_SHARE, WIDE, separation
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
-from cathsim.anatomy.wall_relief import WallRelief
+from cathsim.anatomy.wall.relief import WallRelief
 from cathsim.validation import Seed, settings
 
 LEAST_WALL = 1.2e-3  # m between the lumens of vessels that do not meet

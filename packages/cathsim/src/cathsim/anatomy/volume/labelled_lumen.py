@@ -16,6 +16,7 @@ from cathsim.anatomy.volume.lumen_graph import LumenGraph
 from cathsim.anatomy.volume.smoothing import VesselField
 from cathsim.anatomy.volume.union import FlatEnd, Union, unite
 from cathsim.anatomy.volume.wall import connected, signed_distance
+from cathsim.anatomy.wall.thickness import thicken_between_lumens
 
 _BATCH = 400_000  # nodes worked on at once
 _LEAST_RADIUS, _LEAST_SPACINGS = 1.5e-3, 1.5  # m, and spacings of the lattice, to which vessels are kept open
@@ -76,9 +77,12 @@ class LabelledLumen:
         self.notes += [f"{name} is left out: no way leads into it" for name in lost]
         shape = np.array(self.lattice.shape)
         within = (self.lattice.nodes < shape).all(axis=1)
+        nodes = self.lattice.nodes[within]
         grid = SignedDistanceGrid.from_nodes(
-            self.lattice.nodes[within], distance[within], self.lattice.shape, self.lattice.origin, self.lattice.spacing
+            nodes, distance[within], self.lattice.shape, self.lattice.origin, self.lattice.spacing
         )
+        grid = thicken_between_lumens(grid)
+        distance[within] = grid.blocks.at(nodes)
         return grid, aorta, names, self._volumes(distance, which)
 
     def _volumes(self, distance: Field, which: NDArray[np.uint8]) -> dict[str, tuple[float, float]]:

@@ -5,7 +5,7 @@ import pytest
 
 from cathsim.anatomy import VesselTree
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.wall_relief import WallRelief, raise_relief
+from cathsim.anatomy.wall.relief import WallRelief, raise_relief
 
 
 @pytest.fixture(scope="module")
