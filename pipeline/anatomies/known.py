@@ -38,7 +38,7 @@ def require_known_targets(names: Sequence[str], phantoms: Sequence[str] = ()) ->
         phantoms: in which they are to be; then any target of theirs is taken, and any point as `target_name` writes it:
             point_27.0_-2.0_70.0_mm. Without, only those of every generated arch.
     """
-    unknown = [name for name in names if name not in GENERATED_TARGETS]
+    unknown = [name for name in names if name not in (TARGETS if phantoms else GENERATED_TARGETS)]
     for phantom in phantoms if unknown else ():
         from cathsim import load_phantom
 

@@ -66,3 +66,6 @@ def test_every_generated_arch_has_the_targets_that_stages_learn() -> None:
         assert set(load_phantom(arch).targets) >= set(GENERATED_TARGETS)
     with pytest.raises(ConfigurationError, match="unknown target 'lcca_end': choose from bca, lcca, lsa, rsa, rcca"):
         require_known_targets(["lcca_end"])
+    require_known_targets(["rsa"], ["type_1", "bovine"])
+    with pytest.raises(ConfigurationError, match="unknown target 'rcca_start' in phantom 'type_1'"):
+        require_known_targets(["rcca_start"], ["type_1"])
