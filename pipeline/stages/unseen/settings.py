@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Ge, Le
 
-from pipeline.anatomies.known import GENERATED_TARGETS
+from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
 from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.clutter import require_clutter_fits
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 ONE_VIEW = ("frontal",)
-LEAST_FIELD_MM = 160.0  # whose upper 4/9 hold the targets of random arches, up to 63 mm above the arch
+LEAST_FIELD_MM = 160.0  # whose upper 4/9 hold `TARGETS` of random arches, up to 63 mm above the arch
+LEAST_WIDE_FIELD_MM = 200.0  # with RSA and RCCA, up to 88 mm beside the arch's middle and 75 mm above it
 _Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
 
 
@@ -106,10 +107,11 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
             )
         if self.task.wire == NO_WIRE:
             raise ConfigurationError(f"stage unseen steers a wire, got task.wire={NO_WIRE}: name a wire")
-        if 0 < self.field_mm < LEAST_FIELD_MM:
+        least = LEAST_FIELD_MM if set(self.targets) <= set(TARGETS) else LEAST_WIDE_FIELD_MM
+        if 0 < self.field_mm < least:
             raise ConfigurationError(
                 f"stage.field_mm={self.field_mm:g} would leave targets out of the X-ray images: give "
-                f"{LEAST_FIELD_MM:g} or more, or 0 for all of the anatomy"
+                f"{least:g} or more, or 0 for all of the anatomy"
             )
         if self.clutter and self.xray:
             require_clutter_fits(self.task.image_size_px, "task.image_size_px")

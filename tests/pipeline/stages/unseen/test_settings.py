@@ -32,7 +32,10 @@ def test_clutter_in_larger_images_than_it_is_drawn_for_is_refused() -> None:
 def test_a_field_that_targets_lie_outside_of_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"field_mm=100 would leave targets out .*: give 160 or more, or 0"):
         small_settings(field_mm=100.0)
+    with pytest.raises(ConfigurationError, match=r"field_mm=180 would leave targets out .*: give 200 or more, or 0"):
+        small_settings(targets=["bca", "rsa"], field_mm=180.0)
     assert small_settings(field_mm=180.0).field() == pytest.approx(0.18)
+    assert small_settings(targets=["bca", "rsa"], field_mm=200.0).field() == pytest.approx(0.2)
     assert small_settings().field() is None
 
 
