@@ -137,6 +137,19 @@ def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache:
 
 
 @pytest.mark.slow
+def test_first_stretches_of_vessels_in_the_aortas_label(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
+    labels, affine = rasterise(phantom)
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in labels.shape], indexing="ij"), axis=-1).reshape(-1, 3)
+    points = 1e-3 * (index @ affine[:3, :3].T + affine[:3, 3]) * [-1.0, -1.0, 1.0]
+    for name in ("bca", "lcca", "lsa"):
+        mine = np.flatnonzero(labels.reshape(-1) == IDS[name])
+        _, arc, _ = nearest_on_branch(phantom.tree[name], points[mine])
+        labels.reshape(-1)[mine[arc < np.quantile(arc, 0.4)]] = IDS["aorta"]
+    found = import_anatomy(save_nifti(tmp_path / "scan.nii.gz", labels, affine), resolution=COARSE, cache_dir=cache)
+    compare(found, phantom, centreline=1.5e-3)
+    assert check_lumen(found, required_radius=1e-3).valid
+
+
 def test_one_label_for_all_is_named_by_its_shape(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
     labels, affine = rasterise(phantom, spacing=(1.2e-3,) * 3)
     path = save_nifti(tmp_path / "mask.nii.gz", (labels > 0).astype(np.uint8), affine)

@@ -137,6 +137,15 @@ class SignedDistanceGrid(LatticeField):
         change = np.float32(distance)
         return SignedDistanceGrid(self.blocks.mapped(lambda values: values + change), self.origin, self.spacing)
 
+    def with_values(self, indices: NDArray[np.integer], values: NDArray[np.float32]) -> SignedDistanceGrid:
+        """The grid with other values (n,) m at some of the nodes (n, 3) that are stored: those above the clamp."""
+        blocks = self.blocks
+        own = blocks.own.copy()
+        block = blocks.table[tuple((indices >> 3).T)] - 1
+        own[(block, *(indices & 7).T)] = values
+        changed = NodeBlocks.from_cores(blocks.stored, own, blocks.shape, float(blocks.constant))
+        return SignedDistanceGrid(changed, self.origin, self.spacing)
+
     def moved(self, shift: ArrayLike) -> SignedDistanceGrid:
         """The same grid moved by (3,) m."""
         return SignedDistanceGrid(self.blocks, self.origin + np.asarray(shift), self.spacing)

@@ -12,10 +12,9 @@ from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.entry import ENTRY_DEPTH
 from cathsim.anatomy.geodesic import centreline_path
 from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.wall.chambers import SPECK
 from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
-
-_SPECK = 8  # lattice points: what is smaller is rounding at an edge, not a chamber
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def check_lumen(phantom: Phantom, *, required_radius: float = 2e-3, wire_radius:
     grid = phantom.grid
     free = NodeSet.where(grid.blocks, lambda values: values > wire_radius)
     parts = free.parts()
-    chambers = np.count_nonzero(np.bincount(parts) >= _SPECK)
+    chambers = np.count_nonzero(np.bincount(parts) >= SPECK)
     entry = phantom.entry()
     home = _chamber(free, parts, grid, entry.position)
 

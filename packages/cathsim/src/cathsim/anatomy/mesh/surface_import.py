@@ -33,6 +33,7 @@ from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_tree import VesselTree
+from cathsim.anatomy.wall.chambers import fill_chambers
 from cathsim.anatomy.wall.thickness import thicken_between_lumens
 
 logger = logging.getLogger(__name__)
@@ -238,7 +239,7 @@ class SurfaceImport:
         """Centrelines and distance grid, a finer one where the aorta is narrow, and notes on vessels left out."""
         while True:
             self.budget.check_time("measuring distances to its wall")
-            grid = thicken_between_lumens(grid_of(resolution=self.resolution))
+            grid = fill_chambers(thicken_between_lumens(grid_of(resolution=self.resolution)))
             self.budget.check_time("drawing its centrelines")
             least = max(LEAST_WIDTH, 1.25 * self.resolution)
             tree, left_out = grow_tree(aorta, names, grid, TreeSettings(least))

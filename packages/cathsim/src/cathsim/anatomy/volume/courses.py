@@ -27,6 +27,10 @@ _STEEP = 0.77  # cosine of the angle to the volume's face up to which an end the
 _LEAST_CUT = 0.2  # cosine of the angle from which on a face counts as cutting a vessel rather than touching its side
 _LOOK_BACK_NODES = 40  # of a way before its tip, whose greatest depth is the vessel's width there
 _STEP = 1e-3  # m along ways
+_AWAY = (
+    1.2,
+    6e-3,
+)  # radii of the parent and m between a take-off and the parent's course, beyond which one looks wrong
 
 Array = NDArray[np.float64]
 
@@ -272,6 +276,14 @@ def rough_vessels(
         points, depth = followed(
             number, begin, end, head=parent.points[foot], tail=None if flat is None else flat.centre
         )
+        gap = float(np.linalg.norm(parent.points[foot] - graph.points[begin]))
+        if not at_fork and gap > _AWAY[0] * parent.depth[foot] + _AWAY[1]:
+            # its parent's label holds its first stretch: no straight line leads back
+            both = courses.nodes_of(number, *(courses.main if link.parent in courses.main else (link.parent,)))
+            back = _way_within(graph, graph.nearest(parent.points[foot], both), begin, both)
+            own = int(np.argmin(np.linalg.norm(points - graph.points[begin], axis=1)))
+            points = np.concatenate([graph.points[back], points[own + 1 :]])
+            depth = np.concatenate([graph.depth[back], depth[own + 1 :]])
         vessel = RoughVessel(points, depth, None if number in courses.forks else number, from_fork=at_fork)
         vessel.start = float(arc_length(parent.points)[foot])
         parent.children.append(vessel)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA
+from cathsim.anatomy.volume.label_parts import bridge, clean_parts
 
 # Where a vessel can leave, the usual place first; others leave whatever they touch most.
 PARENTS: dict[str, tuple[str, ...]] = {
@@ -25,11 +25,6 @@ _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no
 _MOUTH = 0.5  # of a take-off's area, from which on a contact beside it is a part of the mouth and no bridge
 _SISTERS = 1.2  # of the sum of both take-offs' radii, within which they are one place
 _CLUSTER = 4e-3  # m: contacts nearer to each other than this are one
-_LONGEST_GAP = 6e-3  # m between a vessel and its parent, or two parts of one, that is closed
-_SPECK = 0.02  # of a vessel: a part of this size is noise
-_NOISE = 0.5  # of a vessel must hang together
-_MOST_PARTS = 200
-_NEAR_GAP = 5e-3  # m around a gap that say how wide the vessel is there
 _AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 Array = NDArray[np.float64]
@@ -68,11 +63,9 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
         The cleaned box, and its family.
     """
     box = box.copy()
-    notes: list[str] = []
     numbers = {name: number for number, name in enumerate(names, 1)}
     root = numbers[AORTA]
-    for number, name in enumerate(names, 1):
-        notes += _clean(box, number, name, spacing)
+    notes = clean_parts(box, names, spacing)
     links: dict[int, Link] = {}
     order, waiting = [root], [n for n in numbers.values() if n != root and (box == n).any()]
     touching = _contacts(box, spacing)
@@ -111,88 +104,6 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
             false.append((a, b, places))
     kept = {number: names[number - 1] for number in order}
     return box, Family(kept, links, false, order, notes)
-
-
-def _clean(box: Box, number: int, name: str, spacing: Array) -> list[str]:
-    """Keeps the largest part of a vessel and those that a small gap parts from it."""
-    from scipy.ndimage import find_objects, label
-
-    region = find_objects((box == number).view(np.uint8))
-    if not region:
-        return []
-    crop = box[region[0]]
-    parts, count = label(crop == number, np.ones((3, 3, 3)))
-    if count <= 1:
-        return []
-    sizes = np.bincount(parts.reshape(-1))[1:]
-    whole = int(sizes.sum())
-    if count > _MOST_PARTS and sizes.max() < _NOISE * whole:
-        raise MeshRefusedError(
-            f"the label of {name} is noise: its {whole:,} voxels lie in {count:,} separate parts; export the "
-            "segmentation "
-            "again, or say which labels are vessels by labels=."
-        )
-    by_size = np.argsort(-sizes) + 1
-    kept, notes, dropped = [int(by_size[0])], [], 0
-    for part in by_size[1:].tolist():
-        if sizes[part - 1] < max(_SPECK * whole, 8):
-            dropped += int(sizes[part - 1])
-            crop[parts == part] = 0
-            continue
-        ours = np.argwhere(np.isin(parts, kept)) * spacing
-        theirs = np.argwhere(parts == part) * spacing
-        gap = _bridge(crop, number, ours, theirs, spacing)
-        if gap is None:
-            dropped += int(sizes[part - 1])
-            crop[parts == part] = 0
-            notes.append(f"{name} is broken off: {_share(sizes[part - 1], whole)} of it lies too far from the rest")
-        else:
-            kept.append(part)
-            notes.append(f"a gap of {1e3 * gap:.1f} mm in {name} is closed")
-    if dropped:
-        notes.append(f"{_share(dropped, whole)} of {name} lies in separate parts and is left out")
-    return notes
-
-
-def _share(part: float, whole: float) -> str:
-    return f"{100 * part / whole:.2g} %"
-
-
-def _bridge(
-    box: Box, number: int, ours: Array, theirs: Array, spacing: Array, reach: float = _LONGEST_GAP
-) -> float | None:
-    """Fills the gap between two clouds of voxels (n, 3) m with a tube; returns its length, None if that is too long."""
-    from scipy.spatial import cKDTree
-
-    away, nearest = cKDTree(theirs).query(ours, distance_upper_bound=reach + float(spacing.max()))
-    best = int(np.argmin(away))
-    gap = float(away[best])
-    if not gap <= reach + float(spacing.max()):
-        return None
-    ends = []
-    for cloud, place in ((ours, theirs[nearest[best]]), (theirs, ours[best])):
-        ends.append(cloud[np.linalg.norm(cloud - place, axis=1) <= gap + _NEAR_GAP])
-    first, last = (end.mean(axis=0) for end in ends)
-    # a stretch of a tube of the length 2 s and radius r holds 2 pi r^2 s
-    radii = [
-        np.sqrt(len(end) * np.prod(spacing) / (np.pi * max(np.ptp(end @ _unit(last - first)), 1e-3))) for end in ends
-    ]
-    radius = max(min(radii), float(spacing.max()))
-    low = np.maximum(np.floor((np.minimum(first, last) - radius) / spacing).astype(int), 0)
-    high = np.minimum(np.ceil((np.maximum(first, last) + radius) / spacing).astype(int) + 1, box.shape)
-    window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    points = np.stack(np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)], indexing="ij"), axis=-1)
-    offset = points * spacing - first
-    along = np.clip(offset @ (last - first) / max(float((last - first) @ (last - first)), 1e-12), 0.0, 1.0)
-    inside = np.linalg.norm(offset - along[..., None] * (last - first), axis=-1) <= radius
-    part = box[window]
-    part[inside & (part == 0)] = number
-    return gap
-
-
-def _unit(vector: Array) -> Array:
-    unit: Array = vector / max(float(np.linalg.norm(vector)), 1e-12)
-    return unit
 
 
 def _contacts(box: Box, spacing: Array) -> dict[tuple[int, int], tuple[Array, Array]]:
@@ -297,7 +208,7 @@ def _close_to_parent(box: Box, number: int, names: Sequence[str], placed: Sequen
     for wanted in usual:
         other = next((n for n, name in enumerate(names, 1) if name == wanted), None)
         theirs = np.argwhere(box == other) * spacing
-        if len(theirs) and (gap := _bridge(box, number, ours, theirs, spacing)) is not None:
+        if len(theirs) and (gap := bridge(box, number, ours, theirs, spacing)) is not None:
             return f"a gap of {1e3 * gap:.1f} mm between {names[number - 1]} and {wanted} is closed"
     return ""
 

@@ -16,6 +16,7 @@ from cathsim.anatomy.volume.lumen_graph import LumenGraph
 from cathsim.anatomy.volume.smoothing import VesselField
 from cathsim.anatomy.volume.union import FlatEnd, Union, unite
 from cathsim.anatomy.volume.wall import connected, signed_distance
+from cathsim.anatomy.wall.chambers import fill_chambers
 from cathsim.anatomy.wall.thickness import thicken_between_lumens
 
 _BATCH = 400_000  # nodes worked on at once
@@ -81,7 +82,7 @@ class LabelledLumen:
         grid = SignedDistanceGrid.from_nodes(
             nodes, distance[within], self.lattice.shape, self.lattice.origin, self.lattice.spacing
         )
-        grid = thicken_between_lumens(grid)
+        grid = fill_chambers(thicken_between_lumens(grid))
         distance[within] = grid.blocks.at(nodes)
         return grid, aorta, names, self._volumes(distance, which)
 

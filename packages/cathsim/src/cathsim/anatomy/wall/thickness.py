@@ -7,13 +7,10 @@ a patient, and presses with all that the feeder has.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.lattice.node_blocks import NodeBlocks
 
 THINNEST = 3e-3  # m between two lumens: the wall of an aorta, about 2 mm, and that of a branch, about 1 mm
 NARROWEST = 4e-3  # m of a vessel's width, below which it gives nothing to a wall
@@ -56,7 +53,7 @@ def thicken_between_lumens(
     radius = np.append(radii, 0.0)[nearest]  # of none that is so near: infinitely far away
     filled = (away - radius).min(axis=1).astype(np.float32)
     changed = filled < values
-    return SignedDistanceGrid(_with_values(grid.blocks, indices[changed], filled[changed]), grid.origin, grid.spacing)
+    return grid.with_values(indices[changed], filled[changed])
 
 
 def _balls(grid: SignedDistanceGrid, thinnest: float, narrowest: float) -> tuple[Array, Array]:
@@ -130,11 +127,3 @@ def _nearest_part(parts: NDArray[np.int32], at: Array, point: Array) -> int:
     if not inside.any():
         return 0
     return int(parts[inside][np.argmin(((at[inside] - point) ** 2).sum(axis=-1))])
-
-
-def _with_values(blocks: NodeBlocks, indices: NDArray[Any], values: NDArray[np.float32]) -> NodeBlocks:
-    """Blocks with other values (n,) at some of the nodes (n, 3) that they store."""
-    own = blocks.own.copy()
-    block = blocks.table[tuple((indices >> 3).T)] - 1
-    own[(block, *(indices & 7).T)] = values
-    return NodeBlocks.from_cores(blocks.stored, own, blocks.shape, float(blocks.constant))

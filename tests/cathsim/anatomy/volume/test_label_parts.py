@@ -1,0 +1,77 @@
+"""Parts of labels: gaps, specks, holes, and parts that go on from another vessel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy.volume.label_parts import clean_parts
+
+SPACING = np.full(3, 1e-3)
+NAMES = ("aorta", "lcca", "lsa")
+AORTA, LCCA, LSA = 1, 2, 3
+
+
+def arch() -> np.ndarray:
+    """An aorta of 20 x 20 x 40 voxels with an LCCA and an LSA of 6 x 6 x 30 voxels each on it, 14 apart."""
+    box = np.zeros((40, 26, 76), dtype=np.uint8)
+    box[4:36, 3:23, 3:40] = AORTA
+    box[6:12, 10:16, 40:72] = LCCA
+    box[26:32, 10:16, 40:72] = LSA
+    return box
+
+
+def test_whole_labels_stay() -> None:
+    box = arch()
+    assert clean_parts(box, NAMES, SPACING) == []
+    np.testing.assert_array_equal(box, arch())
+
+
+def test_a_tip_with_a_neighbours_label_goes_back_to_its_vessel() -> None:
+    box = arch()
+    box[6:12, 10:16, 60:72] = LSA
+    notes = clean_parts(box, NAMES, SPACING)
+    np.testing.assert_array_equal(box, arch())
+    assert len(notes) == 1
+    assert "of lsa is taken for lcca" in notes[0]
+
+
+def test_a_part_behind_a_small_gap_stays_its_vessels_even_if_it_touches_another() -> None:
+    box = arch()
+    box[6:12, 10:16, 56:58] = 0
+    box[12:14, 10:16, 60:70] = AORTA
+    box[12:14, 10:16, 40:60] = AORTA
+    notes = clean_parts(box, NAMES, SPACING)
+    assert (box[6:12, 10:16, 58:72] == LCCA).all()
+    assert (box[8:10, 12:14, 40:72] == LCCA).all()
+    assert any("in lcca is closed" in note for note in notes)
+
+
+def test_specks_go_in_the_open_and_become_the_vessel_within_it() -> None:
+    box = arch()
+    box[20, 12, 60] = LCCA
+    box[15:17, 10:12, 20] = LSA
+    clean_parts(box, NAMES, SPACING)
+    np.testing.assert_array_equal(box, arch())
+
+
+@pytest.mark.parametrize("shape", [slice(15, 16), slice(12, 24)])
+def test_holes_are_filled_and_hollows_at_the_wall_are_not(shape: slice) -> None:
+    box = arch()
+    box[shape, 10:14, 20:26] = 0
+    notes = clean_parts(box, NAMES, SPACING)
+    np.testing.assert_array_equal(box, arch())
+    assert any("holes of" in note for note in notes)
+    box[shape, 3:8, 20:26] = 0
+    hollow = box.copy()
+    clean_parts(box, NAMES, SPACING)
+    np.testing.assert_array_equal(box, hollow)
+
+
+def test_a_ring_of_vessels_is_no_hole() -> None:
+    box = np.zeros((30, 30, 50), dtype=np.uint8)
+    box[2:28, 2:28, 10:14] = AORTA
+    box[8:22, 8:22, 10:14] = 0
+    ring = box.copy()
+    clean_parts(box, ("aorta",), SPACING)
+    np.testing.assert_array_equal(box, ring)
