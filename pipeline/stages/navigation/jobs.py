@@ -27,13 +27,15 @@ from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
 from pipeline.stages.learning.advised_rounds import forget_rounds, last_policy, read_episodes, teach, write_episodes
 from pipeline.stages.navigation.logged_episodes import episode_of_log
 from pipeline.stages.navigation.perception import load_perception
-from pipeline.stages.navigation.scene import NAMED, Anatomy, episode_starts, room_for
+from pipeline.stages.navigation.scene import NAMED, Anatomy, episode_starts, in_view, room_for
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.stages.navigation.trials import TrialSet, run_tests
 from pipeline.store.atomic_files import write_json
+from pipeline.store.errors import StageError
 from pipeline.task import Task
 
 if TYPE_CHECKING:
+    from cathsim.observations.c_arm_view import CArms
     from enn.imitation.recurrent_policy import RecurrentPolicy
     from enn.imitation.sequence_cloning import AdvisedEpisode
     from enn.policy import Policy
@@ -292,6 +294,27 @@ def success_of(episodes: Sequence[AdvisedEpisode]) -> dict[str, float]:
     return {target: 100.0 * float(np.mean(successes)) for target, successes in sorted(ended.items())}
 
 
+def cases_in_view(course: Course, count: int, arms: CArms, generator: np.random.Generator) -> list[tuple[Anatomy, str]]:
+    """Anatomies and targets of so many episodes, all as often; without targets that a camera does not see.
+
+    Raises:
+        StageError: the cameras see no target in any of the anatomies.
+    """
+    cases = [(anatomy, target) for anatomy in course.anatomies for target in course.targets]
+    chosen: list[tuple[Anatomy, str]] = []
+    while len(chosen) < count:
+        before = len(chosen)
+        for k in generator.permutation(len(cases)):
+            anatomy, target = cases[k]
+            if len(chosen) < count and in_view(anatomy, target, arms):
+                chosen.append((anatomy, target))
+        if len(chosen) == before:
+            raise StageError(
+                "the C-arms see no target in any of the anatomies to learn in; choose other stage.cameras."
+            )
+    return chosen
+
+
 def _play(
     job: NavigatorJob,
     teachers: Sequence[Policy],
@@ -310,10 +333,7 @@ def _play(
     for index, (course, teacher) in enumerate(zip(job.courses, teachers, strict=True)):
         generator = np.random.default_rng((seed, number, index))
         count = len(range(index, total, len(job.courses)))
-        cases = [(anatomy, target) for anatomy in course.anatomies for target in course.targets]
-        chosen: list[tuple[Anatomy, str]] = []
-        while len(chosen) < count:
-            chosen += [cases[k] for k in generator.permutation(len(cases))]
+        chosen = cases_in_view(course, count, job.settings.arms, generator)
 
         def tick(finished: int, before: int = len(episodes)) -> None:
             done = before + finished
@@ -321,7 +341,7 @@ def _play(
 
         seeds = navigation_episode_seeds(seed, number, index, count)
         starts = episode_starts(
-            course.task, chosen[:count], seeds, job.settings.arms, teacher.keys, perception.settings,
+            course.task, chosen, seeds, job.settings.arms, teacher.keys, perception.settings,
             job.settings.action_repeat, dict.fromkeys(course.anatomies[1::2], course.clutter),
         )  # fmt: skip
         episodes += play_advised(

@@ -76,6 +76,12 @@ def _among_its_own(phantom: Phantom, arms: CArms, amount: float) -> CArms:
     return among_clutter(arms, amount, np.random.default_rng(int(phantom.hash[:8], 16)))
 
 
+def in_view(anatomy: Anatomy, target: str, arms: CArms) -> bool:
+    """Whether every camera's image has a target in it: a random arch may be larger than the field."""
+    marks = marks_of(phantom_of(anatomy), target, arms)
+    return all(((mark >= 0) & (mark < 1)).all() for mark in marks.values())
+
+
 @kept_with_owner
 def vessels_of(phantom: Phantom, target: str, arms: CArms) -> dict[str, VesselMap]:
     """The contrast run before the procedure as a map a camera, with the target marked."""

@@ -15,8 +15,9 @@ from cathsim.failure_modes import failure_mode
 from pipeline.episodes import EpisodeReader
 from pipeline.recording.trials import MODES, Controller, Origin, run_trials
 from pipeline.seeds import held_out_seeds
-from pipeline.stages.navigation.scene import Anatomy, Scene, scene_of
+from pipeline.stages.navigation.scene import Anatomy, Scene, in_view, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.store.errors import StageError
 from pipeline.task import Task
 
 if TYPE_CHECKING:
@@ -63,7 +64,11 @@ def run_tests(
         report: takes the share done and a few words.
 
     Returns:
-        A row for each set and target: success, mean time of successful trials, forces, failure modes, number.
+        A row for each set and target: success, mean time of successful trials, forces, failure modes, number, and in
+        how many anatomies the target lies outside the cameras' images, where there is no trial.
+
+    Raises:
+        StageError: it does so in all anatomies of a set.
     """
     rows = []
     cells = [(test, target) for test in tests for target in settings.targets]
@@ -72,7 +77,12 @@ def run_tests(
         metrics: list[EpisodeMetrics] = []
         failures = Counter(dict.fromkeys(FAILURES, 0))
         seeds = held_out_seeds(origin.training_seed, len(test.anatomies) * test.trials)
+        out_of_view = 0
         for place, anatomy in enumerate(test.anatomies):
+            done += 1
+            if not in_view(anatomy, target, settings.arms):
+                out_of_view += 1
+                continue
             scene = scene_of(test.task, anatomy, target, settings.arms, ("tip",), clutter=test.clutter)
             environment = scene.environment
             logs_in = folder / EVALUATION / test.name / target / environment.phantom.name
@@ -87,9 +97,11 @@ def run_tests(
             logs = [logs_in / f"{index:03d}.mcap" for index in range(test.trials)]
             failures.update(count_failures(logs, environment.phantom))
             environment.close()
-            done += 1
             report(done / total, f"{test.name} {target} {sum(one.success for one in metrics)}/{len(metrics)}")
-        rows.append({"test": test.name, "target": target, **summary(metrics), **failures})
+        if not metrics:
+            raise StageError(f"the cameras see the {target} in none of {test.name}; choose other stage.cameras.")
+        row = {"test": test.name, "target": target, **summary(metrics), **failures, "out_of_view": out_of_view}
+        rows.append(row)
     return rows
 
 

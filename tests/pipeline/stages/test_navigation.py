@@ -18,16 +18,17 @@ from cathsim.observations.c_arm_view import CArms
 from enn.imitation.sequence_cloning import AdvisedEpisode
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
+from pipeline.recording.trials import Origin
 from pipeline.stages.learning.advised_rounds import read_episodes
 from pipeline.stages.navigation import stage as navigation
 from pipeline.stages.navigation.film import NavigationFilm
 from pipeline.stages.navigation.frames import frames_in
-from pipeline.stages.navigation.jobs import NAVIGATOR, navigate, success_of
+from pipeline.stages.navigation.jobs import NAVIGATOR, Course, cases_in_view, load_navigator, navigate, success_of
 from pipeline.stages.navigation.logged_episodes import episode_of_log
 from pipeline.stages.navigation.perception import PerceptionJob, load_perception
 from pipeline.stages.navigation.scene import NAMED, scene_of, space_of, vessels_of
 from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.stages.navigation.trials import count_failures
+from pipeline.stages.navigation.trials import TrialSet, count_failures, run_tests
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import TASK as KEY
 from pipeline.task import Task
@@ -253,6 +254,27 @@ def test_success_is_counted_by_target() -> None:
     row = np.zeros((1, 2), np.float32)
     episodes = [AdvisedEpisode(row, row, row[:, :0], success, target) for target, success in ends]
     assert success_of(episodes) == {"bca": pytest.approx(100 / 3), "lcca": 100.0}
+
+
+def test_targets_that_a_camera_does_not_see_are_left_out() -> None:
+    arms = CArms(("a", "b"), 256)
+    course = Course(Path("teacher.pt"), (("random_scan", 1053), ("type_1", NAMED)), ("bca", "lcca"), TASK.task)
+    cases = cases_in_view(course, 7, arms, np.random.default_rng(0))
+    assert len(cases) == 7
+    assert set(cases) == {(("random_scan", 1053), "bca"), (("type_1", NAMED), "bca"), (("type_1", NAMED), "lcca")}
+    with pytest.raises(StageError, match="see no target"):
+        cases_in_view(
+            replace(course, anatomies=course.anatomies[:1], targets=("lcca",)), 1, arms, np.random.default_rng(0)
+        )
+
+
+def test_a_trial_needs_a_target_in_view(run: Path, tmp_path: Path) -> None:
+    network = load_perception(run / "navigation", "cpu")
+    policy, perception = load_navigator(run / "navigation" / "splineformer" / NAVIGATOR, network)
+    tests = TrialSet("large", (("random_scan", 1053),), 1, TASK.task)
+    settings, origin = replace(SETTINGS, targets=["lcca"]), Origin("navigation", "splineformer", 0, "desk")
+    with pytest.raises(StageError, match="see the lcca in none of large"):
+        run_tests(policy, perception, [tests], settings, tmp_path, origin, report=lambda share, text: None)
 
 
 def test_a_film_shows_every_camera(run: Path) -> None:

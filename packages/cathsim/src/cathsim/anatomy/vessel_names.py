@@ -14,6 +14,17 @@ SUPRA_AORTIC = ("bca", "rsa", "rcca", "lcca", "lsa")  # from the heart on, as in
 ACCESS = ("iliac_right", "iliac_left", "femoral_right", "femoral_left")  # the way of a wire from the groin
 LUMINA = ("true_lumen", "false_lumen")  # of a dissected aorta
 
+# Where a vessel can leave, the usual place first; others leave whatever they touch most.
+PARENTS: dict[str, tuple[str, ...]] = {
+    "bca": (AORTA,),
+    "lcca": ("carotid_trunk", AORTA, "bca"),
+    "lsa": ("subclavian_trunk", AORTA),
+    "rsa": ("subclavian_trunk", "bca", AORTA),
+    "rcca": ("carotid_trunk", "bca", "rsa", AORTA),
+    "vertebral_left": ("lsa", AORTA),
+    "vertebral_right": ("rsa", "bca"),
+}
+
 # Labels of TotalSegmentator's task "total", version 2, that are arteries.
 TOTALSEGMENTATOR: dict[int, str] = {
     52: AORTA,

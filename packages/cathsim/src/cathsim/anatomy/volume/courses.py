@@ -311,6 +311,7 @@ def _leaves_end(courses: Courses, number: int, ostia: dict[int, Array]) -> bool:
 
 def narrow_places(courses: Courses, number: int, begin: int, end: int, least: float) -> tuple[Array, float]:
     """Places (n, 3) m along a vessel's course where it is narrower than a radius (m), and the least depth there, m."""
+    from scipy.ndimage import binary_dilation
     from scipy.spatial import cKDTree
 
     way = _way_within(courses.graph, begin, end, courses.nodes_of(number))
@@ -322,5 +323,5 @@ def narrow_places(courses: Courses, number: int, begin: int, end: int, least: fl
     from_end = arc_length(points[::-1])[::-1]
     narrow = (depth < least) & (from_end > 2 * least)
     reach = round(2 * least / (0.5 * _STEP))
-    wide = np.convolve(narrow, np.ones(2 * reach + 1), mode="same") > 0
+    wide = binary_dilation(narrow, np.ones(2 * reach + 1))
     return points[wide & (from_end > least)], float(depth[narrow].min()) if narrow.any() else least

@@ -8,20 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.vessel_names import AORTA
-from cathsim.anatomy.volume.label_parts import bridge, clean_parts
+from cathsim.anatomy.vessel_names import AORTA, PARENTS
+from cathsim.anatomy.volume.label_parts import bridge, clean_parts, led_on
 
-# Where a vessel can leave, the usual place first; others leave whatever they touch most.
-PARENTS: dict[str, tuple[str, ...]] = {
-    "bca": (AORTA,),
-    "lcca": ("carotid_trunk", AORTA, "bca"),
-    "lsa": ("subclavian_trunk", AORTA),
-    "rsa": ("subclavian_trunk", "bca", AORTA),
-    "rcca": ("carotid_trunk", "bca", "rsa", AORTA),
-    "vertebral_left": ("lsa", AORTA),
-    "vertebral_right": ("rsa", "bca"),
-}
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
+_SLIVER = 0.6  # of a vessel's radius: one that touches its parent by less is led on to it along its axis
 _MOUTH = 0.5  # of a take-off's area, from which on a contact beside it is a part of the mouth and no bridge
 _SISTERS = 1.2  # of the sum of both take-offs' radii, within which they are one place
 _CLUSTER = 4e-3  # m: contacts nearer to each other than this are one
@@ -82,6 +73,15 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
             touching, closed = _contacts(box, spacing), True
         else:
             break
+    for number, link in links.items():
+        ours, theirs = (np.argwhere(box == one) * spacing for one in (number, link.parent))
+        led = led_on(box, number, ours, theirs, spacing, link.radius / _SLIVER)
+        if led:
+            radii = f"{1e3 * link.radius:.1f} mm of radius and is led on to it with {1e3 * led[1]:.1f}"
+            notes.append(f"{names[number - 1]} touches {names[link.parent - 1]} by {radii}")
+    if any("is led on" in note for note in notes):
+        touching = _contacts(box, spacing)
+        links = {number: _link(number, link.parent, touching) for number, link in links.items()}
     _raise_sisters(links, names)
     for number in waiting:
         box[box == number] = 0
@@ -208,7 +208,11 @@ def _close_to_parent(box: Box, number: int, names: Sequence[str], placed: Sequen
     for wanted in usual:
         other = next((n for n, name in enumerate(names, 1) if name == wanted), None)
         theirs = np.argwhere(box == other) * spacing
-        if len(theirs) and (gap := bridge(box, number, ours, theirs, spacing)) is not None:
+        if not len(theirs):
+            continue
+        led = led_on(box, number, ours, theirs, spacing)
+        gap = led[0] if led else bridge(box, number, ours, theirs, spacing)
+        if gap is not None:
             return f"a gap of {1e3 * gap:.1f} mm between {names[number - 1]} and {wanted} is closed"
     return ""
 

@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.vessel_names import PARENTS
 
 _LONGEST_GAP = 6e-3  # m between a vessel and its parent, or two parts of one, that is closed
 _SPECK = 0.02  # of a vessel: a part of this size is noise
 _NOISE = 0.5  # of a vessel must hang together
 _MOST_PARTS = 200
 _NEAR_GAP = 5e-3  # m around a gap that say how wide the vessel is there
+_SLAB, _LEAST_SLAB = 3e-3, 8  # m, and voxels, of the stretches that say where a vessel leads
+_RAGGED, _WHOLE = 8e-3, 0.8  # m behind its end within which a vessel has its whole section, and how much of the most
+_LEAST_COSINE = 0.4  # of the angle between a vessel and the normal of the wall that it leaves
 _ONE_SECTION = 0.5  # of a part's section: a contact with another vessel as wide as this makes it that vessel's
 _WITHIN = 0.6  # of the faces of a speck: one with so many to vessels was within them
 _HOLES = 2e-8  # m^3 of holes that are worth a note
@@ -75,6 +79,8 @@ def _clean(box: Box, number: int, names: Sequence[str], spacing: Array) -> list[
         ours = np.argwhere(np.isin(parts, kept)) * spacing
         theirs = np.argwhere(parts == part) * spacing
         other = _continued(crop, parts == part, number, spacing) if _gap(ours, theirs) > _OWN_GAP else 0
+        if other and _hang_together(name, names[other - 1]):
+            other = 0
         if other:
             crop[parts == part] = other
             notes.append(
@@ -92,6 +98,11 @@ def _clean(box: Box, number: int, names: Sequence[str], spacing: Array) -> list[
     if dropped:
         notes.append(f"{_share(dropped, whole)} of {name} lies in separate parts and is left out")
     return notes
+
+
+def _hang_together(one: str, other: str) -> bool:
+    """Whether one vessel usually leaves the other, so that a part of it that touches the other may well be its own."""
+    return one in PARENTS.get(other, ()) or other in PARENTS.get(one, ())
 
 
 def _gap(ours: Array, theirs: Array) -> float:
@@ -194,7 +205,54 @@ def bridge(
     radii = [
         np.sqrt(len(end) * np.prod(spacing) / (np.pi * max(np.ptp(end @ _unit(last - first)), 1e-3))) for end in ends
     ]
-    radius = max(min(radii), float(spacing.max()))
+    _fill_tube(box, number, first, last, max(min(radii), float(spacing.max())), spacing)
+    return gap
+
+
+def led_on(
+    box: Box, number: int, ours: Array, theirs: Array, spacing: Array, least: float = 0.0
+) -> tuple[float, float] | None:
+    """Leads a vessel on along its own axis to another.
+
+    Slabs at two distances from the other vessel have their middles on the axis, however steeply that meets the wall.
+
+    Args:
+        least: m of radius that the vessel must have to be led on.
+
+    Returns:
+        The gap (m) and the vessel's radius (m); None if nothing was done: too long a gap, or the axis misses the other.
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(theirs)
+    away = tree.query(ours)[0]
+    gap = float(away.min())
+    if gap > _LONGEST_GAP + float(spacing.max()):
+        return None
+    slab = max(_SLAB, 1.2 * float(spacing.max()))
+    begins = gap + np.arange(0.0, _RAGGED, 0.5e-3)
+    counts = np.array([np.count_nonzero((away >= begin) & (away < begin + slab)) for begin in begins])
+    whole = begins[int(np.argmax(counts >= _WHOLE * counts.max()))]
+    slabs = [(away >= begin) & (away < begin + slab) for begin in (whole, whole + 2 * slab)]
+    if min(np.count_nonzero(chosen) for chosen in slabs) < _LEAST_SLAB:
+        return None
+    end, before = (ours[chosen].mean(axis=0) for chosen in slabs)
+    length = float(np.linalg.norm(end - before))
+    if not 1.6 * slab <= length <= 2 * slab / _LEAST_COSINE:
+        return None  # not one vessel that leads away from the other
+    direction = (end - before) / length
+    steps = np.arange(0.0, (whole + slab) / _LEAST_COSINE, 0.5e-3)
+    met = tree.query(end + steps[:, None] * direction)[0] <= float(spacing.max())
+    section = np.count_nonzero(slabs[1]) * float(np.prod(spacing)) / slab  # which cuts the vessel aslant
+    radius = float(np.sqrt(section * min(2 * slab / length, 1.0) / np.pi))
+    if not met.any() or radius <= least:
+        return None
+    _fill_tube(box, number, before, end + (steps[int(np.argmax(met))] + radius) * direction, radius, spacing)
+    return gap, radius
+
+
+def _fill_tube(box: Box, number: int, first: Array, last: Array, radius: float, spacing: Array) -> None:
+    """Gives what is no vessel's within a radius (m) of a line (3,) m to a vessel."""
     low = np.maximum(np.floor((np.minimum(first, last) - radius) / spacing).astype(int), 0)
     high = np.minimum(np.ceil((np.maximum(first, last) + radius) / spacing).astype(int) + 1, box.shape)
     window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
@@ -204,7 +262,6 @@ def bridge(
     inside = np.linalg.norm(offset - along[..., None] * (last - first), axis=-1) <= radius
     part = box[window]
     part[inside & (part == 0)] = number
-    return gap
 
 
 def _unit(vector: Array) -> Array:
