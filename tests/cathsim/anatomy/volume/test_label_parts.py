@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.anatomy.volume.label_parts import clean_parts
+from cathsim.anatomy.volume.label_parts import clean_parts, led_on
 
 SPACING = np.full(3, 1e-3)
 NAMES = ("aorta", "lcca", "lsa")
@@ -75,3 +75,39 @@ def test_a_ring_of_vessels_is_no_hole() -> None:
     ring = box.copy()
     clean_parts(box, ("aorta",), SPACING)
     np.testing.assert_array_equal(box, ring)
+
+
+def slanted(gap: int) -> tuple[np.ndarray, np.ndarray]:
+    """An aorta and an LCCA that leaves it at 40 degrees from the normal, as it should be and with its foot cut off."""
+    x, y, z = np.meshgrid(np.arange(60), np.arange(24), np.arange(60), indexing="ij")
+    direction = np.array([np.sin(0.7), 0.0, np.cos(0.7)])
+    offset = np.stack([x - 14, y - 12, z - 20], axis=-1).astype(float)
+    along = offset @ direction
+    vessel = (np.linalg.norm(offset - along[..., None] * direction, axis=-1) <= 4) & (along > 0) & (along < 40)
+    whole = np.where((z >= 3) & (z < 20) & (np.abs(y - 12) < 9), AORTA, 0).astype(np.uint8)
+    whole[vessel & (whole == 0)] = LCCA
+    cut = whole.copy()
+    cut[vessel & (along < gap + 4) & (cut == LCCA)] = 0
+    return whole, cut
+
+
+@pytest.mark.parametrize("gap", [2, 5])
+def test_a_vessel_is_led_on_to_its_parent_along_its_axis(gap: int) -> None:
+    whole, box = slanted(gap)
+    ours, theirs = (np.argwhere(box == number) * SPACING for number in (LCCA, AORTA))
+    led = led_on(box, LCCA, ours, theirs, SPACING)
+    assert led is not None
+    assert led[1] == pytest.approx(4e-3, abs=0.5e-3)
+    found, wanted = box == LCCA, whole == LCCA
+    assert np.count_nonzero(found & wanted) > 0.93 * np.count_nonzero(wanted)
+    assert np.count_nonzero(found & ~wanted) < 0.05 * np.count_nonzero(wanted)
+    assert (box[whole == AORTA] == AORTA).all()
+
+
+def test_nothing_is_led_on_over_a_long_gap_or_if_the_vessel_is_too_narrow() -> None:
+    for gap, least in ((14, 0.0), (2, 5e-3)):
+        _, box = slanted(gap)
+        before = box.copy()
+        ours, theirs = (np.argwhere(box == number) * SPACING for number in (LCCA, AORTA))
+        assert led_on(box, LCCA, ours, theirs, SPACING, least) is None
+        np.testing.assert_array_equal(box, before)

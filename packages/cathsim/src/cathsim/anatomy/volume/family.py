@@ -13,6 +13,7 @@ from cathsim.anatomy.volume.label_parts import bridge, clean_parts, led_on
 
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
 _SLIVER = 0.6  # of a vessel's radius: one that touches its parent by less is led on to it along its axis
+_ABOUT = 30e-3  # m around its take-off that say where a vessel leads
 _MOUTH = 0.5  # of a take-off's area, from which on a contact beside it is a part of the mouth and no bridge
 _SISTERS = 1.2  # of the sum of both take-offs' radii, within which they are one place
 _CLUSTER = 4e-3  # m: contacts nearer to each other than this are one
@@ -73,19 +74,39 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
             touching, closed = _contacts(box, spacing), True
         else:
             break
-    for number, link in links.items():
-        ours, theirs = (np.argwhere(box == one) * spacing for one in (number, link.parent))
-        led = led_on(box, number, ours, theirs, spacing, link.radius / _SLIVER)
-        if led:
-            radii = f"{1e3 * link.radius:.1f} mm of radius and is led on to it with {1e3 * led[1]:.1f}"
-            notes.append(f"{names[number - 1]} touches {names[link.parent - 1]} by {radii}")
-    if any("is led on" in note for note in notes):
+    led = _lead_on(box, names, links, spacing)
+    if led:
+        notes += led
         touching = _contacts(box, spacing)
         links = {number: _link(number, link.parent, touching) for number, link in links.items()}
     _raise_sisters(links, names)
     for number in waiting:
         box[box == number] = 0
         notes.append(f"{names[number - 1]} touches no other vessel and is left out")
+    kept = {number: names[number - 1] for number in order}
+    return box, Family(kept, links, _false_contacts(touching, links, root, waiting), order, notes)
+
+
+def _lead_on(box: Box, names: Sequence[str], links: dict[int, Link], spacing: Array) -> list[str]:
+    """Leads vessels that touch their parent by a sliver on to it; returns notes."""
+    notes = []
+    for number, link in links.items():
+        middle = link.ostium.mean(axis=0)
+        low = np.maximum(np.floor((middle - _ABOUT) / spacing).astype(int), 0)
+        high = np.ceil((middle + _ABOUT) / spacing).astype(int) + 1
+        window = box[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+        ours, theirs = (np.argwhere(window == one) * spacing for one in (number, link.parent))
+        led = led_on(window, number, ours, theirs, spacing, link.radius / _SLIVER) if len(theirs) else None
+        if led:
+            radii = f"{1e3 * link.radius:.1f} mm of radius and is led on to it with {1e3 * led[1]:.1f}"
+            notes.append(f"{names[number - 1]} touches {names[link.parent - 1]} by {radii}")
+    return notes
+
+
+def _false_contacts(
+    touching: dict[tuple[int, int], tuple[Array, Array]], links: dict[int, Link], root: int, waiting: Sequence[int]
+) -> list[tuple[int, int, Array]]:
+    """Pairs that touch where neither leaves the other, and where: (n, 3) m."""
     false = []
     for (a, b), (places, areas) in touching.items():
         if a in waiting or b in waiting:
@@ -102,8 +123,7 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
             continue
         if len(places):
             false.append((a, b, places))
-    kept = {number: names[number - 1] for number in order}
-    return box, Family(kept, links, false, order, notes)
+    return false
 
 
 def _contacts(box: Box, spacing: Array) -> dict[tuple[int, int], tuple[Array, Array]]:
