@@ -12,7 +12,7 @@ from cathsim.anatomy.vessel_names import AORTA, PARENTS
 from cathsim.anatomy.volume.label_parts import bridge, clean_parts, led_on
 
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
-_SLIVER = 0.6  # of a vessel's radius: one that touches its parent by less is led on to it along its axis
+_SLIVER = 0.45  # of a vessel's radius: one that touches its parent by less is led on to it along its axis
 _ABOUT = 30e-3  # m around its take-off that say where a vessel leads
 _MOUTH = 0.5  # of a take-off's area, from which on a contact beside it is a part of the mouth and no bridge
 _SISTERS = 1.2  # of the sum of both take-offs' radii, within which they are one place

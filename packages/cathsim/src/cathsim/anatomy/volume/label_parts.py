@@ -16,11 +16,11 @@ _NOISE = 0.5  # of a vessel must hang together
 _MOST_PARTS = 200
 _NEAR_GAP = 5e-3  # m around a gap that say how wide the vessel is there
 _SLAB, _LEAST_SLAB = 3e-3, 8  # m, and voxels, of the stretches that say where a vessel leads
-_RAGGED, _WHOLE = 8e-3, 0.8  # m behind its end within which a vessel has its whole section, and how much of the most
+_RAGGED, _WHOLE = 8e-3, 0.95  # m behind its end within which a vessel has its whole section, and how much of the most
 _LEAST_COSINE = 0.4  # of the angle between a vessel and the normal of the wall that it leaves
 _ONE_SECTION = 0.5  # of a part's section: a contact with another vessel as wide as this makes it that vessel's
 _WITHIN = 0.6  # of the faces of a speck: one with so many to vessels was within them
-_HOLES = 2e-8  # m^3 of holes that are worth a note
+_HOLES = 1e-7  # m^3 of holes that are worth a note
 _OWN_GAP = 3e-3  # m between a part and its own vessel, up to which it is no other's
 
 Array = NDArray[np.float64]
