@@ -27,10 +27,7 @@ _STEEP = 0.77  # cosine of the angle to the volume's face up to which an end the
 _LEAST_CUT = 0.2  # cosine of the angle from which on a face counts as cutting a vessel rather than touching its side
 _LOOK_BACK_NODES = 40  # of a way before its tip, whose greatest depth is the vessel's width there
 _STEP = 1e-3  # m along ways
-_AWAY = (
-    1.2,
-    6e-3,
-)  # radii of the parent and m between a take-off and the parent's course, beyond which one looks wrong
+_AWAY = (1.2, 6e-3)  # radii of the parent and m from its course: a take-off further off is at the end of a stub of it
 
 Array = NDArray[np.float64]
 

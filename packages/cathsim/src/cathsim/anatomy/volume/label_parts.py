@@ -66,8 +66,7 @@ def _clean(box: Box, number: int, names: Sequence[str], spacing: Array) -> list[
     if count > _MOST_PARTS and sizes.max() < _NOISE * whole:
         raise MeshRefusedError(
             f"the label of {name} is noise: its {whole:,} voxels lie in {count:,} separate parts; export the "
-            "segmentation "
-            "again, or say which labels are vessels by labels=."
+            "segmentation again, or say which labels are vessels by labels=."
         )
     by_size = np.argsort(-sizes) + 1
     kept, notes, dropped = [int(by_size[0])], [], 0
