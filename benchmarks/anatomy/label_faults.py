@@ -74,6 +74,12 @@ class Drawn:
     tree: VesselTree  # of the phantom's frame
     offset: Array  # m, the phantom's frame from the patient's (left, posterior, superior)
 
+    @property
+    def spacing(self) -> Array:
+        """(3,) m between voxels."""
+        sides: Array = 1e-3 * np.linalg.norm(self.affine[:3, :3], axis=0)
+        return sides
+
     def world(self) -> Array:
         """(nx, ny, nz, 3) places of voxels in the phantom's frame, m."""
         index = np.stack(np.meshgrid(*[np.arange(n) for n in self.labels.shape], indexing="ij"), axis=-1)
@@ -198,7 +204,7 @@ def bridge(drawn: Drawn, generator: np.random.Generator) -> None:
         _, arc, length = _share_along(drawn, name)
         first = np.argwhere(drawn.labels == drawn.numbers[name])[np.abs(arc - length / 2).argmin()]
         others = np.argwhere(drawn.labels == drawn.numbers[other])
-        second = others[np.linalg.norm((others - first) * SPACING, axis=1).argmin()]
+        second = others[np.linalg.norm((others - first) * drawn.spacing, axis=1).argmin()]
         for share in np.linspace(0, 1, 200):
             place = np.round(first + share * (second - first)).astype(int)
             block = tuple(slice(p, p + 2) for p in place)
@@ -208,7 +214,7 @@ def bridge(drawn: Drawn, generator: np.random.Generator) -> None:
 
 def holes(drawn: Drawn, generator: np.random.Generator) -> None:
     world = drawn.world()
-    depth = ndimage.distance_transform_edt(drawn.labels > 0, sampling=SPACING)
+    depth = ndimage.distance_transform_edt(drawn.labels > 0, sampling=drawn.spacing)
     inner = np.argwhere(depth > 3e-3)
     for place in inner[generator.integers(0, len(inner), 12)]:
         radius = min(generator.uniform(2e-3, 4e-3), depth[tuple(place)] - 1.5e-3)

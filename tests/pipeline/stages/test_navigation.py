@@ -275,6 +275,9 @@ def test_a_trial_needs_a_target_in_view(run: Path, tmp_path: Path) -> None:
     settings, origin = replace(SETTINGS, targets=["lcca"]), Origin("navigation", "splineformer", 0, "desk")
     with pytest.raises(StageError, match="see the lcca in none of large"):
         run_tests(policy, perception, [tests], settings, tmp_path, origin, report=lambda share, text: None)
+    both = replace(tests, anatomies=(*tests.anatomies, ("type_1", NAMED)))
+    (row,) = run_tests(policy, perception, [both], settings, tmp_path, origin, report=lambda share, text: None)
+    assert (row["n"], row["out_of_view"]) == (1, 1)
 
 
 def test_a_film_shows_every_camera(run: Path) -> None:
