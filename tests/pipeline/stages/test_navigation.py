@@ -204,6 +204,7 @@ def test_tables(results: dict) -> None:
     for cells in results["navigation_trials"].values():
         failed = sum(cells[f"bca_{mode}"] for mode in MODES)
         assert failed == cells["n"] - round(cells["bca_success_pct"] / 100 * cells["n"])
+        assert cells["bca_out_of_view"] == 0
     assert list(results["navigation_episodes"]) == ["1 trials", "3 trials"]
     assert results["navigation_perception"]["images"]["value"] == 8  # of two cameras
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
+from cathsim.anatomy import Branch, MeshRefusedError, Phantom, VesselTree, import_mesh
+from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.lumen_report import check_lumen
+from cathsim.anatomy.surface import lumen_surface
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from tests.cathsim.anatomy.generator.drawn_arch import BOW, LIMB, arch_mesh, arch_tree
 
@@ -38,6 +41,34 @@ def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
         _, _, aside = nearest_on_branch(drawn[name], _in_file(found, target))
         assert aside[0] < 1.5e-3, name
     assert check_lumen(found).problems == ()
+
+
+def _with_coronaries(above: float) -> VesselTree:
+    """The drawn arch with two coronary arteries, whose middles lie some way above its ascending end, m."""
+    tree = arch_tree(0.03)
+    aorta = tree.root
+    arc = aorta.length - above
+    branches = list(tree)
+    for side in (-1.0, 1.0):
+        corners = np.array([[0.0, 0.0, 0.0], [0.0, side * 0.022, 0.0], [0.0, side * 0.028, -0.025]])
+        points = aorta.point_at(arc) + np.concatenate(
+            [np.linspace(a, b, 20, endpoint=False) for a, b in pairwise(corners)] + [corners[-1:]]
+        )
+        branches.append(Branch(f"coronary_{side:g}", points, np.full(len(points), 1.8e-3), "aorta", arc))
+    return VesselTree(tuple(branches))
+
+
+@pytest.mark.parametrize("above", [0.004, 0.008])
+def test_coronary_arteries_do_not_hide_the_aortas_end(above: float, tmp_path: Path):
+    drawn = _with_coronaries(above)
+    mesh = lumen_surface(build_lumen(drawn, resolution=1e-3, fillet_radius=1e-3))
+    mesh.apply_scale(1000)
+    mesh.export(tmp_path / "coronaries.stl")
+    found = import_mesh(tmp_path / "coronaries.stl", resolution=1e-3, cache_dir=tmp_path)
+    assert found.tree.root.length > 0.93 * drawn.root.length
+    for name in ("bca", "lcca", "lsa"):
+        _, _, aside = nearest_on_branch(drawn[name], _in_file(found, found.targets[name].position))
+        assert aside[0] < 1.5e-3, name
 
 
 def test_a_stenosis_that_a_wire_can_pass_is_kept(tmp_path: Path):

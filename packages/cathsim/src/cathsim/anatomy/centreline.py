@@ -18,9 +18,13 @@ from numpy.typing import NDArray
 
 _COVER = 1.5  # a way accounts for the lumen within so many radii of it ...
 _COVER_MORE = 1e-3  # ... and this, m
+_COVER_CLOSELY = 1.15  # as _COVER, where narrow vessels beside a wide one are looked for ...
+_RIM = 3.0  # ... of the widest ball's radius: nearer to a tip of the wide part none is looked for
+_STUMP = 0.6  # ... of the widest ball's radius: as wide as this they are at most
 _LEAST_LENGTH = 7e-3  # m that an end must stand out of what is accounted for
 _LEAST_TO_OPENING = 2e-3  # m that it must where the surface is open there, so that a bulge cannot be meant
 _MOST_ENDS = 24
+_WIDE = 0.55  # of the widest ball's radius: what a ball so wide fits into is the wide part of a lumen
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -84,6 +88,7 @@ class LumenPaths:
             if stands_out >= _LEAST_LENGTH:
                 found.append(candidate)
                 self._cover(led_to, way)
+        self._add_stumps(found, led_to, away, ways)
         for candidate in np.empty((0, 3), int) if openings is None else openings:
             if open_[tuple(candidate)] and not led_to[tuple(candidate)] and len(found) < _MOST_ENDS:
                 way, stands_out = beyond(candidate, led_to)
@@ -91,6 +96,49 @@ class LumenPaths:
                     found.append(candidate)
                     self._cover(led_to, way)
         return np.array(found)
+
+    def _add_stumps(self, found: list[Voxels], led_to: Mask, away: Array, ways: MCP_Geometric) -> None:  # type: ignore[name-defined]  # noqa: F821
+        """Adds the ends of narrow vessels that are cut off so near to a wide one that they lie in what it covers."""
+        covered = np.zeros_like(self.inside)
+        for end in found:
+            self._cover(covered, np.array(ways.traceback(tuple(end))), _COVER_CLOSELY)
+        widest = float(self.depth.max())
+        left = self.inside & np.isfinite(away) & ~covered
+        for tip in self.wide_tips()[0]:  # the rim of an end that is cut aslant stands out as well
+            far = np.sqrt(
+                sum((axis - x) ** 2 for axis, x in zip(np.ogrid[tuple(map(slice, left.shape))], tip, strict=True))
+            )
+            left &= far * self.spacing > _RIM * widest
+        while left.any() and len(found) < _MOST_ENDS:
+            candidate = np.array(np.unravel_index(int(np.argmax(np.where(left, away, -1.0))), self.inside.shape))
+            way = np.array(ways.traceback(tuple(candidate)))
+            inside = np.flatnonzero(covered[tuple(way.T)])
+            leaves = int(inside[-1]) if len(inside) else 0
+            beyond = way[leaves:]
+            stands_out = float(away[tuple(candidate)] - away[tuple(way[leaves])])
+            self._cover(covered, beyond, _COVER_CLOSELY)
+            covered[tuple(candidate)] = True
+            left &= ~covered
+            if stands_out >= _LEAST_LENGTH and self.depth[tuple(beyond.T)].max() < _STUMP * widest:
+                found.append(candidate)
+                self._cover(led_to, beyond)
+
+    def wide_tips(self) -> tuple[Voxels, float]:
+        """Both tips of the lumen's wide part, voxels (2, 3), and the radius, m, of the ball that fits everywhere in it.
+
+        A narrow vessel that leaves a wide one just before its end hides that end from `ends`.
+        """
+        from scipy.ndimage import distance_transform_edt, label
+        from skimage.graph import MCP_Geometric
+
+        widest = np.unravel_index(int(np.argmax(self.depth)), self.inside.shape)
+        radius = _WIDE * float(self.depth[widest])
+        labels, _ = label(self.depth >= radius)
+        from_core = distance_transform_edt(labels != labels[widest]) * self.spacing
+        level = np.where(self.inside & (from_core <= radius), 1.0, -1.0)
+        first = self._farthest(MCP_Geometric(level).find_costs([widest])[0])
+        second = self._farthest(MCP_Geometric(level).find_costs([first])[0])
+        return np.array([first, second]), radius
 
     def ways(self, root: Voxels, ends: Voxels) -> list[Voxels]:
         """Ways (n, 3) of voxels along the lumen's middle from a root (3,) to ends (k, 3), shared until they part."""
@@ -109,10 +157,10 @@ class LumenPaths:
         ways.find_costs([root])
         return ways
 
-    def _cover(self, covered: Mask, way: Voxels) -> None:
+    def _cover(self, covered: Mask, way: Voxels, radii: float = _COVER) -> None:
         """Marks the lumen that a way accounts for."""
         for voxel in way[:: max(1, len(way) // 400)]:
-            reach = (_COVER * self.depth[tuple(voxel)] + _COVER_MORE) / self.spacing
+            reach = (radii * self.depth[tuple(voxel)] + _COVER_MORE) / self.spacing
             low = np.maximum(np.floor(voxel - reach).astype(int), 0)
             high = np.minimum(np.ceil(voxel + reach).astype(int) + 1, covered.shape)
             i, j, k = np.ogrid[low[0] : high[0], low[1] : high[1], low[2] : high[2]]

@@ -129,6 +129,39 @@ def test_more_vessels_do_not_shift_names():
             assert ends[made[name].end] == name, (seed, name)
 
 
+def test_arteries_that_go_down_the_arms_are_named():
+    for seed in range(6):
+        made = rough_vessels(build_arch(sample_parameters(np.random.default_rng(seed))), np.eye(3))
+        for name, side in (("rsa", -1.0), ("lsa", 1.0)):
+            arm = made[name]
+            steps = np.arange(1, 151)[:, None] * 1e-3 * np.array([0.6 * side, 0.0, -0.8])
+            arm.points = np.concatenate([arm.points, arm.points[-1] + steps])
+            arm.depth = np.concatenate([arm.depth, np.full(150, arm.depth[-1])])
+        ends, _, _ = found_names(made["aorta"])
+        assert ends == {vessel.end: name for name, vessel in made.items() if vessel.end is not None}, seed
+
+
+@pytest.mark.parametrize(("mouth", "trunk"), [(0.004, None), (0.03, "left_trunk")])
+def test_left_vessels_of_one_origin_are_named(mouth: float, trunk: str | None):
+    """Their mouths are one where they lie side by side; where they part late, they have a trunk."""
+    tree = build_arch(sample_parameters(np.random.default_rng(3)))
+    made = rough_vessels(tree, np.eye(3))
+    left = made["lsa"]
+    cut = int(np.searchsorted(tree["lsa"].arc, tree.ostium_arc("lsa") + mouth))
+    carotid = made["lcca"].points[int(np.searchsorted(tree["lcca"].arc, tree.ostium_arc("lcca") + mouth)) :]
+    common = RoughVessel(left.points[: cut + 1], left.depth[: cut + 1], None, start=left.start)
+    for name, points in (("lsa", left.points[cut:]), ("lcca", np.concatenate([left.points[cut : cut + 1], carotid]))):
+        made[name].points, made[name].depth = points, np.full(len(points), tree[name].radius[-1])
+        made[name].start, made[name].from_fork = common.length, True
+        common.children.append(made[name])
+    others = [child for child in made["aorta"].children if child not in (left, made["lcca"])]
+    made["aorta"].children = sorted([*others, common], key=lambda child: child.start)
+    ends, trunks, _ = found_names(made["aorta"])
+    for name in ("rsa", "rcca", "lcca", "lsa"):
+        assert ends[made[name].end] == name
+    assert trunks - {"bca"} == ({trunk} if trunk else set())
+
+
 def test_branches_that_are_cut_short_are_named_by_their_order():
     for seed in range(12):
         parameters = sample_parameters(np.random.default_rng(seed))

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.ndimage import gaussian_filter
+from skimage.measure import marching_cubes
 
 from cathsim.anatomy import Branch, MeshRefusedError, VesselTree, import_mesh
 from cathsim.anatomy.lumen import build_lumen
@@ -14,6 +16,7 @@ from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh.parts.vessel_parts import is_folder_of_parts, pieces, read_parts
 from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.surface import lumen_surface
+from cathsim.anatomy.vessel_tree import nearest_on_branch
 from tests.cathsim.anatomy.generator.drawn_arch import arch_tree
 
 COARSE = 2e-3
@@ -73,6 +76,54 @@ def test_pieces_are_parts_and_walls_are_not(vessels: dict[str, trimesh.Trimesh])
     outer, inner = (trimesh.creation.cylinder(radius, length) for radius, length in ((12.0, 100.0), (10.0, 99.0)))
     wall = trimesh.util.concatenate([outer, inner])
     assert len(pieces(Triangles(np.asarray(wall.vertices), np.asarray(wall.faces, dtype=np.int64)))) == 1
+
+
+def test_parts_that_share_a_face_are_apart():
+    boxes = [trimesh.creation.box((10.0, 10.0, 40.0)).apply_translation((10.0 * k, 0.0, 0.0)) for k in range(3)]
+    whole = trimesh.util.concatenate(boxes)
+    found = pieces(Triangles(np.asarray(whole.vertices), np.asarray(whole.faces, dtype=np.int64)))
+    assert [len(piece.faces) for piece in found] == [12, 12, 12]
+    order = np.random.default_rng(0).permutation(len(whole.faces))  # no part comes after the other
+    mixed = Triangles(np.asarray(whole.vertices), np.asarray(whole.faces, dtype=np.int64)[order])
+    assert len(pieces(mixed)) == 1
+
+
+def test_vessels_that_touch_without_overlapping_are_united(tmp_path: Path):
+    """Surfaces of a segmentation's labels in one file: each closed, with a face in common with its parent."""
+    tree = arch_tree(0.03)
+    grid = build_lumen(tree, resolution=1e-3, fillet_radius=2e-3)
+    inside = grid.dense() > 0
+    nodes = grid.coordinates(np.argwhere(np.ones_like(inside)))
+    _, along, away = nearest_on_branch(tree.root, nodes)
+    of_aorta = (away < tree.root.radius_at(along)).reshape(inside.shape)
+    nearest = np.argmin([nearest_on_branch(tree[name], nodes)[2] for name in ("bca", "lcca", "lsa")], axis=0)
+    number = np.where(of_aorta, 0, 1 + nearest.reshape(inside.shape))
+    made = []
+    for k in range(4):
+        soft = gaussian_filter((inside & (number == k)).astype(np.float32), 0.8)
+        vertices, faces, _, _ = marching_cubes(soft, 0.5)
+        made.append(trimesh.Trimesh(1e3 * (vertices * grid.spacing + grid.origin), faces, process=False))
+    trimesh.util.concatenate(made).export(tmp_path / "labels.stl")
+    found = import_mesh(tmp_path / "labels.stl", resolution=COARSE, cache_dir=tmp_path / "cache")
+    assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa"}
+    assert found.imported is not None
+    assert "united from 4 parts" in found.imported.notes
+    assert check_lumen(found).problems == ()
+
+
+def test_a_vein_beside_the_aorta_is_left_out_and_a_torn_aorta_refused(
+    vessels: dict[str, trimesh.Trimesh], tmp_path: Path
+):
+    vein = trimesh.creation.capsule(90.0, 5.0).apply_translation([0.0, 30.0, -40.0])
+    trimesh.util.concatenate([*vessels.values(), vein]).export(tmp_path / "vein.stl")
+    found = import_mesh(tmp_path / "vein.stl", resolution=COARSE, cache_dir=tmp_path / "cache")
+    assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa"}
+    assert found.imported is not None
+    assert "1 parts left out, which touch no other: unnamed" in found.imported.notes
+    aorta = trimesh.creation.capsule(90.0, 10.0).apply_translation([0.0, 40.0, -40.0])
+    trimesh.util.concatenate([*vessels.values(), aorta]).export(tmp_path / "torn.stl")
+    with pytest.raises(MeshRefusedError, match="falls into 2 parts"):
+        import_mesh(tmp_path / "torn.stl", resolution=COARSE, cache_dir=tmp_path / "cache")
 
 
 def test_a_folder_without_surfaces_or_without_an_aorta_is_refused(vessels: dict[str, trimesh.Trimesh], tmp_path: Path):

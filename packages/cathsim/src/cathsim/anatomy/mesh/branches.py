@@ -219,14 +219,20 @@ def _part_short_trunks(aorta: RoughVessel) -> None:
         if not daughters or len(daughters) < len(trunk.children) or not _part_at_once(daughters, trunk, aorta):
             children.append(trunk)
             continue
-        for daughter in daughters:
-            daughter.points = np.concatenate([trunk.points, daughter.points[1:]])
-            daughter.depth = np.concatenate([trunk.depth, daughter.depth[1:]])
-            for child in daughter.children:
-                child.start += trunk.length
-            daughter.start, daughter.from_fork = trunk.start, False
-            children.append(daughter)
+        children += parted(trunk)
     aorta.children = sorted(children, key=lambda child: child.start)
+
+
+def parted(trunk: RoughVessel) -> list[RoughVessel]:
+    """The vessels that a trunk forks into, as branches of its parent that begin where the trunk does."""
+    daughters = [child for child in trunk.children if child.from_fork]
+    for daughter in daughters:
+        daughter.points = np.concatenate([trunk.points, daughter.points[1:]])
+        daughter.depth = np.concatenate([trunk.depth, daughter.depth[1:]])
+        for child in daughter.children:
+            child.start += trunk.length
+        daughter.start, daughter.from_fork = trunk.start, False
+    return daughters
 
 
 def _part_at_once(daughters: Sequence[RoughVessel], trunk: RoughVessel, aorta: RoughVessel) -> bool:

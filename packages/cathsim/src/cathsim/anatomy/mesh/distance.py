@@ -19,6 +19,7 @@ from cathsim.presets import WIRE_RADIUS
 
 EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them
 _SWEPT = 1.8  # radii before a flat end over which the lumen is filled across the vessel
+_OWN = 1.15  # radii from the middle of an end: what goes on beyond it from further aside is another vessel
 _CLEARLY = 0.8  # voxels by which a triangle's two sides must differ in their distance to the lumen
 _LOOSE = 1.8  # voxels: nearer to a triangle than this a point is in or out as that triangle says
 _SEEN = 4  # voxels from the lumen up to which distances are told apart
@@ -33,7 +34,7 @@ Mask = NDArray[np.bool_]
 
 def trim_cavity(cavity: Cavity, ends: Sequence[VesselEnd]) -> Mask:
     """The lumen's voxels (nx, ny, nz) up to its flat ends: a tunnel is filled up to them, the rest is dropped."""
-    from scipy.ndimage import binary_closing, generate_binary_structure
+    from scipy.ndimage import binary_closing, generate_binary_structure, label
 
     free = ~cavity.wall
     # Openings in a wall's side are bridged, so that the lumen has no dents before them.
@@ -51,7 +52,9 @@ def trim_cavity(cavity: Cavity, ends: Sequence[VesselEnd]) -> Mask:
         part = inside[box]
         before = (height <= 0) & (height > -_SWEPT * end.radius) & (aside < 1.3 * end.radius)
         part |= binary_closing(part & before) & before & free[box]
-        part &= ~((height > 0) & (height < 1.5 * end.radius) & (aside < 1.6 * end.radius))
+        beyond, _ = label(part & (height > 0) & (height < 1.5 * end.radius) & (aside < 1.6 * end.radius))
+        at_end = (height < 2 * cavity.spacing) & (aside < _OWN * end.radius + cavity.spacing)
+        part &= (beyond == 0) | ~np.isin(beyond, beyond[at_end])
     return largest_part(inside & free)
 
 

@@ -22,6 +22,7 @@ _LOOK_BACK = 6e-3  # m, and two radii: how far further in that is
 _CENTRING = 6  # steps to the middle of the first plane
 _LONGEST = 6  # radii that an end is followed
 _BEYOND = 1.75  # radii from the middle of an end to where its way leads: further off the sweep left its vessel
+_FLARED = 1.3  # of the radius where the sweep began: where an end is wider, its own says nothing of what is near
 _STARTS = (1.5, 2.0, 2.5, 3.0, 1.2)  # depths before the tip of a short vessel at which the sweep begins, in this order
 _AT_OPENING = 1.4  # radii, and two voxels, from the end of a way to the middle of the opening that it leads to
 _PLAINLY = 0.6  # share of rays that must meet a wall where an end is cut without any sweep
@@ -30,6 +31,7 @@ _CLEARLY_NEARER = 2e-3  # m
 _FURTHER = (2.0, 2.5, 1.5, 3.0, 1.0)  # of its full width's radii before the tip at which the sweep begins anew ...
 _STILL_WIDE = 0.7  # ... where the way is still so many of them deep
 _SHORT_BEYOND = 1.5  # radii, as _BEYOND, for those
+_TILTS = np.linspace(-0.7, 0.7, 9)  # of a direction, as tangents
 _FAR_BEYOND = 2.5  # radii beyond which an end that was found otherwise is none, either
 
 Array = NDArray[np.float64]
@@ -111,7 +113,7 @@ def _find_end(
             later = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
             if later is not None and _misses(later, way[-1], others) <= _SHORT_BEYOND and _further(later, end, way[-1]):
                 return later
-    if end is not None and _misses(end, way[-1], others) <= _BEYOND:
+    if end is not None and _misses(end, way[-1], others) <= _BEYOND * min(1.0, _FLARED * radius / end.radius):
         return end
     # A short vessel reaches its full width nowhere before it opens into a wider one, and the sweep began in that one.
     for ratio in _STARTS:
@@ -156,6 +158,32 @@ def end_at_opening(
         return None
     track = resampled(np.concatenate([inner, centre[None]]), cavity.spacing)
     return VesselEnd(centre, along, max(1.2 * radius, 2 * cavity.spacing), track)
+
+
+def straightened(cavity: Cavity, wall: NDArray[np.bool_], end: VesselEnd) -> VesselEnd:
+    """An end whose direction is that in which the vessel is narrowest a radius before it; as it was where none is."""
+    back = arc_length(end.way[::-1])[::-1]
+    inner = end.way[: max(int(np.count_nonzero(back >= end.radius)), 2)]
+    step = 0.5 * cavity.spacing
+    travel = np.arange(step, _REACH * end.radius, step)
+    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
+    first, second = (v[0] for v in across_frames(end.normal[None]))
+    best, direction = np.inf, end.normal
+    for tilt_a, tilt_b in np.stack(np.meshgrid(_TILTS, _TILTS), axis=-1).reshape(-1, 2):
+        normal = end.normal + tilt_a * first + tilt_b * second
+        normal /= np.linalg.norm(normal)
+        u, v = (w[0] for w in across_frames(normal[None]))
+        rays = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
+        struck = cavity.holds(wall, inner[-1] + travel[None, :, None] * rays[:, None, :])
+        reach = np.where(struck.max(axis=1), travel[np.argmax(struck, axis=1)], travel[-1])
+        reach = np.minimum(reach, 1.3 * np.median(reach))  # openings of other vessels do not count
+        if (area := float((reach**2).sum())) < best:
+            best, direction = area, normal
+    centres, normal, reach_90 = _sweep(cavity, wall, inner[-1], direction, end.radius, step, _SURROUNDED)
+    if len(centres) < 3:
+        return end
+    track = resampled(np.concatenate([inner[:-1], np.array(centres)]), 2 * step)
+    return VesselEnd(centres[-1], normal, max(reach_90, 2 * cavity.spacing), track)
 
 
 def severs(end: VesselEnd, way: Array) -> bool:

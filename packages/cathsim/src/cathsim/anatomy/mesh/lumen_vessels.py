@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import LumenPaths, Voxels
 from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels
 from cathsim.anatomy.mesh.cavity import Cavity, largest_part
-from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, same_end, severs
+from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, same_end, severs, straightened
 from cathsim.anatomy.mesh.naming import ascending_score
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
@@ -16,6 +18,8 @@ _TORN_OFF = 0.03  # of the lumen: a part of this size that no coarse voxel joins
 _AT_OPENING = 3.0  # coarse voxels between the middle of an opening and the lumen's nearest one
 _SHORT_OF = 4e-3  # m before an opening at which an end that was found otherwise may lie
 _BESIDE = 1.6  # radii from the middle of an end: a way that leads further off leads elsewhere
+_AS_WIDE, _NEAR_TIP = 0.7, 3.0  # of the wide part's radius: what its ends have at least, how near its tips they lie
+_NARROW = 0.35  # of a wide vessel's radius: one that may be cut off for the wide one's end
 _NARROWER = 0.7  # of a wide vessel's radius: the end of a short one beside it is not wider
 
 Array = NDArray[np.float64]
@@ -62,12 +66,14 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
             lost += 1
         elif not any(same_end(end, other) for other, _ in found):
             found.append((end, way))
-    ends = [
-        end
+    whole = [
+        (end, own)
         for end, own in found
         if not any(severs(end, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
     ]
-    lost += len(found) - len(ends)
+    hidden, kept = _hidden_ends(cavity, wall, paths, whole, voxels[0])
+    ends = [*kept, *hidden]
+    lost += len(found) - len(kept)
     if lost > len(voxels) // 2:
         raise MeshRefusedError(
             f"no wall surrounds the vessel at {lost} of the lumen's {len(voxels)} ends: loose sheets or spikes stand "
@@ -79,6 +85,42 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
             "a vessel without a side branch offers no target."
         )
     return ends, (f"{lost} of {len(voxels)} ends of vessels left out: the wall does not surround them",) if lost else ()
+
+
+def _hidden_ends(
+    cavity: Cavity,
+    wall: NDArray[np.bool_],
+    paths: LumenPaths,
+    found: Sequence[tuple[VesselEnd, Voxels]],
+    root: Voxels,
+) -> tuple[list[VesselEnd], list[VesselEnd]]:
+    """Ends of the wide vessel that others hide, which leave it just before: a coronary artery, the first of the arch.
+
+    Returns:
+        Those ends, and those of the found ones that are left: a narrow vessel that a wide one's end cuts off is not.
+    """
+    tips, radius = paths.wide_tips()
+    hidden: list[VesselEnd] = []
+    kept = list(found)
+    for tip in tips:
+        place = paths.points(tip)
+        known = [*(end for end, _ in kept), *hidden]
+        if any(one.radius > _AS_WIDE * radius and _near_tip(one, place, radius) for one in known):
+            continue
+        (way,) = paths.ways(root, tip[None])
+        end = find_end(cavity, wall, paths.points(way), paths.depth[tuple(way.T)], known)
+        end = None if end is None else straightened(cavity, wall, end)
+        if end is None or end.radius < _AS_WIDE * radius or not _near_tip(end, place, radius):
+            continue
+        cut = [one for one, own in kept if severs(end, paths.points(own))]
+        if all(one.radius < _NARROW * end.radius for one in cut):
+            hidden.append(end)
+            kept = [(one, own) for one, own in kept if not any(one is other for other in cut)]
+    return hidden, [end for end, _ in kept]
+
+
+def _near_tip(end: VesselEnd, tip: Array, radius: float) -> bool:
+    return bool(np.linalg.norm(end.centre - tip) <= _NEAR_TIP * radius)
 
 
 def _leads_elsewhere(way: Voxels, own: Voxels) -> bool:

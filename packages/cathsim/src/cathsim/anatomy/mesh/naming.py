@@ -27,6 +27,7 @@ _SPREAD_WEIGHT = 1.5  # of the ends' spread to one side, against the direction f
 _BELOW_ARCH = 30e-3  # m, and 2.5 radii: how far below the arch's top a last branch to head and arms may leave the aorta
 _SIDES_APART = 10e-3  # m between the ends of both sides from which on labels show where left is
 _WIDE_SPREAD = 20e-3  # m, deviation of the ends from their middle that shows the side well
+_MAIN = 0.4  # of the widest branch's radius: narrower ones are none to head and arms
 _LEAST = 3e-3  # m beyond the ostium: nearer than this a place is no target
 
 Array = NDArray[np.float64]
@@ -35,12 +36,15 @@ Array = NDArray[np.float64]
 def ascending_score(aorta: RoughVessel, first_radius: float, last_radius: float) -> float:
     """How much speaks for an aorta's last end being the ascending one (positive), against its first; end radii in m."""
     score = 2.0 * math.log(last_radius / first_radius)
-    if aorta.children:
+    # Coronary arteries, at the root, and those of the trunk say nothing of the arch's order.
+    widest = max((child.radius for child in aorta.children), default=0.0)
+    children = [child for child in aorta.children if child.radius > _MAIN * widest]
+    if children:
         length = aorta.length
-        middle = float(np.mean([child.start for child in aorta.children]))
+        middle = float(np.mean([child.start for child in children]))
         score += 1.0 * (2 * middle / length - 1)  # the arch's branches lie nearer to the root than to the other end
-    if len(aorta.children) > 1:
-        near, far = aorta.children[-1], aorta.children[0]
+    if len(children) > 1:
+        near, far = children[-1], children[0]
         score += 0.7 * math.log(near.radius / far.radius)
         score += 0.4 * float(np.clip(len(near.ends) - len(far.ends), -1, 1))
     return score
@@ -95,6 +99,10 @@ def _tips(vessel: RoughVessel) -> list[Array]:
     return own + [tip for child in vessel.children for tip in _tips(child)]
 
 
+def _all_of(vessel: RoughVessel) -> list[RoughVessel]:
+    return [vessel] + [one for child in vessel.children for one in _all_of(child)]
+
+
 def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVessel]:
     """Branches of the aorta that run to head and arms: they leave it at the arch and end above it.
 
@@ -109,7 +117,7 @@ def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVess
     for child in aorta.children:
         at = int(np.argmin(np.abs(arc - child.start)))
         radius = float(aorta.depth[at])
-        highest = max(float(tip @ up) for tip in _tips(child)) if _tips(child) else float(child.tip @ up)
+        highest = max(float((one.points @ up).max()) for one in _all_of(child))  # an arm's artery goes down again
         if highest < max(height[at] + 0.7 * radius, height[top] - radius):
             continue
         below = float(height[top] - height[at])

@@ -8,13 +8,21 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.mesh.arches.arch_types import CAROTID_TRUNK, MIRRORED, SUBCLAVIAN_TRUNK, Reading, read_arch
+from cathsim.anatomy.mesh.arches.arch_types import (
+    CAROTID_TRUNK,
+    LEFT_TRUNK,
+    MIRRORED,
+    SUBCLAVIAN_TRUNK,
+    Reading,
+    read_arch,
+)
 from cathsim.anatomy.mesh.arches.subtrees import RIGHT, Subtree, rebuilt, subtree
-from cathsim.anatomy.mesh.branches import RoughVessel
+from cathsim.anatomy.mesh.branches import RoughVessel, parted
 from cathsim.anatomy.mesh.naming import arch_branches
 from cathsim.anatomy.vessel_names import AORTA
 
 _RIGHT_SIDE, _LEFT_SIDE = ("bca", "rsa", "rcca"), ("lcca", "lsa")
+_MOUTH = 2.0  # of its radius: a trunk of the left side's vessels that is shorter is a mouth that they share
 _ALIKE = 0.6  # of score between an arch and its mirror image: below, neither looks more usual
 _CLEAR = 0.7  # of score between the likeliest reading and the next: below, the names are noted as unsure
 
@@ -112,8 +120,13 @@ def _give_names(
             children.append(child)
             continue
         own = {one: name for one, name in given.items() if one is part or one in part.inner}
+        short = set(own.values()) == {"lcca", "lsa"} and part.length < _MOUTH * part.radius
         vessel, named = rebuilt(part, own)
-        children.append(vessel)
+        if short and all(child.from_fork for child in vessel.children):  # one mouth of two vessels
+            children += parted(vessel)
+            named = [(found, within) for found, within in named if found is not vessel]
+        else:
+            children.append(vessel)
         for found, within in named:
             name = _trunk_name({own[one] for one in within})
             if name not in names.values():
@@ -124,9 +137,8 @@ def _give_names(
 def _trunk_name(names: set[str]) -> str:
     if len(names) == 1:
         return "bca" if names == {RIGHT} else next(iter(names))
-    return {frozenset({"rcca", "lcca"}): CAROTID_TRUNK, frozenset({"rsa", "lsa"}): SUBCLAVIAN_TRUNK}.get(
-        frozenset(names), "bca"
-    )
+    trunks = (({"rcca", "lcca"}, CAROTID_TRUNK), ({"rsa", "lsa"}, SUBCLAVIAN_TRUNK), ({"lcca", "lsa"}, LEFT_TRUNK))
+    return next((trunk for of, trunk in trunks if names == of), "bca")
 
 
 def _number_others(aorta: RoughVessel, names: dict[int, str]) -> list[str]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.arches.subtrees import RIGHT, Subtree, choices
 
-CAROTID_TRUNK, SUBCLAVIAN_TRUNK = "carotid_trunk", "subclavian_trunk"
+CAROTID_TRUNK, SUBCLAVIAN_TRUNK, LEFT_TRUNK = "carotid_trunk", "subclavian_trunk", "left_trunk"
 _FROM_RIGHT = {"rsa": 0.0, RIGHT: 0.5, "rcca": 1.0, "lcca": 2.0, "vertebral_left": 2.5, "lsa": 3.0}
 _CAROTIDS, _SUBCLAVIANS = ("rcca", "lcca"), ("rsa", "lsa")
 
@@ -37,6 +37,8 @@ _TYPES: tuple[tuple[tuple[tuple[str, ...], ...], float], ...] = (
     ((("rcca", "lcca"), ("lsa",), ("rsa",)), 1.6),
     ((("rsa",), ("rcca", "lcca"), ("lsa",)), 1.5),
     ((("rcca", "lcca"), ("rsa", "lsa")), 2.0),
+    ((("rsa", "rcca"), ("lcca", "lsa")), 1.8),
+    (((RIGHT,), ("lcca", "lsa")), 1.9),
     ((("rsa", "rcca"), ("lsa",)), 2.2),
     (((RIGHT,), ("lsa",)), 2.4),
     ((("rsa", "rcca"), ("lcca",)), 2.3),
@@ -46,7 +48,7 @@ _TYPES: tuple[tuple[tuple[tuple[str, ...], ...], float], ...] = (
     (((RIGHT,),), 2.5),
 )
 MIRRORED = 1.2  # what speaks against a mirror image
-_AT_ONCE = 6e-3  # m along the aorta within which the order of two take-offs is open
+_AT_ONCE, _NEARLY = 6e-3, 10e-3  # m along the aorta within which the order of two take-offs is open, or may be wrong
 _ASIDE = 12e-3  # m of difference from side to side that is a clear one
 _OF_TRUNK = 8e-3  # m to the left of a trunk's origin, between its vessels of the right and of the left side
 _TRUNK, _LATE_TRUNK = 58e-3, 75e-3  # m: longer, a brachiocephalic trunk usually, or certainly, has parted
@@ -97,7 +99,7 @@ def _orders(chosen: Sequence[Subtree]) -> Iterator[tuple[Subtree, ...]]:
     """Orders along the aorta; vessels that leave it at about one place may come in either."""
     yield tuple(chosen)
     for k in range(len(chosen) - 1):
-        if abs(chosen[k].vessel.start - chosen[k + 1].vessel.start) < _AT_ONCE:
+        if abs(chosen[k].vessel.start - chosen[k + 1].vessel.start) < _NEARLY:
             yield (*chosen[:k], chosen[k + 1], chosen[k], *chosen[k + 2 :])
 
 
@@ -169,7 +171,8 @@ def _against(order: Sequence[Subtree], groups: Sequence[tuple[str, ...]]) -> flo
         if len(group) > 1 and part.length > _LATE_TRUNK:
             loss += 1.5
     for first, second in pairwise(order):
-        loss += 0.5 * max(math.tanh((second.vessel.start - first.vessel.start) / 4e-3), 0.0)
+        apart = second.vessel.start - first.vessel.start  # positive where they come the other way round
+        loss += 0.5 * max(math.tanh(apart / 4e-3), 0.0) + (0.6 if apart > _AT_ONCE else 0.0)
     return loss
 
 

@@ -21,7 +21,8 @@ from cathsim.anatomy.vessel_names import AORTA
 
 _REACH = 3.5e-3  # m around each part within which its distance is measured
 _GAPS = (1.0e-3, 2.0e-3, 3.0e-3)  # m between parts that are bridged, the least that joins them
-_TORN_OFF = 0.05  # of the largest part: an unnamed one of this size that touches nothing is no dust
+_TORN_OFF = 0.05  # of the largest part: an unnamed one of this size that touches nothing is no dust ...
+_AS_WIDE = 0.6  # ... and one of this share of its radius besides may be a part of the aorta that is missing
 _SHORT = 0.12  # m: parts up to this length may be looked at on a finer lattice
 _ALONG = 3.5  # radii of the narrower part: a longer contact is one of two vessels side by side
 _STRANGERS = ({"lsa", "lcca"}, {"rsa", "rcca"}, {"lsa", "rcca"}, {"rsa", "lcca"}, {"rcca", "lcca"}, {"rsa", "lsa"})
@@ -62,10 +63,13 @@ def unite(parts: Sequence[Part], spacing: float, budget: Budget) -> tuple[Triang
         )
     field, low = _joined(solids)
     lost = _bridge(field, low, solids, spacing)
+    largest = max(solids, key=lambda solid: solid.volume)
     torn = [
         k
         for k in lost
-        if solids[k].name in ("", AORTA) and solids[k].volume > _TORN_OFF * max(s.volume for s in solids)
+        if solids[k].name in ("", AORTA)
+        and solids[k].volume > _TORN_OFF * largest.volume
+        and solids[k].radius > _AS_WIDE * largest.radius
     ]
     if torn:
         raise MeshRefusedError(

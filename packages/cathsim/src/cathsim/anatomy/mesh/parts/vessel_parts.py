@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.reading import SCENES, SUFFIXES, Triangles, check_file, checked_triangles, read_triangles
 from cathsim.anatomy.mesh.report import MeshRefusedError
@@ -82,7 +83,8 @@ def read_parts(path: Path) -> tuple[list[Part], int, tuple[str, ...]]:
 def pieces(mesh: Triangles) -> list[Triangles]:
     """The parts of a surface that do not hang together, by triangles that share corners; walls around walls stay one.
 
-    Small pieces are dropped where there are others.
+    Closed parts that one file holds one after the other are apart even where their corners coincide. Small pieces are
+    dropped where there are others.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -91,10 +93,11 @@ def pieces(mesh: Triangles) -> list[Triangles]:
     a, b, c = welded.faces.T
     count = len(welded.vertices)
     graph = coo_matrix((np.ones(2 * len(a)), (np.r_[a, a], np.r_[b, c])), shape=(count, count))
-    number, labels = connected_components(graph, directed=False)
-    if number == 1:
+    _, labels = connected_components(graph, directed=False)
+    runs = _closed_runs(welded.faces)
+    of_face = labels[welded.faces[:, 0]].astype(np.int64) * (int(runs.max()) + 1) + runs
+    if len(np.unique(of_face)) == 1:
         return [mesh]
-    of_face = labels[welded.faces[:, 0]]
     order = np.argsort(of_face, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(of_face[order])) + 1)
     found = []
@@ -120,6 +123,23 @@ def pieces(mesh: Triangles) -> list[Triangles]:
     if len(shells) == 1:
         return [mesh]
     return [Triangles(welded.vertices, welded.faces[np.concatenate(shell[0])]).compact() for shell in shells]
+
+
+def _closed_runs(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number (n,) of the run of each face; a run ends where all edges of the faces so far have met their second face.
+
+    Edges that never do, at openings and missing triangles, do not count.
+    """
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    of_edge = np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort((of_edge, edges[:, 1], edges[:, 0]))
+    ordered, at = edges[order], of_edge[order]
+    first = np.r_[True, (np.diff(ordered, axis=0) != 0).any(axis=1)]
+    nth = np.arange(len(at)) - np.maximum.accumulate(np.where(first, np.arange(len(at)), 0))
+    single = (nth % 2 == 0) & np.r_[first[1:], True]
+    opened = np.bincount(at, np.where(single, 0, np.where(nth % 2 == 0, 1, -1)), minlength=len(faces))
+    closed = np.cumsum(opened) == 0
+    return np.r_[0, np.cumsum(closed)[:-1]].astype(np.int64)
 
 
 def _scene(path: Path) -> list[tuple[str, Triangles]]:
