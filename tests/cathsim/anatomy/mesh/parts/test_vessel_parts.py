@@ -111,6 +111,26 @@ def test_vessels_that_touch_without_overlapping_are_united(tmp_path: Path):
     assert check_lumen(found).problems == ()
 
 
+def test_an_aorta_that_goes_on_into_narrow_iliac_arteries(vessels: dict[str, trimesh.Trimesh], tmp_path: Path):
+    tree = arch_tree(0.03)
+    iliacs = []
+    for side in (-1.0, 1.0):
+        way = np.linspace(0, 1, 101)[:, None] * np.array([side * 0.025, 0.0, -0.1])
+        points = tree.root.points[0] + [side * 0.003, 0.0, 0.008] + way
+        whole = Branch("iliac", points, np.full(101, 4.6e-3))  # narrower than the LSA
+        iliacs.append(lumen_surface(build_lumen(VesselTree((whole,)), resolution=1e-3, fillet_radius=2e-3)))
+        iliacs[-1].apply_scale(1000)
+    trimesh.util.concatenate([*vessels.values(), *iliacs]).export(tmp_path / "whole.stl")
+    found = import_mesh(tmp_path / "whole.stl", resolution=1e-3, cache_dir=tmp_path / "cache")
+    assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa", "branch_1"}
+    assert found.tree.root.length > tree.root.length + 0.07
+    report = found.imported
+    assert report is not None
+    for name in ("bca", "lcca", "lsa"):
+        place = (found.targets[name].position - np.array(report.offset)) @ np.array(report.rotation)
+        assert nearest_on_branch(tree[name], place)[2][0] < 1.5e-3, name
+
+
 def test_a_vein_beside_the_aorta_is_left_out_and_a_torn_aorta_refused(
     vessels: dict[str, trimesh.Trimesh], tmp_path: Path
 ):

@@ -20,6 +20,7 @@ _SHORT_OF = 4e-3  # m before an opening at which an end that was found otherwise
 _BESIDE = 1.6  # radii from the middle of an end: a way that leads further off leads elsewhere
 _AS_WIDE, _NEAR_TIP = 0.7, 3.0  # of the wide part's radius: what its ends have at least, how near its tips they lie
 _NARROW = 0.35  # of a wide vessel's radius: one that may be cut off for the wide one's end
+_AORTIC = 0.6  # of the wider one's radius, which the aorta's narrower end has at least
 _NARROWER = 0.7  # of a wide vessel's radius: the end of a short one beside it is not wider
 
 Array = NDArray[np.float64]
@@ -178,6 +179,10 @@ def find_vessels(cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd
         return build_vessels(ways, points, depths, others.index(last))
 
     first, last = by_radius[1], by_radius[0]
+    if ends[first].radius < _AORTIC * ends[last].radius:  # the aorta goes on into the iliac arteries
+        others = [n for n in range(len(ends)) if n != last]
+        ways = paths.ways(places[last], np.array([places[n] for n in others]))
+        first = others[int(np.argmax([(paths.depth[tuple(way.T)] ** 3).sum() for way in ways]))]
     aorta = vessels(first, last)
     if ascending_score(aorta, ends[first].radius, ends[last].radius) < 0:
         aorta = vessels(last, first)
