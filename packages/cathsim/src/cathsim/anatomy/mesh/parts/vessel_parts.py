@@ -15,6 +15,8 @@ from cathsim.anatomy.vessel_names import ACCESS, AORTA, SUPRA_AORTIC, vessel_nam
 
 _TAKEN = (AORTA, *SUPRA_AORTIC, *ACCESS, "carotid_trunk", "subclavian_trunk", "vertebral_left", "vertebral_right")
 _LEAST_PIECE = 0.04  # of the whole's longest side: a smaller piece is dust
+_LEAST_FACES = 12  # of a piece
+_OPEN = 0.1  # share of a run's edges that may have one face only
 _MOST_PIECES = 60  # more is no anatomy in parts, but a torn surface
 _SHOWN = 4  # names in a note
 
@@ -104,7 +106,7 @@ def pieces(mesh: Triangles) -> list[Triangles]:
     for group in groups:
         corners = welded.vertices[welded.faces[group]].reshape(-1, 3)
         low, high = corners.min(axis=0), corners.max(axis=0)
-        if len(group) >= 12 and (high - low).max() >= _LEAST_PIECE * mesh.extent:
+        if len(group) >= _LEAST_FACES and (high - low).max() >= _LEAST_PIECE * mesh.extent:
             found.append((group, low, high))
     if not 2 <= len(found) <= _MOST_PIECES:
         return [mesh]
@@ -128,7 +130,8 @@ def pieces(mesh: Triangles) -> list[Triangles]:
 def _closed_runs(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number (n,) of the run of each face; a run ends where all edges of the faces so far have met their second face.
 
-    Edges that never do, at openings and missing triangles, do not count.
+    Edges that never do, at openings and missing triangles, do not count. All faces are one run where one of the runs
+    is no surface by itself: fins and loose triangles belong to what they stand on.
     """
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     of_edge = np.repeat(np.arange(len(faces)), 3)
@@ -139,7 +142,13 @@ def _closed_runs(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     single = (nth % 2 == 0) & np.r_[first[1:], True]
     opened = np.bincount(at, np.where(single, 0, np.where(nth % 2 == 0, 1, -1)), minlength=len(faces))
     closed = np.cumsum(opened) == 0
-    return np.r_[0, np.cumsum(closed)[:-1]].astype(np.int64)
+    runs = np.r_[0, np.cumsum(closed)[:-1]].astype(np.int64)
+    of_run = np.unique(np.column_stack([runs[at], ordered]), axis=0, return_counts=True)
+    odd = np.bincount(of_run[0][:, 0], of_run[1] % 2)
+    size = np.bincount(runs)
+    if (odd > _OPEN * 1.5 * size)[size >= _LEAST_FACES].any():
+        return np.zeros(len(faces), dtype=np.int64)
+    return runs
 
 
 def _scene(path: Path) -> list[tuple[str, Triangles]]:
