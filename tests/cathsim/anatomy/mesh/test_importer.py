@@ -252,7 +252,7 @@ def test_a_vessel_torn_in_two_is_refused(phantom: Phantom, tmp_path: Path):
     height = mesh.triangles_center[:, 2]
     torn = trimesh.Trimesh(mesh.vertices, mesh.faces[(height < -0.01) | (height > 0.015)], process=False)
     torn.export(tmp_path / "torn.stl")
-    with pytest.raises(MeshRefusedError, match="the lumen falls into 2 parts"):
+    with pytest.raises(MeshRefusedError, match="the lumen falls into 3 parts"):
         import_mesh(tmp_path / "torn.stl", resolution=COARSE, cache_dir=tmp_path)
 
 

@@ -64,14 +64,8 @@ def unite(parts: Sequence[Part], spacing: float, budget: Budget) -> tuple[Triang
     field, low = _joined(solids)
     lost = _bridge(field, low, solids, spacing)
     largest = max(solids, key=lambda solid: solid.volume)
-    torn = [
-        k
-        for k in lost
-        if solids[k].name in ("", AORTA)
-        and solids[k].volume > _TORN_OFF * largest.volume
-        and solids[k].radius > _AS_WIDE * largest.radius
-    ]
-    if torn:
+    torn = [k for k in lost if solids[k].name in ("", AORTA) and solids[k].volume > _TORN_OFF * largest.volume]
+    if any(solids[k].radius > _AS_WIDE * largest.radius for k in torn):
         raise MeshRefusedError(
             f"the lumen falls into {len(torn) + 1} parts that do not hang together; join them, or give one of them."
         )
