@@ -32,8 +32,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -47,6 +45,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from benchmarks.anatomy.fault_cases import (
+    BLOCKED,
+    CORNERS,
+    LEAST_RADIUS,
+    NEAR,
+    add_arguments,
+    arches,
+    chosen_faults,
+    run_cases,
+)
 from cathsim.anatomy import MeshRefusedError, import_anatomy, load_phantom
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
@@ -55,10 +63,6 @@ from cathsim.anatomy.volume.rasterising import rasterise, save_nifti
 SPACING = (0.8e-3, 0.8e-3, 1.5e-3)  # m
 VEIN = 250  # a label without a name
 FEW = 300  # voxels (of 1 mm^3 about): a vessel of which less is left need not be found
-BLOCKED = 0.01  # share of places at half of the aorta's radius and a quarter of others'
-CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3) / np.sqrt(3)  # of a cube, on a unit ball
-NEAR = 3e-3  # m from the true centreline
-LEAST_RADIUS = 6e-4  # m
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.uint8]
@@ -322,35 +326,13 @@ def run_case(source: str, fault: str, seed: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("path", nargs="?", help="a NIfTI file of TotalSegmentator's labels, instead of arches")
-    parser.add_argument("--arches", type=int, default=3)
-    parser.add_argument("--first", type=int, default=2000, help="seed of the first arch")
-    parser.add_argument("--faults", default=",".join(FAULTS), help="some of them, with commas between")
-    parser.add_argument("--seed", type=int, default=0, help="of what is random in a fault")
-    parser.add_argument("--one", help=argparse.SUPPRESS)
+    add_arguments(parser, FAULTS, first=2000)
     options = parser.parse_args()
-    faults = options.faults.split(",")
-    if unknown := set(faults) - set(FAULTS):
-        parser.error(f"no fault {', '.join(sorted(unknown))}; there are {', '.join(FAULTS)}.")
+    faults = chosen_faults(parser, options, FAULTS)
     if options.one:
         print(json.dumps(run_case(options.one, faults[0], options.seed)))
         return
-    sources = [options.path] if options.path else [str(options.first + k) for k in range(options.arches)]
-    rows: dict[str, dict[str, Any]] = {}
-    for fault in faults:
-        for source in sources:
-            command = [sys.executable, __file__, "--one", source, "--faults", fault, "--seed", str(options.seed)]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if done.returncode:
-                last = (done.stderr.strip().splitlines() or ["no output"])[-1]
-                row: dict[str, Any] = {"right": False, "problems": [f"failed: {last}"], "notes": []}
-            else:
-                row = json.loads(done.stdout.strip().splitlines()[-1])
-            rows[f"{fault}, {Path(source).name}"] = row
-            print(f"{fault:14s}{Path(source).name:24s}{'right' if row['right'] else 'WRONG'}", flush=True)
-            for line in row["problems"]:
-                print(f"    {line}", flush=True)
-    right = sum(row["right"] for row in rows.values())
-    print(json.dumps({"rows": rows, "right": right, "tried": len(rows)}))
+    run_cases(__file__, faults, [options.path] if options.path else arches(options), ["--seed", str(options.seed)])
 
 
 if __name__ == "__main__":

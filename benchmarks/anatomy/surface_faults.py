@@ -47,8 +47,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -59,15 +57,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.anatomy.drawn_faults import FAULTS, Drawn, draw
+from benchmarks.anatomy.fault_cases import (
+    BLOCKED,
+    CORNERS,
+    LEAST_RADIUS,
+    NEAR,
+    add_arguments,
+    arches,
+    chosen_faults,
+    run_cases,
+)
 from cathsim.anatomy import MeshRefusedError, import_anatomy, load_phantom
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 
 LEFT = 12e-3  # m: a vessel of which less is left need not be found
-BLOCKED = 0.01  # share of places at half of the aorta's radius and a quarter of others'
-CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3) / np.sqrt(3)  # of a cube, on a unit ball
-NEAR = 3e-3  # m from the true centreline
-LEAST_RADIUS = 6e-4  # m
 ARTERIES = {"bca", "rsa", "rcca", "lcca", "lsa", "carotid_trunk", "subclavian_trunk"}
 UNSURE = ("names are unsure", "mirror", "not found", "left out")
 
@@ -144,37 +148,15 @@ def run_case(seed: int, fault: str, random_seed: int, keep: Path | None) -> dict
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--arches", type=int, default=3)
-    parser.add_argument("--first", type=int, default=3000, help="seed of the first arch")
-    parser.add_argument("--faults", default=",".join(FAULTS), help="some of them, with commas between")
-    parser.add_argument("--seed", type=int, default=0, help="of what is random in a fault")
+    add_arguments(parser, FAULTS, first=3000)
     parser.add_argument("--keep", type=Path, help="a folder that keeps the surfaces")
-    parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    faults = options.faults.split(",")
-    if unknown := set(faults) - set(FAULTS):
-        parser.error(f"no fault {', '.join(sorted(unknown))}; there are {', '.join(FAULTS)}.")
-    if options.one is not None:
-        print(json.dumps(run_case(options.one, faults[0], options.seed, options.keep)))
+    faults = chosen_faults(parser, options, FAULTS)
+    if options.one:
+        print(json.dumps(run_case(int(options.one), faults[0], options.seed, options.keep)))
         return
-    rows: dict[str, dict[str, Any]] = {}
-    for fault in faults:
-        for source in range(options.first, options.first + options.arches):
-            command = [sys.executable, __file__, "--one", str(source), "--faults", fault, "--seed", str(options.seed)]
-            command += ["--keep", str(options.keep)] if options.keep else []
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if done.returncode:
-                last = (done.stderr.strip().splitlines() or ["no output"])[-1]
-                row: dict[str, Any] = {"right": False, "said": False, "problems": [f"failed: {last}"], "notes": []}
-            else:
-                row = json.loads(done.stdout.strip().splitlines()[-1])
-            rows[f"{fault}, {source}"] = row
-            outcome = "right" if row["right"] else "said" if row["said"] else "WRONG"
-            print(f"{fault:16s}{source:<8d}{outcome}", flush=True)
-            for line_ in row["problems"]:
-                print(f"    {line_}", flush=True)
-    right = sum(row["right"] for row in rows.values())
-    print(json.dumps({"rows": rows, "right": right, "tried": len(rows)}))
+    further = ["--seed", str(options.seed), *(["--keep", str(options.keep)] if options.keep else [])]
+    run_cases(__file__, faults, arches(options), further)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Pace of a machine: the seconds that it takes for a small workload of what stages spend their time with.
+"""Pace of a machine: the processor seconds that it takes for a small workload of what stages spend their time with.
+
+Processor time and not wall time: what else runs at that moment need not run as long as a chain does.
 
 ``python -m pipeline.chain.pace`` prints them; minutes of a budget are of a machine whose seconds are known
 (`conf/budget`), and become those of this one by their ratio.
@@ -21,7 +23,7 @@ _TRAINING_STEPS, _SIMULATION_STEPS, _LINKS = 8, 600, 80
 
 
 def machine_seconds() -> float | None:
-    """Wall seconds of the workload with both cores at work, twice as many on one; None where it cannot be measured."""
+    """Processor seconds of the workload with both cores at work, twice as many on one; None where it fails."""
     count = min(available_workers(), CORES)
     command = [sys.executable, "-m", "pipeline.chain.pace", "--alone"]
     environment = os.environ | ONE_THREAD
@@ -44,7 +46,7 @@ def machine_seconds() -> float | None:
 
 
 def alone() -> float:
-    """Wall seconds of the workload in this process."""
+    """Processor seconds of the workload in this process."""
     import mujoco
 
     training = _training_step()
@@ -53,12 +55,12 @@ def alone() -> float:
     training()  # the first makes what later ones use
     seconds = []
     for _ in range(_PARTS):
-        began = time.perf_counter()
+        began = time.process_time()
         for _ in range(_TRAINING_STEPS):
             training()
         mujoco.mj_resetData(model, data)
         mujoco.mj_step(model, data, _SIMULATION_STEPS)
-        seconds.append(time.perf_counter() - began)
+        seconds.append(time.process_time() - began)
     return sorted(seconds)[_PARTS // 2]
 
 

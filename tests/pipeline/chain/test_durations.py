@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
-from pipeline.chain import durations
+from pipeline.chain import durations, pace
 from pipeline.chain.durations import known_minutes, minutes_here, minutes_left, worded
 from pipeline.chain.pace import machine_seconds
 from pipeline.config import BUDGETS
@@ -29,8 +31,8 @@ def test_minutes_are_those_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> N
     known = known_minutes(["budget=desk"])
     reference = durations.of_budget("desk")["machine_seconds"]
     monkeypatch.setattr(durations, "machine_seconds", lambda: 1.5 * reference)
-    here, pace = minutes_here(available_stages(), ["budget=desk"])
-    assert pace == pytest.approx(1.5)
+    here, ratio = minutes_here(available_stages(), ["budget=desk"])
+    assert ratio == pytest.approx(1.5)
     assert here == pytest.approx({name: 1.5 * minutes for name, minutes in known.items()})
     monkeypatch.setattr(durations, "machine_seconds", lambda: None)  # it could not be measured
     assert minutes_here(available_stages(), ["budget=desk"]) == (known, 1.0)
@@ -47,6 +49,12 @@ def test_the_machine_is_measured() -> None:
     seconds = machine_seconds()
     assert seconds is not None
     assert 0.05 < seconds < 60
+
+
+def test_time_that_the_workload_waits_for_others_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pace, "_training_step", lambda: lambda: time.sleep(0.05))
+    monkeypatch.setattr("mujoco.mj_step", lambda *_: None)
+    assert pace.alone() < 0.05 * pace._TRAINING_STEPS / 2
 
 
 def test_what_stages_under_way_have_done_is_not_left() -> None:

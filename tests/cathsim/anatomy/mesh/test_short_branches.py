@@ -13,7 +13,7 @@ from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.surface import lumen_surface
 from cathsim.anatomy.vessel_tree import nearest_on_branch
-from tests.cathsim.anatomy.generator.drawn_arch import BOW, LIMB, arch_mesh, arch_tree
+from tests.cathsim.anatomy.generator.drawn_arch import BOW, LIMB, WIDTH, arch_mesh, arch_tree
 
 REAL = Path(__file__).resolve().parents[5] / "shared" / "real" / "aortas"
 COARSE = 2e-3
@@ -41,6 +41,27 @@ def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
         _, _, aside = nearest_on_branch(drawn[name], _in_file(found, target))
         assert aside[0] < 1.5e-3, name
     assert check_lumen(found).problems == ()
+
+
+@pytest.mark.parametrize(("across", "width"), [(-0.026, 6e-3), (-0.032, 7.5e-3)])
+def test_a_wide_branch_that_is_cut_soon_after_it_leaves_the_ascending_limb_is_the_first(
+    across: float, width: float, tmp_path: Path
+):
+    tree = arch_tree(0.03)
+    aorta = tree.root
+    top = int(aorta.points[:, 2].argmax())
+    place = top + int(np.abs(aorta.points[top:, 0] - across).argmin())
+    aslant = np.array([-1.0, -0.5, 0.5]) / np.linalg.norm([-1.0, -0.5, 0.5])
+    points = aorta.points[place] + np.linspace(0, WIDTH + 0.012, 41)[:, None] * aslant
+    bca = Branch("bca", points, np.full(41, width), "aorta", float(aorta.arc[place]))
+    drawn = VesselTree((*(branch for branch in tree if branch.name != "bca"), bca))
+    mesh = lumen_surface(build_lumen(drawn, resolution=1e-3, fillet_radius=1e-3))
+    mesh.apply_scale(1000)
+    mesh.export(tmp_path / "stump.stl")
+    found = import_mesh(tmp_path / "stump.stl", resolution=COARSE, cache_dir=tmp_path)
+    assert found.tree.names == ("aorta", "bca", "lcca", "lsa")
+    _, _, aside = nearest_on_branch(bca, _in_file(found, found.targets["bca"].position))
+    assert aside[0] < 2e-3
 
 
 def _with_coronaries(above: float) -> VesselTree:

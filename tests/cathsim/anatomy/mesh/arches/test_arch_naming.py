@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cathsim.anatomy import Branch, VesselTree
+from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.random_arch import sample_parameters
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
@@ -160,6 +161,25 @@ def test_left_vessels_of_one_origin_are_named(mouth: float, trunk: str | None):
     for name in ("rsa", "rcca", "lcca", "lsa"):
         assert ends[made[name].end] == name
     assert trunks - {"bca"} == ({trunk} if trunk else set())
+
+
+def test_a_trunk_is_as_long_as_what_stands_out_of_the_aorta():
+    """The way of a wide trunk parts from the aorta's long before it leaves the aorta's lumen."""
+    for seed in range(8):
+        made = rough_vessels(build_arch(sample_parameters(np.random.default_rng(seed))), np.eye(3))
+        aorta, trunk = made["aorta"], made["bca"]
+        if trunk not in aorta.children or made["rsa"] not in trunk.children:
+            continue
+        stop = int(np.searchsorted(arc_length(aorta.points), trunk.start))
+        before = slice(max(stop - 25, 0), stop)
+        aside = np.array([0.0, 0.3, 0.0]) * aorta.depth[before, None]
+        trunk.start = float(arc_length(aorta.points)[before.start])
+        trunk.points = np.concatenate([aorta.points[before] + aside, trunk.points])
+        trunk.depth = np.concatenate([0.7 * aorta.depth[before], trunk.depth])
+        for child in trunk.children:
+            child.start = trunk.length
+        ends, _, _ = found_names(aorta)
+        assert {made[name].end: name for name in ("rsa", "rcca", "lcca", "lsa")}.items() <= ends.items(), seed
 
 
 def test_branches_that_are_cut_short_are_named_by_their_order():

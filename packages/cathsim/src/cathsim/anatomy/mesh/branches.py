@@ -14,6 +14,7 @@ _SAME_FORK = 6e-3  # m: forks nearer to each other than this are one
 _APART = 0.9  # of the wider's radius between two ways: where they have been nearer, they run in one lumen
 _OWN_TAKE_OFF = 1.3  # of the wider's radius above the aorta's wall: where two lumens part below, each has its own
 _SHORT_TRUNK = 0.4  # of its radius: a trunk that parts so near to the aorta is none
+_LONG_WITHIN = 3.0  # of the aorta's radius there, that a branch's way may run within its lumen
 _ONE_LUMEN = 0.8  # of the wider's radius: ways nearer to each other than this run in one lumen
 
 Array = NDArray[np.float64]
@@ -30,6 +31,7 @@ class RoughVessel:
     children: list[RoughVessel] = field(default_factory=list)  # vessels that leave it, in the order in which they do
     start: float = 0.0  # m along the parent's points at which it leaves them
     from_fork: bool = False  # whether it goes on from the parent's last point
+    clear: int = 0  # its first point that was seen to lie outside the parent's lumen; 0: nobody has looked
 
     @property
     def ends(self) -> list[int]:
@@ -63,7 +65,7 @@ class RoughVessel:
         if self.from_fork:
             return 0
         shrinking = np.flatnonzero(arc_length(self.points) >= self.depth[0])
-        return int(shrinking[0]) if len(shrinking) else len(self.points) - 1
+        return max(int(shrinking[0]) if len(shrinking) else len(self.points) - 1, self.clear)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +170,7 @@ def build_vessels(ways: Sequence[Voxels], points: Sequence[Array], depths: Seque
     _join_common_origins(aorta)
     _part_short_trunks(aorta)
     _move_forks(aorta)
+    _lead_out(aorta)
     return aorta
 
 
@@ -237,7 +240,7 @@ def parted(trunk: RoughVessel) -> list[RoughVessel]:
 
 def _part_at_once(daughters: Sequence[RoughVessel], trunk: RoughVessel, aorta: RoughVessel) -> bool:
     """Whether all lumens that a trunk parts into are apart from each other right above the aorta's wall."""
-    radius = float(trunk.depth[_leaving(trunk, aorta)])
+    radius = float(trunk.depth[leaving(trunk, aorta)])
     widest = max(daughters, key=lambda daughter: daughter.radius)
     for daughter in daughters:
         apart = next((point for point in daughter.points if _beside(widest, point) > 0), None)
@@ -256,7 +259,7 @@ def _join_common_origins(aorta: RoughVessel) -> None:
         for wide in by_width[:number]:
             if wide not in aorta.children:
                 continue
-            here, there = _leaving(narrow, aorta), _leaving(wide, aorta)
+            here, there = leaving(narrow, aorta), leaving(wide, aorta)
             gap = float(np.linalg.norm(narrow.points[here] - wide.points[there]))
             if gap < _ONE_LUMEN * max(narrow.depth[here], wide.depth[there]):
                 if _take_off_by_itself(narrow, wide, aorta):
@@ -279,16 +282,35 @@ def _take_off_by_itself(narrow: RoughVessel, wide: RoughVessel, aorta: RoughVess
     if here is None:
         return False
     place = narrow.points[here]
-    if _beside(aorta, place) > _OWN_TAKE_OFF * wide.depth[_leaving(wide, aorta)]:
+    if _beside(aorta, place) > _OWN_TAKE_OFF * wide.depth[leaving(wide, aorta)]:
         return False
+    _lead_straight(narrow, here, aorta)
+    return True
+
+
+def _lead_straight(vessel: RoughVessel, here: int, aorta: RoughVessel) -> None:
+    """Lets a vessel leave the aorta on the straight line to one of its points, and be that point's from there on."""
+    place = vessel.points[here]
     foot = int(np.argmin(np.linalg.norm(aorta.points - place, axis=1)))
     share = np.linspace(0.0, 1.0, max(int(np.linalg.norm(place - aorta.points[foot]) / 1e-3), 2), endpoint=False)
     back = aorta.points[foot] + share[:, None] * (place - aorta.points[foot])
-    depths = aorta.depth[foot] + share * (narrow.depth[here] - aorta.depth[foot])
-    narrow.points = np.concatenate([back, narrow.points[here:]])
-    narrow.depth = np.concatenate([depths, narrow.depth[here:]])
-    narrow.start = float(arc_length(aorta.points)[foot])
-    return True
+    depths = aorta.depth[foot] + share * (vessel.depth[here] - aorta.depth[foot])
+    shorter = float(arc_length(vessel.points)[here]) - float(np.linalg.norm(place - aorta.points[foot]))
+    vessel.points = np.concatenate([back, vessel.points[here:]])
+    vessel.depth = np.concatenate([depths, vessel.depth[here:]])
+    vessel.start = float(arc_length(aorta.points)[foot])
+    for child in vessel.children:
+        child.start = max(child.start - shorter, 0.0)
+
+
+def _lead_out(aorta: RoughVessel) -> None:
+    """Corrects ways that part from the aorta's long before they leave its lumen, as those of wide short branches do."""
+    for child in aorta.children:
+        here = leaving(child, aorta)
+        foot = int(np.argmin(np.linalg.norm(aorta.points - child.points[here], axis=1)))
+        if here < len(child.points) - 2 and arc_length(child.points)[here] > _LONG_WITHIN * aorta.depth[foot]:
+            _lead_straight(child, here, aorta)
+    aorta.children.sort(key=lambda child: child.start)
 
 
 def _beside(vessel: RoughVessel, point: Array) -> float:
@@ -298,7 +320,7 @@ def _beside(vessel: RoughVessel, point: Array) -> float:
     return float(distance[nearest] - vessel.depth[nearest])
 
 
-def _leaving(vessel: RoughVessel, parent: RoughVessel) -> int:
+def leaving(vessel: RoughVessel, parent: RoughVessel) -> int:
     """First point of a vessel outside its parent's lumen."""
     return next((i for i, point in enumerate(vessel.points) if _beside(parent, point) > 0), len(vessel.points) - 1)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ _SURROUNDED = 0.94  # share of rays across the vessel that must meet its wall
 _LOOSELY = (0.8, 0.65)  # shares that do where no place has that: a rim aslant, a torn wall
 _REACH = 2.2  # radii within which they must
 _PLATEAU = 0.75  # of the largest depth a little further in, at which a vessel counts as having its full width
+_FOLLOWED = 2.5  # voxels of radius below which a vessel is too narrow to be followed
 _CLOSING = 0.4  # of the usual reach: where the wall comes nearer than this, it closes the vessel
 _LOOK_BACK = 6e-3  # m, and two radii: how far further in that is
 _CENTRING = 6  # steps to the middle of the first plane
@@ -47,8 +48,11 @@ class VesselEnd:
     way: Array  # (n, 3) m, the way from the vessel's inside to the centre, at even steps
 
 
+Refusal = Callable[[VesselEnd], bool]
+
+
 def find_end(
-    cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array, others: Sequence[VesselEnd] = ()
+    cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array, refused: Refusal | None = None
 ) -> VesselEnd | None:
     """Follows a vessel to its end; None where its wall surrounds it nowhere.
 
@@ -56,10 +60,10 @@ def find_end(
         wall: (nx, ny, nz) the wall's voxels, thickened so that no ray slips through.
         way: (n, 3) m along the vessel's middle, to somewhere at its end.
         depth: (n,) m, distance to the wall along it.
-        others: ends of other vessels, which are none of this one's.
+        refused: whether an end is none of this vessel, as another vessel's.
     """
     for share in (_SURROUNDED, *_LOOSELY):
-        end = _find_end(cavity, wall, way, depth, share, others)
+        end = _find_end(cavity, wall, way, depth, share, refused)
         if end is not None:
             return end
     return _plain_end(cavity, wall, way, depth)
@@ -68,7 +72,7 @@ def find_end(
 def _plain_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
     """A cut across the way where the vessel still has its full width, if walls stand around most of it there."""
     from_end = arc_length(way[::-1])[::-1]
-    start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
+    start = _well_inside(from_end, depth, _FOLLOWED * cavity.spacing)
     radius = float(depth[start])
     near = np.flatnonzero((from_end <= 6 * radius) & (from_end >= 0.5 * radius) & (depth >= _STILL_WIDE * radius))
     step = cavity.spacing
@@ -95,33 +99,49 @@ def _find_end(
     way: Array,
     depth: Array,
     surrounded: float,
-    others: Sequence[VesselEnd],
+    refused: Refusal | None,
 ) -> VesselEnd | None:
     from_end = arc_length(way[::-1])[::-1]
-    start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
+    start = _well_inside(from_end, depth, _FOLLOWED * cavity.spacing)
     radius = float(depth[start])
     # The way bends to its corner a little before that.
     start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
     first = max(start - 4, min(start, 2))
     end = _followed(cavity, wall, way, first + int(np.argmax(depth[first : start + 1])), radius, surrounded)
-    if end is not None and _misses(end, way[-1], others) <= _NEAR:
+    if end is not None and _misses(end, way[-1], refused) <= _NEAR:
         return end
     # Where the vessel bends sharply before it ends, the sweep left it: begin further on.
     for ratio in _FURTHER:
         start = int(np.flatnonzero(from_end >= ratio * radius)[-1]) if (from_end >= ratio * radius).any() else 0
         if depth[start] >= _STILL_WIDE * radius:
             later = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
-            if later is not None and _misses(later, way[-1], others) <= _SHORT_BEYOND and _further(later, end, way[-1]):
+            if (
+                later is not None
+                and _misses(later, way[-1], refused) <= _SHORT_BEYOND
+                and _further(later, end, way[-1])
+            ):
                 return later
-    if end is not None and _misses(end, way[-1], others) <= _BEYOND * min(1.0, _FLARED * radius / end.radius):
+    if end is not None and _misses(end, way[-1], refused) <= _BEYOND * min(1.0, _FLARED * radius / end.radius):
         return end
     # A short vessel reaches its full width nowhere before it opens into a wider one, and the sweep began in that one.
     for ratio in _STARTS:
         start = int(np.flatnonzero(from_end >= ratio * depth)[-1]) if (from_end >= ratio * depth).any() else 0
         short = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
-        if short is not None and _misses(short, way[-1], others) <= _SHORT_BEYOND:
+        if short is not None and _misses(short, way[-1], refused) <= _SHORT_BEYOND:
             return short
-    return end if end is not None and _misses(end, way[-1], others) <= _FAR_BEYOND else None
+    return end if end is not None and _misses(end, way[-1], refused) <= _FAR_BEYOND else None
+
+
+def end_before(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
+    """The end of a wide vessel from which a way goes on in one too narrow to be followed; None where there is none."""
+    from_end = arc_length(way[::-1])[::-1]
+    least = _FOLLOWED * cavity.spacing
+    start = _well_inside(from_end, depth, least)
+    if len(depth) - start < 3 or np.median(depth[start + 1 :]) >= least:
+        return None
+    radius = float(depth[start])
+    earlier = max(int(np.count_nonzero(from_end > from_end[start] + radius)) - 1, 0)
+    return _followed(cavity, wall, way, earlier, radius, _SURROUNDED)
 
 
 def end_at_opening(
@@ -136,7 +156,7 @@ def end_at_opening(
         flared: the vessel is short, and widens all the way to the one that it leaves.
     """
     from_end = arc_length(way[::-1])[::-1]
-    start = _well_inside(from_end, depth, 2.5 * cavity.spacing)
+    start = _well_inside(from_end, depth, _FOLLOWED * cavity.spacing)
     radius = float(depth[start])
     if flared:  # its full width is that of the wider vessel that it leaves
         near = (from_end >= 4 * cavity.spacing) & (from_end <= 12 * cavity.spacing)
@@ -206,9 +226,9 @@ def same_end(end: VesselEnd, other: VesselEnd) -> bool:
     return gap < 0.9 * max(end.radius, other.radius) and float(end.normal @ other.normal) > 0.3
 
 
-def _misses(end: VesselEnd, tip: Array, others: Sequence[VesselEnd]) -> float:
-    """How far an end lies from where its way leads, in radii; infinite for another vessel's."""
-    return float("inf") if any(same_end(end, other) for other in others) else _gap(end, tip)
+def _misses(end: VesselEnd, tip: Array, refused: Refusal | None) -> float:
+    """How far an end lies from where its way leads, in radii; infinite for one that is refused."""
+    return float("inf") if refused is not None and refused(end) else _gap(end, tip)
 
 
 def _further(end: VesselEnd, other: VesselEnd | None, tip: Array) -> bool:

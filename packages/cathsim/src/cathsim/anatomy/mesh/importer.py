@@ -30,7 +30,7 @@ from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 
-IMPORT_VERSION = 9  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 10  # raise it whenever the same file gives another phantom
 _MEASURED = 4  # parts whose width is measured for the unit
 
 

@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import LumenPaths, Voxels
 from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels
 from cathsim.anatomy.mesh.cavity import Cavity, largest_part
-from cathsim.anatomy.mesh.ends import VesselEnd, end_at_opening, find_end, same_end, severs, straightened
+from cathsim.anatomy.mesh.ends import (
+    Refusal,
+    VesselEnd,
+    end_at_opening,
+    end_before,
+    find_end,
+    same_end,
+    severs,
+    straightened,
+)
 from cathsim.anatomy.mesh.naming import ascending_score
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
@@ -56,7 +65,7 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
         if end is not None and (others := [o for o, _ in found if same_end(end, o) and _is_beside(o, points[-1])]):
             # A short vessel beside a wide one: what was found is that one's end.
             end = end_at_opening(cavity, points, depth, openings, flared=True)
-            end = end or find_end(cavity, wall, points, depth, others)
+            end = end or find_end(cavity, wall, points, depth, _one_of(others))
             if end is not None and end.radius > _NARROWER * others[0].radius:
                 end = None
         else:
@@ -65,13 +74,21 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
                 end = open_end
         if end is None:
             lost += 1
-        elif not any(same_end(end, other) for other, _ in found):
+            end = end_before(cavity, wall, points, depth)
+        if end is not None and not any(same_end(end, other) for other, _ in found):
             found.append((end, way))
-    whole = [
-        (end, own)
-        for end, own in found
-        if not any(severs(end, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
-    ]
+    whole = []
+    for end, own in found:
+
+        def severing(other: VesselEnd, own: Voxels = own) -> bool:
+            return any(severs(other, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
+
+        kept_end: VesselEnd | None = end
+        if severing(end):  # a cut through a wide vessel, from which a short one leaves
+            kept_end = find_end(cavity, wall, paths.points(own), paths.depth[tuple(own.T)], severing)
+            kept_end = None if kept_end is None or severing(kept_end) else kept_end
+        if kept_end is not None:
+            whole.append((kept_end, own))
     hidden, kept = _hidden_ends(cavity, wall, paths, whole, voxels[0])
     ends = [*kept, *hidden]
     lost += len(found) - len(kept)
@@ -109,7 +126,7 @@ def _hidden_ends(
         if any(one.radius > _AS_WIDE * radius and _near_tip(one, place, radius) for one in known):
             continue
         (way,) = paths.ways(root, tip[None])
-        end = find_end(cavity, wall, paths.points(way), paths.depth[tuple(way.T)], known)
+        end = find_end(cavity, wall, paths.points(way), paths.depth[tuple(way.T)], _one_of(known))
         end = None if end is None else straightened(cavity, wall, end)
         if end is None or end.radius < _AS_WIDE * radius or not _near_tip(end, place, radius):
             continue
@@ -118,6 +135,10 @@ def _hidden_ends(
             hidden.append(end)
             kept = [(one, own) for one, own in kept if not any(one is other for other in cut)]
     return hidden, [end for end, _ in kept]
+
+
+def _one_of(ends: Sequence[VesselEnd]) -> Refusal:
+    return lambda end: any(same_end(end, other) for other in ends)
 
 
 def _near_tip(end: VesselEnd, tip: Array, radius: float) -> bool:

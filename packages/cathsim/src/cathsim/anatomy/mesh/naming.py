@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.entry import ENTRY_DEPTH, Entry
-from cathsim.anatomy.mesh.branches import RoughVessel
+from cathsim.anatomy.mesh.branches import RoughVessel, leaving
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.phantom import END_CLEARANCE, TARGET_DISTANCE, Target
 from cathsim.anatomy.vessel_tree import VesselTree
@@ -28,6 +28,8 @@ _BELOW_ARCH = 30e-3  # m, and 2.5 radii: how far below the arch's top a last bra
 _SIDES_APART = 10e-3  # m between the ends of both sides from which on labels show where left is
 _WIDE_SPREAD = 20e-3  # m, deviation of the ends from their middle that shows the side well
 _MAIN = 0.4  # of the widest branch's radius: narrower ones are none to head and arms
+_DOWNWARD = 2e-3  # m: a vessel whose end lies further below its ostium goes downward
+_USUAL = 3  # branches that an arch usually has
 _LEAST = 3e-3  # m beyond the ostium: nearer than this a place is no target
 
 Array = NDArray[np.float64]
@@ -113,18 +115,25 @@ def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVess
     height = aorta.points @ up
     arc = arc_length(aorta.points)
     top = int(np.argmax(height))
-    found = []
+    found, low = [], []
     for child in aorta.children:
         at = int(np.argmin(np.abs(arc - child.start)))
         radius = float(aorta.depth[at])
-        highest = max(float((one.points @ up).max()) for one in _all_of(child))  # an arm's artery goes down again
-        if highest < max(height[at] + 0.7 * radius, height[top] - radius):
-            continue
         below = float(height[top] - height[at])
         limb = float(height[top] - (height[-1] if at > top else height[0]))
         if below > (0.75 * limb if at > top else 2.5 * radius + _BELOW_ARCH):
             continue  # a coronary artery, or one of the descending aorta
-        found.append(child)
+        highest = max(float((one.points @ up).max()) for one in _all_of(child))  # an arm's artery goes down again
+        ostium = child.points[leaving(child, aorta)]  # the way of a wide branch parts from the aorta's long before
+        beside = float(height[np.argmin(np.linalg.norm(aorta.points - ostium, axis=1))])
+        if highest >= max(min(height[at], beside) + 0.7 * radius, height[top] - radius):
+            found.append(child)
+        elif (child.tip - ostium) @ up > -_DOWNWARD:
+            low.append(child)
+    if 0 < len(found) < _USUAL:  # a wide vessel that is cut soon after it leaves a limb of the arch aslant
+        widest = max(child.radius for child in found)
+        found += [child for child in low if child.radius > _MAIN * widest]
+        found.sort(key=lambda child: child.start)
     return found or [child for child in aorta.children if (child.tip - child.points[0]) @ up > 0]
 
 

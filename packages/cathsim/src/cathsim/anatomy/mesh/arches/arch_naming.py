@@ -17,7 +17,7 @@ from cathsim.anatomy.mesh.arches.arch_types import (
     read_arch,
 )
 from cathsim.anatomy.mesh.arches.subtrees import RIGHT, Subtree, rebuilt, subtree
-from cathsim.anatomy.mesh.branches import RoughVessel, parted
+from cathsim.anatomy.mesh.branches import RoughVessel, leaving, parted
 from cathsim.anatomy.mesh.naming import arch_branches
 from cathsim.anatomy.vessel_names import AORTA
 
@@ -41,6 +41,8 @@ def name_vessels(aorta: RoughVessel, *, sides_known: bool = False) -> NamesAndNo
     """
     names = {id(aorta): AORTA}
     notes: list[str] = []
+    for child in aorta.children:  # the way of a wide branch parts from the aorta's long before it leaves its lumen
+        child.clear = min(leaving(child, aorta), len(child.points) - 2)
     parts = {id(child): subtree(child) for child in arch_branches(aorta)}
     readings = read_arch(list(parts.values()), sides_known=sides_known)
     if readings:
