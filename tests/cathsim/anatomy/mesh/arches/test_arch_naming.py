@@ -193,6 +193,21 @@ def test_branches_that_are_cut_short_are_named_by_their_order():
         assert {made[name].end: name for name in ("aorta", "bca", "lcca", "lsa")}.items() <= ends.items(), seed
 
 
+def test_of_two_branches_that_are_cut_short_the_second_is_the_left_subclavian():
+    """The left carotid artery left the trunk, beyond where it is cut."""
+    tried = 0
+    for seed in range(60):
+        tree = build_arch(sample_parameters(np.random.default_rng(seed)))
+        if tree["lcca"].parent != "bca":
+            continue
+        made = rough_vessels(tree, np.eye(3), shorter=0.015)
+        ends, _, notes = found_names(made["aorta"])
+        assert {made[name].end: name for name in ("aorta", "bca", "lsa")}.items() <= ends.items(), seed
+        assert any("lcca not found" in note for note in notes)
+        tried += 1
+    assert tried > 3
+
+
 def test_labels_name_vessels_and_show_the_sides():
     tree = build_variety_arch(VarietyArch(arch_type="I", seed=2))
     made = rough_vessels(tree, MIRROR)

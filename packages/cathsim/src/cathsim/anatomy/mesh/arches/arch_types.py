@@ -40,9 +40,10 @@ _TYPES: tuple[tuple[tuple[tuple[str, ...], ...], float], ...] = (
     ((("rsa", "rcca"), ("lcca", "lsa")), 1.8),
     (((RIGHT,), ("lcca", "lsa")), 1.9),
     ((("rsa", "rcca"), ("lsa",)), 2.2),
-    (((RIGHT,), ("lsa",)), 2.4),
+    # of two, the second is rather the last: a carotid artery out of the trunk that is cut off is more frequent
+    (((RIGHT,), ("lsa",)), 2.2),
     ((("rsa", "rcca"), ("lcca",)), 2.3),
-    (((RIGHT,), ("lcca",)), 2.2),
+    (((RIGHT,), ("lcca",)), 2.4),
     ((("rsa", "rcca", "lcca", "lsa"),), 2.5),
     ((("rsa", "rcca"),), 2.5),
     (((RIGHT,),), 2.5),
