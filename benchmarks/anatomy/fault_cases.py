@@ -18,15 +18,6 @@ NEAR = 3e-3  # m from the true centreline
 LEAST_RADIUS = 6e-4  # m
 
 
-def add_arguments(parser: argparse.ArgumentParser, faults: Collection[str], first: int) -> None:
-    """Adds what all such benchmarks are called with."""
-    parser.add_argument("--arches", type=int, default=3)
-    parser.add_argument("--first", type=int, default=first, help="seed of the first arch")
-    parser.add_argument("--faults", default=",".join(faults), help="some of them, with commas between")
-    parser.add_argument("--seed", type=int, default=0, help="of what is random in a fault")
-    parser.add_argument("--one", help=argparse.SUPPRESS)
-
-
 def chosen_faults(parser: argparse.ArgumentParser, options: argparse.Namespace, faults: Collection[str]) -> list[str]:
     """The faults that are asked for; ends the program where one is unknown."""
     chosen: list[str] = options.faults.split(",")

@@ -50,7 +50,6 @@ from benchmarks.anatomy.fault_cases import (
     CORNERS,
     LEAST_RADIUS,
     NEAR,
-    add_arguments,
     arches,
     chosen_faults,
     run_cases,
@@ -326,7 +325,11 @@ def run_case(source: str, fault: str, seed: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("path", nargs="?", help="a NIfTI file of TotalSegmentator's labels, instead of arches")
-    add_arguments(parser, FAULTS, first=2000)
+    parser.add_argument("--arches", type=int, default=3)
+    parser.add_argument("--first", type=int, default=2000, help="seed of the first arch")
+    parser.add_argument("--faults", default=",".join(FAULTS), help="some of them, with commas between")
+    parser.add_argument("--seed", type=int, default=0, help="of what is random in a fault")
+    parser.add_argument("--one", help=argparse.SUPPRESS)
     options = parser.parse_args()
     faults = chosen_faults(parser, options, FAULTS)
     if options.one:

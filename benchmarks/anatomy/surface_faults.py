@@ -62,7 +62,6 @@ from benchmarks.anatomy.fault_cases import (
     CORNERS,
     LEAST_RADIUS,
     NEAR,
-    add_arguments,
     arches,
     chosen_faults,
     run_cases,
@@ -148,7 +147,11 @@ def run_case(seed: int, fault: str, random_seed: int, keep: Path | None) -> dict
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    add_arguments(parser, FAULTS, first=3000)
+    parser.add_argument("--arches", type=int, default=3)
+    parser.add_argument("--first", type=int, default=3000, help="seed of the first arch")
+    parser.add_argument("--faults", default=",".join(FAULTS), help="some of them, with commas between")
+    parser.add_argument("--seed", type=int, default=0, help="of what is random in a fault")
+    parser.add_argument("--one", help=argparse.SUPPRESS)
     parser.add_argument("--keep", type=Path, help="a folder that keeps the surfaces")
     options = parser.parse_args()
     faults = chosen_faults(parser, options, FAULTS)
