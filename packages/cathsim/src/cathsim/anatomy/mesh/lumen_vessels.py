@@ -77,18 +77,7 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
             end = end_before(cavity, wall, points, depth)
         if end is not None and not any(same_end(end, other) for other, _ in found):
             found.append((end, way))
-    whole = []
-    for end, own in found:
-
-        def severing(other: VesselEnd, own: Voxels = own) -> bool:
-            return any(severs(other, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
-
-        kept_end: VesselEnd | None = end
-        if severing(end):  # a cut through a wide vessel, from which a short one leaves
-            kept_end = find_end(cavity, wall, paths.points(own), paths.depth[tuple(own.T)], severing)
-            kept_end = None if kept_end is None or severing(kept_end) else kept_end
-        if kept_end is not None:
-            whole.append((kept_end, own))
+    whole = _whole_ends(cavity, wall, paths, found, ways)
     hidden, kept = _hidden_ends(cavity, wall, paths, whole, voxels[0])
     ends = [*kept, *hidden]
     lost += len(found) - len(kept)
@@ -103,6 +92,34 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
             "a vessel without a side branch offers no target."
         )
     return ends, (f"{lost} of {len(voxels)} ends of vessels left out: the wall does not surround them",) if lost else ()
+
+
+def _whole_ends(
+    cavity: Cavity,
+    wall: NDArray[np.bool_],
+    paths: LumenPaths,
+    found: Sequence[tuple[VesselEnd, Voxels]],
+    ways: Sequence[Voxels],
+) -> list[tuple[VesselEnd, Voxels]]:
+    """The found ends that sever no other way; of a short vessel whose cut would go through a wide one, a nearer one."""
+    whole = []
+    for end, own in found:
+
+        def severing(other: VesselEnd, own: Voxels = own) -> bool:
+            return any(severs(other, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
+
+        if not severing(end):
+            whole.append((end, own))
+            continue
+        of_others = _one_of([one for one, _ in found if one is not end])
+
+        def refused(other: VesselEnd, severing: Refusal = severing, of_others: Refusal = of_others) -> bool:
+            return severing(other) or of_others(other)
+
+        nearer = find_end(cavity, wall, paths.points(own), paths.depth[tuple(own.T)], refused)
+        if nearer is not None and not refused(nearer):
+            whole.append((nearer, own))
+    return whole
 
 
 def _hidden_ends(
