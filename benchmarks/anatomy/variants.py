@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from benchmarks.anatomy_import import SECONDS, anatomies, measure_apart
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
-from cathsim.anatomy.mesh.reading import SUFFIXES, UNITS
+from cathsim.anatomy.mesh.reading import SCENES, SUFFIXES, UNITS
 
 TORN, KEPT = 0.01, 0.1  # shares of the faces that are missing, and that are left
 QUICK = ("mirrored", "torn", "decimated")
@@ -104,7 +104,7 @@ VARIANTS = ("rotated", "mirrored", "m", "cm", "mm", "flipped", "torn", "decimate
 
 
 def write_variant(path: Path, variant: str, unit: str, folder: Path, seed: int) -> Path:
-    """Writes a variant of a surface's file: an STL, or a GLB where its parts have names.
+    """Writes a variant of a surface's file: an STL, or of a scene a GLB whose parts have their vessels' names.
 
     Args:
         unit: of the file.
@@ -112,8 +112,8 @@ def write_variant(path: Path, variant: str, unit: str, folder: Path, seed: int) 
     import trimesh
 
     generator = np.random.default_rng(seed)
-    named: dict[str, list[trimesh.Trimesh]] = {}
-    for part in read_parts(path)[0]:
+    named: dict[str, trimesh.Trimesh] = {}
+    for number, part in enumerate(read_parts(path)[0]):
         corners = part.mesh.corners
         vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         surface = vertices, index.reshape(-1, 3).astype(np.int64)
@@ -121,15 +121,14 @@ def write_variant(path: Path, variant: str, unit: str, folder: Path, seed: int) 
             surface = CHANGES[variant](surface, np.random.default_rng(seed) if variant == "rotated" else generator)
         else:
             surface = surface[0] * (UNITS[unit] / UNITS[variant]), surface[1]
-        named.setdefault(part.name, []).append(trimesh.Trimesh(*surface, process=False))
-    scene = {name: trimesh.util.concatenate(pieces) for name, pieces in named.items()}
-    if len(scene) == 1:
+        named[f"{part.name}_{number}" if part.name else str(number)] = trimesh.Trimesh(*surface, process=False)
+    if path.suffix.lower() not in SCENES:
         file = folder / f"{path.stem}_{variant}.stl"
-        next(iter(scene.values())).export(file)
+        trimesh.util.concatenate(list(named.values())).export(file)
         return file
     file = folder / f"{path.stem}_{variant}.glb"
     whole = trimesh.Scene()
-    for name, mesh in scene.items():
+    for name, mesh in named.items():
         whole.add_geometry(mesh, node_name=name, geom_name=name)
     whole.export(file)
     return file

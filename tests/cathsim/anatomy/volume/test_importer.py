@@ -136,6 +136,21 @@ def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache:
     assert check_lumen(found, required_radius=1e-3).valid
 
 
+def test_an_aorta_that_widens_soon_after_its_lower_end_keeps_that_end(tmp_path: Path, cache: Path) -> None:
+    spacing = 1.5e-3
+    x, y, z = np.meshgrid(*[spacing * np.arange(n) for n in (64, 40, 88)], indexing="ij")
+    width = np.interp(z, [30e-3, 60e-3], [13e-3, 22e-3])
+    labels = np.zeros(x.shape, dtype=np.uint8)
+    labels[(np.hypot(y - 28e-3, z - 105e-3) < 5e-3) & (x > 26e-3) & (x < 90e-3)] = 54
+    labels[(np.hypot(x - 26e-3, y - 28e-3) < width) & (z > 5e-3) & (z < 125e-3)] = 52
+    path = save_nifti(tmp_path / "scan.nii.gz", labels, np.diag([1.5, 1.5, 1.5, 1.0]))
+    phantom = import_anatomy(path, resolution=COARSE, cache_dir=cache)
+    assert phantom.imported is not None
+    voxels, lumen = phantom.imported.volumes_ml["aorta"]
+    assert lumen == pytest.approx(voxels, rel=0.03)
+    assert phantom.tree.root.length > 110e-3
+
+
 @pytest.mark.slow
 def test_first_stretches_of_vessels_in_the_aortas_label(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
     labels, affine = rasterise(phantom)

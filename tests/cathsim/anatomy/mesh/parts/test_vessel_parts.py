@@ -56,6 +56,19 @@ def test_a_folder_with_a_file_a_vessel(vessels: dict[str, trimesh.Trimesh], tmp_
     assert float(found.tree["lcca"].radius[-5]) == pytest.approx(4.0e-3, rel=0.06)
 
 
+def test_a_part_by_whose_name_no_vessel_is_found_is_noted(vessels: dict[str, trimesh.Trimesh], tmp_path: Path):
+    folder = tmp_path / "patient"
+    folder.mkdir()
+    for name, file in FILES.items():
+        vessels[name].export(folder / file)
+    within_aorta = 1e3 * arch_tree(0.03).root.points[50]
+    trimesh.creation.icosphere(3, 3.0).apply_translation(within_aorta).export(folder / "RSA.stl")
+    found = import_mesh(folder, resolution=COARSE, cache_dir=tmp_path / "cache")
+    assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa"}
+    assert found.imported is not None
+    assert "not found, though there are parts of that name: rsa" in found.imported.notes
+
+
 def test_a_scene_names_its_parts(vessels: dict[str, trimesh.Trimesh], tmp_path: Path):
     scene = trimesh.Scene()
     for name, mesh in vessels.items():

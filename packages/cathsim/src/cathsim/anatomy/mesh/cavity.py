@@ -23,6 +23,7 @@ _LEAST_SPAN = 0.4  # of the surface's diagonal, which a lumen must span
 _PART_SPAN = 0.4  # of that, from which on a piece counts as a part of the lumen that was torn off ...
 _PART_SHARE = 0.05  # ... if it has this share of its volume
 _WALL_SHARE = 0.4  # of an enclosed room's radius: if a tunnel's is larger, that room is the tunnel's wall
+_WOUND = 0.7  # turns of the surface about a place, from which on it lies within it
 _GROWN = 3  # voxels by which a tunnel is grown up to its wall
 _LEAST_RADIUS = 2.5  # voxels, of the widest ball in a lumen
 _FINE_ROOM = 4_000_000  # voxels of a room's box up to which its widest ball is measured on all of them
@@ -112,6 +113,9 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = Tr
     else:
         raise MeshRefusedError(_why_none([*enclosed, *tunnels], span, spacing, in_metres=in_metres))
     rivals = [r for r in rivals if r.radius >= _LEAST_RADIUS and r.volume >= _PART_SHARE * chosen.volume]
+    if len(rivals) > 1 and abs(_winding(chosen, samples, origin, spacing)) > _WOUND:
+        # a hollow between vessels lies outside of the surface, a part of the lumen that was torn off within it
+        rivals = [r for r in rivals if r is chosen or abs(_winding(r, samples, origin, spacing)) > 1 - _WOUND]
     if len(rivals) > 1:
         raise MeshRefusedError(
             f"the lumen falls into {len(rivals)} parts that do not hang together; join them, or give one of them."
@@ -173,6 +177,24 @@ def _rooms(mask: Mask, span: float) -> list[_Room]:
 
 def _is_lumen(room: _Room, span: float) -> bool:
     return room.span >= span and room.radius >= _LEAST_RADIUS
+
+
+def _winding(room: _Room, samples: SurfaceSamples, origin: Array, spacing: float) -> float:
+    """Solid angle of the surface about a room's middle, in whole turns: 1 or -1 within it, 0 outside of it.
+
+    Holes take little from it. (A. Jacobson et al., "Robust inside-outside segmentation using generalized winding
+    numbers", ACM Transactions on Graphics 32(4), 2013; a triangle's solid angle by A. van Oosterom and J. Strackee,
+    IEEE Transactions on Biomedical Engineering 30(2), 1983.)
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    depth = distance_transform_edt(np.pad(room.part, 1))
+    place = np.array(np.unravel_index(int(np.argmax(depth)), depth.shape)) - 1 + [s.start for s in room.box]
+    a, b, c = (samples.corners - (origin + spacing * place)).transpose(1, 0, 2)
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    below = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+    return float(np.arctan2(volume, below).sum()) / (2 * math.pi)
 
 
 def _surrounds(outer: _Room, inner: _Room, shape: tuple[int, ...]) -> bool:

@@ -28,9 +28,10 @@ from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, conten
 from cathsim.anatomy.mesh.surface_import import Names, SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
-from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
+from cathsim.anatomy.pictures.import_picture import vessels_named, with_picture_of_doubts
+from cathsim.anatomy.vessel_names import ACCESS, AORTA
 
-IMPORT_VERSION = 10  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 11  # raise it whenever the same file gives another phantom
 _MEASURED = 4  # parts whose width is measured for the unit
 
 
@@ -109,7 +110,7 @@ def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resol
             spacing = lattice_spacing(size.width * scale, sides, resolution, budget, chosen)
             mesh, label_of, united = unite(parts, spacing, budget)
             notes += united
-        return phantom_of_surface(
+        phantom = phantom_of_surface(
             mesh,
             SurfaceFacts(path.name, chosen, reason, faces, scale, notes, size.width * scale),
             name=path.stem,
@@ -119,6 +120,7 @@ def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resol
             names=names_of(names),
             picture=picture,
         )
+        return _with_note_of_lost_parts(phantom, {part.name for part in parts} - {"", *ACCESS})
     except MeshRefusedError as error:
         shown = error.picture
         if shown is None:
@@ -126,6 +128,18 @@ def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resol
             shown = draw_refusal(surface, np.zeros((0, 3)), f"{path.name}: {error.reason}", picture)
         reason = error.reason if unit is None else _with_unit_hint(error.reason, parts, unit)
         raise MeshRefusedError(reason, shown) from None
+
+
+def _with_note_of_lost_parts(phantom: Phantom, given: set[str]) -> Phantom:
+    """The phantom, with a note on vessels of which there are parts (by name), but which neither it nor a note has."""
+    report = phantom.imported
+    assert report is not None
+    lost = sorted(given - {AORTA, *report.automatic_names})
+    lost = [name for name in lost if not any(vessels_named(note, (name,)) for note in report.notes)]
+    if not lost:
+        return phantom
+    note = f"not found, though there are parts of that name: {', '.join(lost)}"
+    return replace(phantom, imported=replace(report, notes=(*report.notes, note)))
 
 
 def _measured(parts: Sequence[Part]) -> Size:
