@@ -19,8 +19,8 @@ def open_pipe(radius: float, length: float, aside: float) -> np.ndarray:
 
 
 def test_a_bore_outside_of_the_surface_is_no_part_of_the_lumen():
-    bore = trimesh.creation.annulus(6e-3, 8e-3, 50e-3, sections=48).triangles + [25e-3, 0.0, 0.0]
-    surface = np.concatenate([open_pipe(10e-3, 100e-3, 0.0), bore])
+    bore = trimesh.creation.annulus(6e-3, 8e-3, 50e-3, sections=48).apply_translation([25e-3, 0.0, 0.0])
+    surface = np.concatenate([open_pipe(10e-3, 100e-3, 0.0), bore.triangles])
     for corners in (surface, surface[:, ::-1]):  # normals outwards and inwards
         cavity = find_cavity(sample_surface(corners, 0.7 * SPACING), SPACING)
         assert cavity.kind == "tunnel"

@@ -111,3 +111,14 @@ def test_nothing_is_led_on_over_a_long_gap_or_if_the_vessel_is_too_narrow() -> N
         ours, theirs = (np.argwhere(box == number) * SPACING for number in (LCCA, AORTA))
         assert led_on(box, LCCA, ours, theirs, SPACING, least) is None
         np.testing.assert_array_equal(box, before)
+
+
+def test_a_gap_in_a_wide_vessel_is_closed_over_its_whole_section() -> None:
+    x, y, z = np.meshgrid(*[np.arange(n) for n in (30, 30, 70)], indexing="ij")
+    aside = np.hypot(x - 15, y - 15)
+    box = np.where(aside < 9, np.uint8(AORTA), np.uint8(0))
+    width = 3 + 0.15 * (x - 6)  # narrowest on one side
+    box[np.abs(z - 35) < width / 2] = 0
+    notes = clean_parts(box, NAMES, SPACING)
+    assert any("in aorta is closed" in note for note in notes)
+    assert (box[(aside < 6) & (np.abs(z - 35) < 20)] == AORTA).mean() > 0.99

@@ -191,14 +191,19 @@ def bridge(
     """Fills the gap between two clouds of voxels (n, 3) m with a tube; returns its length, None if that is too long."""
     from scipy.spatial import cKDTree
 
-    away, nearest = cKDTree(theirs).query(ours, distance_upper_bound=reach + float(spacing.max()))
+    bound = reach + max(_NEAR_GAP, float(spacing.max()))
+    away, nearest = cKDTree(theirs).query(ours, distance_upper_bound=bound)
     best = int(np.argmin(away))
     gap = float(away[best])
     if not gap <= reach + float(spacing.max()):
         return None
+    near = gap + _NEAR_GAP
+    back = cKDTree(ours).query(theirs, distance_upper_bound=near)[0]
+    # whole sections, of which balls of that size about the nearest two voxels would hold one side only
+    about = near + 2 * min(_usual_radius(ours, spacing), _usual_radius(theirs, spacing))
     ends = []
-    for cloud, place in ((ours, theirs[nearest[best]]), (theirs, ours[best])):
-        ends.append(cloud[np.linalg.norm(cloud - place, axis=1) <= gap + _NEAR_GAP])
+    for cloud, gaps, place in ((ours, away, theirs[nearest[best]]), (theirs, back, ours[best])):
+        ends.append(cloud[(gaps <= near) & (np.linalg.norm(cloud - place, axis=1) <= about)])
     first, last = (end.mean(axis=0) for end in ends)
     # a stretch of a tube of the length 2 s and radius r holds 2 pi r^2 s
     radii = [
@@ -206,6 +211,12 @@ def bridge(
     ]
     _fill_tube(box, number, first, last, max(min(radii), float(spacing.max())), spacing)
     return gap
+
+
+def _usual_radius(cloud: Array, spacing: Array) -> float:
+    """Radius (m) of a tube as long as a cloud of voxels (n, 3) m and as large."""
+    length = float(np.linalg.norm(np.ptp(cloud, axis=0))) + float(spacing.max())
+    return float(np.sqrt(len(cloud) * np.prod(spacing) / (np.pi * length)))
 
 
 def led_on(
