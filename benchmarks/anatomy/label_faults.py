@@ -303,7 +303,10 @@ def judge(path: Path, drawn: Drawn) -> dict[str, Any]:
         if branch.name not in found.tree:
             continue
         _, arc, _ = nearest_on_branch(branch, found.tree[branch.name].points - offset)
-        at = np.linspace(max(0.1 * branch.length, arc[0]), min(0.9 * branch.length, arc[-1] - 5e-3), 100)
+        first, last = max(0.1 * branch.length, arc[0]), min(0.9 * branch.length, arc[-1] - 5e-3)
+        if last <= first:  # a stump of which no stretch is away from both ends
+            continue
+        at = np.linspace(first, last, 100)
         share = 0.5 if branch.parent is None else 0.25
         ring = share * branch.radius_at(at)[:, None, None] * CORNERS
         blocked = found.grid.sample(branch.point_at(at)[:, None] + ring + offset) <= 0

@@ -10,7 +10,7 @@ import imageio_ffmpeg
 import numpy as np
 
 from cathsim.opencv import cv2
-from cathsim.viewing.film import Film, write_gif
+from cathsim.viewing.film import Film, film_palette, write_gif
 from pipeline.demo.steering import Scene
 from pipeline.store.atomic_files import atomic_path
 
@@ -23,7 +23,7 @@ USUAL_VIEWS = ("frontal", "lateral")
 WIRE, WAY, LUMEN, TARGET = (255, 214, 10), (80, 220, 120), (90, 165, 255), (255, 92, 92)
 TRUE_WIRE = (226, 226, 236)
 _TITLE_BACK, _TITLE_INK = (24, 27, 31), (232, 236, 240)
-_GIF_SHARE, _GIF_STRIDE, _COLOURS = 0.62, 2, 64
+_GIF_SHARE, _GIF_STRIDE, _GREYS, _COLOURS = 0.62, 2, 24, 72
 _WINDOW, _LIGHTEST = (2, 98), 235.0  # percentiles of the first image's grey levels, shown as 0 and as this
 _CONSTANT_RATE_FACTOR = 21  # of libx264
 _LAST_FRAME = 15  # times that the last frame is shown
@@ -143,17 +143,14 @@ class DemoFilm(Film):
 
     def write(self, path: Path) -> None:
         """Writes the film as a small GIF: every second frame, in fewer colours."""
-        from PIL import Image
-
         frames = self._frames[::_GIF_STRIDE]
         if len(self._frames) % _GIF_STRIDE == 0:
             frames = [*frames, self._frames[-1]]
         size = [2 * round(_GIF_SHARE * side / 2) for side in frames[0].shape[1::-1]]
         small = [cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames]
-        sample = np.concatenate(small[:: max(1, len(small) // 6)])
-        colours = Image.fromarray(sample).quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE).getpalette() or []
+        palette = film_palette(small[:: max(1, len(small) // 6)], _GREYS, _COLOURS)
         with atomic_path(path) as temporary:
-            write_gif(temporary, small, colours[: 3 * _COLOURS], FRAMES_PER_SECOND / _GIF_STRIDE)
+            write_gif(temporary, small, palette, FRAMES_PER_SECOND / _GIF_STRIDE)
 
     def write_mp4(self, path: Path) -> None:
         """Writes the film as H.264, which browsers play; its last frame stays for a while."""

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cathsim import NavigateEnv
-from cathsim.viewing.film import HEIGHT_PX, Film, film_states, write_gif
+from cathsim.viewing.film import HEIGHT_PX, Film, film_palette, film_states, write_gif
 
 
 def test_a_film_has_every_second_step_and_the_last(tmp_path: Path) -> None:
@@ -54,6 +54,21 @@ def test_a_gif_keeps_the_colours_of_its_palette(tmp_path: Path) -> None:
         shown.seek(1)
         assert shown.convert("RGB").getpixel((0, 0)) == (255, 255, 255)
         assert shown.info["duration"] == 1500
+
+
+def test_grey_images_stay_grey_beside_colours(tmp_path: Path) -> None:
+    frame = np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 3, axis=2).repeat(64, axis=0)
+    frame[30:33] = (255, 214, 10)
+    frame[50:] = np.stack([np.linspace(90, 240, 256)] * 2 + [np.full(256, 60.0)], axis=1).astype(np.uint8)
+    palette = film_palette([frame], 32, 16)
+    assert len(palette) == 3 * 48
+    write_gif(tmp_path / "one.gif", [frame], palette, 10.0)
+    with Image.open(tmp_path / "one.gif") as shown:
+        found = np.asarray(shown.convert("RGB"), int)
+    assert np.ptp(found[:30], axis=2).max() == 0
+    assert np.abs(found[:30] - frame[:30]).max() <= 8  # half a step of the scale, and what Pillow rounds
+    assert np.abs(found[31] - (255, 214, 10)).max() <= 24
+    assert film_palette([frame[:30]], 4, 16) == [0] * 3 + [85] * 3 + [170] * 3 + [255] * 3
 
 
 def test_states_of_two_devices_make_a_film(tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ HEIGHT_PX = 400
 VIEW_WIDTH_PX = 300
 FRAMES_PER_SECOND = 12.5  # of playback; every second step is shown, so at 2.5 times the episode's own speed
 STRIDE = 2
-_GREYS = 112  # of the palette, for the fluoroscopy; the other colours are those of the 3-D view
+_GREYS, _COLOURS = 112, 144  # of the palette: for the fluoroscopy, and for the rest
+_GREY_RANGE = 12  # most difference of red, green and blue of what counts as grey
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -72,7 +73,8 @@ class Film:
     def write(self, path: Path) -> None:
         """Writes the film as a GIF."""
         # one palette for the whole film keeps colours from flickering
-        write_gif(path, self._frames, _palette(self._frames[:: max(1, len(self._frames) // 6)]), FRAMES_PER_SECOND)
+        palette = film_palette(self._frames[:: max(1, len(self._frames) // 6)], _GREYS, _COLOURS)
+        write_gif(path, self._frames, palette, FRAMES_PER_SECOND)
 
     def close(self) -> None:
         """Frees the renderer."""
@@ -127,15 +129,21 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], colours: Sequence[int], 
     )
 
 
-def _palette(frames: list[np.ndarray]) -> list[int]:
+def film_palette(frames: Sequence[np.ndarray], greys: int, colours: int) -> list[int]:
+    """A film's palette for `write_gif`: an even scale of greys, for X-ray images, and of the colours that are there.
+
+    Args:
+        frames: (h, w, 3) uint8 each.
+        greys, colours: how many of each, at most 256 together.
+    """
     from PIL import Image
 
-    greys = np.linspace(0, 255, _GREYS).round().astype(np.uint8)
-    colours = np.repeat(greys[:, None], 3, axis=1)
-    views = [frame[:, HEIGHT_PX:] for frame in frames if frame.shape[1] > HEIGHT_PX]
-    if views:
-        # the method that keeps rare colours, such as the target's
-        quantized = Image.fromarray(np.concatenate(views)).quantize(256 - _GREYS, method=Image.Quantize.MAXCOVERAGE)
-        seen = np.array(quantized.getpalette(), np.uint8).reshape(-1, 3)[: 256 - _GREYS]
-        colours = np.concatenate((colours, seen))
-    return colours.ravel().tolist()
+    scale = np.repeat(np.linspace(0, 255, greys).round().astype(np.uint8)[:, None], 3, axis=1)
+    pixels = np.concatenate([frame.reshape(-1, 3) for frame in frames])
+    coloured = pixels[np.ptp(pixels, axis=1) > _GREY_RANGE]
+    if len(coloured) == 0:
+        return scale.ravel().tolist()
+    # the method that keeps rare colours, such as the target's
+    quantized = Image.fromarray(coloured[None]).quantize(colours, method=Image.Quantize.MAXCOVERAGE)
+    seen = np.array(quantized.getpalette(), np.uint8).reshape(-1, 3)[:colours]
+    return np.concatenate((scale, seen)).ravel().tolist()
