@@ -58,7 +58,7 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
     longest = max(ways, key=len)
     wall = binary_dilation(cavity.wall)
     found: list[tuple[VesselEnd, Voxels]] = []
-    lost = 0
+    lost: set[tuple[int, ...]] = set()  # far ends of the ways whose vessel's end is not surrounded, or cut off
     for way in [longest[::-1], *ways]:
         points, depth = paths.points(way), paths.depth[tuple(way.T)]
         end = find_end(cavity, wall, points, depth)
@@ -73,25 +73,29 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
             if open_end is not None and (end is None or (end.centre - open_end.centre) @ open_end.normal < -_SHORT_OF):
                 end = open_end
         if end is None:
-            lost += 1
+            lost.add(_far_end(way))
             end = end_before(cavity, wall, points, depth)
         if end is not None and not any(same_end(end, other) for other, _ in found):
             found.append((end, way))
     whole = _whole_ends(cavity, wall, paths, found, ways)
     hidden, kept = _hidden_ends(cavity, wall, paths, whole, voxels[0])
     ends = [*kept, *hidden]
-    lost += len(found) - len(kept)
-    if lost > len(voxels) // 2:
+    lost |= {_far_end(way) for _, way in found} - {
+        _far_end(way) for end, way in whole if any(end is one for one in kept)
+    }
+    if len(lost) > len(voxels) // 2:
         raise MeshRefusedError(
-            f"no wall surrounds the vessel at {lost} of the lumen's {len(voxels)} ends: loose sheets or spikes stand "
-            "in it, or its wall is torn; repair the mesh, or cut it to the arch and its branches."
+            f"no wall surrounds the vessel at {len(lost)} of the lumen's {len(voxels)} ends: loose sheets or spikes "
+            "stand in it, or its wall is torn; repair the mesh, or cut it to the arch and its branches."
         )
     if len(ends) < 3:
         raise MeshRefusedError(
             f"the lumen has {len(ends)} ends, an aorta with a branch has at least three; "
             "a vessel without a side branch offers no target."
         )
-    return ends, (f"{lost} of {len(voxels)} ends of vessels left out: the wall does not surround them",) if lost else ()
+    if not lost:
+        return ends, ()
+    return ends, (f"{len(lost)} of {len(voxels)} ends of vessels left out: the wall does not surround them",)
 
 
 def _whole_ends(
@@ -152,6 +156,10 @@ def _hidden_ends(
             hidden.append(end)
             kept = [(one, own) for one, own in kept if not any(one is other for other in cut)]
     return hidden, [end for end, _ in kept]
+
+
+def _far_end(way: Voxels) -> tuple[int, ...]:
+    return tuple(int(index) for index in way[-1])
 
 
 def _one_of(ends: Sequence[VesselEnd]) -> Refusal:
