@@ -29,7 +29,8 @@ EVERYTHING: dict[Any, str] = {
     "ent_coef=0 evaluate_every=0 gradient_steps=0 learning_starts=0 stop_after=0 target_entropy=-1 target_entropy=0 "
     "cloning_weight=0 log_std_init=0",
     DESK_PPO: "reset_bank_cases=0 reset_bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 ent_coef=0 "
-    "evaluate_every=0 gae_lambda=0 learning_starts=0 stop_after=0 cloning_weight=0 log_std_init=-1 log_std_init=0",
+    "evaluate_every=0 gae_lambda=0 learning_starts=0 stop_after=0 cloning_weight=0 log_std_init=-1 log_std_init=0 "
+    "log_std_final=-1 log_std_final=0",
     NetworkSettings(): "",
     EncoderSettings(keys=("joints",), shapes=((4,),), channels=(4,)): "epochs=0 seed=0 weight_decay=0",
     EpisodeFitSettings(): "checkpoint_seconds=0 patience=0 validation_share=0 weight_decay=0",

@@ -122,7 +122,16 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     copies = (0, *training_copies(seed, settings.copies))
     starts = _laid_starts(job, copies, report)
     # without demonstrations, whose actions would be cloned, it has to explore
-    preset = replace(DESK_PPO, keys=ROADMAP_KEYS, log_std_init=0.0, cloning_weight=0.0)
+    preset = replace(
+        DESK_PPO,
+        keys=ROADMAP_KEYS,
+        learning_rate=3e-4,
+        log_std_init=0.0,
+        log_std_final=None,
+        reward_scale=1.0,
+        ent_coef=0.003,
+        cloning_weight=0.0,
+    )
     if settings.algorithm == SAC:
         preset = replace(REHEARSAL, buffer_size=max(settings.decisions, 1000))
     training = replace(

@@ -91,7 +91,9 @@ def test_an_interrupted_one_goes_on_exactly(
 
 
 def test_ppo_starts_from_a_policy(point_env: Any) -> None:
-    settings = dataclasses.replace(DESK_PPO, action_repeat=1, decisions=600, hidden=(16,), n_steps=32, evaluate_every=0)
+    settings = dataclasses.replace(
+        DESK_PPO, action_repeat=1, decisions=600, hidden=(16,), n_steps=32, log_std_final=None, evaluate_every=0
+    )
     first = Training(settings, point_env, seed=0).run().policy
     second = Training(dataclasses.replace(settings, decisions=8), point_env, seed=1, initial=first).run().policy
     for name, value in first.module.state_dict().items():

@@ -56,8 +56,9 @@ class PpoLearner:
         self._logger = Logger(None, [])
         self.model.set_logger(self._logger)
         self.policy = self.model.policy
-        with torch.no_grad():
-            self.policy.log_std.fill_(settings.log_std_init)
+        self.policy.log_std.requires_grad_(settings.log_std_final is None)
+        self._next_log_std: float | None = settings.log_std_init
+        self._set_log_std()
         self.demonstrations = demonstrations
         self.rollout = self.model.rollout_buffer
         self._generator = np.random.default_rng(seed)
@@ -129,7 +130,7 @@ class PpoLearner:
             self._first.append(observations)
             self._starts = dones.copy()
             return
-        rewards = rewards.copy()
+        rewards = self.settings.reward_scale * rewards
         for index in np.flatnonzero(dones).tolist():
             if infos[index]["TimeLimit.truncated"]:
                 last = infos[index]["terminal_observation"]
@@ -139,9 +140,11 @@ class PpoLearner:
         self.rollout.add(observations, self._action.cpu().numpy(), rewards, self._starts, self._value, self._log_prob)
         self._starts, self._latest = dones.copy(), after
 
-    def set_learning_rate(self, rate: float) -> None:
-        """Sets the learning rate."""
+    def anneal(self, done: float) -> None:
+        """Sets the learning rate for the used share of the budget, and the actions' deviation for the next roll-out."""
+        rate = self.settings.learning_rate_after(done)
         self.model.lr_schedule = lambda _: rate
+        self._next_log_std = self.settings.log_std_after(done)
 
     def update(self, *, explore: bool) -> None:
         """Updates when the roll-out is full."""
@@ -160,12 +163,20 @@ class PpoLearner:
         self._clone(CLONED_AN_UPDATE)
         self._values = {name: float(value) for name, value in self._logger.name_to_value.items()}
         self.rollout.reset()
+        self._set_log_std()
         self.policy.set_training_mode(False)
         self.updates += self.settings.epochs * -(-self.rollout.buffer_size * self.n_envs // self.model.batch_size)
 
+    def _set_log_std(self) -> None:
+        if self._next_log_std is not None:
+            with torch.no_grad():
+                self.policy.log_std.fill_(self._next_log_std)
+
     def start_from(self, weights: dict[str, torch.Tensor], further: dict[str, Any]) -> None:
-        """Takes over the whole network with its normalisation."""
+        """Takes over the whole network with its normalisation; the actions' deviation where it is learnt."""
         self.policy.load_state_dict(weights)
+        if self.settings.log_std_final is not None:
+            self._set_log_std()
 
     def further_state(self) -> dict[str, Any]:
         """Nothing beside the weights."""

@@ -185,8 +185,9 @@ class SacLearner:
                     following[index] = last
         self.replay.add(observations, following, self._scaled, rewards, dones, infos)
 
-    def set_learning_rate(self, rate: float) -> None:
-        """Sets the learning rate of actor and critic."""
+    def anneal(self, done: float) -> None:
+        """Sets the learning rate of actor and critic for the used share of the budget."""
+        rate = self.settings.learning_rate_after(done)
         for optimizer in (self.model.actor.optimizer, self.model.critic.optimizer):
             for group in optimizer.param_groups:
                 group["lr"] = rate

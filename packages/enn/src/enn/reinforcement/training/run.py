@@ -163,15 +163,10 @@ class TrainingRun:
         self.here += self.sampled.num_envs
         self.course.observe(rewards.tolist(), infos)
         clock = time.perf_counter()
-        self.learner.set_learning_rate(self._learning_rate())
+        self.learner.anneal(min(self.decisions / self.settings.decisions, 1.0))
         self.learner.update(explore=waiting)
         self.course.spent["update_s"] += time.perf_counter() - clock
         self.consistent = True
-
-    def _learning_rate(self) -> float:
-        settings = self.settings
-        done = min(self.decisions / settings.decisions, 1.0)
-        return settings.learning_rate * (1.0 - (1.0 - settings.final_learning_rate) * done)
 
     def _pause(self) -> bool:
         """What is due between decisions; whether the training is over."""

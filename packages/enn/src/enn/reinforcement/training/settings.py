@@ -15,7 +15,16 @@ _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decis
 _LEARNT_ENTROPY = re.compile(r"auto(_(?P<start>[0-9.]+(e-?[0-9]+)?))?")
 # Settings that an algorithm does not look at: another value than the default would say what is not done.
 UNUSED = {
-    "sac": ("n_steps", "epochs", "gae_lambda", "clip_range", "log_std_init", "cloning_weight"),
+    "sac": (
+        "n_steps",
+        "epochs",
+        "gae_lambda",
+        "clip_range",
+        "log_std_init",
+        "log_std_final",
+        "reward_scale",
+        "cloning_weight",
+    ),
     "ppo": (
         "critic_layer_norm",
         "gradient_steps",
@@ -62,6 +71,10 @@ class TrainingSettings(NetworkSettings):
     gae_lambda: Share = 0.95  # of PPO
     clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2  # of PPO
     log_std_init: Annotated[float, Interval(ge=-20, le=2)] = 0.0  # of PPO's actions, logarithm of their deviation
+    # at the end of the budget, to which it falls evenly: drawn actions become the best ones; None: it is learnt
+    log_std_final: Annotated[float, Interval(ge=-20, le=2)] | None = None
+    # factor on the rewards of PPO, whose value's loss, clipped together with the policy's, should not be far larger
+    reward_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
     # of the mean squared distance to the demonstrations' actions: before PPO's first roll-out, and after each update
     cloning_weight: Weight = 0.0
     reset_bank_share: Share = 0.75  # share of the resets that start from the reset bank; 0: there is none
@@ -85,6 +98,11 @@ class TrainingSettings(NetworkSettings):
         if self.algorithm == "ppo":
             if isinstance(self.ent_coef, str):
                 raise ValueError(f"PPO needs a number as ent_coef, got '{self.ent_coef}': only SAC learns it")
+            if self.log_std_final is not None and self.ent_coef:
+                raise ValueError(
+                    f"log_std_final settles the entropy of PPO's actions: leave it out, or ent_coef at 0, got "
+                    f"{self.ent_coef}"
+                )
             if self.demonstrations_in_replay:
                 raise ValueError("PPO keeps no replay buffer: leave demonstrations_in_replay at 0")
         self._refuse_unused()
@@ -136,6 +154,15 @@ class TrainingSettings(NetworkSettings):
     def with_network(self, network: NetworkSettings) -> TrainingSettings:
         """The same run of another network, such as that of a policy to start from."""
         return replace(self, **{field.name: getattr(network, field.name) for field in fields(NetworkSettings)})
+
+    def learning_rate_after(self, done: float) -> float:
+        """The learning rate when a share of the budget is used."""
+        return self.learning_rate * (1.0 - (1.0 - self.final_learning_rate) * done)
+
+    def log_std_after(self, done: float) -> float | None:
+        """The logarithm of the deviation of PPO's actions when a share of the budget is used; None: it is learnt."""
+        last = self.log_std_final
+        return None if last is None else self.log_std_init + (last - self.log_std_init) * done
 
     @property
     def learns_from_demonstrations(self) -> bool:
@@ -202,13 +229,15 @@ DESK_PPO = TrainingSettings(
     algorithm="ppo",
     activation="tanh",
     decisions=20_000,
-    learning_rate=3e-4,
+    learning_rate=1e-3,
     final_learning_rate=0.1,
     batch_size=64,
-    ent_coef=0.003,
+    ent_coef=0.0,
     n_steps=32,
     epochs=5,
     log_std_init=-1.0,
+    log_std_final=-2.5,
+    reward_scale=0.1,
     cloning_weight=1.0,
     reset_bank_share=0.5,
     evaluate_every=2500,
