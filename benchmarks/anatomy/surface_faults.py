@@ -56,7 +56,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.anatomy.drawn_faults import FAULTS, Drawn, draw
+from benchmarks.anatomy.drawn_arch import Drawn, draw
+from benchmarks.anatomy.drawn_faults import FAULTS
 from benchmarks.anatomy.fault_cases import (
     BLOCKED,
     CORNERS,
