@@ -66,6 +66,7 @@ def test_ppo_learns(point_env: Any) -> None:
         learning_rate=3e-3,
         evaluate_every=3000,
         evaluation_episodes=5,
+        stop_after=0,
     )
     result = Training(settings, point_env, None, seed=0).run()
     assert result.evaluation is not None
