@@ -88,3 +88,22 @@ def test_a_policy_to_start_from_gives_the_deviation_only_where_it_is_learnt(poin
 def test_a_deviation_that_is_settled_leaves_no_entropy_to_weigh() -> None:
     with pytest.raises(ValueError, match=r"log_std_final settles the entropy.*got 0\.01"):
         dataclasses.replace(SMALL, log_std_final=-2.5, ent_coef=0.01)
+
+
+def test_scaled_rewards_are_learnt_from_as_smaller_ones(point_env: Any) -> None:
+    class Halved(point_env):  # type: ignore[misc]
+        def step(self, action: np.ndarray) -> Any:
+            observation, reward, *rest = super().step(action)
+            return observation, 0.5 * reward, *rest
+
+    settings = dataclasses.replace(SMALL, decisions=400, n_steps=16, reset_bank_share=0.0, reward_scale=1.0)
+    weights = [
+        torch.cat([value.flatten() for value in Training(one, env, None, 1).run().policy.module.parameters()])
+        for one, env in (
+            (settings, Halved),
+            (dataclasses.replace(settings, reward_scale=0.5), point_env),
+            (settings, point_env),
+        )
+    ]
+    assert torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[0], weights[2])

@@ -39,6 +39,12 @@ def test_plan_is_the_table_of_the_thesis(tmp_path: Path) -> None:
     assert {job.encoder.name for job in jobs} == {"internal.pt", "image.pt", "sequential.pt"}
 
 
+def test_the_physics_of_training_is_ppos_own(tmp_path: Path) -> None:
+    jobs = plan(settings(accuracy="fast", ppo_accuracy="reference"), context(tmp_path, "baselines", ("expert",)))
+    physics = {(job.settings.algorithm, job.task.accuracy) for job in jobs}
+    assert physics == {("ppo", "reference"), ("sac", "fast")}
+
+
 def test_thesis_has_its_own_networks_and_actions(tmp_path: Path) -> None:
     thesis = settings(variant="thesis", task=Task(actions="tip_motors"), decisions=600_000, ppo_decisions=600_000)
     jobs = {job.origin.row: job for job in plan(thesis, context(tmp_path, "baselines", ("expert",)))}
