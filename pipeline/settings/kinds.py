@@ -87,6 +87,7 @@ RisingEpisodes = Annotated[list[Episodes], UNIQUE, RISING, NOT_EMPTY]
 EpisodesOrNone = Annotated[int, Ge(0), Le(1_000)]
 Decisions = Annotated[int, Ge(1), Le(1_000_000_000)]
 Trainings = Annotated[int, Ge(1), Le(1_000)]
+Accuracy = Annotated[str, one_of("accurate", "fast", "reference")]  # a preset of the simulator
 Units = Annotated[int, Ge(1), Le(65_536)]  # of a network's layer
 Processes = Annotated[int, Ge(0), Le(1_024)]  # beside each other; 0: one a core
 ImageSize = Annotated[int, Ge(36), Le(4_096)]  # px; the learnt encoders' convolutions need 36

@@ -13,6 +13,7 @@ from pipeline.settings.kinds import (
     NOT_EMPTY,
     RISING,
     UNIQUE,
+    Accuracy,
     Count,
     CountOrNone,
     Decisions,
@@ -42,7 +43,6 @@ _BaselineObservations = Annotated[list[Annotated[str, one_of(*BASELINE_OBSERVATI
 _StudentObservations = Annotated[list[Annotated[str, one_of("image", "mask")]], UNIQUE, NOT_EMPTY]
 _ForceInputs = Annotated[list[Annotated[str, one_of(*FORCE_INPUTS)]], UNIQUE, NOT_EMPTY]
 _Reward = Annotated[str, one_of("geodesic", "distance")]
-_Accuracy = Annotated[str, one_of("accurate", "fast", "reference")]
 _Samples = Annotated[list[Decisions], UNIQUE, RISING, NOT_EMPTY]
 _SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], UNIQUE]
 
@@ -62,7 +62,7 @@ class LearningSettings(ChosenAnatomies, DeviceSettings):
     encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
-    accuracy: _Accuracy = "accurate"  # of training; tests are accurate
+    accuracy: Accuracy = "accurate"  # of training; tests are accurate
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training
@@ -82,7 +82,7 @@ class BaselinesSettings(LearningSettings):
     algorithms: _Algorithms = field(default_factory=lambda: ["ppo", "sac"])
     observations: _BaselineObservations = field(default_factory=lambda: list(BASELINE_OBSERVATIONS))
     ppo_decisions: Decisions = 60_000  # PPO's budget; `decisions` is SAC's
-    ppo_accuracy: _Accuracy = "accurate"  # of PPO's training; `accuracy` is that of SAC's
+    ppo_accuracy: Accuracy = "accurate"  # of PPO's training; `accuracy` is that of SAC's
     path_follower: bool = True  # also the thesis's attempt to follow the planned path
 
 

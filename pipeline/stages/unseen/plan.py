@@ -60,7 +60,7 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     Returns:
         In the order in which they should start.
     """
-    task = UnseenTask(settings.learnt_targets(), settings.task, arches=settings.arches)
+    task = UnseenTask(settings.learnt_targets(), settings.task, settings.accuracy, settings.arches)
     images = [XRAY] * settings.xray + [IMAGE] * settings.image
     curve = sorted({*settings.curve, settings.anatomies}) if settings.curve else []
     most = max([settings.anatomies, *curve])

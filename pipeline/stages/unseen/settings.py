@@ -13,6 +13,7 @@ from pipeline.clutter import require_clutter_fits
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
     UNIQUE,
+    Accuracy,
     Count,
     CountOrNone,
     Decisions,
@@ -53,6 +54,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
     points: Annotated[int, Ge(1), Le(20)] = 3  # that each arch of arch_variety has as targets
     targets: FolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])  # of every policy in random arches
     own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
+    accuracy: Accuracy = "fast"  # of the physics that policies are trained in; tests are accurate
     anatomies: Count = 32  # random arches that the roadmap policy is trained on
     # of the steepest target of every arch that is trained in or chosen by, `cathsim.anatomy.measurement.take_off`;
     # 0: any arch

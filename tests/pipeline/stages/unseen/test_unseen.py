@@ -158,6 +158,17 @@ def _weights(folder: Path) -> bytes:
     return b"".join(value.numpy().tobytes() for value in state.values())
 
 
+@pytest.mark.parametrize(("accuracy", "substeps"), [("fast", 5), ("accurate", 10)])
+def test_the_physics_of_training_can_be_chosen(tmp_path: Path, accuracy: str, substeps: int) -> None:
+    jobs = {job.key: job.given for job in plan(small_settings(accuracy=accuracy), tmp_path, 0, "desk")}
+    for row in ("roadmap", "xray"):
+        environment = jobs[row].task.training_environment((1,), ("tip",))
+        assert environment.simulation.substeps == substeps
+        environment.close()
+    tested = jobs["roadmap"].task.test_environment("type_1", "lcca", "default", ("tip",))
+    assert tested.simulation.substeps == 10
+
+
 def test_with_a_catheter_both_devices_are_steered_in_training_and_tests() -> None:
     both = replace(TASK, task=replace(TASK.task, catheter="simmons2", wire_length_mm=360.0))
     for environment in (
