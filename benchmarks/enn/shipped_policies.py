@@ -10,6 +10,8 @@ the target's ostium is set back behind the top of the arch, and one JSON object 
 policy for targets set back by 13 mm or more, which the scan tells beforehand; a policy of two devices steers its own.
 With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
 anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
+With --exchange what has not arrived in its last attempt is tried as often with the devices of the other policy of the
+two, from the sheath, with the next seed; the time that the exchange itself takes is not counted.
 With --most-force an attempt also ends where it presses harder, the last one for good.
 Arch k begins with seed 5,000,000,000 + 10 k + the target's number, which no training has used.
 """
@@ -75,6 +77,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=5, help="in each file and towards each target")
     parser.add_argument("--max-steps", type=int, default=300, help="of an attempt")
     parser.add_argument("--attempts", type=int, default=1)
+    parser.add_argument(
+        "--exchange", action="store_true", help="then try the devices of the other policy, with --steep"
+    )
     parser.add_argument("--most-force", type=float, metavar="N", help="of all contacts, with which an attempt ends")
     parser.add_argument("--clutter", type=float, default=0.0, help="in X-ray images, 1: as networks learn from")
     parser.add_argument(
@@ -146,6 +151,27 @@ def play(
     return Outcome(bool(success), len(forces), np.array(forces), controller.attempts)
 
 
+def play_with(
+    both: Sequence[tuple[UnseenTask, Any]],
+    place: int | AnatomyFile,
+    target: str,
+    seed: int,
+    given: argparse.Namespace,
+) -> Outcome:
+    """Plays one episode; where it fails, another with the devices of the next task and policy, as if it went on."""
+    outcome = play(*both[0], place, target, seed, given)
+    for task, policy in both[1:]:
+        if not outcome.success:
+            further = play(task, policy, place, target, seed + 1, given)
+            outcome = Outcome(
+                further.success,
+                outcome.steps + further.steps,
+                np.concatenate((outcome.forces, further.forces)),
+                given.attempts + further.attempts,
+            )
+    return outcome
+
+
 def ostium_set_back(place: int | AnatomyFile, target: str) -> float:
     """How far the target's ostium is set back, mm."""
     phantom = load_anatomy(f"{TEST_PHANTOM}_{place}" if isinstance(place, int) else place)
@@ -173,15 +199,18 @@ def main() -> None:
         policies = [load(name) for name in (given.policy, given.steep or given.policy)]
         if given.draw and not all(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--draw: a policy that sees images always takes the best action")
+        if given.exchange and not given.steep:
+            raise ValueError("--exchange: name a policy of other devices with --steep")
         if given.clutter and any(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--clutter: a policy by roadmap sees no images")
         tasks = [task_of(policy, given) for policy in policies]
-        rows, measured = [], []
+        rows, measured, tries = [], [], given.attempts * (1 + given.exchange)
         for name, target, episodes in cells(given):
             backs = [ostium_set_back(place, target) for place, _ in episodes]
             chosen = [int(back >= STEEP_MM) for back in backs]
+            devices = list(zip(tasks, policies, strict=True))
             outcomes = [
-                play(tasks[k], policies[k], place, target, seed, given)
+                play_with((devices[k], devices[1 - k])[: 1 + given.exchange], place, target, seed, given)
                 for k, (place, seed) in zip(chosen, episodes, strict=True)
             ]
             measured += [(back, one.success) for back, one in zip(backs, outcomes, strict=True)]
@@ -191,7 +220,7 @@ def main() -> None:
                 "anatomy": name, "target": target, "reached": won, "episodes": len(outcomes),
                 "interval_pct": [round(100 * low), round(100 * high)],
                 "within_attempts": [
-                    sum(one.success and one.attempts <= most + 1 for one in outcomes) for most in range(given.attempts)
+                    sum(one.success and one.attempts <= most + 1 for one in outcomes) for most in range(tries)
                 ],
                 "steps": round(float(np.mean([one.steps for one in outcomes])), 1),
                 "force_mean_n": round(float(np.mean([one.forces.mean() for one in outcomes])), 3),
@@ -201,7 +230,7 @@ def main() -> None:
             rows.append(row)
             share = f"{100 * won / len(outcomes):3.0f} % ({100 * low:.0f} to {100 * high:.0f})"
             force = ", ".join(f"{row[key]:.2f}" for key in ("force_mean_n", "force_p95_n", "force_max_n"))
-            tried = f"  within attempts {row['within_attempts']}" if given.attempts > 1 else ""
+            tried = f"  within attempts {row['within_attempts']}" if tries > 1 else ""
             print(
                 f"{name:24} {target:5} {won} of {len(outcomes)}  {share}  {row['steps']:.0f} steps  {force} N{tried}",
                 flush=True,
