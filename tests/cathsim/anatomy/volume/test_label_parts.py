@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cathsim.anatomy.volume.family import find_family
 from cathsim.anatomy.volume.label_parts import clean_parts, led_on
 
 SPACING = np.full(3, 1e-3)
@@ -102,6 +103,24 @@ def test_a_vessel_is_led_on_to_its_parent_along_its_axis(gap: int) -> None:
     assert np.count_nonzero(found & wanted) > 0.93 * np.count_nonzero(wanted)
     assert np.count_nonzero(found & ~wanted) < 0.05 * np.count_nonzero(wanted)
     assert (box[whole == AORTA] == AORTA).all()
+
+
+def test_a_vessel_of_which_one_side_touches_its_parent_is_led_on() -> None:
+    whole, box = slanted(-1)
+    missing = (whole == LCCA) & (box == 0)
+    found, family = find_family(box, NAMES, SPACING)
+    assert any("lcca touches aorta by" in note for note in family.notes)
+    assert (found[missing] == LCCA).mean() > 0.7
+    unchanged, family = find_family(whole, NAMES, SPACING)
+    assert family.notes == []
+    np.testing.assert_array_equal(unchanged, whole)
+
+
+def test_a_vessel_with_its_whole_section_at_its_parent_is_not_led_on() -> None:
+    _, box = slanted(2)
+    ours, theirs = (np.argwhere(box == number) * SPACING for number in (LCCA, AORTA))
+    assert led_on(box.copy(), LCCA, ours, theirs, SPACING, most_share=0.1) is None
+    assert led_on(box.copy(), LCCA, ours, theirs, SPACING, most_share=0.9) is not None
 
 
 def test_nothing_is_led_on_over_a_long_gap_or_if_the_vessel_is_too_narrow() -> None:

@@ -12,7 +12,9 @@ from cathsim.anatomy.vessel_names import AORTA, PARENTS
 from cathsim.anatomy.volume.label_parts import bridge, clean_parts, led_on
 
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
-_SLIVER = 0.45  # of a vessel's radius: one that touches its parent by less is led on to it along its axis
+# of a vessel's radius, and of its section: one that touches its parent by less, and has less of it there, is led on to
+# it along its axis. Steps of voxels make whole contacts 1.4 to 2.3 times as wide as the vessel
+_SLIVER, _PARTLY = 1.15, 0.7
 _ABOUT = 30e-3  # m around its take-off that say where a vessel leads
 _MOUTH = 0.5  # of a take-off's area, from which on a contact beside it is a part of the mouth and no bridge
 _SISTERS = 1.2  # of the sum of both take-offs' radii, within which they are one place
@@ -96,7 +98,8 @@ def _lead_on(box: Box, names: Sequence[str], links: dict[int, Link], spacing: Ar
         high = np.ceil((middle + _ABOUT) / spacing).astype(int) + 1
         window = box[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
         ours, theirs = (np.argwhere(window == one) * spacing for one in (number, link.parent))
-        led = led_on(window, number, ours, theirs, spacing, link.radius / _SLIVER) if len(theirs) else None
+        thin = link.radius / _SLIVER
+        led = led_on(window, number, ours, theirs, spacing, thin, _PARTLY) if len(theirs) else None
         if led:
             radii = f"{1e3 * link.radius:.1f} mm of radius and is led on to it with {1e3 * led[1]:.1f}"
             notes.append(f"{names[number - 1]} touches {names[link.parent - 1]} by {radii}")

@@ -220,7 +220,7 @@ def _usual_radius(cloud: Array, spacing: Array) -> float:
 
 
 def led_on(
-    box: Box, number: int, ours: Array, theirs: Array, spacing: Array, least: float = 0.0
+    box: Box, number: int, ours: Array, theirs: Array, spacing: Array, least: float = 0.0, most_share: float = 1.0
 ) -> tuple[float, float] | None:
     """Leads a vessel on along its own axis to another.
 
@@ -228,9 +228,11 @@ def led_on(
 
     Args:
         least: m of radius that the vessel must have to be led on.
+        most_share: of its whole section: a vessel with more of it next to the other is not led on.
 
     Returns:
-        The gap (m) and the vessel's radius (m); None if nothing was done: too long a gap, or the axis misses the other.
+        The gap (m) and the vessel's radius (m); None if nothing was done: too long a gap, too wide a contact, or the
+        axis misses the other.
     """
     from scipy.spatial import cKDTree
 
@@ -242,6 +244,8 @@ def led_on(
     slab = max(_SLAB, 1.2 * float(spacing.max()))
     begins = gap + np.arange(0.0, _RAGGED, 0.5e-3)
     counts = np.array([np.count_nonzero((away >= begin) & (away < begin + slab)) for begin in begins])
+    if counts[0] > most_share * counts.max():
+        return None
     whole = begins[int(np.argmax(counts >= _WHOLE * counts.max()))]
     slabs = [(away >= begin) & (away < begin + slab) for begin in (whole, whole + 2 * slab)]
     if min(np.count_nonzero(chosen) for chosen in slabs) < _LEAST_SLAB:
