@@ -25,7 +25,6 @@ from pipeline.stages.learning.plan import (
     training_seeds,
 )
 from pipeline.stages.learning.settings import BaselinesSettings
-from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.task import FEEDER, observed
 
@@ -49,7 +48,7 @@ def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrain
         planned_training(
             settings,
             context,
-            _task(settings, algorithm, phantom, target),
+            task_of(settings, phantom, target, algorithm=algorithm),
             f"{algorithm}_{observation}",
             seed,
             observed(settings.task, (observation,)),
@@ -61,11 +60,6 @@ def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrain
         for phantom in settings.phantoms
         for target in settings.targets
     ]
-
-
-def _task(settings: BaselinesSettings, algorithm: str, phantom: str, target: str) -> LearningTask:
-    task = task_of(settings, phantom, target)
-    return replace(task, accuracy=settings.ppo_accuracy) if algorithm == "ppo" else task
 
 
 def training_settings(settings: BaselinesSettings, algorithm: str, observation: str) -> TrainingSettings:

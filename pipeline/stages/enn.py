@@ -69,7 +69,7 @@ def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob
             first = row == settings.expert and seed == context.seed * most
             for phantom in phantoms:
                 for target in settings.targets:
-                    task = task_of(settings, phantom, target, force_penalty=weight)
+                    task = task_of(settings, phantom, target, algorithm=settings.algorithm, force_penalty=weight)
                     episodes = settings.expert_episodes if first else 0
                     trainings.append(
                         planned_training(settings, context, task, row, seed, keys, trained, expert_episodes=episodes)

@@ -93,8 +93,10 @@ def planned_training(
     )
 
 
-def task_of(settings: LearningSettings, phantom: str, target: str, *, force_penalty: float = 0.0) -> LearningTask:
-    """The task of a training; `force_penalty` is that of its reward, 1/N."""
+def task_of(
+    settings: LearningSettings, phantom: str, target: str, *, algorithm: str = "sac", force_penalty: float = 0.0
+) -> LearningTask:
+    """The task of a training by "sac" or "ppo"; `force_penalty` is that of its reward, 1/N."""
     return LearningTask(
         phantom=phantom,
         target=target,
@@ -103,7 +105,7 @@ def task_of(settings: LearningSettings, phantom: str, target: str, *, force_pena
         reward=settings.reward,
         force_penalty=force_penalty,
         path_penalty=settings.path_penalty,
-        accuracy=settings.accuracy,
+        accuracy=settings.ppo_accuracy if algorithm == "ppo" else settings.accuracy,
     )
 
 

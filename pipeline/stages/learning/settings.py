@@ -62,7 +62,8 @@ class LearningSettings(ChosenAnatomies, DeviceSettings):
     encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
-    accuracy: Accuracy = "accurate"  # of training; tests are accurate
+    accuracy: Accuracy = "accurate"  # of SAC's training; tests are accurate
+    ppo_accuracy: Accuracy = "accurate"  # of PPO's training
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
     tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training
@@ -82,7 +83,6 @@ class BaselinesSettings(LearningSettings):
     algorithms: _Algorithms = field(default_factory=lambda: ["ppo", "sac"])
     observations: _BaselineObservations = field(default_factory=lambda: list(BASELINE_OBSERVATIONS))
     ppo_decisions: Decisions = 60_000  # PPO's budget; `decisions` is SAC's
-    ppo_accuracy: Accuracy = "accurate"  # of PPO's training; `accuracy` is that of SAC's
     path_follower: bool = True  # also the thesis's attempt to follow the planned path
 
 

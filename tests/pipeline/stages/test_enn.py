@@ -60,6 +60,12 @@ def test_desk_sees_through_an_encoder_and_the_thesis_does_not(place: StageContex
     assert thesis.settings.batch_size == 256
 
 
+@pytest.mark.parametrize(("algorithm", "accuracy"), [("sac", "fast"), ("ppo", "accurate")])
+def test_ppo_trains_in_physics_of_its_own(place: StageContext, algorithm: str, accuracy: str) -> None:
+    jobs = plan(settings(accuracy="fast", algorithm=algorithm), place)
+    assert {job.task.accuracy for job in jobs} == {accuracy}
+
+
 def test_a_roadmap_needs_no_encoder(place: StageContext) -> None:
     task = Task(wire_length_mm=360.0, catheter="simmons2")
     job = plan(settings(modality="R", target="lcca", phantom="random_33009", task=task), place)[0]
