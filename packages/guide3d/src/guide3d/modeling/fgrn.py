@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from guide3d.learning.precision import bfloat16_in_training
+
 
 class FGRN(nn.Module):
     """Images to a fixed number of points, tip first."""
@@ -49,5 +51,7 @@ class FGRN(nn.Module):
         """(batch, image_px, image_px) grey values of 0 to 255 to (batch, points, 3) mm."""
         if images.shape[-2:] != (self.image_px, self.image_px):
             raise ValueError(f"expected images of {self.image_px} x {self.image_px} px, got {tuple(images.shape[-2:])}")
-        points = self.layers((images[:, None] - self.pixel_mean) / self.pixel_scale)
+        with bfloat16_in_training(self):
+            seen = self.layers[:-1]((images[:, None] - self.pixel_mean) / self.pixel_scale)
+        points: Tensor = self.layers[-1](seen.float())
         return self.point_mean + self.point_scale * points.float().unflatten(1, (self.points, 3))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from guide3d.learning.precision import bfloat16_in_training
 from guide3d.modeling.spherical import SphericalForm
 from guide3d.modeling.vision_transformer import VisionTransformer
 
@@ -46,10 +47,11 @@ class ImageFeatures(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         """(batch, channels, h, w) to (batch, features)."""
-        tokens = self.transformer(images)
-        seen = tokens[:, 0] if self.pooling == "class" else self.narrow(tokens[:, 1:]).flatten(1)
-        result: Tensor = self.projection(seen)
-        return result
+        with bfloat16_in_training(self):
+            tokens = self.transformer(images)
+            seen = tokens[:, 0] if self.pooling == "class" else self.narrow(tokens[:, 1:]).flatten(1)
+            result: Tensor = self.projection(seen)
+        return result.float()
 
 
 def _head(features: int, hidden: int, outputs: int, dropout: float) -> nn.Sequential:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
+from guide3d.learning.precision import attention
 from guide3d.modeling.vision_transformer import FeedForward
 
 _MASKED = -100.0  # added to logits of pairs that a shift has brought into one window
@@ -45,7 +45,7 @@ class WindowAttention(nn.Module):
         if mask is not None:
             images = batch // len(mask)
             bias = (bias + mask[:, None]).repeat(images, 1, 1, 1)
-        mixed = functional.scaled_dot_product_attention(query, key, value, attn_mask=bias.to(query.dtype))
+        mixed = attention(query, key, value, bias)
         result: Tensor = self.projection(mixed.transpose(1, 2).reshape(batch, count, width))
         return result
 

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from guide3d.learning.precision import attention
+
 
 class SelfAttention(nn.Module):
     """Multi-head attention of a sequence to itself."""
@@ -30,7 +32,7 @@ class SelfAttention(nn.Module):
         batch, count, width = tokens.shape
         packed = self.query_key_value(tokens).reshape(batch, count, 3, self.heads, width // self.heads)
         query, key, value = packed.permute(2, 0, 3, 1, 4)
-        mixed = functional.scaled_dot_product_attention(query, key, value)
+        mixed = attention(query, key, value)
         result: Tensor = self.projection(mixed.transpose(1, 2).reshape(batch, count, width))
         return result
 
@@ -67,6 +69,13 @@ class TransformerBlock(nn.Module):
         return result
 
 
+class _GroupNorm(nn.GroupNorm):
+    """Group normalisation in float32: its way back in bfloat16 takes twice as long on a processor."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        return super().forward(x.float()).to(x.dtype)
+
+
 class ConvolutionalPatches(nn.Module):
     """Patches cut by a stack of stride-2 convolutions: it learns from few images what one large convolution does not.
 
@@ -82,7 +91,7 @@ class ConvolutionalPatches(nn.Module):
         for before, after in zip((channels, *widths[:-1]), widths, strict=True):
             layers += [
                 nn.Conv2d(before, after, 3, stride=2, padding=1, bias=False),
-                nn.GroupNorm(max(1, after // 8), after),
+                _GroupNorm(max(1, after // 8), after),
                 nn.ReLU(),
             ]
         self.layers = nn.Sequential(*layers, nn.Conv2d(widths[-1], width, 1))

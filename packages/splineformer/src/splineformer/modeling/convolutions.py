@@ -8,6 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from guide3d.learning.precision import bfloat16_in_training
+
 CHANNELS = 2
 _COARSE = 8  # px whose mean is what local contrast is measured against
 FLOOR = 0.25  # grey levels: an even picture's noise is not blown up further
@@ -52,9 +54,10 @@ class Stem(nn.Module):
     def forward(self, x: Tensor) -> list[Tensor]:
         """(B, C, h, w) images to the feature map after each halving."""
         maps = []
-        for level in self.levels:
-            x = level(x)
-            maps.append(x)
+        with bfloat16_in_training(self):
+            for level in self.levels:
+                x = level(x)
+                maps.append(x.float())
         return maps
 
 

@@ -18,6 +18,7 @@ from annotated_types import Interval
 from torch import Tensor, nn
 
 from guide3d.geometry.polyline import Array
+from guide3d.learning.precision import bfloat16_in_training
 from guide3d.setting_kinds import Layers, LayersOrNone, PixelDistance, Pixels, Positive, Units, settings
 from splineformer.decoding import collocation, uniform_knots
 from splineformer.modeling.convolutions import CHANNELS, FLOOR, Stem, line_pyramid
@@ -181,9 +182,10 @@ class OrderedSplineFormer(CurveNetwork):
     def _course(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """The (B, steps, 2) course and the (B,) length."""
         x = self.queries.expand(len(features), -1, -1)
-        for layer in decoder_layers(self.decoder):
-            x = layer(x, layer.cross_attention.keys_values(features), causal=False)
-        whole = self.whole(self.narrow(features).flatten(1))
+        with bfloat16_in_training(self):
+            for layer in decoder_layers(self.decoder):
+                x = layer(x, layer.cross_attention.keys_values(features), causal=False)
+            whole = self.whole(self.narrow(features).flatten(1)).float()
         course = self.to_points(whole).unflatten(1, (-1, 2)) + self.own(self.own_norm(x))
         length = (_STEPS * self.to_length(whole)[:, 0]).clamp(1.0, self.settings.steps - 1.0)
         return course, length

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from guide3d.geometry.polyline import Array
+from guide3d.learning.precision import bfloat16_in_training
 from guide3d.setting_kinds import Dropout, Layers, Pixels, Units, settings
 from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
 from splineformer.modeling.decoder import NextTokens, SplineDecoder
@@ -65,7 +66,8 @@ class PatchEncoder(nn.Module):
         """(B, 1, image_px, image_px) normalised images to (B, side², width) features, row by row."""
         p, s = self.patch_px, self.side
         patches = image[:, 0].unflatten(2, (s, p)).unflatten(1, (s, p)).permute(0, 1, 3, 2, 4).flatten(3).flatten(1, 2)
-        x = self.dropout(self.embed(patches) + self.positions)
+        with bfloat16_in_training(self):
+            x = self.dropout(self.embed(patches) + self.positions)
         for layer in self.layers:
             x = layer(x)
         return self.norm(x)
@@ -94,7 +96,9 @@ class TipPredictor(nn.Module):
         """(B, 1, h, w) images to (B, 3) knot, x, y of the first token."""
         if self.shrink > 1:
             image = F.avg_pool2d(image, self.shrink)
-        token: Tensor = F.softplus(self.out(self.hidden(self.convolutions(image))))
+        with bfloat16_in_training(self):
+            hidden = self.hidden(self.convolutions(image))
+        token: Tensor = F.softplus(self.out(hidden.float()))
         return token
 
     @torch.no_grad()

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from guide3d.learning.precision import bfloat16_in_training
 from splineformer.modeling.transformer import EncoderLayer
 
 _UNIT = 0.05  # of the side: unit of a revision's moves
@@ -62,7 +63,8 @@ class Revision(nn.Module):
         far = F.grid_sample(coarse, 2 * points[:, :, None] - 1, align_corners=False, padding_mode="border")
         step = (points[:, 1:] - points[:, :-1]) * points.shape[1]
         step = torch.cat([step, step[:, -1:]], 1)
-        x = self.near(near.permute(0, 2, 3, 1).flatten(2)) + self.far(far[..., 0].transpose(1, 2))
+        with bfloat16_in_training(self):
+            x = self.near(near.permute(0, 2, 3, 1).flatten(2)) + self.far(far[..., 0].transpose(1, 2))
         x = x + self.place(torch.cat([4 * points - 2, step], -1)) + self.own
         for layer in self.layers:
             x = layer(x)
@@ -115,10 +117,11 @@ class Refinement(nn.Module):
         flags = torch.zeros_like(points)
         flags[:, 0, 0], flags[:, -1, 1] = 1.0, 1.0
         seen = torch.cat([read.permute(0, 2, 3, 1).flatten(2), turn.clamp(-8, 8), flags], -1)
-        hidden = F.relu(self.read(seen)).transpose(1, 2)
-        for layer in self.along:
-            hidden = hidden + F.relu(layer(hidden))
-        hidden = hidden.transpose(1, 2)
+        with bfloat16_in_training(self):
+            hidden = F.relu(self.read(seen)).transpose(1, 2)
+            for layer in self.along:
+                hidden = hidden + F.relu(layer(hidden))
+        hidden = hidden.transpose(1, 2).float()
         offset = self.out(hidden) * self.cell
         return points + (offset[..., None, :] @ frame)[..., 0, :], hidden
 

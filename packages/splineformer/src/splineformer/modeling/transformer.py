@@ -8,7 +8,8 @@ from typing import cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
+
+from guide3d.learning.precision import attention, bfloat16_in_training
 
 _LONGEST = 10_000.0  # wavelength of the positions, over 2 pi
 
@@ -55,7 +56,7 @@ class Attention(nn.Module):
     def forward(self, x: Tensor, keys_values: tuple[Tensor, Tensor], causal: bool = False) -> Tensor:
         """(B, M, width) answers to the queries x."""
         keys, values = keys_values
-        answer = F.scaled_dot_product_attention(self._split(self.query(x)), keys, values, is_causal=causal)
+        answer = attention(self._split(self.query(x)), keys, values, causal=causal)
         return self.out(answer.transpose(1, 2).flatten(2))
 
     def weights(self, x: Tensor, keys_values: tuple[Tensor, Tensor]) -> Tensor:
@@ -80,9 +81,10 @@ class EncoderLayer(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, N, width) to the same."""
-        normed = self.norm_attention(x)
-        x = x + self.dropout(self.attention(normed, self.attention.keys_values(normed)))
-        return x + self.dropout(self.forward_part(self.norm_forward(x)))
+        with bfloat16_in_training(self):
+            normed = self.norm_attention(x)
+            x = x + self.dropout(self.attention(normed, self.attention.keys_values(normed)))
+            return x + self.dropout(self.forward_part(self.norm_forward(x)))
 
 
 @dataclass
@@ -119,10 +121,11 @@ class DecoderLayer(nn.Module):
             features: keys and values of the cross-attention.
             causal: a token sees none after it.
         """
-        normed = self.norm_self(x)
-        x = x + self.dropout(self.self_attention(normed, self.self_attention.keys_values(normed), causal))
-        x = x + self.dropout(self.cross_attention(self.norm_cross(x), features))
-        return x + self.dropout(self.forward_part(self.norm_forward(x)))
+        with bfloat16_in_training(self):
+            normed = self.norm_self(x)
+            x = x + self.dropout(self.self_attention(normed, self.self_attention.keys_values(normed), causal))
+            x = x + self.dropout(self.cross_attention(self.norm_cross(x), features))
+            return x + self.dropout(self.forward_part(self.norm_forward(x)))
 
     def step(self, x: Tensor, cache: LayerCache, attended: list[Tensor] | None = None) -> Tensor:
         """One more (B, 1, width) token, whose keys and values join the cache.
