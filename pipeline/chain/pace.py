@@ -65,22 +65,27 @@ def alone() -> float:
 
 
 def _training_step() -> Callable[[], None]:
-    """A step of training of convolutions and of a transformer's layer."""
+    """A step of training of convolutions and a transformer's block, in the precision that networks are trained in."""
     import torch
     from torch import nn
+
+    from guide3d.learning.precision import bfloat16_on_processor
+    from guide3d.modeling.vision_transformer import TransformerBlock
 
     torch.manual_seed(0)
     torch.set_num_threads(1)
     network = nn.Sequential(
         nn.Conv2d(2, 24, 3, 2, 1), nn.ReLU(), nn.Conv2d(24, 48, 3, 2, 1), nn.ReLU(), nn.Conv2d(48, 96, 3, 2, 1),
-        nn.Flatten(2), nn.TransformerEncoderLayer(256, 4, 512, 0.0, batch_first=True), nn.Linear(256, 2),
-    )  # fmt: skip
+        nn.Flatten(2), TransformerBlock(256, 4, 512), nn.Linear(256, 2),
+    ).to(memory_format=torch.channels_last)  # fmt: skip
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-4)
     images = torch.rand(8, 2, 128, 128)
 
     def step() -> None:
         optimiser.zero_grad()
-        network(images).square().mean().backward()
+        with bfloat16_on_processor():
+            predicted = network(images)
+        predicted.float().square().mean().backward()
         optimiser.step()
 
     return step
