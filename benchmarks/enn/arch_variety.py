@@ -4,10 +4,10 @@
 
 One episode in each of so many arches of the test seeds a type, of which nothing was trained or chosen on; episode k of
 a type begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. With `--steep`, that
-policy steers with its own devices where the ostium of the target's branch is set back by 13 mm or more, which the scan
-tells beforehand. With `--attempt-steps` devices that have not arrived after so many steps are drawn back and try again,
-within the same episode. Prints a row a type with Wilson's 95 % interval, which branches were missed, and one JSON
-object as its last line.
+policy steers with its own devices where the ostium of the target's branch is set back by --steep-from mm or more, which
+the scan tells beforehand. With `--attempt-steps` devices that have not arrived after so many steps are drawn back and
+try again, within the same episode. Prints a row a type with Wilson's 95 % interval, which branches were missed, and one
+JSON object as its last line.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from cathsim.observations.xray import XrayEnvironment
 from enn.policy import Policy
 from enn.retrying import RetryingController
 from enn.shipped import read_policy
-from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
+from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
 from pipeline.task import TASK, task_in_random_arches
 
 
@@ -45,7 +45,7 @@ class Outcome:
 
     success: bool
     branch: str  # that its target lies in
-    steep: bool  # whether that is set back by `STEEP_MM` or more
+    steep: bool  # whether that is set back by as much
     forces: np.ndarray  # of each step, N
 
 
@@ -53,7 +53,8 @@ def arguments() -> argparse.Namespace:
     """Understands the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", default="generalist", help=f"a file, or among {', '.join(enn.models())}")
-    parser.add_argument("--steep", metavar="POLICY", help=f"for targets set back by {STEEP_MM:g} mm or more")
+    parser.add_argument("--steep", metavar="POLICY", help="for targets that are set back far")
+    parser.add_argument("--steep-from", type=float, default=CATHETER_BETTER_MM, metavar="MM", help="how far that is")
     parser.add_argument("--types", default=",".join(ARCH_TYPES))
     parser.add_argument("--arches", type=int, default=20, help="a type, one episode each")
     parser.add_argument("--max-steps", type=int, default=TEST_STEPS)
@@ -74,6 +75,7 @@ class Player:
 
     def __init__(self, name: str, given: argparse.Namespace) -> None:
         self.policy: Any = read_policy(Path(name)) if name.endswith(".pt") else enn.load(name)
+        self.steep_from = given.steep_from
         self.draw, self.attempt_steps = given.draw, given.attempt_steps or given.max_steps
         self.by_roadmap, side = isinstance(self.policy, Policy), task_in_random_arches().image_size_px
         if self.draw and not self.by_roadmap:
@@ -103,7 +105,7 @@ class Player:
 
     def steep(self) -> bool:
         """Whether the ostium of the present target's branch is set back far."""
-        return set_back_mm(self.bare.phantom, self.bare.task.target) >= STEEP_MM
+        return set_back_mm(self.bare.phantom, self.bare.task.target) >= self.steep_from
 
 
 def play(players: list[Player], case: int, seed: int) -> Outcome:
@@ -159,7 +161,7 @@ def main() -> None:
         outcomes = [play(players, index * arches + number, number) for number in range(arches)]
         rows.append(row_of(kind, outcomes, time.process_time() - start))
         together += outcomes
-    for name, steep in ((f"set back below {STEEP_MM:g} mm", False), ("set back further", True)):
+    for name, steep in ((f"set back below {given.steep_from:g} mm", False), ("set back further", True)):
         if part := [one for one in together if one.steep == steep]:
             rows.append(row_of(name, part, 0.0))
     rows.append(row_of("all", together, time.process_time() - began))

@@ -4,10 +4,12 @@
     python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --first 40400 --draw
     python benchmarks/enn/shipped_policies.py --anatomies scan.stl labels.nii.gz --episodes 5 --max-steps 600 --draw
     python benchmarks/enn/shipped_policies.py --policy navigator --attempts 3
+    python benchmarks/enn/shipped_policies.py --policy navigator --steep navigator_simmons2 --steep-from 13
 
 Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, then rows by how far
 the target's ostium is set back behind the top of the arch, and one JSON object as its last line. --steep names the
-policy for targets set back by 13 mm or more, which the scan tells beforehand; a policy of two devices steers its own.
+policy for targets set back by --steep-from mm or more, which the scan tells beforehand; a policy of two devices steers
+its own.
 With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
 anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
 With --exchange what has not arrived in its last attempt is tried as often with the devices of the other policy of the
@@ -41,7 +43,7 @@ from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
-from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
+from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
 from pipeline.clutter import clutter_of
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.task import TASK, task_in_random_arches
@@ -64,7 +66,8 @@ def arguments() -> argparse.Namespace:
     """Understands the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", default="generalist", help=f"a file, or among {', '.join(enn.models())}")
-    parser.add_argument("--steep", metavar="POLICY", help=f"for targets set back by {STEEP_MM:g} mm or more")
+    parser.add_argument("--steep", metavar="POLICY", help="for targets that are set back far")
+    parser.add_argument("--steep-from", type=float, default=CATHETER_BETTER_MM, metavar="MM", help="how far that is")
     parser.add_argument("--arches", type=int, default=50, help="random arches, one episode each and target")
     parser.add_argument("--first", type=int, default=FIRST_ARCH, help="seed of the first arch")
     parser.add_argument(
@@ -207,7 +210,7 @@ def main() -> None:
         rows, measured, tries = [], [], given.attempts * (1 + given.exchange)
         for name, target, episodes in cells(given):
             backs = [ostium_set_back(place, target) for place, _ in episodes]
-            chosen = [int(back >= STEEP_MM) for back in backs]
+            chosen = [int(back >= given.steep_from) for back in backs]
             devices = list(zip(tasks, policies, strict=True))
             outcomes = [
                 play_with((devices[k], devices[1 - k])[: 1 + given.exchange], place, target, seed, given)
@@ -237,12 +240,11 @@ def main() -> None:
             )
     except (OSError, ValueError) as error:
         sys.exit(str(error))
-    backs_rows = rows_by_set_back(measured)
-    print(
-        json.dumps(
-            {"policy": given.policy, "steep": given.steep, "drawn": given.draw, "rows": rows, "set_back": backs_rows}
-        )
-    )
+    found = {
+        "policy": given.policy, "steep": given.steep, "steep_from_mm": given.steep_from, "drawn": given.draw,
+        "rows": rows, "set_back": rows_by_set_back(measured),
+    }  # fmt: skip
+    print(json.dumps(found))
 
 
 if __name__ == "__main__":

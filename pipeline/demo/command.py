@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> None:
     print(f"demo: loading the {options.model} and the anatomy", flush=True)  # noqa: T201 - progress of a command
     scene = open_scene(
         options.model, anatomy=options.anatomy, unit=options.unit, seed=options.seed, target=options.target,
-        attempts=options.attempts,
+        attempts=options.attempts, catheter=not options.no_catheter,
     )  # fmt: skip
     print(f"demo: {scene.title}", flush=True)  # noqa: T201 - progress of a command
     folder = Path(options.output)
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> None:
             folder / LOG,
             seed=scene.start_seed,
             operator="policy",
-            configuration={"stage": "demo", "row": options.model, "mode": "deterministic"},
+            configuration={"stage": "demo", "row": scene.model, "mode": "deterministic"},
             film=film,
         )
         film.write(folder / GIF)
@@ -94,7 +94,8 @@ def run(options: argparse.Namespace) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "python -m pipeline.demo",
-        description="A shipped policy steers a wire through an arch that it has never seen, or through yours; "
+        description="A shipped policy steers a wire, in a catheter where the take-off is steep, through an arch that "
+        "it has never seen, or through yours; "
         "film, log and page of the episode go to a folder.",
     )
     parser.add_argument(
@@ -103,6 +104,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--unit", choices=("m", "cm", "mm", "inch"), help="of a surface; detected when left out")
     parser.add_argument("--target", help="branch to steer to; default: the first of bca, lcca, lsa that is there")
     parser.add_argument("--model", default=MODELS[0], choices=MODELS, help=f"that steers (default {MODELS[0]})")
+    parser.add_argument(
+        "--no-catheter", action="store_true",
+        help="the wire alone, also where the ostium is set back so far that a catheter over it is used otherwise",
+    )  # fmt: skip
     parser.add_argument("--seed", type=_seed, default=0, help="of the random arch and the start, 0 to 999 (default 0)")
     parser.add_argument("--attempts", type=_attempts, default=2, help="before the episode ends, 1 to 9 (default 2)")
     parser.add_argument("--output", default="runs/demo", metavar="FOLDER", help="(default runs/demo)")

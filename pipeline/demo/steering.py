@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.known import TARGETS
+from pipeline.anatomies.take_offs import CATHETER, CATHETER_BETTER_MM, set_back_mm
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
-from pipeline.stages.unseen.task import UnseenTask
+from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import TASK, Task
 
@@ -152,16 +153,19 @@ def open_scene(
     seed: int = 0,
     target: str | None = None,
     attempts: int = 1,
+    catheter: bool = True,
 ) -> Scene:
     """A shipped policy in a file's anatomy, or in a random arch that no policy was trained in.
 
     Args:
-        model: name of the policy.
+        model: name of the policy of the wire alone.
         anatomy: path of a surface, a label volume or a folder; None: the random arch of the seed.
         unit: of a surface; None: detected.
         seed: of the arch among the unseen ones, and of the episode's start.
         target: None: the first of `TARGETS` that the anatomy has.
         attempts: of the policy, each as long as an episode of its training.
+        catheter: where the target's ostium is set back by `CATHETER_BETTER_MM`, take the policy that steers a catheter
+            over the wire, too, if there is one.
 
     Raises:
         ConfigurationError: there is no such file or target, or the model says nothing of its task.
@@ -171,13 +175,6 @@ def open_scene(
     from enn.retrying import steps_of_attempts
 
     policy = enn.load(model)
-    if TASK not in policy.metadata:
-        raise ConfigurationError(
-            f"the model {model!r} does not say which task it was trained for: choose another model"
-        )
-    rules = Task(**policy.metadata[TASK])
-    steps = rules.max_steps
-    task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     place: int | AnatomyFile
     if anatomy is None:
         place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
@@ -189,8 +186,26 @@ def open_scene(
     if chosen is None or chosen not in known:
         wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
         raise ConfigurationError(f"{described} has {wanted}: choose --target from {', '.join(known) or 'none'}")
+    if catheter and f"{model}_{CATHETER}" in enn.models() and _set_back(place, chosen) >= CATHETER_BETTER_MM:
+        model = f"{model}_{CATHETER}"
+        policy = enn.load(model)
+    if TASK not in policy.metadata:
+        raise ConfigurationError(
+            f"the model {model!r} does not say which task it was trained for: choose another model"
+        )
+    rules = Task(**policy.metadata[TASK])
+    steps = rules.max_steps
+    task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     start_seed = held_out_seeds(0, _ARCHES)[seed]
     return Scene(model, policy, _environment(task, place, chosen, policy), described, start_seed, steps, attempts)
+
+
+def _set_back(place: int | AnatomyFile, target: str) -> float:
+    """How far the target's ostium is set back, mm; 0 for a target in the aorta itself."""
+    phantom = load_anatomy(f"{TEST_PHANTOM}_{place}" if isinstance(place, int) else place)
+    if phantom.target(target).branch == phantom.tree.root.name:
+        return 0.0
+    return set_back_mm(phantom, target)
 
 
 def _environment(task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy) -> NavigateEnv:

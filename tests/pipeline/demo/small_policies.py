@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +43,15 @@ def ship(folder: Path, monkeypatch: pytest.MonkeyPatch, cameras: tuple[str, ...]
     for name in ("navigator", "generalist"):
         (weights / f"{name}.md").write_text(CARD.format(name))
     return weights
+
+
+def ship_for_two_devices(weights: Path) -> None:
+    """Puts an untrained policy of a wire in a catheter beside the navigator's."""
+    perception = ImagePerception(LumenSegmenter(4, 32), WireSegmenter(4), catheter=WireSegmenter(4))
+    settings = RecurrentPolicySettings(features=perception.size, hidden=8, action_repeat=3, actions=4)
+    metadata = {TASK: asdict(replace(TASK_OF_DEMO, catheter="simmons2"))}
+    RecurrentPolicy(settings, perception=perception.content()).save(weights / "navigator_simmons2.pt", **metadata)
+    (weights / "navigator_simmons2.md").write_text(CARD.format("navigator_simmons2"))
 
 
 def inside(places: np.ndarray) -> bool:

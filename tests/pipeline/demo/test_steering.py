@@ -11,7 +11,7 @@ import enn
 from pipeline.demo.steering import open_scene
 from pipeline.seeds import training_arches, unseen_arches
 from pipeline.store.errors import ConfigurationError
-from tests.pipeline.demo.small_policies import TASK_OF_DEMO, inside, ship
+from tests.pipeline.demo.small_policies import TASK_OF_DEMO, inside, ship, ship_for_two_devices
 
 
 @pytest.fixture(autouse=True)
@@ -34,6 +34,19 @@ def test_the_navigator_sees_images_alone() -> None:
         assert inside(read.wire)
         assert inside(read.way)
     np.testing.assert_array_equal(before.wire, after.wire)
+
+
+def test_a_catheter_is_over_the_wire_where_the_take_off_is_steep(shipped: Path) -> None:
+    steep, other = {"seed": 247, "target": "lcca"}, {"seed": 203, "target": "lcca"}  # set back by 11.0 and -0.9 mm
+    assert open_scene("navigator", **steep).model == "navigator"  # no policy steers one
+    ship_for_two_devices(shipped)
+    assert open_scene("navigator", **steep, catheter=False).model == "navigator"
+    assert open_scene("navigator", **other).model == "navigator"
+    scene = open_scene("navigator", **steep)
+    assert scene.title == "the navigator_simmons2 steers to the LCCA of random arch 40247"
+    observation, info = scene.environment.reset(seed=scene.start_seed)
+    assert scene.steer(observation, info).shape == (4,)
+    assert inside(scene.read_off_image("frontal").wire)
 
 
 def test_the_generalist_goes_by_the_scan() -> None:
