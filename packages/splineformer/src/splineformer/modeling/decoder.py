@@ -8,7 +8,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from guide3d.learning.precision import bfloat16_in_training
 from splineformer.modeling.transformer import Cache, DecoderLayer, LayerCache, decoder_layers, sequence_positions
 
 
@@ -48,9 +47,8 @@ class SplineDecoder(nn.Module):
     def forward(self, tokens: Tensor, features: Tensor) -> NextTokens:
         """What follows each of the (B, M, 3) tokens, all at once: for training, where all are known."""
         x = self.embed(tokens) + self.positions[: tokens.shape[1]]
-        with bfloat16_in_training(self):
-            for layer in decoder_layers(self.layers):
-                x = layer(x, layer.cross_attention.keys_values(features))
+        for layer in decoder_layers(self.layers):
+            x = layer(x, layer.cross_attention.keys_values(features))
         return self.heads(x)
 
     def begin(self, features: Tensor) -> Cache:

@@ -175,8 +175,9 @@ class OrderedSplineFormer(CurveNetwork):
         shade = nn.functional.avg_pool2d(image / 127.5 - 1.0, image.shape[-1] // maps[-1].shape[-1])
         x = self.to_tokens(maps[-1].flatten(2).transpose(1, 2)) + self.to_shade(shade.flatten(2).transpose(1, 2))
         x = x + self.positions
-        for layer in self.encoder:
-            x = layer(x)
+        with bfloat16_in_training(self):
+            for layer in self.encoder:
+                x = layer(x)
         return self.norm(x), maps
 
     def _course(self, features: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from guide3d.geometry.polyline import Array
-from guide3d.learning.precision import bfloat16_in_training
 from guide3d.setting_kinds import Dropout, Layers, Pixels, Units, settings
 from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
 from splineformer.modeling.decoder import NextTokens, SplineDecoder
@@ -66,8 +65,7 @@ class PatchEncoder(nn.Module):
         """(B, 1, image_px, image_px) normalised images to (B, side², width) features, row by row."""
         p, s = self.patch_px, self.side
         patches = image[:, 0].unflatten(2, (s, p)).unflatten(1, (s, p)).permute(0, 1, 3, 2, 4).flatten(3).flatten(1, 2)
-        with bfloat16_in_training(self):
-            x = self.dropout(self.embed(patches) + self.positions)
+        x = self.dropout(self.embed(patches) + self.positions)
         for layer in self.layers:
             x = layer(x)
         return self.norm(x)
@@ -96,9 +94,7 @@ class TipPredictor(nn.Module):
         """(B, 1, h, w) images to (B, 3) knot, x, y of the first token."""
         if self.shrink > 1:
             image = F.avg_pool2d(image, self.shrink)
-        with bfloat16_in_training(self):
-            hidden = self.hidden(self.convolutions(image))
-        token: Tensor = F.softplus(self.out(hidden.float()))
+        token: Tensor = F.softplus(self.out(self.hidden(self.convolutions(image))))
         return token
 
     @torch.no_grad()

@@ -66,8 +66,9 @@ class Revision(nn.Module):
         with bfloat16_in_training(self):
             x = self.near(near.permute(0, 2, 3, 1).flatten(2)) + self.far(far[..., 0].transpose(1, 2))
         x = x + self.place(torch.cat([4 * points - 2, step], -1)) + self.own
-        for layer in self.layers:
-            x = layer(x)
+        with bfloat16_in_training(self):
+            for layer in self.layers:
+                x = layer(x)
         return points + _UNIT * self.out(self.norm(x))
 
 

@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from guide3d.learning.precision import attention, bfloat16_in_training
+from guide3d.learning.precision import attention
 
 _LONGEST = 10_000.0  # wavelength of the positions, over 2 pi
 
@@ -81,10 +81,9 @@ class EncoderLayer(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, N, width) to the same."""
-        with bfloat16_in_training(self):
-            normed = self.norm_attention(x)
-            x = x + self.dropout(self.attention(normed, self.attention.keys_values(normed)))
-            return x + self.dropout(self.forward_part(self.norm_forward(x)))
+        normed = self.norm_attention(x)
+        x = x + self.dropout(self.attention(normed, self.attention.keys_values(normed)))
+        return x + self.dropout(self.forward_part(self.norm_forward(x)))
 
 
 @dataclass
@@ -121,11 +120,10 @@ class DecoderLayer(nn.Module):
             features: keys and values of the cross-attention.
             causal: a token sees none after it.
         """
-        with bfloat16_in_training(self):
-            normed = self.norm_self(x)
-            x = x + self.dropout(self.self_attention(normed, self.self_attention.keys_values(normed), causal))
-            x = x + self.dropout(self.cross_attention(self.norm_cross(x), features))
-            return x + self.dropout(self.forward_part(self.norm_forward(x)))
+        normed = self.norm_self(x)
+        x = x + self.dropout(self.self_attention(normed, self.self_attention.keys_values(normed), causal))
+        x = x + self.dropout(self.cross_attention(self.norm_cross(x), features))
+        return x + self.dropout(self.forward_part(self.norm_forward(x)))
 
     def step(self, x: Tensor, cache: LayerCache, attended: list[Tensor] | None = None) -> Tensor:
         """One more (B, 1, width) token, whose keys and values join the cache.
