@@ -27,7 +27,7 @@ from pipeline.report.table_formats import format_cell
 _HIGHER = ("success", "safety_pct", "spl_pct", "dice", "miou", "jaccard", "recognised", "read_pct", "reward", "score")
 _LOWER = ("force", "mse", "_px", "max_ed", "mete", "mers", "frechet", "chamfer", "error", "path_length", "steps")
 _NEITHER = ("low_pct", "high_pct", "interval", "image_px", "time_steps", "_share", "limit", "source_px")
-_SHARES = ("success", "safety_pct", "recognised", "read_pct")
+_SHARES = ("success", "safety_pct", "read_pct")  # of what n counts
 
 _MADE_UP: list[dict[str, Table]] = [
     {"trials": {"bca": {"success_pct": success, "force_n": [force, 0.02], "mse_n2": mse, "minutes": 3.0, "n": 50}}}
