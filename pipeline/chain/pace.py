@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 from pipeline.jobs.engines.local import ONE_THREAD, available_workers
 
@@ -74,10 +75,11 @@ def _training_step() -> Callable[[], None]:
 
     torch.manual_seed(0)
     torch.set_num_threads(1)
+    layout: Any = {"memory_format": torch.channels_last}  # as networks are trained
     network = nn.Sequential(
         nn.Conv2d(2, 24, 3, 2, 1), nn.ReLU(), nn.Conv2d(24, 48, 3, 2, 1), nn.ReLU(), nn.Conv2d(48, 96, 3, 2, 1),
         nn.Flatten(2), TransformerBlock(256, 4, 512), nn.Linear(256, 2),
-    ).to(memory_format=torch.channels_last)  # fmt: skip
+    ).to(**layout)  # fmt: skip
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-4)
     images = torch.rand(8, 2, 128, 128)
 
