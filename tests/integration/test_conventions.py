@@ -111,7 +111,7 @@ def test_table_of_wires_is_that_of_the_code() -> None:
 def test_table_of_accuracies_is_that_of_the_code() -> None:
     from cathsim import ACCURACY
 
-    table = rows(SIMULATOR, "substep, ms", "repeated in", "tolerance, mm", "rise, mm", "mass factor")
+    table = rows(SIMULATOR, "substep, ms", "repeated in", "tolerance, mm", "rise, mm", "mass factor", "with a catheter in")
     assert table.keys() == ACCURACY.keys()
     for name, numerics in ACCURACY.items():
         values = [float(cell) for column, cell in table[name].items() if column != "preset"]
@@ -122,6 +122,7 @@ def test_table_of_accuracies_is_that_of_the_code() -> None:
                 1e3 * numerics.tolerance,
                 1e3 * numerics.rise,
                 numerics.mass_scale,
+                numerics.with_catheter.refinement,
             ]
         )
 

@@ -213,7 +213,7 @@ def test_another_time_stepping_of_the_same_devices() -> None:
     simulation = made("simmons1")
     steered(simulation, 20)
     coarse = simulation.stepped_by(accuracy("fast"))
-    assert coarse.numerics == accuracy("fast")
+    assert coarse.numerics == accuracy("fast").with_catheter
     coarse.restore(simulation.state())
     assert np.array_equal(coarse.device_points("catheter"), simulation.device_points("catheter"))
     steered(coarse, 3, seed=2)

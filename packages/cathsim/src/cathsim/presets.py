@@ -12,6 +12,7 @@ from cathsim.validation import Unit, settings
 WIRE_RADIUS = 0.45e-3  # m, of the usual guidewire of 0.035 in
 
 _Depth = Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
+_Tolerances = Annotated[float, Interval(gt=0, le=1e6)]
 
 
 @settings
@@ -24,6 +25,8 @@ class Accuracy:
         tolerance: penetration that calls for it, m.
         rise: ... if the penetration also grew by this much in the substep, m.
         mass_scale: factor on the wire's mass.
+        deep: a repetition that ends so many tolerances deep in the wall is itself repeated.
+        catheter_refinement, catheter_deep: `refinement` (None: the same) and `deep` of a wire in a catheter.
     """
 
     timestep: Annotated[float, Interval(ge=1e-6, le=0.1), Unit("s")]
@@ -31,13 +34,26 @@ class Accuracy:
     tolerance: _Depth = 3e-4
     rise: _Depth = 1e-4
     mass_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
+    deep: _Tolerances = 3.0
+    catheter_refinement: Annotated[int, Interval(ge=1, le=10_000)] | None = None
+    catheter_deep: _Tolerances = 2.0  # a reverse curve that snaps comes faster than a wire
+
+    @property
+    def with_catheter(self) -> Accuracy:
+        """The numerics of a wire in a catheter: its `refinement` and `deep` are those of a catheter."""
+        refinement = self.catheter_refinement or self.refinement
+        return dataclasses.replace(self, refinement=refinement, catheter_refinement=None, deep=self.catheter_deep)
 
 
 # The motion is quasi-static, so more than the wire's mass changes forces little and keeps contacts stiff at long steps.
+# With a catheter fewer repetitions come as near to `reference` (benchmarks/devices/time_steps.py).
 ACCURACY: dict[str, Accuracy] = {
     "reference": Accuracy(timestep=0.001, refinement=4),
-    "accurate": Accuracy(timestep=0.010, refinement=8, tolerance=2e-4, rise=5e-5, mass_scale=10.0),
-    "fast": Accuracy(timestep=0.020, refinement=4, tolerance=5e-4, rise=3e-4, mass_scale=30.0),
+    "accurate": Accuracy(
+        timestep=0.010, refinement=8, tolerance=2e-4, rise=5e-5, mass_scale=10.0,
+        catheter_refinement=3, catheter_deep=1.5,
+    ),  # fmt: skip
+    "fast": Accuracy(timestep=0.020, refinement=4, tolerance=5e-4, rise=3e-4, mass_scale=30.0, catheter_refinement=2),
 }
 
 

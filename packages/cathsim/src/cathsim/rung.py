@@ -17,8 +17,6 @@ from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.guidewire import LINK_NAME, TIP_SITE
 from cathsim.presets import Accuracy
 
-DEEP = 3.0  # a repetition that ends so many tolerances deep in the wall is itself repeated
-
 
 class Rung:
     """One model of the ladder with its data, and the native struct of both.
@@ -64,7 +62,7 @@ class Rung:
             refinement=numerics.refinement,
             tolerance=numerics.tolerance,
             rise=numerics.rise,
-            deep=DEEP,
+            deep=numerics.deep,
             depth_samples=depth_samples,
             drag=drag.address if drag else None,
             loads=self.loads.ctypes.data,

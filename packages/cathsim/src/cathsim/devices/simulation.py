@@ -28,7 +28,6 @@ from cathsim.rung import Rung
 from cathsim.simulation import Simulation, vessel_of
 
 _UNTWIST = 200  # iterations of the twist at a new start, at most
-_DEEP = 2.0  # as `rung.DEEP`: a reverse curve that snaps comes faster than a wire
 
 Array = NDArray[np.float64]
 
@@ -62,7 +61,6 @@ class _PairRung(Rung):
         super().__init__((model, fine, finest), twins, links, **settings)
         self.rod = rod
         self.struct.rod = rod.address
-        self.struct.deep = _DEEP
 
 
 class DualSimulation(Simulation):
@@ -103,7 +101,7 @@ class DualSimulation(Simulation):
                 "others"
             )
         self.pair = pair
-        numerics = dividing(numerics, pace.interval)
+        numerics = dividing(numerics.with_catheter, pace.interval)
         self.tables = device_tables(pair, numerics)
         both = sum(table.linear_density for table in self.tables if table)
         chain = pair.chain(both, pair.radius)
