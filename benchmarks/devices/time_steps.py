@@ -1,4 +1,4 @@
-"""In how many shorter substeps one is repeated that ends in the wall, with a catheter: speed, and nearness to `reference`.
+"""How substeps that end in the wall are repeated, with a catheter: speed, and nearness to `reference`.
 
     python benchmarks/devices/time_steps.py [--catheters vertebral,simmons2] [--seeds N] [--first-seed N] [--quick]
 
@@ -33,7 +33,11 @@ from cathsim.presets import ACCURACY, Accuracy
 PHANTOM, CATHETERS, STEPS, HELD = "type_1", "vertebral,simmons2", 120, 15
 SLOWEST, FASTEST = (0.3, -1.0, 0.2, -1.0), (1.0, 1.0, 0.9, 1.0)  # wire forwards, turned; catheter forwards, turned
 REFERENCE = "reference"
-REPETITIONS = {"accurate": (8, 4, 3, 2), "fast": (4, 3, 2)}
+# shorter substeps, and the depth in tolerances after which each is repeated in as many again
+REPETITIONS = {
+    "accurate": ((8, 2.0), (4, 2.0), (3, 2.0), (3, 1.5), (2, 1.5)),
+    "fast": ((4, 2.0), (3, 2.0), (2, 2.0), (2, 1.5)),
+}
 
 Array = NDArray[np.float64]
 
@@ -69,7 +73,7 @@ def play(catheter: str, numerics: Accuracy, seeds: range) -> Course:
     return Course(tips, forces, depths, time.process_time() - began)
 
 
-def row(name: str, repetitions: int, course: Course, reference: Course) -> dict[str, float | str]:
+def row(name: str, numerics: Accuracy, course: Course, reference: Course) -> dict[str, float | str]:
     """Figures of one time stepping beside the reference."""
     apart = 1e3 * np.linalg.norm(course.tips - reference.tips, axis=-1)
     figures = {
@@ -81,8 +85,11 @@ def row(name: str, repetitions: int, course: Course, reference: Course) -> dict[
         "force_apart_n": float(np.abs(course.forces - reference.forces).mean()),
         "penetration_p99_mm": float(1e3 * np.percentile(course.depths, 99)),
     }
-    print(f"{name:<10} {repetitions:>8} " + " ".join(f"{value:12.3f}" for value in figures.values()), flush=True)
-    return {"preset": name, "repeated_in": repetitions} | {key: round(value, 4) for key, value in figures.items()}
+    stepped = numerics.with_catheter
+    columns = " ".join(f"{value:10.3f}" for value in figures.values())
+    print(f"{name:<10} {stepped.refinement:>8} {stepped.deep:>6g} {columns}", flush=True)
+    settings: dict[str, float | str] = {"preset": name, "repeated_in": stepped.refinement, "deep": stepped.deep}
+    return settings | {key: round(value, 4) for key, value in figures.items()}
 
 
 def main() -> None:
@@ -103,14 +110,13 @@ def main() -> None:
     found: dict[str, list[dict[str, float | str]]] = {}
     for catheter in catheters:
         columns = ("time", "tip mm", "p90", "force N", "p99", "apart", "depth mm")
-        print(f"{catheter:<10} {'repeated':>8} " + " ".join(f"{column:>12}" for column in columns))
-        numerics = ACCURACY[REFERENCE]
-        reference = play(catheter, numerics, seeds)
-        found[catheter] = [row(REFERENCE, numerics.with_catheter.refinement, reference, reference)]
-        for name, counts in REPETITIONS.items():
-            for count in counts:
-                changed = dataclasses.replace(ACCURACY[name], catheter_refinement=count)
-                found[catheter].append(row(name, count, play(catheter, changed, seeds), reference))
+        print(f"{catheter:<10} {'repeated':>8} {'deep':>6} " + " ".join(f"{column:>10}" for column in columns))
+        reference = play(catheter, ACCURACY[REFERENCE], seeds)
+        found[catheter] = [row(REFERENCE, ACCURACY[REFERENCE], reference, reference)]
+        for name, choices in REPETITIONS.items():
+            for count, deep in choices:
+                changed = dataclasses.replace(ACCURACY[name], catheter_refinement=count, catheter_deep=deep)
+                found[catheter].append(row(name, changed, play(catheter, changed, seeds), reference))
     print(json.dumps(found))
 
 

@@ -111,7 +111,8 @@ def test_table_of_wires_is_that_of_the_code() -> None:
 def test_table_of_accuracies_is_that_of_the_code() -> None:
     from cathsim import ACCURACY
 
-    table = rows(SIMULATOR, "substep, ms", "repeated in", "tolerance, mm", "rise, mm", "mass factor", "with a catheter in")
+    columns = ("substep, ms", "repeated in", "tolerance, mm", "rise, mm", "mass factor", "with a catheter in")
+    table = rows(SIMULATOR, *columns)
     assert table.keys() == ACCURACY.keys()
     for name, numerics in ACCURACY.items():
         values = [float(cell) for column, cell in table[name].items() if column != "preset"]

@@ -50,9 +50,14 @@ class Accuracy:
 ACCURACY: dict[str, Accuracy] = {
     "reference": Accuracy(timestep=0.001, refinement=4),
     "accurate": Accuracy(
-        timestep=0.010, refinement=8, tolerance=2e-4, rise=5e-5, mass_scale=10.0,
-        catheter_refinement=3, catheter_deep=1.5,
-    ),  # fmt: skip
+        timestep=0.010,
+        refinement=8,
+        tolerance=2e-4,
+        rise=5e-5,
+        mass_scale=10.0,
+        catheter_refinement=3,
+        catheter_deep=1.5,
+    ),
     "fast": Accuracy(timestep=0.020, refinement=4, tolerance=5e-4, rise=3e-4, mass_scale=30.0, catheter_refinement=2),
 }
 
