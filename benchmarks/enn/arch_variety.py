@@ -1,9 +1,10 @@
 """A policy in ArchVariety: arches of six branching types that it has never seen, to random points.
 
-    python benchmarks/enn/arch_variety.py --policy FILE [--steep FILE] [--arches 20] [--draw] [--attempt-steps 150]
+    python benchmarks/enn/arch_variety.py --policy FILE [--steep FILE] [--arches 20] [--first 0] [--draw]
+                                         [--attempt-steps 150]
 
-One episode in each of so many arches of the test seeds a type, of which nothing was trained or chosen on; episode k of
-a type begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. With `--steep`, that
+One episode in each of so many arches of the test seeds a type, of which nothing was trained on; episode k of a type
+begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. With `--steep`, that
 policy steers with its own devices where the ostium of the target's branch is set back by --steep-from mm or more, which
 the scan tells beforehand. With `--attempt-steps` devices that have not arrived after so many steps are drawn back and
 try again, within the same episode. Prints a row a type with Wilson's 95 % interval, which branches were missed, and one
@@ -57,6 +58,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--steep-from", type=float, default=CATHETER_BETTER_MM, metavar="MM", help="how far that is")
     parser.add_argument("--types", default=",".join(ARCH_TYPES))
     parser.add_argument("--arches", type=int, default=20, help="a type, one episode each")
+    parser.add_argument("--first", type=int, default=0, help="test seeds of a type that are left out")
     parser.add_argument("--max-steps", type=int, default=TEST_STEPS)
     parser.add_argument("--attempt-steps", type=int, help="of an attempt; without, there is one of --max-steps")
     parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
@@ -80,9 +82,10 @@ class Player:
         self.by_roadmap, side = isinstance(self.policy, Policy), task_in_random_arches().image_size_px
         if self.draw and not self.by_roadmap:
             raise ValueError("--draw: a policy that sees images always takes the best action")
-        catheter = self.policy.metadata.get(TASK, {}).get("catheter") if self.by_roadmap else None
+        catheter = self.policy.metadata.get(TASK, {}).get("catheter")
+        seeds = TEST_SEEDS[given.first : given.first + given.arches]
         self.bare = ArchVarietyEnv(
-            given.types.split(","), TEST_SEEDS[: given.arches], max_steps=given.max_steps, image_size=side,
+            given.types.split(","), seeds, max_steps=given.max_steps, image_size=side,
             observation=self.policy.keys if self.by_roadmap else ("goal_image",), catheter=catheter,
         )  # fmt: skip
         self.environment: Any = (
@@ -151,14 +154,17 @@ def row_of(name: str, outcomes: list[Outcome], seconds: float) -> dict[str, Any]
 def main() -> None:
     """Runs the command line."""
     given = arguments()
+    if not (0 <= given.first < len(TEST_SEEDS) and given.arches > 0):
+        sys.exit(f"--first and --arches: there are {len(TEST_SEEDS)} test seeds of a type")
     try:
         players = [Player(name, given) for name in (given.policy, given.steep) if name is not None]
     except (OSError, ValueError) as error:
         sys.exit(str(error))
-    rows, together, began, arches = [], [], time.process_time(), min(given.arches, len(TEST_SEEDS))
+    rows, together, began = [], [], time.process_time()
+    arches = len(TEST_SEEDS[given.first : given.first + given.arches])
     for index, kind in enumerate(given.types.split(",")):
         start = time.process_time()
-        outcomes = [play(players, index * arches + number, number) for number in range(arches)]
+        outcomes = [play(players, index * arches + number, given.first + number) for number in range(arches)]
         rows.append(row_of(kind, outcomes, time.process_time() - start))
         together += outcomes
     for name, steep in ((f"set back below {given.steep_from:g} mm", False), ("set back further", True)):

@@ -12,8 +12,9 @@ policy for targets set back by --steep-from mm or more, which the scan tells bef
 its own.
 With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
 anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
-With --exchange what has not arrived in its last attempt is tried as often with the devices of the other policy of the
-two, from the sheath, with the next seed; the time that the exchange itself takes is not counted.
+With --then what --steep has not reached in its last attempt is tried as often with another policy of its devices, and
+with --exchange what has not arrived then is tried with the devices of the other policy of the two: each from the
+sheath, with the next seed; the time that an exchange of devices takes is not counted.
 With --most-force an attempt also ends where it presses harder, the last one for good.
 Arch k begins with seed 5,000,000,000 + 10 k + the target's number, which no training has used.
 """
@@ -67,6 +68,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", default="generalist", help=f"a file, or among {', '.join(enn.models())}")
     parser.add_argument("--steep", metavar="POLICY", help="for targets that are set back far")
+    parser.add_argument("--then", metavar="POLICY", help="for what --steep has not reached")
     parser.add_argument("--steep-from", type=float, default=CATHETER_BETTER_MM, metavar="MM", help="how far that is")
     parser.add_argument("--arches", type=int, default=50, help="random arches, one episode each and target")
     parser.add_argument("--first", type=int, default=FIRST_ARCH, help="seed of the first arch")
@@ -155,22 +157,22 @@ def play(
 
 
 def play_with(
-    both: Sequence[tuple[UnseenTask, Any]],
+    devices: Sequence[tuple[UnseenTask, Any]],
     place: int | AnatomyFile,
     target: str,
     seed: int,
     given: argparse.Namespace,
 ) -> Outcome:
-    """Plays one episode; where it fails, another with the devices of the next task and policy, as if it went on."""
-    outcome = play(*both[0], place, target, seed, given)
-    for task, policy in both[1:]:
+    """Plays one episode; where it fails, others with the next task and policy each, as if it went on."""
+    outcome = play(*devices[0], place, target, seed, given)
+    for number, (task, policy) in enumerate(devices[1:], 1):
         if not outcome.success:
-            further = play(task, policy, place, target, seed + 1, given)
+            further = play(task, policy, place, target, seed + number, given)
             outcome = Outcome(
                 further.success,
                 outcome.steps + further.steps,
                 np.concatenate((outcome.forces, further.forces)),
-                given.attempts + further.attempts,
+                number * given.attempts + further.attempts,
             )
     return outcome
 
@@ -199,21 +201,23 @@ def main() -> None:
     """Runs the command line."""
     given = arguments()
     try:
-        policies = [load(name) for name in (given.policy, given.steep or given.policy)]
+        names = [given.policy, given.steep or given.policy] + ([given.then] if given.then else [])
+        policies = [load(name) for name in names]
         if given.draw and not all(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--draw: a policy that sees images always takes the best action")
-        if given.exchange and not given.steep:
-            raise ValueError("--exchange: name a policy of other devices with --steep")
+        if (given.exchange or given.then) and not given.steep:
+            raise ValueError("--exchange and --then: name a policy of other devices with --steep")
         if given.clutter and any(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--clutter: a policy by roadmap sees no images")
         tasks = [task_of(policy, given) for policy in policies]
-        rows, measured, tries = [], [], given.attempts * (1 + given.exchange)
+        devices = list(zip(tasks, policies, strict=True))
+        in_turn = [[devices[0]] + devices[1:2] * given.exchange, devices[1:] + devices[:1] * given.exchange]
+        rows, measured, tries = [], [], given.attempts * max(len(each) for each in in_turn)
         for name, target, episodes in cells(given):
             backs = [ostium_set_back(place, target) for place, _ in episodes]
             chosen = [int(back >= given.steep_from) for back in backs]
-            devices = list(zip(tasks, policies, strict=True))
             outcomes = [
-                play_with((devices[k], devices[1 - k])[: 1 + given.exchange], place, target, seed, given)
+                play_with(in_turn[k], place, target, seed, given)
                 for k, (place, seed) in zip(chosen, episodes, strict=True)
             ]
             measured += [(back, one.success) for back, one in zip(backs, outcomes, strict=True)]
@@ -241,8 +245,8 @@ def main() -> None:
     except (OSError, ValueError) as error:
         sys.exit(str(error))
     found = {
-        "policy": given.policy, "steep": given.steep, "steep_from_mm": given.steep_from, "drawn": given.draw,
-        "rows": rows, "set_back": rows_by_set_back(measured),
+        "policy": given.policy, "steep": given.steep, "then": given.then, "steep_from_mm": given.steep_from,
+        "drawn": given.draw, "rows": rows, "set_back": rows_by_set_back(measured),
     }  # fmt: skip
     print(json.dumps(found))
 
