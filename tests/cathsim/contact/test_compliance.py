@@ -124,4 +124,5 @@ def test_repeated_substeps_of_two_devices_have_their_own_timestep(phantom: Phant
         seen.add(round(float(np.sqrt(-0.9 / simulation.model.geom_solref[first, 0])), 9))
     assert refined > 10
     assert len(seen) > 1
-    assert seen <= {round(numerics.timestep / numerics.refinement**power, 9) for power in range(3)}
+    own = simulation.numerics
+    assert seen <= {round(own.timestep / own.refinement**power, 9) for power in range(3)}

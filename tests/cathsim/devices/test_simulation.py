@@ -209,6 +209,14 @@ def test_refuses_tip_motors_and_hulls() -> None:
         simulation.restore(np.zeros(3))
 
 
+@pytest.mark.parametrize("name", ["accurate", "fast"])
+def test_devices_start_where_they_are_put(name: str) -> None:
+    """The chain gives way while it unbends within the wall, which a catheter at its start does not follow."""
+    simulation = made("vertebral").stepped_by(accuracy(name))
+    simulation.reset(0.15, catheter=(0.0, 0.0))
+    assert simulation.device_lead == pytest.approx(0.15, abs=1e-12)
+
+
 def test_another_time_stepping_of_the_same_devices() -> None:
     simulation = made("simmons1")
     steered(simulation, 20)

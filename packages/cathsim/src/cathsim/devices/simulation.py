@@ -214,6 +214,8 @@ class DualSimulation(Simulation):
         chain = self._hubs.place(insertion, rotation, catheter)
         self.twist[:] = np.array(self._hubs.angles)[:, None] - rotation
         super().reset(chain, rotation, time=time)
+        # while the chain gave way for a moment, a hub at its start kept it from taking the lead along
+        self._hubs.place(insertion, rotation, catheter)
 
     def let_untwist(self) -> None:
         """Lets the devices' twist come to rest for the bends of the moment, which were set from outside."""
