@@ -5,8 +5,8 @@
 Plays the same random motions in Type I with every time stepping: both devices forwards at speeds, and with turns, that
 are drawn anew every 15 steps. Prints a row a catheter, preset and number of repetitions: processor time over that of
 `reference`, distance of the tips at the same step, mean and 99th percentile of the resultant contact force, the mean
-difference of the forces at the same step, and the 99th percentile of the steps' deepest
-penetration; then one JSON object.
+difference of the forces at the same step, and the 99th percentile of the steps' deepest penetration; then one JSON
+object.
 --quick takes one seed and one catheter.
 """
 
