@@ -178,3 +178,19 @@ def test_a_catheters_end_is_seen_from_the_tip() -> None:
     assert 5 * LENGTH_SCALE * nothing[1] * SIZE == pytest.approx(71.7, abs=6)
     covered = scene.view().look(scene.image(scene.mask), scene.mask, REST, scene.mask)[VIEW_SIZE:]
     assert tuple(covered[:3]) == (1, 0, 0)
+
+
+def test_a_wire_that_comes_in_later_is_traced_from_where_it_comes_in_whatever_the_first_image_shows() -> None:
+    scene = Scene()
+    speck = np.zeros_like(scene.mask)
+    speck[0, 5, 100:103] = 255  # taken for a wire before there is one
+    for first in (np.zeros_like(scene.mask), speck):
+        view = EgocentricView()
+        view.start(scene.image(first), first, scene.dot, scene.lumen)
+        np.testing.assert_allclose(view.wire(scene.image(first), first), [[126 / SIZE, 0.5], [127 / SIZE, 0.5]])
+        short = drawn(np.array([(122.0, 40.0), (127.0, 40.0)]))[None]
+        assert len(view.wire(scene.image(short), short)) > 2  # seen, but too short to tell its tip from its entry
+        both = np.maximum(scene.mask, speck)
+        found = view.wire(scene.image(both), both)
+        assert np.hypot(*(found[0] * SIZE - 0.5 - scene.wire[0])) < 2.0
+        assert np.hypot(*(found[-1] * SIZE - 0.5 - scene.wire[-1])) < 2.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,8 @@ WIRE_ARCS = np.array([0.015, 0.03, 0.045, 0.06, 0.09, 0.14, 0.2, 0.3])  # behind
 RAY_REACH, RAY_SAMPLES, RAYS = 0.15, 16, 8
 HEADING_ARC = 0.03  # the tip's direction is that of this much of the wire
 LENGTH_SCALE, MOTION_SCALE = 0.1, 0.02
+SPECK = 5  # px: fewer that hang together are no wire
+SEEN = 12  # px: of a wire whose entry is believed
 _SMOOTHING = 5  # points
 _STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2**0.5), (1, -1, 2**0.5))
 
@@ -75,6 +78,14 @@ def trace_wire(mask: NDArray[np.bool_], entry: tuple[int, int] | None = None) ->
         way.append(came_from[way[-1]])
     flat = np.array(way)
     return np.stack((flat // wide - 1, flat % wide - 1), axis=1)
+
+
+def without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask without its connected parts of fewer than `SPECK` pixels, among which no wire is. Shape (height, width)."""
+    parts, _ = ndimage.label(mask, np.ones((3, 3)))
+    enough = np.bincount(parts.ravel()) >= SPECK
+    enough[0] = False
+    return np.asarray(enough[parts])
 
 
 def lumen_distance(lumen: NDArray[np.floating], target: Array) -> tuple[Array, NDArray[np.intp]]:
@@ -139,7 +150,15 @@ class EgocentricView:
 
     Args:
         smoothing: points of the traced wire over which it is averaged.
+
+    Attributes:
+        axis: of the devices as last looked at, from the tip to the entry, rows and columns over the image's side.
+            Shape (n, 2).
+        catheter_arc: length along it to the catheter's end, in the same unit; None: there is none.
     """
+
+    axis: Array
+    catheter_arc: float | None
 
     def __init__(self, smoothing: int = _SMOOTHING) -> None:
         self._kernel = np.ones(smoothing) / smoothing
@@ -181,8 +200,7 @@ class EgocentricView:
         small = sample(self._lumen, np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1))
         length, following = lumen_distance(small, (self.target * MAP_SIZE) - 0.5)
         self._length, self._following = length / MAP_SIZE, following.tolist()
-        traced = trace_wire(mask[0] > 0)
-        self._entry = (int(traced[-1, 0]), int(traced[-1, 1])) if len(traced) else None
+        self._entry: tuple[int, int] | None = None
         self._before: tuple[Array, Array, float] | None = None
 
     @property
@@ -192,10 +210,12 @@ class EgocentricView:
 
     def wire(self, image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Array:
         """The wire's axis from tip to entry, rows and columns over the image's side. Shape (n, 2)."""
-        traced = trace_wire(mask[0] > 0, self._entry)
+        traced = trace_wire(without_specks(mask[0] > 0), self._entry)
         if len(traced) < 2:
             entry = np.array(self._entry or (self.size - 1, self.size // 2), float)
             return np.stack((entry - (1.0, 0.0), entry)) / self.size
+        if self._entry is None and len(traced) >= SEEN:
+            self._entry = int(traced[-1, 0]), int(traced[-1, 1])
         last = self.size - 1
         dark = np.clip(self._empty - image[0], 0.0, None) * (mask[0] > 0) + 1e-3
         total, centre = np.zeros(len(traced)), np.zeros((len(traced), 2))
@@ -264,7 +284,7 @@ class EgocentricView:
             (1); motion of the tip (2) and turn of its direction (2) since the last look; the previous action (2).
             Shape (VIEW_SIZE,); with a catheter `catheter_end` follows, shape (VIEW_SIZE + CATHETER_SIZE,).
         """
-        points = self.wire(image, mask)
+        self.axis = points = self.wire(image, mask)
         tip = points[0]
         arc = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
         back = _at(points, arc, np.array([HEADING_ARC]))[0]
@@ -287,6 +307,7 @@ class EgocentricView:
         entry = points[-1]
         cosine, sine = float(heading @ before[1]), float(heading[1] * before[1][0] - heading[0] * before[1][1])
         of_catheter = [] if catheter is None else [catheter_end(points, arc, axes, catheter[0] > 0)]
+        self.catheter_arc = float(of_catheter[0][1]) * 5 * LENGTH_SCALE if of_catheter else None
         return np.concatenate(
             (
                 ahead.ravel(),
