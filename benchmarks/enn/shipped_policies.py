@@ -38,7 +38,7 @@ import numpy as np
 import enn
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
-from enn.imitation.image_policy import ImagePolicy
+from enn.imitation.images.policy import ImagePolicy
 from enn.policy import Policy
 from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy

@@ -26,9 +26,9 @@ from cathsim.anatomy.generator.random_arch import sample_parameters
 from cathsim.anatomy.library import build_phantom
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.wire_placement import laid_starts
-from enn.imitation.egocentric import VIEW_SIZE
-from enn.imitation.image_perception import ImagePerception
-from enn.imitation.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.egocentric import VIEW_SIZE
+from enn.imitation.images.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.perception import ImagePerception
 from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from pipeline.report.learning.tables import tables_from_logs
 

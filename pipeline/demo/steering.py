@@ -18,7 +18,7 @@ from pipeline.task import TASK, Task
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
-    from enn.imitation.image_policy import ImagePolicy
+    from enn.imitation.images.policy import ImagePolicy
     from enn.policy import Policy
 
 _ARCHES = ARCHES["test"].width
@@ -101,14 +101,14 @@ class Scene:
     @property
     def cameras(self) -> tuple[str, ...]:
         """Names of the views whose images the policy sees."""
-        from enn.imitation.image_policy import ImagePolicy
+        from enn.imitation.images.policy import ImagePolicy
 
         return self.policy.cameras if isinstance(self.policy, ImagePolicy) else ()
 
     @property
     def field(self) -> float | None:
         """Side of the views' field, m; None: they hold all of the anatomy."""
-        from enn.imitation.image_policy import ImagePolicy
+        from enn.imitation.images.policy import ImagePolicy
 
         return self.policy.perception.field if isinstance(self.policy, ImagePolicy) else None
 
@@ -211,7 +211,7 @@ def _set_back(place: int | AnatomyFile, target: str) -> float:
 def _environment(task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy) -> NavigateEnv:
     """The environment with what the policy sees among its observations."""
     from cathsim.observations.xray import XrayEnvironment
-    from enn.imitation.image_policy import ImagePolicy
+    from enn.imitation.images.policy import ImagePolicy
 
     if isinstance(policy, ImagePolicy):
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))

@@ -19,8 +19,8 @@ from enn.force.samples import force_samples
 from enn.imitation.behaviour_cloning import DESK_CLONING, clone
 from enn.imitation.cloned_policy import ClonedPolicy
 from enn.imitation.dagger import DaggerSettings, dagger, record
-from enn.imitation.image_perception import ImagePerception, load_image_policy
-from enn.imitation.lumen_segmentation import fit_segmenter
+from enn.imitation.images.lumen_segmentation import fit_segmenter
+from enn.imitation.images.perception import ImagePerception, load_image_policy
 from enn.imitation.path_following import PathFollower, PathFollowerSettings, fit_path_follower
 from enn.imitation.sequence_cloning import clone_sequences
 from enn.networks.encoder_network import Encoder

@@ -15,8 +15,8 @@ from enn.encoder import Encoder, EncoderSettings
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitError, fit
 from enn.force.prediction import ForceNetwork, ForceNetworkSettings, ForcePredictor
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
-from enn.imitation.image_perception import ImagePerception
-from enn.imitation.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.perception import ImagePerception
 from enn.imitation.path_following import PathFollower, PathFollowerSettings, build
 from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from enn.model_file import decoded, write_model

@@ -11,9 +11,9 @@ import pytest
 
 import enn
 from enn import shipped
-from enn.imitation.image_perception import ImagePerception
-from enn.imitation.image_policy import ImagePolicy
-from enn.imitation.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.perception import ImagePerception
+from enn.imitation.images.policy import ImagePolicy
 from enn.model_file import decoded, write_model
 from enn.policy import Policy
 from tests.enn.imitation.straight_wire import SIZE, WireEnv, policy_on

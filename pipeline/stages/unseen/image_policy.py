@@ -18,6 +18,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.clutter import clutter_of
 from pipeline.jobs.worker import Report
@@ -32,11 +33,11 @@ from pipeline.task import TASK
 
 if TYPE_CHECKING:
     from enn.imitation.advised_episodes import EpisodeStart
-    from enn.imitation.image_perception import ImagePerception
-    from enn.imitation.lumen_segmentation import LumenSegmenter
+    from enn.imitation.images.lumen_segmentation import LumenSegmenter
+    from enn.imitation.images.perception import ImagePerception
+    from enn.imitation.images.wire_segmentation import WireSegmenter
     from enn.imitation.recurrent_policy import RecurrentPolicy
     from enn.imitation.sequence_cloning import AdvisedEpisode
-    from enn.imitation.wire_segmentation import WireSegmenter
     from enn.policy import Policy
 
 IMAGE_POLICY, RECORD, CURVE = "image_policy.pt", "training.json", "training.csv"
@@ -70,9 +71,16 @@ class ImagePolicyJob(PolicyJob):
         """Side of the field of its images, m; None: all of the anatomy."""
         return self.settings.field() if self.xray else None
 
+    @property
+    def projections(self) -> NDArray[np.float64] | None:
+        """Of the views, where two of a fixed field show where things lie in space."""
+        from cathsim.observations.framing import field_projections
+
+        return None if self.field is None or len(self.views) != 2 else field_projections(self.views, self.field)
+
     def observations(self, *further: str) -> tuple[str, ...]:
         """What an environment is made with, beside what `seen` adds."""
-        from enn.imitation.image_perception import IMAGE_KEYS
+        from enn.imitation.images.perception import IMAGE_KEYS
 
         return (*(("goal_image",) if self.xray else IMAGE_KEYS), *further)
 
@@ -94,7 +102,7 @@ def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
     Returns:
         ``training_s`` and a summary for each test set, target and mode.
     """
-    from enn.imitation.image_perception import load_image_policy
+    from enn.imitation.images.perception import load_image_policy
 
     record, file = job.own_folder / RECORD, job.own_folder / IMAGE_POLICY
     if record.is_file():
@@ -120,7 +128,7 @@ def _train(
     """Fits the perception, then plays and fits round by round, going on after the last finished one."""
     from cathsim.many_anatomies import SHELF
     from enn.imitation.advised_episodes import SIDE_BY_SIDE, play_advised
-    from enn.imitation.image_perception import ImagePerception, load_image_policy
+    from enn.imitation.images.perception import ImagePerception, load_image_policy
     from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
     from enn.imitation.sequence_cloning import SequenceCloningSettings
     from enn.policy import Policy
@@ -144,7 +152,7 @@ def _train(
         devices = _device_segmenters(job, expert, perceive, device) if job.xray else {}
         perception = ImagePerception(
             segmenter, devices.get("mask"), device, subtracts=job.xray, cameras=job.views,
-            catheter=devices.get(CATHETER_MASK), field=job.field,
+            catheter=devices.get(CATHETER_MASK), field=job.field, projections=job.projections,
         )  # fmt: skip
         hints = int(np.prod(expert.observation_space[expert.keys[0]].shape))  # type: ignore[index]
         actions = int(np.prod(expert.action_space.shape or ()))
@@ -212,8 +220,8 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
     from cathsim.many_anatomies import SHELF
     from cathsim.observations.framing import framed
     from cathsim.observations.xray import contrast_run
-    from enn.imitation.image_perception import subtracted
-    from enn.imitation.lumen_segmentation import fit_segmenter
+    from enn.imitation.images.lumen_segmentation import fit_segmenter
+    from enn.imitation.images.perception import subtracted
 
     task, epochs = job.task.task, job.settings.segmenter_epochs
     size_px, draw, generator = task.image_size_px, clutter_of(job.settings.clutter), np.random.default_rng(job.seed)
@@ -246,7 +254,7 @@ def _device_segmenters(job: ImagePolicyJob, expert: Policy, report: Tell, device
     """Trains the network that finds the devices, and one that finds a catheter alone, on an episode in each training
     anatomy; by the names of their masks.
     """
-    from enn.imitation.wire_segmentation import BETWEEN, fit_wire_segmenter, wire_frames
+    from enn.imitation.images.wire_segmentation import BETWEEN, fit_wire_segmenter, wire_frames
 
     environment = job.task.training_environment(job.anatomies, job.observations(*expert.keys))
     count, targets = len(job.anatomies), len(job.task.targets)

@@ -9,7 +9,7 @@ import pytest
 
 from cathsim.anatomy import load_phantom
 from cathsim.fluoroscopy import Projector
-from cathsim.observations.framing import ABOVE_ARCH, arch_centre, framed, raised_bath
+from cathsim.observations.framing import ABOVE_ARCH, arch_centre, field_projections, framed, raised_bath
 
 FIELD, SIZE = 0.16, 160
 
@@ -60,3 +60,21 @@ def test_bad_views_and_fields_are_refused() -> None:
     for field in (0.0, -0.1, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="the field of view must be a positive length"):
             framed(phantom, "frontal", 96, field)
+
+
+def test_views_with_a_field_see_every_arch_by_the_same_matrices() -> None:
+    views = ("frontal", "lao_45")
+    matrices = field_projections(views, FIELD)
+    assert matrices.shape == (2, 3, 4)
+    for name in ("type_1", "bovine"):
+        phantom = load_phantom(name, resolution=2e-3)
+        points = np.stack([phantom.target(target).position for target in ("bca", "lcca", "lsa")])
+        about = np.column_stack((points - arch_centre(phantom, FIELD), np.ones(len(points))))
+        for view, matrix in zip(views, matrices, strict=True):
+            flat = about @ matrix.T
+            shares = (framed(phantom, view, SIZE, FIELD).project(points) + 0.5) / SIZE
+            np.testing.assert_allclose(flat[:, :2] / flat[:, 2:], shares, atol=1e-9)
+    with pytest.raises(ValueError, match="unknown view 'above'"):
+        field_projections(("above",), FIELD)
+    with pytest.raises(ValueError, match="field of view must be a positive length"):
+        field_projections(views, 0.0)

@@ -9,9 +9,9 @@ import gymnasium
 import numpy as np
 
 from enn.imitation.advised_episodes import EpisodeStart, play_advised
-from enn.imitation.egocentric import VIEW_SIZE
-from enn.imitation.image_perception import IMAGE_KEYS, XRAY_KEYS, ImagePerception
-from enn.imitation.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.egocentric import VIEW_SIZE
+from enn.imitation.images.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.perception import IMAGE_KEYS, XRAY_KEYS, ImagePerception
 from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from enn.imitation.sequence_cloning import AdvisedEpisode, SequenceCloningSettings
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from enn.imitation.advised_episodes import FIRST_NOISE, NOISE, TEACHER_SHARE, advised_rounds
-from enn.imitation.egocentric import VIEW_SIZE
+from enn.imitation.images.egocentric import VIEW_SIZE
 from enn.imitation.sequence_cloning import AdvisedEpisode
 from tests.enn.imitation.straight_wire import CLONING, advised, policy_on, untrained
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from enn import shipped
-from enn.imitation.image_perception import ONE_CAMERA, ImagePerception
-from enn.imitation.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.perception import ONE_CAMERA, ImagePerception
+from enn.imitation.images.wire_segmentation import WireSegmenter
 from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
-from enn.imitation.wire_segmentation import WireSegmenter
 from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
 from pipeline.stages.unseen.task import ROADMAP_KEYS, UnseenTask

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 
 import enn
-from enn.imitation.image_policy import ImagePolicy
+from enn.imitation.images.policy import ImagePolicy
 from enn.imitation.recurrent_policy import FORMAT as IMAGE_FORMAT
 from enn.model_file import decoded
 from enn.policy import FORMAT, Policy

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enn.imitation.image_policy import ImagePolicy
+from enn.imitation.images.policy import ImagePolicy
 from enn.policy import Policy
 from enn.shipped import weight_files
 from pipeline.jobs.worker import Report

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,3 +72,31 @@ def framed(phantom: Phantom, view: str, size: int, field: float | None = None) -
         secondary_deg=secondary,
         name=view,
     )
+
+
+def field_projections(views: Sequence[str], field: float) -> NDArray[np.float64]:
+    """How views with a field see what lies about their isocentre, the same in every anatomy.
+
+    Args:
+        views: names of `cathsim.fluoroscopy.projector.VIEWS`.
+        field: side of the square that the images show in the plane of the isocentre, m.
+
+    Returns:
+        Matrices from homogeneous places, m from the isocentre, to columns and rows as shares of the image's side, 0 at
+        its upper left corner. Shape (views, 3, 4).
+
+    Raises:
+        ValueError: an unknown view, or a field that is no positive length.
+    """
+    require_field(field)
+    to_share = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # of a pixel, whose middle is at 0
+    matrices = []
+    for view in views:
+        if view not in VIEWS:
+            raise ValueError(f"unknown view {view!r}: expected one of {', '.join(VIEWS)}")
+        primary, secondary = VIEWS[view]
+        camera = Projector.c_arm(
+            centre=np.zeros(3), field_of_view=field, size=1, primary_deg=primary, secondary_deg=secondary, name=view
+        )
+        matrices.append(to_share @ camera.P)
+    return np.stack(matrices)

@@ -1,6 +1,6 @@
 """Recurrent policy: from the features of an episode so far to an action, whatever perceives the images.
 
-A perception makes the features. Image policies have the one of `enn.imitation.image_perception`, navigators that of
+A perception makes the features. Image policies have the one of `enn.imitation.images.perception`, navigators that of
 `splineformer.navigation`; both meet `Perception`, a protocol of arrays.
 """
 

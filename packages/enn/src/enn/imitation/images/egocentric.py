@@ -81,7 +81,7 @@ def trace_wire(mask: NDArray[np.bool_], entry: tuple[int, int] | None = None) ->
 
 
 def without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A mask without its connected parts of fewer than `SPECK` pixels, among which no wire is. Shape (height, width)."""
+    """A mask (height, width) without its connected parts of fewer than `SPECK` pixels, which are no wire."""
     parts, _ = ndimage.label(mask, np.ones((3, 3)))
     enough = np.bincount(parts.ravel()) >= SPECK
     enough[0] = False

@@ -7,13 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enn.imitation.egocentric import CATHETER_SIZE, VIEW_SIZE
-from enn.imitation.image_perception import XRAY_KEYS, ImagePerception, load_image_policy, subtracted
-from enn.imitation.image_policy import ImagePolicy
-from enn.imitation.lumen_segmentation import LumenSegmenter, fit_segmenter
+from enn.imitation.images.egocentric import CATHETER_SIZE, VIEW_SIZE
+from enn.imitation.images.lumen_segmentation import LumenSegmenter, fit_segmenter
+from enn.imitation.images.perception import XRAY_KEYS, ImagePerception, load_image_policy, subtracted
+from enn.imitation.images.policy import ImagePolicy
+from enn.imitation.images.stereo_view import CATHETER_SIZE as STEREO_CATHETER_SIZE
+from enn.imitation.images.stereo_view import STEREO_SIZE
+from enn.imitation.images.wire_segmentation import WireSegmenter, fit_wire_segmenter
 from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from enn.imitation.sequence_cloning import SequenceCloningSettings, clone_sequences
-from enn.imitation.wire_segmentation import WireSegmenter, fit_wire_segmenter
+from tests.enn.imitation.images.test_stereo_view import FIELD, projections
 from tests.enn.imitation.straight_wire import CLONING, SIZE, SMALL, WireEnv, XrayWireEnv, advised, policy_on, vessels
 
 LONG = SequenceCloningSettings(epochs=20, batch_size=8, learning_rate=1e-2)
@@ -144,3 +147,28 @@ def test_with_a_catheter_there_are_four_actions_and_a_network_more(segmenter: Lu
     RecurrentPolicy(settings, perception=perception.content()).save(tmp_path / "policy.pt")
     steer = ImagePolicy.load(tmp_path / "policy.pt").controller()
     assert steer(seen).shape == (4,)
+
+
+def test_two_calibrated_cameras_also_show_what_lies_in_space(segmenter: LumenSegmenter, tmp_path: Path) -> None:
+    cameras, wire, tube = ("frontal", "lao_45"), WireSegmenter(4), WireSegmenter(4)
+    bare = ImagePerception(segmenter, wire, cameras=cameras, catheter=tube, field=FIELD)
+    perception = ImagePerception(
+        segmenter, wire, cameras=cameras, catheter=tube, field=FIELD, projections=projections()
+    )
+    (first, _), (other, _) = XrayWireEnv().reset(seed=1), XrayWireEnv().reset(seed=2)
+    seen = {key: np.concatenate((first[key], other[key])) for key in perception.keys}
+    action = np.array([0.5, 0.0, -0.5, 0.25], np.float32)
+    features, without = (one([one.begin(seen)], [seen], [action])[0] for one in (perception, bare))
+    assert perception.size == len(features) == bare.size + STEREO_SIZE + STEREO_CATHETER_SIZE
+    np.testing.assert_array_equal(features[: len(without) - 2], without[:-2])
+    np.testing.assert_array_equal(features[-2:], without[-2:])
+    settings = RecurrentPolicySettings(features=perception.size, hidden=8, actions=4)
+    RecurrentPolicy(settings, perception=perception.content()).save(tmp_path / "policy.pt")
+    again = ImagePolicy.load(tmp_path / "policy.pt").perception
+    assert again.geometry is not None
+    np.testing.assert_array_equal(again.geometry.projections, projections())
+    older = perception.content()
+    del older["projections"]
+    assert ImagePerception.of(older).size == bare.size
+    with pytest.raises(ValueError, match="projections: expected two cameras with a field of view"):
+        ImagePerception(segmenter, wire, cameras=cameras, projections=projections())

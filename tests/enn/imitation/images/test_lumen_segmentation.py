@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from enn.imitation.lumen_segmentation import fit_segmenter, overlap
+from enn.imitation.images.lumen_segmentation import fit_segmenter, overlap
 from tests.enn.imitation.straight_wire import SIZE, vessels
 
 

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from enn.imitation.egocentric import (
+from enn.imitation.images.egocentric import (
     CATHETER_SIZE,
     LENGTH_SCALE,
     VIEW_SIZE,

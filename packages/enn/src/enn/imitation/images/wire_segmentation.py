@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.devices import device_of
+from enn.imitation.images.segmenter_fitting import fitted
 from enn.imitation.perturbed_controller import PerturbedController
-from enn.imitation.segmenter_fitting import fitted
 from enn.policy import Policy
 
 DARKENING = 10.0  # grey levels that count as one

@@ -9,17 +9,20 @@ medium or in what that image has less light than the one before (`subtracted`), 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from enn.imitation.egocentric import CATHETER_SIZE, VIEW_SIZE, EgocentricView, without_wire
-from enn.imitation.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.egocentric import CATHETER_SIZE, VIEW_SIZE, EgocentricView, without_wire
+from enn.imitation.images.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.stereo_view import CATHETER_SIZE as STEREO_CATHETER_SIZE
+from enn.imitation.images.stereo_view import STEREO_SIZE, StereoGeometry, StereoView
+from enn.imitation.images.wire_segmentation import WireSegmenter
 from enn.imitation.recurrent_policy import Observation, RecurrentController, RecurrentPolicy
-from enn.imitation.wire_segmentation import WireSegmenter
 from enn.model_file import UNFIT, another_architecture
 
 IMAGE_KEYS = ("image", "mask", "goal_image")  # observations of a policy that observes the wire's mask
@@ -39,8 +42,19 @@ def subtracted(plain: NDArray[np.uint8], contrast: NDArray[np.uint8]) -> NDArray
     return np.float32(100.0) * (contrast.astype(np.float32) + _DARKEST) / (plain.astype(np.float32) + _DARKEST)
 
 
+@dataclass(frozen=True, eq=False)
+class ImageViews:
+    """What is kept of an episode: the view of each camera, and where two cameras are calibrated what both show."""
+
+    cameras: list[EgocentricView]
+    stereo: StereoView | None = None
+
+
 class ImagePerception:
-    """Segmenters and egocentric views: from images to `enn.imitation.egocentric.VIEW_SIZE` features of each camera.
+    """Segmenters and egocentric views: from images to features.
+
+    There are `enn.imitation.images.egocentric.VIEW_SIZE` of each camera; where two are calibrated there follow the
+    `enn.imitation.images.stereo_view.STEREO_SIZE` of both.
 
     Args:
         segmenter: finds the lumen in an episode's first image, or in that of a contrast run.
@@ -49,6 +63,11 @@ class ImagePerception:
         field: side of the square that X-ray images show in the plane of the isocentre, m; None: all of the anatomy.
         subtracts: whether the lumen is looked for in `subtracted` images of contrast runs.
         cameras: names of the views whose images, one after the other, are the first axis of every observation.
+        projections: of two cameras, as of `enn.imitation.images.stereo_view.StereoGeometry`; None: what they show
+            together is not looked at.
+
+    Raises:
+        ValueError: projections without a field, or of other than two cameras.
     """
 
     def __init__(
@@ -61,7 +80,13 @@ class ImagePerception:
         cameras: Sequence[str] = ONE_CAMERA,
         catheter: WireSegmenter | None = None,
         field: float | None = None,
+        projections: ArrayLike | None = None,
     ) -> None:
+        self.geometry: StereoGeometry | None = None
+        if projections is not None:
+            if field is None or len(cameras) != 2:
+                raise ValueError("projections: expected two cameras with a field of view")
+            self.geometry = StereoGeometry(np.asarray(projections, float), field)
         self.segmenter, self.subtracts, self.cameras = segmenter.to(device), bool(subtracts), tuple(cameras)
         self.field = field
         self.wire, self.catheter = (None if one is None else one.to(device) for one in (wire, catheter))
@@ -74,16 +99,18 @@ class ImagePerception:
     @property
     def size(self) -> int:
         """Number of features."""
+        together = 0 if self.geometry is None else STEREO_SIZE
         if self.catheter is None:
-            return len(self.cameras) * VIEW_SIZE
-        return len(self.cameras) * (VIEW_SIZE + CATHETER_SIZE) + _OF_WIRE  # as many actions of the catheter
+            return len(self.cameras) * VIEW_SIZE + together
+        together += 0 if self.geometry is None else STEREO_CATHETER_SIZE
+        return len(self.cameras) * (VIEW_SIZE + CATHETER_SIZE) + together + _OF_WIRE  # as many actions of the catheter
 
     def mask(self, observation: Observation) -> NDArray[np.uint8]:
         """The devices' pixels, not 0, as observed or found. Shape (cameras, size, size)."""
         return observation["mask"] if self.wire is None else _found(self.wire, observation)
 
-    def begin(self, observation: Observation) -> list[EgocentricView]:
-        """The views of an episode, one of each camera, from its first observation.
+    def begin(self, observation: Observation) -> ImageViews:
+        """The views of an episode from its first observation.
 
         Raises:
             ValueError: an image is missing, or there are images of more or fewer cameras.
@@ -100,7 +127,11 @@ class ImagePerception:
                 "the environment with these views"
             )
         masks = self.mask(observation)
-        return [self._begun(observation, masks, camera) for camera in range(len(self.cameras))]
+        views = [self._begun(observation, masks, camera) for camera in range(len(self.cameras))]
+        if self.geometry is None:
+            return ImageViews(views)
+        dots = [view.target + 0.5 / view.size for view in views]  # from a pixel's number to its middle
+        return ImageViews(views, StereoView(self.geometry, [view.lumen for view in views], dots))
 
     def _begun(self, observation: Observation, masks: NDArray[np.uint8], camera: int) -> EgocentricView:
         own = slice(camera, camera + 1)
@@ -127,23 +158,25 @@ class ImagePerception:
 
     def __call__(
         self,
-        views: Sequence[Sequence[EgocentricView]],
+        views: Sequence[ImageViews],
         observations: Sequence[Observation],
         actions: Sequence[NDArray[Any]],
     ) -> NDArray[np.float32]:
         """Features of N episodes' moment, as `enn.imitation.recurrent_policy.Perception` says."""
         return np.stack([self._look(*moment) for moment in zip(views, observations, actions, strict=True)])
 
-    def _look(self, views: Sequence[EgocentricView], seen: Observation, action: NDArray[Any]) -> NDArray[np.float32]:
+    def _look(self, views: ImageViews, seen: Observation, action: NDArray[Any]) -> NDArray[np.float32]:
         images, masks, of_wire = seen["image"], self.mask(seen), action[:_OF_WIRE]
-        if self.catheter is None:
-            parts = [view.look(images[k : k + 1], masks[k : k + 1], of_wire) for k, view in enumerate(views)]
-            return np.concatenate(parts)
-        tubes = _found(self.catheter, seen)
-        parts = [
-            view.look(images[k : k + 1], masks[k : k + 1], of_wire, tubes[k : k + 1]) for k, view in enumerate(views)
-        ]
-        return np.concatenate([*parts, action[_OF_WIRE:]])
+        tubes = None if self.catheter is None else _found(self.catheter, seen)
+        parts = []
+        for k, view in enumerate(views.cameras):
+            own = slice(k, k + 1)
+            parts.append(view.look(images[own], masks[own], of_wire, None if tubes is None else tubes[own]))
+        if views.stereo is not None:
+            arcs = [view.catheter_arc for view in views.cameras]
+            ends = None if tubes is None else (float(arcs[0] or 0.0), float(arcs[1] or 0.0))
+            parts.append(views.stereo.look([view.axis for view in views.cameras], ends))
+        return np.concatenate(parts if tubes is None else [*parts, action[_OF_WIRE:]])
 
     def controller(self, policy: RecurrentPolicy) -> RecurrentController:
         """A policy on this perception over episodes."""
@@ -161,6 +194,7 @@ class ImagePerception:
             "subtracts": self.subtracts,
             "cameras": list(self.cameras),
             "field": self.field,
+            "projections": None if self.geometry is None else self.geometry.projections.tolist(),
         }
 
     @classmethod
@@ -174,7 +208,7 @@ class ImagePerception:
         segmenter.load_state_dict(content["segmenter"]["weights"])
         wire, catheter = _read(content["wire"]), _read(content.get("catheter"))
         # what files of older versions do not say
-        older: dict[str, Any] = {"subtracts": False, "cameras": ONE_CAMERA, "field": None}
+        older: dict[str, Any] = {"subtracts": False, "cameras": ONE_CAMERA, "field": None, "projections": None}
         further = {name: content.get(name, value) for name, value in older.items()}
         return cls(segmenter.eval(), wire, device, catheter=catheter, **further)
 

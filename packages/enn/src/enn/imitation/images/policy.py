@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from enn.imitation.image_perception import ImagePerception, load_image_policy
+from enn.imitation.images.perception import ImagePerception, load_image_policy
 from enn.imitation.recurrent_policy import RecurrentController, RecurrentPolicy
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from enn.imitation.wire_segmentation import WireSegmenter, dice, fit_wire_segmenter, wire_frames
+from enn.imitation.images.wire_segmentation import WireSegmenter, dice, fit_wire_segmenter, wire_frames
 from tests.enn.imitation.straight_wire import Expert
 
 SIZE = 64

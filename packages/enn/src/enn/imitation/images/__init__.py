@@ -1,0 +1,1 @@
+"""Policies that see images: what they make of them, in one view and in two."""
