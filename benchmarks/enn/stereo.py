@@ -30,12 +30,13 @@ from cathsim.observations.roadmap import WIRE_ARCS
 from cathsim.observations.xray import XrayEnvironment
 from enn.imitation.images.egocentric import SEEN
 from enn.imitation.images.policy import ImagePolicy
-from enn.imitation.images.stereo_view import StereoGeometry, StereoView
+from enn.imitation.images.stereo_geometry import StereoGeometry
+from enn.imitation.images.stereo_view import PARTS, StereoView
+from enn.imitation.images.visual_hull import SeenVoxels
 from enn.policy import Policy
 from pipeline.task import task_in_random_arches
 
 ASTRAY_MM = 15.0
-HEADING, BEND = slice(78, 81), slice(81, 84)  # in a look
 
 
 def arguments() -> argparse.Namespace:
@@ -72,7 +73,7 @@ def main() -> None:
     perception, field, side = policy.perception, policy.perception.field, task_in_random_arches().image_size_px
     if field is None or len(policy.cameras) != 2:
         sys.exit(f"--policy {given.policy}: expected a policy of two views of a fixed field")
-    geometry = StereoGeometry(field_projections(policy.cameras, field), field)
+    voxels = SeenVoxels(StereoGeometry(field_projections(policy.cameras, field), field))
     arches = 1 if given.quick else given.arches
     bare = ArchVarietyEnv(
         list(ARCH_TYPES), TEST_SEEDS[:arches], max_steps=given.max_steps, image_size=side,
@@ -86,7 +87,7 @@ def main() -> None:
         controller, views = teacher.controller(seed=case), perception.begin(observation).cameras
         began = time.process_time()
         lumens, dots = [view.lumen for view in views], [view.target + 0.5 / side for view in views]
-        stereo = StereoView(geometry, lumens, dots)
+        stereo = StereoView(voxels, lumens, dots)
         starts.append(time.process_time() - began)
         centre, goal = arch_centre(bare.phantom, field), bare.phantom.target(bare.task.target)
         errors["target"].append(1e3 * np.linalg.norm(stereo.target + centre - goal.position))
@@ -97,7 +98,7 @@ def main() -> None:
                 axes = [view.wire(observation["image"][k : k + 1], masks[k : k + 1]) for k, view in enumerate(views)]
                 if not seen and min(len(axis) for axis in axes) >= SEEN:
                     seen = True
-                    path = stereo.way(stereo.wire(axes)[0][0])[0] + centre
+                    path = stereo.hull.way(stereo.wire(axes)[0][0])[0] + centre
                     errors["astray"].append(astray_mm(bare.phantom, goal.branch, path))
                 if seen:
                     began = time.process_time()
@@ -108,7 +109,7 @@ def main() -> None:
                     true = bare.simulation.inserted_points()
                     errors["wire"].append(1e3 * along(points, true))
                     axes_of_tip = bare.simulation.data.site_xmat[bare.simulation.model.site(TIP_SITE).id].reshape(3, 3)
-                    heading, bend = look[HEADING], look[BEND]
+                    heading, bend = look[PARTS["heading"]], look[PARTS["bend"]]
                     errors["heading"].append(between_deg(heading, axes_of_tip[:, 2]))
                     errors["roll"].append(between_deg(bend, -axes_of_tip[:, 1]))
             observation, _, success, truncated, info = environment.step(controller(observation, info))

@@ -16,9 +16,8 @@ from enn.imitation.images.egocentric import (
     EgocentricView,
     lumen_distance,
     sample,
-    trace_wire,
-    without_wire,
 )
+from enn.imitation.images.wire_tracing import trace_wire, without_wire
 
 SIZE = 128
 REST = (0.0, 0.0)

@@ -16,7 +16,7 @@ from enn.imitation.images.stereo_view import STEREO_SIZE
 from enn.imitation.images.wire_segmentation import WireSegmenter, fit_wire_segmenter
 from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
 from enn.imitation.sequence_cloning import SequenceCloningSettings, clone_sequences
-from tests.enn.imitation.images.test_stereo_view import FIELD, projections
+from tests.enn.imitation.images.two_views import FIELD, projections
 from tests.enn.imitation.straight_wire import CLONING, SIZE, SMALL, WireEnv, XrayWireEnv, advised, policy_on, vessels
 
 LONG = SequenceCloningSettings(epochs=20, batch_size=8, learning_rate=1e-2)
@@ -165,8 +165,8 @@ def test_two_calibrated_cameras_also_show_what_lies_in_space(segmenter: LumenSeg
     settings = RecurrentPolicySettings(features=perception.size, hidden=8, actions=4)
     RecurrentPolicy(settings, perception=perception.content()).save(tmp_path / "policy.pt")
     again = ImagePolicy.load(tmp_path / "policy.pt").perception
-    assert again.geometry is not None
-    np.testing.assert_array_equal(again.geometry.projections, projections())
+    assert again.voxels is not None
+    np.testing.assert_array_equal(again.voxels.geometry.projections, projections())
     older = perception.content()
     del older["projections"]
     assert ImagePerception.of(older).size == bare.size

@@ -17,11 +17,14 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from enn.imitation.images.egocentric import CATHETER_SIZE, VIEW_SIZE, EgocentricView, without_wire
+from enn.imitation.images.egocentric import CATHETER_SIZE, VIEW_SIZE, EgocentricView
 from enn.imitation.images.lumen_segmentation import LumenSegmenter
+from enn.imitation.images.stereo_geometry import StereoGeometry
 from enn.imitation.images.stereo_view import CATHETER_SIZE as STEREO_CATHETER_SIZE
-from enn.imitation.images.stereo_view import STEREO_SIZE, StereoGeometry, StereoView
+from enn.imitation.images.stereo_view import STEREO_SIZE, StereoView
+from enn.imitation.images.visual_hull import SeenVoxels
 from enn.imitation.images.wire_segmentation import WireSegmenter
+from enn.imitation.images.wire_tracing import without_wire
 from enn.imitation.recurrent_policy import Observation, RecurrentController, RecurrentPolicy
 from enn.model_file import UNFIT, another_architecture
 
@@ -63,7 +66,7 @@ class ImagePerception:
         field: side of the square that X-ray images show in the plane of the isocentre, m; None: all of the anatomy.
         subtracts: whether the lumen is looked for in `subtracted` images of contrast runs.
         cameras: names of the views whose images, one after the other, are the first axis of every observation.
-        projections: of two cameras, as of `enn.imitation.images.stereo_view.StereoGeometry`; None: what they show
+        projections: of two cameras, as of `enn.imitation.images.stereo_geometry.StereoGeometry`; None: what they show
             together is not looked at.
 
     Raises:
@@ -82,11 +85,11 @@ class ImagePerception:
         field: float | None = None,
         projections: ArrayLike | None = None,
     ) -> None:
-        self.geometry: StereoGeometry | None = None
+        self.voxels: SeenVoxels | None = None
         if projections is not None:
             if field is None or len(cameras) != 2:
                 raise ValueError("projections: expected two cameras with a field of view")
-            self.geometry = StereoGeometry(np.asarray(projections, float), field)
+            self.voxels = SeenVoxels(StereoGeometry(np.asarray(projections, float), field))
         self.segmenter, self.subtracts, self.cameras = segmenter.to(device), bool(subtracts), tuple(cameras)
         self.field = field
         self.wire, self.catheter = (None if one is None else one.to(device) for one in (wire, catheter))
@@ -99,10 +102,10 @@ class ImagePerception:
     @property
     def size(self) -> int:
         """Number of features."""
-        together = 0 if self.geometry is None else STEREO_SIZE
+        together = 0 if self.voxels is None else STEREO_SIZE
         if self.catheter is None:
             return len(self.cameras) * VIEW_SIZE + together
-        together += 0 if self.geometry is None else STEREO_CATHETER_SIZE
+        together += 0 if self.voxels is None else STEREO_CATHETER_SIZE
         return len(self.cameras) * (VIEW_SIZE + CATHETER_SIZE) + together + _OF_WIRE  # as many actions of the catheter
 
     def mask(self, observation: Observation) -> NDArray[np.uint8]:
@@ -128,10 +131,10 @@ class ImagePerception:
             )
         masks = self.mask(observation)
         views = [self._begun(observation, masks, camera) for camera in range(len(self.cameras))]
-        if self.geometry is None:
+        if self.voxels is None:
             return ImageViews(views)
         dots = [view.target + 0.5 / view.size for view in views]  # from a pixel's number to its middle
-        return ImageViews(views, StereoView(self.geometry, [view.lumen for view in views], dots))
+        return ImageViews(views, StereoView(self.voxels, [view.lumen for view in views], dots))
 
     def _begun(self, observation: Observation, masks: NDArray[np.uint8], camera: int) -> EgocentricView:
         own = slice(camera, camera + 1)
@@ -194,7 +197,7 @@ class ImagePerception:
             "subtracts": self.subtracts,
             "cameras": list(self.cameras),
             "field": self.field,
-            "projections": None if self.geometry is None else self.geometry.projections.tolist(),
+            "projections": None if self.voxels is None else self.voxels.geometry.projections.tolist(),
         }
 
     @classmethod

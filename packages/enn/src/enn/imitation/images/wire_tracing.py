@@ -1,0 +1,88 @@
+"""The wire in a mask: its pixels in order from the tip on, what is no wire, and the image without it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Array = NDArray[np.float64]
+
+SPECK = 5  # px: fewer that hang together are no wire
+
+
+def trace_wire(mask: NDArray[np.bool_], entry: tuple[int, int] | None = None) -> NDArray[np.intp]:
+    """The wire's pixels in order, from the tip to where it comes in.
+
+    The longest of the shortest ways inside the mask that begin at the entry.
+
+    Args:
+        mask: the wire's pixels. Shape (height, width).
+        entry: row and column of the end that does not move; None: the lowest pixel.
+
+    Returns:
+        Rows and columns. Shape (n, 2); empty for an empty mask.
+    """
+    height, width = mask.shape
+    wide = width + 2
+    padded = np.zeros((height + 2, wide), bool)
+    padded[1:-1, 1:-1] = mask
+    left = set(np.flatnonzero(padded).tolist())
+    if not left:
+        return np.empty((0, 2), np.intp)
+    if entry is None:
+        first = max(left)
+    else:
+        place = (entry[0] + 1) * wide + entry[1] + 1
+        first = min(left, key=lambda k: (k // wide - place // wide) ** 2 + (k % wide - place % wide) ** 2)
+    straight, oblique = (1, -1, wide, -wide), (wide + 1, wide - 1, -wide + 1, -wide - 1)
+    came_from = {first: first}
+    left.discard(first)
+    # rings of about equal length: an oblique step counts one and a half, like every second straight one
+    rings: list[list[int]] = [[first], [], [], []]
+    last = first
+    while any(rings):
+        for here in rings[0]:
+            last = here
+            for steps, ring in ((straight, rings[2]), (oblique, rings[3])):
+                for step in steps:
+                    there = here + step
+                    if there in left:
+                        left.discard(there)
+                        came_from[there] = here
+                        ring.append(there)
+        rings = [*rings[1:], []]
+    way = [last]
+    while way[-1] != first:
+        way.append(came_from[way[-1]])
+    flat = np.array(way)
+    return np.stack((flat // wide - 1, flat % wide - 1), axis=1)
+
+
+def without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask (height, width) without its connected parts of fewer than `SPECK` pixels, which are no wire."""
+    parts, _ = ndimage.label(mask, np.ones((3, 3)))
+    enough = np.bincount(parts.ravel()) >= SPECK
+    enough[0] = False
+    return np.asarray(enough[parts])
+
+
+def without_wire(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Array:
+    """The image with the wire's pixels filled from the columns beside it.
+
+    Args:
+        image: grey. Shape (height, width).
+        mask: the wire's pixels. Shape (height, width).
+
+    Returns:
+        Grey levels. Shape (height, width).
+    """
+    hidden = mask.copy()
+    for shift in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        hidden |= np.roll(mask, shift, (0, 1))
+    filled, columns = image.astype(float), np.arange(image.shape[1])
+    for row in np.flatnonzero(hidden.any(axis=1)):
+        seen = ~hidden[row]
+        if seen.any():
+            filled[row, ~seen] = np.interp(columns[~seen], columns[seen], filled[row, seen])
+    return filled
