@@ -56,7 +56,7 @@ def costs(repeats: int) -> dict[str, float]:
     first = observation
     for _ in range(60):
         observation = env.step(FORWARD)[0]
-    view, *_ = perception.begin(first)
+    view = perception.begin(first).cameras[0]
     seen = view.look(observation["image"], observation["mask"], FORWARD)
     cases = iter(range(10**9))
 

@@ -130,7 +130,7 @@ class Scene:
         if decided is None and self._first_view is None:  # before its first decision
             self._first_view = perception.begin(seen)
         place = self.cameras.index(view)
-        own, of_view = slice(place, place + 1), (decided or self._first_view)[place]
+        own, of_view = slice(place, place + 1), (decided or self._first_view).cameras[place]
         wire = of_view.wire(seen["image"][own], perception.mask(seen)[own])
         way, _ = of_view.way(wire[0])
         return ImageReading(wire[:, ::-1], way[:, ::-1], of_view.lumen)

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from enn.imitation.images.egocentric import VIEW_SIZE
 from enn.imitation.images.policy import ImagePolicy
+from enn.imitation.images.stereo_view import STEREO_SIZE
 from enn.policy import Policy
 from enn.shipped import weight_files
 from pipeline.jobs.worker import Report
@@ -139,6 +141,8 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     by_xray = train_image_policy(two, Report())
     learnt = ImagePolicy.load(two.own_folder / "image_policy.pt")
     assert learnt.imaging == {"views": ("frontal", "lao_45"), "field": 0.18}
+    assert learnt.perception.voxels is not None  # what both views show together
+    assert learnt.policy.settings.features == 2 * VIEW_SIZE + STEREO_SIZE
 
     tables = tables_from_logs(tmp_path / "unseen")
     names = ("roadmap", "image_true_mask", "xray")
