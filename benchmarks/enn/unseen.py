@@ -65,10 +65,9 @@ def costs(repeats: int) -> dict[str, float]:
         for target in ("bca", "lcca"):
             phantom.geodesic_field(target)
 
-    history = env.current.history
-    assert history is not None
-
     def remember() -> None:
+        history = env.current.history
+        assert history is not None
         history.advance(*FORWARD)
         history.read()
 
