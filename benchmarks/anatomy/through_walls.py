@@ -1,8 +1,10 @@
 """How often a steered wire cuts through the wall between two lumens, with walls as segmented and as imported.
 
-    python benchmarks/anatomy/through_walls.py PATH... [--policy NAME] [--steep NAME] [--episodes 3] [--as-segmented]
+    python benchmarks/anatomy/through_walls.py PATH... [--policy NAME] [--steep NAME] [--steep-from 13] [--episodes 3]
+                                               [--as-segmented]
 
-Episodes of the shipped policies by roadmap in imported anatomies, towards every supra-aortic target. Along the wire's
+Episodes of shipped policies in imported anatomies, towards every supra-aortic target: by roadmap, actions drawn, or by
+images. --steep steers to targets set back by --steep-from mm or more. Along the wire's
 axis, from place to place within the lumen, the distance through the lumen to an end of a branch changes no faster than
 the way itself; where it changes by `JUMP` more, the wire went through a wall. Looked at every half a second. Prints a
 row a target and one JSON object as the last line. --as-segmented imports without `thicken_between_lumens`, into a cache
@@ -28,6 +30,8 @@ from numpy.typing import NDArray
 
 import enn
 from cathsim.anatomy import Phantom
+from cathsim.observations.xray import XrayEnvironment
+from enn.policy import Policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.known import GENERATED_TARGETS
 from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
@@ -72,6 +76,7 @@ def main() -> None:
     parser.add_argument("anatomies", type=Path, nargs="+", metavar="PATH")
     parser.add_argument("--policy", default="generalist")
     parser.add_argument("--steep", default="generalist_simmons2", help=f"for targets set back by {STEEP_MM:g} mm")
+    parser.add_argument("--steep-from", type=float, default=STEEP_MM, metavar="MM")
     parser.add_argument("--episodes", type=int, default=3, help="towards each target")
     parser.add_argument("--max-steps", type=int, default=600)
     parser.add_argument("--as-segmented", action="store_true", help="without filling thin walls")
@@ -105,16 +110,19 @@ def measured(place: AnatomyFile, name: str, policies: list[Any], given: argparse
     targets = [target for target in phantom.targets if target in GENERATED_TARGETS]
     fields = [phantom.geodesic_field(target) for target in phantom.targets if target.endswith("_end")]
     for number, target in enumerate(targets):
-        policy = policies[set_back_mm(phantom, target) >= STEEP_MM]
+        policy = policies[set_back_mm(phantom, target) >= given.steep_from]
         catheter = policy.metadata.get(TASK, {}).get("catheter")
         rules = dataclasses.replace(
             task_in_random_arches(), max_steps=given.max_steps, start_rotation_deg=180.0, catheter=catheter
         )
-        environment = UnseenTask((target,), rules).test_environment(place, target, "default", policy.keys)
+        by_roadmap = isinstance(policy, Policy)
+        keys = policy.keys if by_roadmap else ("goal_image",)
+        bare = UnseenTask((target,), rules).test_environment(place, target, "default", keys)
+        environment: Any = bare if by_roadmap else XrayEnvironment(bare, rules.image_size_px, **policy.imaging)
         reached, through, forces = 0, 0, []
         for episode in range(given.episodes):
             seed = _SEED + 100 * number + episode
-            controller = policy.controller(deterministic=False, seed=seed)
+            controller = policy.controller(deterministic=False, seed=seed) if by_roadmap else policy.controller()
             observation, info = environment.reset(seed=seed)
             jumped, ended, step = 0.0, False, 0
             while not ended:
@@ -122,7 +130,7 @@ def measured(place: AnatomyFile, name: str, policies: list[Any], given: argparse
                 ended, step = success or truncated, step + 1
                 forces.append(float(info["force"]))
                 if step % _EVERY == 0:
-                    points = environment.simulation.wire_points()
+                    points = bare.simulation.wire_points()
                     behind = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
                     jumped = max(jumped, largest_jump(phantom, points[behind < info["insertion"]], fields))
             reached, through = reached + bool(success), through + (jumped > JUMP)
