@@ -30,5 +30,8 @@ def test_matches_go_on_alone_only_where_that_is_cheaper() -> None:
 def test_refuses_what_is_no_geometry_of_two_cameras() -> None:
     with pytest.raises(ValueError, match=r"projections: expected two finite matrices, shape \(2, 3, 4\)"):
         StereoGeometry(projections()[:1], FIELD)
-    with pytest.raises(ValueError, match="field: expected a positive length"):
-        StereoGeometry(projections(), 0.0)
+    with pytest.raises(ValueError, match="projections: both cameras have one source"):
+        StereoGeometry(projections()[[0, 0]] * np.array([1.0, 2.0])[:, None, None], FIELD)
+    for field in (0.0, float("nan"), 1e3):
+        with pytest.raises(ValueError, match="field: expected a length of up to 1 m"):
+            StereoGeometry(projections(), field)

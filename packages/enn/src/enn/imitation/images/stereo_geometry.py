@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+LARGEST_FIELD = 1.0  # m
 NOT_DIAGONAL = 0.002  # of the image's side: what a match costs in which one trace goes on alone
 
 
@@ -27,12 +28,15 @@ class StereoGeometry:
     field: float
 
     def __post_init__(self) -> None:
-        """Refuses what are not two matrices, and a field that is no length."""
+        """Refuses what are not two matrices, cameras with one source, and a field that is no length of an image."""
         matrices = np.asarray(self.projections, float)
         if matrices.shape != (2, 3, 4) or not np.isfinite(matrices).all():
             raise ValueError(f"projections: expected two finite matrices, shape (2, 3, 4), got {matrices.shape}")
-        if not (np.isfinite(self.field) and self.field > 0):
-            raise ValueError(f"field: expected a positive length in m, got {self.field!r}")
+        if not 0 < self.field <= LARGEST_FIELD:
+            raise ValueError(f"field: expected a length of up to {LARGEST_FIELD:g} m, got {self.field!r}")
+        first, second = (np.linalg.svd(matrix)[2][-1] for matrix in matrices)
+        if abs(first @ second) > 1 - 1e-9:
+            raise ValueError("projections: both cameras have one source, from which nothing is seen in space")
         object.__setattr__(self, "projections", matrices)
 
     @cached_property
