@@ -90,7 +90,7 @@ def main() -> None:
         stereo = StereoView(voxels, lumens, dots)
         starts.append(time.process_time() - began)
         centre, goal = arch_centre(bare.phantom, field), bare.phantom.target(bare.task.target)
-        errors["target"].append(1e3 * np.linalg.norm(stereo.target + centre - goal.position))
+        errors["target"].append(1e3 * np.linalg.norm(stereo.hull.target + centre - goal.position))
         step, ended, seen = 0, False, False
         while not ended:
             if step % policy.action_repeat == 0:
