@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from enn.imitation.images.curves import at_arcs, smoothed
 from enn.imitation.images.wire_tracing import trace_wire, without_specks, without_wire
 
 Array = NDArray[np.float64]
@@ -84,7 +85,7 @@ class EgocentricView:
     catheter_arc: float | None
 
     def __init__(self, smoothing: int = _SMOOTHING) -> None:
-        self._kernel = np.ones(smoothing) / smoothing
+        self._smoothing = smoothing
 
     def start(
         self,
@@ -149,14 +150,7 @@ class EgocentricView:
                 total += weight
                 centre += weight[:, None] * np.stack((rows, columns), axis=1)
         axis = centre / total[:, None]
-        half = min(len(self._kernel), len(axis)) // 2
-        if half:
-            # the ends are continued by reflection through them, so that they stay where they are
-            ahead, behind = 2 * axis[0] - axis[half:0:-1], 2 * axis[-1] - axis[-2 : -half - 2 : -1]
-            longer = np.concatenate((ahead, axis, behind))
-            kernel = np.full(2 * half + 1, 1 / (2 * half + 1))
-            axis = np.stack([np.convolve(longer[:, k], kernel, "valid") for k in (0, 1)], axis=1)
-        return (axis + 0.5) / self.size
+        return (smoothed(axis, self._smoothing) + 0.5) / self.size
 
     def way(self, place: Array) -> tuple[Array, float]:
         """The way from a place to the target through the lumen.
@@ -210,14 +204,14 @@ class EgocentricView:
         self.axis = points = self.wire(image, mask)
         tip = points[0]
         arc = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-        back = _at(points, arc, np.array([HEADING_ARC]))[0]
+        back = at_arcs(points, arc, np.array([HEADING_ARC]))[0]
         heading = tip - back
         heading /= max(float(np.hypot(*heading)), 1e-9)
         axes = np.array([heading, (-heading[1], heading[0])]).T  # columns: along the wire, across it
-        behind = (_at(points, arc, WIRE_ARCS) - tip) @ axes / WIRE_ARCS[:, None]
+        behind = (at_arcs(points, arc, WIRE_ARCS) - tip) @ axes / WIRE_ARCS[:, None]
         way, remaining = self.way(tip)
         along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))))
-        ahead = (_at(way, along, WAY_ARCS) - tip) @ axes / WAY_ARCS[:, None]
+        ahead = (at_arcs(way, along, WAY_ARCS) - tip) @ axes / WAY_ARCS[:, None]
         goal = (self.target - tip) @ axes
         away = float(np.hypot(*goal))
         angle = np.arange(RAYS) * 2 * np.pi / RAYS
@@ -274,7 +268,7 @@ def catheter_end(points: Array, arc: Array, axes: Array, catheter: NDArray[np.bo
     there = np.flatnonzero((shares >= _COVERED_SHARE) & (covered[: len(points)] > 0))
     end = int(there[0]) if len(there) else len(points) - 1
     far = float(arc[end])
-    back = _at(points, arc, np.array([far + HEADING_ARC]))[0]
+    back = at_arcs(points, arc, np.array([far + HEADING_ARC]))[0]
     direction = points[end] - back
     direction = direction / max(float(np.hypot(*direction)), 1e-9)
     place = (points[end] - points[0]) @ axes / LENGTH_SCALE
@@ -299,7 +293,3 @@ def sample(values: Array, places: Array) -> Array:
     upper = values[row, column] * (1 - b) + values[row, column + 1] * b
     lower = values[row + 1, column] * (1 - b) + values[row + 1, column + 1] * b
     return upper * (1 - a) + lower * a
-
-
-def _at(points: Array, arc: Array, wanted: Array) -> Array:
-    return np.stack([np.interp(wanted, arc, points[:, k]) for k in (0, 1)], axis=1)

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from enn.imitation.images.curves import at_arcs, smoothed
 from enn.imitation.images.stereo_geometry import matched
 from enn.imitation.images.visual_hull import SeenVoxels, VisualHull
 
 Array = NDArray[np.float64]
 
 TRACE_STEP, TRACE_POINTS = 1e-3, 90  # m between the matched points of a trace, and how many from the tip on
+# arcs and rays are those of the teacher's roadmap, which the policy learns to predict
 PATH_ARCS = np.array([3, 6, 10, 16, 24, 36, 50]) * 1e-3  # m ahead of the tip: the points of the way that are shown
 WIRE_ARCS = np.array([4, 8, 12, 20, 30, 45, 60]) * 1e-3  # m behind the tip: the points of the wire that are shown
 TIP_ARC, BEND_ARC = 4e-3, 14e-3  # m: of the wire's direction at the tip, and of the one before it
@@ -90,13 +92,8 @@ class StereoView:
             arcs.append(wanted)
         apart = self.geometry.apart(*traces)
         pairs = matched(apart)
-        points = self.geometry.triangulated(traces[0][pairs[:, 0]], traces[1][pairs[:, 1]])
-        half = min(_SMOOTHING, len(points)) // 2
-        if half:
-            ahead, behind = 2 * points[0] - points[half:0:-1], 2 * points[-1] - points[-2 : -half - 2 : -1]
-            longer = np.concatenate((ahead, points, behind))
-            kernel = np.full(2 * half + 1, 1 / (2 * half + 1))
-            points = np.stack([np.convolve(longer[:, k], kernel, "valid") for k in range(3)], axis=1)
+        found = self.geometry.triangulated(traces[0][pairs[:, 0]], traces[1][pairs[:, 1]])
+        points = smoothed(found, _SMOOTHING)
         both = np.stack((arcs[0][pairs[:, 0]], arcs[1][pairs[:, 1]]), axis=1)
         return points, both, float(apart[tuple(pairs[:20].T)].mean()) * self.geometry.field
 
@@ -120,7 +117,7 @@ class StereoView:
         points, both, missed = self.wire(axes)
         tip = points[0]
         arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
-        near, before = (_at(points, arc, np.array([value]))[0] for value in (TIP_ARC, BEND_ARC))
+        near, before = (at_arcs(points, arc, np.array([value]))[0] for value in (TIP_ARC, BEND_ARC))
         heading, earlier = _unit(tip - near, np.array([0.0, 0.0, 1.0])), _unit(near - before, np.array([0.0, 0.0, 1.0]))
         bend = heading - earlier
         bend = bend - (bend @ heading) * heading
@@ -134,8 +131,8 @@ class StereoView:
         frame = np.stack((np.cross(y, heading), y, heading), axis=1)  # columns: x, y, z
         way, remaining = self.hull.way(tip)
         along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))))
-        ahead = (_at(way, along, PATH_ARCS) - tip) / PATH_ARCS[:, None]
-        behind = (_at(points, arc, WIRE_ARCS) - tip) / WIRE_ARCS[:, None]
+        ahead = (at_arcs(way, along, PATH_ARCS) - tip) / PATH_ARCS[:, None]
+        behind = (at_arcs(points, arc, WIRE_ARCS) - tip) / WIRE_ARCS[:, None]
         goal = self.hull.target - tip
         away = float(np.linalg.norm(goal))
         last_tip, last_frame = self._before or (tip, frame)
@@ -165,10 +162,6 @@ class StereoView:
                 *of_catheter,
             )
         ).astype(np.float32)
-
-
-def _at(points: Array, arc: Array, wanted: Array) -> Array:
-    return np.stack([np.interp(wanted, arc, points[:, k]) for k in range(points.shape[1])], axis=1)
 
 
 def _unit(vector: Array, otherwise: Array) -> Array:
