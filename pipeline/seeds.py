@@ -72,6 +72,7 @@ EPISODES = {
     "force": SeedRange(30_000_000, 100_000, _TRAININGS, "episodes with forces"),
     "unseen, advised": SeedRange(100_000_000, 10_000_000, _RUNS, "advised episodes in random arches"),
     "unseen, demonstrations": SeedRange(300_000_000, 1_000, _RUNS, "demonstrations in random arches"),
+    "rehearsal, demonstrations": SeedRange(400_000_000, 100_000, _TRAININGS, "demonstrations in copies"),
     "test": SeedRange(5_000_000_000, 1_000, _TRAININGS, "test episodes"),
 }
 RETIRED_EPISODES = (range(1_000_000, 2_000_000),)
@@ -82,6 +83,7 @@ ANATOMY_COPIES = {  # of an anatomy, as cathsim.rehearsal draws them; 0 is the a
     "test": SeedRange(2_000_001, 1_000, 1, "test copies"),
 }
 
+_COPIES = 2_000  # seeds of a round of demonstrations in copies
 _ROUND, _COURSE = 10_000, 1_000  # seeds of a round of a navigator's advised episodes, of a course in it
 _UNSEEN_ROUND = 100_000  # ... of a round of an image policy's
 
@@ -175,6 +177,16 @@ def unseen_episode_seeds(run_seed: int, number: int, count: int) -> range:
 def arch_demonstration_seed(run_seed: int) -> int:
     """Seed of the start of demonstrations in random arches; each is played in an arch of its own."""
     return EPISODES["unseen, demonstrations"].part(run_seed, 1)[0]
+
+
+def rehearsal_demonstration_seed(training_seed: int, number: int, case: int) -> int:
+    """Seed of a demonstration in a copy of a rehearsal's training.
+
+    Args:
+        number: of the round, from 0.
+        case: the copy's number among those of the training, from 0.
+    """
+    return EPISODES["rehearsal, demonstrations"].part(training_seed, 1, skip=number * _COPIES + case)[0]
 
 
 def training_copies(training_seed: int, count: int) -> range:

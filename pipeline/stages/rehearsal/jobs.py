@@ -3,106 +3,39 @@
 The stage's folder draws as::
 
     starts.npz                                     wires laid along the way in the training's copies
+    demonstrations/<policy>_<copy>_<round>.npz     of the training, where other policies were asked, too
     seed<k>/{policy.pt, training.csv, training.json}
     {before,after}/<scan or copies>/<copy>/NNN.mcap
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import Origin, controllers, run_trials
-from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, training_copies, validation_copies
+from pipeline.recording.trials import controllers, run_trials
+from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, validation_copies
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
-from pipeline.stages.rehearsal.settings import SAC, RehearsalSettings
-from pipeline.stages.unseen.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING, ROADMAP_KEYS
+from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
+from pipeline.stages.rehearsal.demonstrations import read_demonstrations
+from pipeline.stages.rehearsal.settings import SAC
+from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
-from pipeline.task import TASK, Task
-
-if TYPE_CHECKING:
-    from cathsim.rehearsal.environment import NavigateCopiesEnv
+from pipeline.task import TASK
 
 STARTS = "starts.npz"
 SCAN, COPIES = "scan", "copies"  # sets of tests
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
 _LAID = 0.1  # of the training's job
-
-
-@dataclass(frozen=True)
-class RehearsalJob:
-    """A rehearsal.
-
-    Attributes:
-        task: with the length of the wire filled in.
-        start: the policy to start from; None: from nothing.
-        tested: for tests, the row of the table; None: for the training.
-        copies: of a test: seeds.
-    """
-
-    folder: Path
-    origin: Origin
-    settings: RehearsalSettings
-    task: Task
-    target: str
-    start: Path | None = None
-    policy: Path | None = None
-    tested: str | None = None
-    copies: tuple[int, ...] = ()
-
-    @property
-    def own_folder(self) -> Path:
-        """Of the training."""
-        return self.folder / f"seed{self.origin.training_seed}"
-
-
-def copies_environment(
-    job: RehearsalJob, copies: Sequence[int], *, training: bool = False, observe_every: int = 1
-) -> NavigateCopiesEnv:
-    """An environment over copies; that of a training has the shaped reward and its physics.
-
-    Args:
-        observe_every: as of `cathsim.NavigateEnv`.
-    """
-    from cathsim.rehearsal.environment import NavigateCopiesEnv
-    from cathsim.rehearsal.perturbation import Perturbation
-
-    settings = job.settings
-    perturbation = Perturbation(
-        walls=settings.walls_mm / 1e3,
-        shift=settings.shift_mm / 1e3,
-        turn=math.radians(settings.turn_deg),
-        stiffness=settings.stiffness_pct / 100,
-        friction=settings.friction_pct / 100,
-        breathing=settings.breathing_mm / 1e3,
-        period=settings.breath_s,
-    )
-    shaped: dict[str, Any] = {"force_penalty": settings.force_penalty, "path_penalty": settings.path_penalty}
-    return NavigateCopiesEnv(
-        load_anatomy(settings.anatomy(settings.phantoms[0])),
-        (job.target,),
-        copies=tuple(copies),
-        perturbation=perturbation,
-        accuracy=settings.accuracy if training else "accurate",
-        observation=ROADMAP_KEYS,
-        reward=REWARD_OF_TRAINING if training else REWARD_OF_EVALUATION,
-        observe_every=observe_every,
-        **(shaped if training else {}),
-        **job.task.devices(),
-        **job.task.rules(),
-    )
 
 
 def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
@@ -119,8 +52,8 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     map_simulations()
     settings, seed = job.settings, job.origin.training_seed
     begun = time.process_time()
-    copies = (0, *training_copies(seed, settings.copies))
-    starts = _laid_starts(job, copies, report)
+    copies = job.training_cases
+    starts, shown = _laid_starts(job, copies, report), read_demonstrations(job.folder)
     # without demonstrations, whose actions would be cloned, it has to explore
     preset = replace(
         DESK_PPO,
@@ -155,6 +88,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
             policy=policy,
             settings=training,
             starts=starts,
+            demonstrations=shown,
             folder=job.own_folder,
             seed=seed,
             metadata={**job.origin.configuration("training"), TASK: asdict(job.task)},

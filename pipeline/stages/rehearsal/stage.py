@@ -19,9 +19,11 @@ from pipeline.recording.trials import POLICY, Origin
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.rehearsal.jobs import COPIES, PRELOAD, SCAN, RehearsalJob, play, train
+from pipeline.stages.rehearsal.copies import RehearsalJob
+from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, PARTS, record_demonstrations
+from pipeline.stages.rehearsal.jobs import COPIES, PRELOAD, SCAN, play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.starting_policy import policy_hashes, starting_policy
+from pipeline.stages.rehearsal.starting_policy import advising_policies, policy_hashes, starting_policy
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, require_feeder, require_known_task
 
@@ -29,7 +31,7 @@ BEFORE, AFTER = "before", "after"
 TRAINING = "training"
 _LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
-_SECONDS = {"decision": 15e-3, "test": 1.0}  # guesses
+_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 4.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
@@ -50,10 +52,11 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         task = with_catheter_where_steep(phantom, target, settings.task, choose=choose)
         task = fitted_task(task, phantom, [target])
         start = starting_policy(settings, context.run_path, context.seed, task)
+        asked = advising_policies(context.run_path, context.seed, task, start) if settings.demonstrations else []
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     _LOGGER.info("it starts from %s", "nothing" if start is None else start)
-    jobs = plan(settings, context, task, target, start)
+    jobs = plan(settings, context, task, target, start, asked)
     label = f"rehearsal in {phantom.name}"
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD, device=settings.device
@@ -64,20 +67,51 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         for kind in (SCAN, COPIES)
     }
     origin = "nothing" if start is None else "a policy"
-    cost = outcomes[TRAINING] | {"starts_from": origin, "catheter": task.catheter or "none"}
+    shown = shown_by(outcomes)
+    if asked and not any(shown.values()):
+        _LOGGER.warning(
+            "no policy of these devices brought them to %s in any copy of %s: nothing was shown to the training",
+            target,
+            phantom.name,
+        )
+    told = ", ".join(f"{name} {count}" for name, count in shown.items() if count) or "none"
+    cost = outcomes[TRAINING] | {"starts_from": origin, "catheter": task.catheter or "none", "demonstrations": told}
     write_results(context.path, {"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}})
     write_figures(context.path, [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)])
 
 
-def plan(settings: RehearsalSettings, context: StageContext, task: Task, target: str, start: Path | None) -> list[Job]:
-    """The jobs: tests before, the training, tests after."""
+def plan(
+    settings: RehearsalSettings,
+    context: StageContext,
+    task: Task,
+    target: str,
+    start: Path | None,
+    asked: Sequence[Path] = (),
+) -> list[Job]:
+    """The jobs: demonstrations by policies that are asked, tests before, the training, tests after."""
     job = RehearsalJob(
         context.path, Origin("rehearsal", AFTER, context.seed, context.budget), settings, task, target, start
     )
-    jobs = [] if start is None else _tests(job, BEFORE, start, ())
+    parts = [f"{DEMONSTRATIONS}{part}" for part in range(PARTS if asked else 0)]
+    weight = _SECONDS["shown"] * len(job.training_cases) / PARTS
+    jobs = [
+        Job(key, record_demonstrations, replace(job, shown_by=tuple(asked), part=part), weight=weight)
+        for part, key in enumerate(parts)
+    ]
     weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
-    jobs.insert(0, Job(TRAINING, train, job, weight=weight, gpu_gb=memory))
+    jobs.append(Job(TRAINING, train, job, after=tuple(parts), weight=weight, gpu_gb=memory))
+    jobs += [] if start is None else _tests(job, BEFORE, start, ())
     return [*jobs, *_tests(job, AFTER, job.own_folder / POLICY, (TRAINING,))]
+
+
+def shown_by(outcomes: dict[str, Any]) -> dict[str, int]:
+    """How many episodes each policy that was asked brought to the target, by the stem of its file."""
+    counts: dict[str, int] = {}
+    for key, outcome in outcomes.items():
+        if key.startswith(DEMONSTRATIONS):
+            for name, (_, arrived) in outcome.items():
+                counts[name] = counts.get(name, 0) + arrived
+    return counts
 
 
 def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...]) -> list[Job]:
@@ -148,6 +182,7 @@ STAGE = Stage(
     uses=("unseen",),
     writes=(
         "starts.npz",
+        "demonstrations/<policy>_<copy>_<round>.npz",
         "seed<k>/{policy.pt, training.csv, training.json}",
         "{before,after}/<test set>/<copy>/NNN.mcap",
         "{before,after}.png",

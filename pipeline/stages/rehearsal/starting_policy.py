@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pipeline.recording.trials import POLICY
 from pipeline.stages.rehearsal.settings import SAC, RehearsalSettings
 from pipeline.stages.unseen.task import ROADMAP, ROADMAP_KEYS
 from pipeline.stages.unseen.trials import policy_folder
 from pipeline.store.provenance import hash_file
-from pipeline.task import TASK, Task, number_of_actions
+from pipeline.task import TASK, USUAL_PACE, Task, number_of_actions
+
+if TYPE_CHECKING:
+    from enn.imitation.images.policy import ImagePolicy
+    from enn.policy import Policy
 
 
 def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task: Task) -> Path | None:
@@ -41,6 +46,30 @@ def known_policies(run_path: Path, seed: int) -> list[Path]:
     return [*[file for file in places if file.is_file()][:1], *weight_files()]
 
 
+def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None) -> list[Path]:
+    """The policies that may show a rehearsal how its target is reached: those of the same devices and pace.
+
+    Returns:
+        Their files: the one that the rehearsal starts from first, then those by a roadmap, then those by X-ray images.
+
+    Raises:
+        ValueError: as of `starting_policy`.
+    """
+    from enn.policy import Policy
+    from enn.shipped import read_policy
+
+    by_roadmap, by_images = [], []
+    for file in known_policies(run_path, seed):
+        policy = read_policy(file)
+        if _steers(policy, task):
+            if not isinstance(policy, Policy):
+                by_images.append(file)
+            elif policy.keys == ROADMAP_KEYS:
+                by_roadmap.append(file)
+    known = [file for file in (*by_roadmap, *by_images) if file != start]
+    return known if start is None else [start, *known]
+
+
 def policy_hashes(run_path: Path) -> dict[str, str]:
     """Hashes of the policies that a rehearsal of any seed may start from: its results depend on them."""
     from enn.shipped import weight_files
@@ -57,12 +86,17 @@ def _fits(file: Path, task: Task) -> bool:
     from enn.shipped import read_policy
 
     policy = read_policy(file)
-    if not isinstance(policy, Policy):
-        return False
+    return isinstance(policy, Policy) and policy.keys == ROADMAP_KEYS and policy.critics and _steers(policy, task)
+
+
+def _steers(policy: Policy | ImagePolicy, task: Task) -> bool:
+    """Whether a policy was trained to steer the devices of a task at its pace; wires may differ."""
+    from enn.policy import Policy
+
+    actions = policy.action_space.shape if isinstance(policy, Policy) else (policy.policy.settings.actions,)
     trained = policy.metadata.get(TASK, {})
     return (
-        policy.keys == ROADMAP_KEYS
-        and policy.critics
-        and policy.action_space.shape == (number_of_actions(task),)
+        actions == (number_of_actions(task),)
         and trained.get("catheter") == task.catheter
+        and trained.get("pace", USUAL_PACE) == task.pace
     )

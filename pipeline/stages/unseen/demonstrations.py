@@ -12,9 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from pipeline.jobs.worker import Report
+from pipeline.recording.demonstration_files import arrived, read_demonstration
 from pipeline.seeds import arch_demonstration_seed
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
@@ -66,8 +65,7 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
             write_arrays(
                 path, demonstrate(environment, case, ROADMAP_KEYS, hold=job.hold, seed=seed_of_start, tick=tick)
             )
-        with np.load(path) as arrays:
-            reached += bool(arrays["terminated"])
+        reached += arrived(path)
     environment.close()
     return {"shown": len(job.shown), "reached": reached}
 
@@ -78,26 +76,10 @@ def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajecto
     Args:
         anatomies: seeds of the random arches wanted.
     """
-    from enn.trajectory import Trajectory
-
     found = []
     for path in sorted(folder.glob("*.npz")):
         target, anatomy = path.stem.split("_")
-        if int(anatomy) not in anatomies:
-            continue
-        with np.load(path) as arrays:
-            if not arrays["terminated"]:
-                continue
-            found.append(
-                Trajectory(
-                    {key: arrays[key] for key in ROADMAP_KEYS},
-                    arrays["actions"],
-                    arrays["rewards"],
-                    True,
-                    arrays["forces"],
-                    arrays["tips"],
-                    arrays["states"],
-                    {"file": str(path), "target": target, "anatomy": int(anatomy)},
-                )
-            )
+        if int(anatomy) in anatomies:
+            shown = read_demonstration(path, ROADMAP_KEYS, target=target, anatomy=int(anatomy))
+            found += [] if shown is None else [shown]
     return found

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from enn.reinforcement.rehearsal import REHEARSAL, cases_of, play_cases, rehearse
+from enn.reinforcement.rehearsal import (
+    REHEARSAL,
+    SHOWN_FIRST,
+    SHOWN_SHARE,
+    SHOWN_SLOWER,
+    cases_of,
+    demonstrated,
+    play_cases,
+    rehearse,
+)
+from enn.reinforcement.training import Training, TrainingSettings
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 
@@ -71,6 +81,35 @@ def test_the_same_seed_plays_the_same_episodes_and_reports_them() -> None:
     np.testing.assert_array_equal(one.forces, two.forces)
     assert [done for done, _ in seen] == [1, 2, 3]
     assert seen[-1][1] == one.success.sum()
+
+
+def test_what_others_show_is_learnt_from_nothing_and_from_a_policy(monkeypatch: pytest.MonkeyPatch) -> None:
+    def straight(observation: Any, info: dict[str, Any]) -> np.ndarray:
+        return np.clip(-20.0 * observation["place"][:2], -1.0, 1.0)
+
+    env = WindyEnv()
+    shown = [demonstrated(straight, env, case, ("place",), seed=case) for case in range(3)]
+    for case, episode in enumerate(shown):
+        assert episode.terminated
+        assert episode.simulation_states is not None
+        assert set(episode.simulation_states[:, -1]) == {float(case)}
+        _, info = env.reset(options={"start": episode.simulation_states[-2]})
+        assert info["case"] == case
+        np.testing.assert_allclose(info["tip"][:2], episode.simulation_states[-2][:2])
+    used: list[TrainingSettings] = []
+    usual = Training.__init__
+    monkeypatch.setattr(
+        Training,
+        "__init__",
+        lambda self, settings, *rest, **named: usual(self, used.append(settings) or settings, *rest, **named),
+    )
+    short = dataclasses.replace(FROM_NOTHING, decisions=960, evaluate_every=480, demonstrations_in_replay=0.0)
+    first = rehearse(WindyEnv, settings=short, demonstrations=shown, seed=3)
+    assert play_cases(first.policy, WindyEnv(), seed=7).success.sum() >= 2
+    rehearse(WindyEnv, settings=short, policy=first.policy, demonstrations=shown, seed=3)
+    assert [one.demonstrations_in_replay for one in used] == [SHOWN_SHARE] * 2
+    assert used[1].learning_rate == pytest.approx(SHOWN_SLOWER * used[0].learning_rate)
+    assert used[1].learning_starts == max(short.learning_starts, round(SHOWN_FIRST * 960))
 
 
 def test_an_environment_without_cases_is_refused() -> None:

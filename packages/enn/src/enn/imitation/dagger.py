@@ -70,6 +70,8 @@ def record(
     seed: int,
     keys: Sequence[str],
     labels: Act | None = None,
+    options: dict[str, Any] | None = None,
+    start_state: Callable[[], NDArray[Any]] | None = None,
     metadata: dict[str, Any] | None = None,
 ) -> Trajectory:
     """Runs an episode and keeps what one actor did, or what another would have done.
@@ -77,13 +79,16 @@ def record(
     Args:
         environment: with dictionary observations that both actors can see, and `tip` and `force` in its info.
         labels: whose actions are kept; None: the steering actor's.
+        options: of the reset.
+        start_state: gives the moment as a state that an episode can be started from; None: none is kept.
     """
     for actor in (steers, labels):
         if hasattr(actor, "reset"):
             actor.reset()  # type: ignore[union-attr]
-    observation, info = environment.reset(seed=seed)
+    observation, info = environment.reset(seed=seed, options=options)
     seen: dict[str, list[Any]] = {key: [observation[key]] for key in keys}
     tips, actions, rewards, forces = [info["tip"]], [], [], []
+    states = [] if start_state is None else [start_state()]
     ended = terminated = False
     while not ended:
         done = np.asarray(steers(observation, info), np.float32)
@@ -94,6 +99,8 @@ def record(
         tips.append(info["tip"])
         rewards.append(reward)
         forces.append(info["force"])
+        if start_state is not None:
+            states.append(start_state())
         ended = bool(terminated or truncated)
     return Trajectory(
         observations={key: np.stack(values) for key, values in seen.items()},
@@ -102,6 +109,7 @@ def record(
         terminated=bool(terminated),
         forces=np.array(forces, np.float64),
         tips=np.array(tips, np.float64),
+        simulation_states=np.stack(states) if states else None,
         metadata={"seed": seed, **(metadata or {})},
     )
 

@@ -15,14 +15,19 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from enn.imitation.dagger import Act, record
 from enn.policy import Policy
 from enn.reinforcement.training import DESK_SAC, Progress, Training, TrainingResult, TrainingSettings
+from enn.trajectory import Trajectory
 
 Environment = gymnasium.Env[Any, Any]
 
 # From a policy: learning with the full rate and from a nearly empty replay buffer forgets it within a few hundred
 # decisions.
 SLOWER, FIRST = 0.2, 0.4  # share of the learning rate; share of the decisions that it only acts
+# With demonstrations there is something to learn that it does not do yet, and to learn it from: the same two, and the
+# share of each batch that is drawn from demonstrations.
+SHOWN_SLOWER, SHOWN_FIRST, SHOWN_SHARE = 0.3, 0.05, 0.25
 TEST_SEED = 0  # of the first episode of `play_cases`; the k-th has the k-th after it
 
 # The actor and the critics are as wide as those for many anatomies, whose weights it may start from.
@@ -66,6 +71,7 @@ def rehearse(
     policy: Policy | None = None,
     settings: TrainingSettings = REHEARSAL,
     starts: Sequence[NDArray[Any]] = (),
+    demonstrations: Sequence[Trajectory] = (),
     folder: Path | str | None = None,
     seed: int = 0,
     metadata: dict[str, Any] | None = None,
@@ -77,9 +83,13 @@ def rehearse(
         make_env: makes an environment of the training.
         make_validation_env: makes one of the cases that choose the best policy; None: `make_env`.
         policy: with critics, to start from; its network and action repeat replace those of the settings. It learns at a
-            fifth of their rate, and only acts for the first two fifths of the decisions.
-        settings: of the training; the number of cases is filled in.
+            fifth of their rate, and only acts for the first two fifths of the decisions; with demonstrations at three
+            tenths, and for the first twentieth.
+        settings: of the training; the number of cases is filled in, and with demonstrations their share of each batch,
+            where it is 0 and the algorithm keeps a replay buffer.
         starts: states to start from beside the usual start, the case last: an array a case. Shapes (k, n).
+        demonstrations: episodes in these cases that reached the target, whoever steered, with the rewards of `make_env`
+            (`demonstrated`); their states are starts, too.
         folder: where it can go on after an interruption; None: only in memory.
 
     Raises:
@@ -89,8 +99,11 @@ def rehearse(
     cases = cases_of(env)
     env.close()
     changed = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
+    if demonstrations and settings.algorithm == "sac" and not settings.demonstrations_in_replay:
+        changed = replace(changed, demonstrations_in_replay=SHOWN_SHARE)
     if policy is not None:
-        changed = starting_from(replace(changed, action_repeat=policy.action_repeat), policy)
+        first, slower = (SHOWN_FIRST, SHOWN_SLOWER) if demonstrations else (FIRST, SLOWER)
+        changed = starting_from(replace(changed, action_repeat=policy.action_repeat), policy, first, slower)
     training = Training(
         changed,
         make_env,
@@ -98,23 +111,40 @@ def rehearse(
         seed=seed,
         metadata=metadata,
         starts=starts,
+        demonstrations=demonstrations,
         make_validation_env=make_validation_env,
         initial=policy,
     )
     return training.run(progress)
 
 
-def starting_from(settings: TrainingSettings, policy: Policy, first: float = FIRST) -> TrainingSettings:
-    """Settings of a training that starts from a policy: its network, a fifth of the learning rate.
+def starting_from(
+    settings: TrainingSettings, policy: Policy, first: float = FIRST, slower: float = SLOWER
+) -> TrainingSettings:
+    """Settings of a training that starts from a policy: its network, a share of the learning rate.
 
     Args:
         first: share of the decisions in which the policy only acts.
+        slower: share of the learning rate.
     """
     return replace(
         settings.with_network(policy.network),
-        learning_rate=SLOWER * settings.learning_rate,
+        learning_rate=slower * settings.learning_rate,
         learning_starts=max(settings.learning_starts, round(first * settings.decisions)),
     )
+
+
+def demonstrated(controller: Act, env: Environment, case: int, keys: Sequence[str], *, seed: int) -> Trajectory:
+    """Plays an episode in a case and keeps what was done in it, for `rehearse`.
+
+    Args:
+        controller: of any policy, whatever it observes of the environment.
+        env: with the rewards of the training, and `start_state()`.
+        keys: what is kept of its observations: those of the training.
+        seed: of the episode.
+    """
+    start_state = env.get_wrapper_attr("start_state")
+    return record(env, controller, seed=seed, keys=keys, options={"case": case}, start_state=start_state)
 
 
 def play_cases(

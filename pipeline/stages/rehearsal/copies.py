@@ -1,0 +1,97 @@
+"""A rehearsal's job, and the environments over copies of the scan that it takes place in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.anatomies.anatomy_file import load_anatomy
+from pipeline.recording.trials import Origin
+from pipeline.seeds import training_copies
+from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.unseen.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING, ROADMAP_KEYS
+from pipeline.task import Task
+
+if TYPE_CHECKING:
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+
+
+@dataclass(frozen=True)
+class RehearsalJob:
+    """A rehearsal.
+
+    Attributes:
+        task: with the length of the wire filled in.
+        start: the policy to start from; None: from nothing.
+        tested: for tests, the row of the table; None: for the training.
+        copies: of a test: seeds.
+        shown_by: of demonstrations: the policies that may give them; the first is `start`, where there is one.
+        part: of demonstrations: its number among those that are made beside each other.
+    """
+
+    folder: Path
+    origin: Origin
+    settings: RehearsalSettings
+    task: Task
+    target: str
+    start: Path | None = None
+    policy: Path | None = None
+    tested: str | None = None
+    copies: tuple[int, ...] = ()
+    shown_by: tuple[Path, ...] = ()
+    part: int = 0
+
+    @property
+    def training_cases(self) -> tuple[int, ...]:
+        """The copies of the training, in the order of its cases: the scan itself and others."""
+        return (0, *training_copies(self.origin.training_seed, self.settings.copies))
+
+    @property
+    def own_folder(self) -> Path:
+        """Of the training."""
+        return self.folder / f"seed{self.origin.training_seed}"
+
+
+def copies_environment(
+    job: RehearsalJob,
+    copies: Sequence[int],
+    *,
+    training: bool = False,
+    observe_every: int = 1,
+    observation: Sequence[str] = ROADMAP_KEYS,
+) -> NavigateCopiesEnv:
+    """An environment over copies; that of a training has the shaped reward and its physics.
+
+    Args:
+        observe_every: as of `cathsim.NavigateEnv`.
+    """
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+    from cathsim.rehearsal.perturbation import Perturbation
+
+    settings = job.settings
+    perturbation = Perturbation(
+        walls=settings.walls_mm / 1e3,
+        shift=settings.shift_mm / 1e3,
+        turn=math.radians(settings.turn_deg),
+        stiffness=settings.stiffness_pct / 100,
+        friction=settings.friction_pct / 100,
+        breathing=settings.breathing_mm / 1e3,
+        period=settings.breath_s,
+    )
+    shaped: dict[str, Any] = {"force_penalty": settings.force_penalty, "path_penalty": settings.path_penalty}
+    return NavigateCopiesEnv(
+        load_anatomy(settings.anatomy(settings.phantoms[0])),
+        (job.target,),
+        copies=tuple(copies),
+        perturbation=perturbation,
+        accuracy=settings.accuracy if training else "accurate",
+        observation=tuple(observation),
+        reward=REWARD_OF_TRAINING if training else REWARD_OF_EVALUATION,
+        observe_every=observe_every,
+        **(shaped if training else {}),
+        **job.task.devices(),
+        **job.task.rules(),
+    )

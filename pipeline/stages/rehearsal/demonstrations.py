@@ -1,0 +1,117 @@
+"""Demonstrations of a rehearsal: episodes in its training's copies in which some policy reached the target.
+
+The policy that a rehearsal starts from is asked first. Where it seldom arrives it has nothing to learn from, and every
+other policy of the same devices is asked, by a roadmap or by X-ray images, then the best of them again.
+
+One file an episode, ``demonstrations/<policy>_<copy>_<round>.npz`` in the stage's folder
+(`pipeline.recording.demonstration_files`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.jobs.freed_memory import map_simulations
+from pipeline.jobs.worker import Report
+from pipeline.recording.demonstration_files import arrived, demonstration_arrays, read_demonstration
+from pipeline.seeds import rehearsal_demonstration_seed
+from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
+from pipeline.stages.unseen.task import ROADMAP_KEYS
+from pipeline.store.atomic_files import write_arrays
+from pipeline.store.errors import stopping_the_stage
+from pipeline.task import TASK
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from enn.imitation.dagger import Act
+    from enn.imitation.images.policy import ImagePolicy
+    from enn.policy import Policy
+    from enn.trajectory import Trajectory
+
+DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
+PARTS = 2  # of the copies, beside each other
+OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its own
+ROUNDS = 4  # of one policy at most
+
+
+def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
+    """Lets policies play the part's copies, a round an episode in each, until enough episodes have arrived.
+
+    Episodes whose file is there are not played again.
+
+    Returns:
+        By the stem of a policy's file: episodes played, and how many of them arrived.
+    """
+    map_simulations()
+    copies = job.training_cases
+    cases = range(job.part, len(copies), PARTS)
+    wanted = -(-job.settings.demonstrations // PARTS)
+    tally: dict[Path, list[bool]] = {}
+
+    def play_round(path: Path, number: int) -> None:
+        outcomes = tally.setdefault(path, [])
+        steered = None
+        for case in cases:
+            told = sum(map(sum, tally.values()))
+            report(min(told / wanted, 1.0), f"{path.stem}: {sum(outcomes)} of {len(outcomes)} episodes arrived")
+            file = job.folder / DEMONSTRATIONS / f"{path.stem}_{copies[case]}_{number}.npz"
+            if not file.is_file():
+                steered = steered or _Steered(job, path, copies)
+                write_arrays(file, demonstration_arrays(steered.episode(case, number)))
+            outcomes.append(arrived(file))
+        if steered is not None:
+            steered.environment.close()
+
+    for path in job.shown_by:
+        play_round(path, 0)
+        if path == job.start and sum(tally[path]) >= OFTEN * len(cases):
+            break
+    else:
+        best = max(tally, key=lambda path: sum(tally[path]), default=None)
+        for number in range(1, ROUNDS):
+            if best is None or not sum(tally[best]) or sum(map(sum, tally.values())) >= wanted:
+                break
+            play_round(best, number)
+    return {path.stem: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
+
+
+class _Steered:
+    """A policy and the training's copies as it and the training observe them."""
+
+    def __init__(self, job: RehearsalJob, path: Path, copies: Sequence[int]) -> None:
+        from cathsim.observations.xray import XrayEnvironment
+        from enn.policy import Policy
+        from enn.shipped import read_policy
+
+        with stopping_the_stage(ValueError):
+            self.policy: Policy | ImagePolicy = read_policy(path)
+        self.seed, held = job.origin.training_seed, self.policy.action_repeat
+        self.environment: gymnasium.Env[Any, Any]
+        if isinstance(self.policy, Policy):
+            self.environment = copies_environment(job, copies, training=True, observe_every=held)
+        else:
+            keys = (*ROADMAP_KEYS, "goal_image")
+            bare = copies_environment(job, copies, training=True, observe_every=held, observation=keys)
+            side = int(self.policy.metadata[TASK]["image_size_px"])
+            self.environment = XrayEnvironment(bare, side, every=held, **self.policy.imaging)
+
+    def episode(self, case: int, number: int) -> Trajectory:
+        """An episode of a round in a case."""
+        from enn.policy import Policy
+        from enn.reinforcement.rehearsal import demonstrated
+
+        seed = rehearsal_demonstration_seed(self.seed, number, case)
+        if isinstance(self.policy, Policy):
+            controller: Act = self.policy.controller(deterministic=False, seed=seed)
+        else:
+            controller = self.policy.controller()
+        return demonstrated(controller, self.environment, case, ROADMAP_KEYS, seed=seed)
+
+
+def read_demonstrations(folder: Path) -> list[Trajectory]:
+    """The demonstrations of a stage's folder that arrived, in the order of their files' names."""
+    shown = [read_demonstration(path, ROADMAP_KEYS) for path in sorted((folder / DEMONSTRATIONS).glob("*.npz"))]
+    return [one for one in shown if one is not None]
