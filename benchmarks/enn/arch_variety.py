@@ -1,14 +1,16 @@
 """A policy in ArchVariety: arches of six branching types that it has never seen, to random points.
 
     python benchmarks/enn/arch_variety.py --policy FILE [--steep FILE] [--arches 20] [--first 0] [--draw]
-                                         [--attempt-steps 150]
+                                         [--attempt-steps 150] [--exchange-after 225]
 
 One episode in each of so many arches of the test seeds a type, of which nothing was trained on; episode k of a type
 begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. With `--steep`, that
 policy steers with its own devices where the ostium of the target's branch is set back by --steep-from mm or more, which
 the scan tells beforehand. With `--attempt-steps` devices that have not arrived after so many steps are drawn back and
-try again, within the same episode. Prints a row a type with Wilson's 95 % interval, which branches were missed, and one
-JSON object as its last line.
+try again, within the same episode. With `--exchange-after` what has not arrived after so many steps is drawn out, which
+takes as many steps as the feeders need for what is inserted, and the devices of the other policy are tried, from the
+sheath, for what is left of the episode. Prints a row a type with Wilson's 95 % interval, which branches were missed,
+and one JSON object as its last line.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from cathsim.arch_variety.environment import TEST_SEEDS, ArchVarietyEnv
 from cathsim.arch_variety.task import TEST_STEPS
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
+from cathsim.robot.pace import PACES
 from enn.policy import Policy
 from enn.retrying import RetryingController
 from enn.shipped import read_policy
@@ -61,6 +64,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--first", type=int, default=0, help="test seeds of a type that are left out")
     parser.add_argument("--max-steps", type=int, default=TEST_STEPS)
     parser.add_argument("--attempt-steps", type=int, help="of an attempt; without, there is one of --max-steps")
+    parser.add_argument("--exchange-after", type=int, metavar="STEPS", help="with --steep")
     parser.add_argument("--draw", action="store_true", help="actions are drawn; otherwise the best ones")
     return parser.parse_args()
 
@@ -111,23 +115,27 @@ class Player:
         return set_back_mm(self.bare.phantom, self.bare.task.target) >= self.steep_from
 
 
-def play(players: list[Player], case: int, seed: int) -> Outcome:
-    """Plays one episode, by the last player where the target is steep, else by the first."""
-    player = players[0]
-    observation, info = player.begin(case, seed)
-    goal, steep = player.bare.task.target, player.steep()
-    if steep and len(players) > 1:
-        player = players[1]
+def play(players: list[Player], case: int, seed: int, given: argparse.Namespace) -> Outcome:
+    """Plays one episode, by the last player where the target is steep, else by the first, then by the other one."""
+    players[0].begin(case, seed)
+    goal, steep = players[0].bare.task.target, players[0].steep()
+    branch = players[0].bare.phantom.target(goal).branch
+    in_turn = players[:1] if len(players) == 1 else players[::-1] if steep else players
+    limits = [given.max_steps] if given.exchange_after is None else [given.exchange_after, given.max_steps]
+    forces: list[float] = []
+    success = False
+    for player, limit in zip(in_turn, limits, strict=False):
         observation, info = player.begin(case, seed)
         assert player.bare.task.target == goal
-    environment, controller = player.environment, player.controller(seed)
-    forces: list[float] = []
-    ended = success = False
-    while not ended:
-        observation, _, success, truncated, info = environment.step(controller(observation, info))
-        forces.append(float(info["force"]))
-        ended = success or truncated
-    return Outcome(bool(success), player.bare.phantom.target(goal).branch, steep, np.array(forces))
+        controller, ended = player.controller(seed), False
+        while not ended and len(forces) < limit:
+            observation, _, success, truncated, info = player.environment.step(controller(observation, info))
+            forces.append(float(info["force"]))
+            ended = bool(success or truncated)
+        if success:
+            break
+        forces += [0.0] * round(np.ceil(info["insertion"] / PACES["arch_variety"].translation))
+    return Outcome(bool(success), branch, steep, np.array(forces[: given.max_steps]))
 
 
 def row_of(name: str, outcomes: list[Outcome], seconds: float) -> dict[str, Any]:
@@ -156,6 +164,8 @@ def main() -> None:
     given = arguments()
     if not (0 <= given.first < len(TEST_SEEDS) and given.arches > 0):
         sys.exit(f"--first and --arches: there are {len(TEST_SEEDS)} test seeds of a type")
+    if given.exchange_after is not None and (given.steep is None or not 0 < given.exchange_after < given.max_steps):
+        sys.exit("--exchange-after: name a policy of other devices with --steep, and steps below --max-steps")
     try:
         players = [Player(name, given) for name in (given.policy, given.steep) if name is not None]
     except (OSError, ValueError) as error:
@@ -164,14 +174,15 @@ def main() -> None:
     arches = len(TEST_SEEDS[given.first : given.first + given.arches])
     for index, kind in enumerate(given.types.split(",")):
         start = time.process_time()
-        outcomes = [play(players, index * arches + number, given.first + number) for number in range(arches)]
+        outcomes = [play(players, index * arches + number, given.first + number, given) for number in range(arches)]
         rows.append(row_of(kind, outcomes, time.process_time() - start))
         together += outcomes
     for name, steep in ((f"set back below {given.steep_from:g} mm", False), ("set back further", True)):
         if part := [one for one in together if one.steep == steep]:
             rows.append(row_of(name, part, 0.0))
     rows.append(row_of("all", together, time.process_time() - began))
-    print(json.dumps({"policy": given.policy, "steep": given.steep, "drawn": given.draw, "rows": rows}))
+    asked = {name: getattr(given, name) for name in ("policy", "steep", "exchange_after")}
+    print(json.dumps(asked | {"drawn": given.draw, "rows": rows}))
 
 
 if __name__ == "__main__":

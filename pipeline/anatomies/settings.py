@@ -6,6 +6,7 @@ They are declared here once. Stages inherit them, ``conf/anatomy/`` gives them t
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import field, replace
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 RANDOM = "random"  # arches like those of most patients
+_LOGGER = logging.getLogger(__name__)
+_LEAST_TIMES, _TIMES = 2.0, 3.0  # of the steps that a way takes at full speed: the fewest of an episode; a long one's
 _ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
 _IMPORT_SETTINGS = ("unit", "names", "labels")
 _Coordinates = Annotated[list[float], Len(3, 3)]
@@ -208,6 +211,37 @@ def fitted_task(task: Task, phantom: Phantom, targets: Sequence[Any]) -> Task:
         return task
     needed = max(ways) + RESERVE + _ROOM
     return task if needed <= task.guidewire().length else replace(task, wire_length_mm=10.0 * math.ceil(100.0 * needed))
+
+
+def fitted_steps(task: Task, phantom: Phantom, target: Any) -> Task:
+    """The task with longer episodes, where its own leave less than twice the time of a straight way at full speed.
+
+    They then have three times that, in full hundreds of steps, and the log says so.
+
+    Args:
+        target: a name, or a point in m.
+
+    Raises:
+        ValueError: an unknown target or entry.
+    """
+    from cathsim.anatomy.entry import entry_name
+    from cathsim.robot.pace import named_pace
+
+    way = phantom.way_length(target, entry_name(entry_place(task.entry), target))
+    straight = way / named_pace(task.pace).translation
+    if task.max_steps >= _LEAST_TIMES * straight:
+        return task
+    steps = 100 * math.ceil(_TIMES * straight / 100)
+    _LOGGER.warning(
+        "the way to %s of %s is %.0f mm long, for which %d steps are few: episodes last %d (stage.fit_steps=false: "
+        "task.max_steps)",
+        target,
+        phantom.name,
+        1e3 * way,
+        task.max_steps,
+        steps,
+    )
+    return replace(task, max_steps=steps)
 
 
 def _in_metres(point_mm: Sequence[float]) -> str:

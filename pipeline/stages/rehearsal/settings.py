@@ -44,6 +44,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan
     targets: FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
     choose_catheter: bool = True  # over the wire, where its target's take-off is steep and no catheter is named
+    fit_steps: bool = True  # longer episodes than task.max_steps, where the way is long for them
     fresh: bool = False  # starts from nothing even where there is one
     walls_mm: _Millimetres = 1.0  # largest differences of a copy from the scan
     shift_mm: _Millimetres = 3.0
@@ -60,7 +61,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
     demonstrations: Annotated[int, Ge(0), Le(1000)] = 24
     algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
-    decisions: Decisions = 12_000
+    decisions: Decisions = 20_000
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.anatomies.anatomy_file import load_anatomy
-from pipeline.anatomies.settings import check_anatomies, fitted_task, settle
+from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task, settle
 from pipeline.anatomies.take_offs import with_catheter_where_steep
 from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
@@ -51,6 +51,7 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         choose = settings.choose_catheter and settings.policy is None  # one that is given has its devices
         task = with_catheter_where_steep(phantom, target, settings.task, choose=choose)
         task = fitted_task(task, phantom, [target])
+        task = fitted_steps(task, phantom, target) if settings.fit_steps else task
         start = starting_policy(settings, context.run_path, context.seed, task)
         asked = advising_policies(context.run_path, context.seed, task, start) if settings.demonstrations else []
     except ValueError as error:

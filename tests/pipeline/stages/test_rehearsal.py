@@ -15,7 +15,7 @@ from cathsim import load_phantom
 from enn.policy import Policy
 from enn.shipped import weight_files
 from enn.trajectory import Trajectory
-from pipeline.anatomies.settings import check_anatomies, fitted_task
+from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
@@ -41,6 +41,7 @@ TINY: dict[str, Any] = {
     "environments": 4,
     "hidden": 16,
     "accuracy": "fast",
+    "fit_steps": False,
     "task": Task(start_rotation_deg=180.0, max_steps=12),
 }
 
@@ -156,6 +157,16 @@ def test_the_wire_becomes_as_long_as_the_way_asks_for() -> None:
     far = max(phantom.targets, key=phantom.way_length)
     assert fitted_task(Task(), phantom, [far]).guidewire().length > phantom.way_length(far) + 0.05
     assert fitted_task(Task(wire_length_mm=280.0), phantom, ["lsa_end"]).wire_length_mm == 280.0
+
+
+def test_a_long_way_gets_longer_episodes_and_the_log_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    phantom = load_phantom("type_1")
+    assert fitted_steps(Task(), phantom, "lcca") == Task()  # 202 mm
+    assert not caplog.messages
+    assert fitted_steps(Task(max_steps=150), phantom, "lcca").max_steps == 400
+    assert "the way to lcca of type_1 is 202 mm long, for which 150 steps are few: episodes last 400" in caplog.text
+    faster = Task(max_steps=150, pace="arch_variety")
+    assert fitted_steps(faster, phantom, "lcca") == faster
 
 
 def test_the_anatomy_is_a_file_a_name_or_a_seed() -> None:
