@@ -249,7 +249,7 @@ def test_an_anatomy_or_target_that_is_not_there(tmp_path: Path, values: dict[str
 def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = Task(start_rotation_deg=180.0, max_steps=200)
     asked = advising_policies(tmp_path, 0, task, GENERALIST)
-    assert [file.stem for file in asked] == ["generalist", "navigator"]
+    assert [file.stem for file in asked] == ["generalist", "navigator", "navigator_seed1"]
     assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="simmons2"), None)] == [
         "generalist_simmons2",
         "generalist_simmons2_seed0",
@@ -301,10 +301,13 @@ def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again
     asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))
     job = dataclasses.replace(job_of(tmp_path, copies=3, demonstrations=6), start=GENERALIST, shown_by=asked, part=0)
     # cases 0 and 2 are this part's; three episodes are wanted of it
-    assert record_demonstrations(job, Report()) == {"generalist": [2, 0], "navigator": [6, 3]}
-    assert played == [
-        (name, case, n) for name, n in (("generalist", 0), *(("navigator", n) for n in range(3))) for case in (0, 2)
-    ]
+    assert record_demonstrations(job, Report()) == {
+        "generalist": [2, 0],
+        "navigator": [6, 3],
+        "navigator_seed1": [2, 0],
+    }
+    rounds = [("generalist", 0), ("navigator", 0), ("navigator_seed1", 0), ("navigator", 1), ("navigator", 2)]
+    assert played == [(name, case, number) for name, number in rounds for case in (0, 2)]
     assert len(read_demonstrations(tmp_path)) == 3
     jobs = plan(job.settings, context(tmp_path, "rehearsal"), job.task, "bca", GENERALIST, asked)
     assert {one.key: one.after for one in jobs}["training"] == ("demonstrations0", "demonstrations1")
