@@ -1,10 +1,10 @@
 """How often a steered wire cuts through the wall between two lumens, with walls as segmented and as imported.
 
     python benchmarks/anatomy/through_walls.py PATH... [--policy NAME] [--steep NAME] [--steep-from 13] [--episodes 3]
-                                               [--as-segmented]
+                                               [--targets NAME...] [--as-segmented]
 
-Episodes of shipped policies in imported anatomies, towards every supra-aortic target: by roadmap, actions drawn, or by
-images. --steep steers to targets set back by --steep-from mm or more. Along the wire's
+Episodes of policies (shipped ones, or files) in imported anatomies, towards every supra-aortic target, or some: by
+roadmap, actions drawn, or by images. --steep steers to targets set back by --steep-from mm or more. Along the wire's
 axis, from place to place within the lumen, the distance through the lumen to an end of a branch changes no faster than
 the way itself; where it changes by `JUMP` more, the wire went through a wall. Looked at every half a second. Prints a
 row a target and one JSON object as the last line. --as-segmented imports without `thicken_between_lumens`, into a cache
@@ -32,6 +32,7 @@ import enn
 from cathsim.anatomy import Phantom
 from cathsim.observations.xray import XrayEnvironment
 from enn.policy import Policy
+from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.known import GENERATED_TARGETS
 from pipeline.anatomies.take_offs import STEEP_MM, set_back_mm
@@ -77,6 +78,7 @@ def main() -> None:
     parser.add_argument("--policy", default="generalist")
     parser.add_argument("--steep", default="generalist_simmons2", help=f"for targets set back by {STEEP_MM:g} mm")
     parser.add_argument("--steep-from", type=float, default=STEEP_MM, metavar="MM")
+    parser.add_argument("--targets", nargs="+", choices=GENERATED_TARGETS, metavar="NAME")
     parser.add_argument("--episodes", type=int, default=3, help="towards each target")
     parser.add_argument("--max-steps", type=int, default=600)
     parser.add_argument("--as-segmented", action="store_true", help="without filling thin walls")
@@ -86,7 +88,10 @@ def main() -> None:
         if given.as_segmented:
             leave_walls(cache)
         try:
-            policies = [enn.load(given.policy), enn.load(given.steep)]
+            policies = [
+                read_policy(Path(name)) if name.endswith(".pt") else enn.load(name)
+                for name in (given.policy, given.steep)
+            ]
             for path in given.anatomies:
                 rows += measured(AnatomyFile(str(path)), path.name, policies, given)
         except (OSError, ValueError) as error:
@@ -110,6 +115,8 @@ def measured(place: AnatomyFile, name: str, policies: list[Any], given: argparse
     targets = [target for target in phantom.targets if target in GENERATED_TARGETS]
     fields = [phantom.geodesic_field(target) for target in phantom.targets if target.endswith("_end")]
     for number, target in enumerate(targets):
+        if target not in (given.targets or targets):
+            continue
         policy = policies[set_back_mm(phantom, target) >= given.steep_from]
         catheter = policy.metadata.get(TASK, {}).get("catheter")
         rules = dataclasses.replace(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from cathsim import Phantom
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.rehearsal.walls import displaced_walls, wall_field
+from tests.cathsim.anatomy.wall.tubes import tubes, wall_at
 
 FARTHEST = 1e-3  # m
 
@@ -44,6 +46,19 @@ def test_a_branch_stays_open(type_1: Phantom) -> None:
     copy = displaced_walls(type_1, 3, 0.02)
     for branch in copy.tree:
         assert copy.grid.sample(branch.points[2:-2]).min() > 0.25 * branch.radius.min(), branch.name
+
+
+@pytest.mark.parametrize("between", [1.2e-3, 3e-3])
+def test_a_wall_between_two_vessels_never_opens(between: float, type_1: Phantom) -> None:
+    place = 0.005 + between / 2
+    scan = dataclasses.replace(type_1, hash=f"tubes {between}", grid=tubes((-place, 0.005), (place, 0.005)))
+    heights, grown = np.arange(0.004, 0.046, 0.002), []
+    for seed in range(6):
+        grid = displaced_walls(scan, seed, FARTHEST).grid
+        assert min(wall_at(grid, height) - wall_at(scan.grid, height) for height in heights) > -0.15e-3
+        far = np.stack([np.full_like(heights, place + 0.005), np.zeros_like(heights), heights], axis=1)
+        grown.append(grid.sample(far).max() - scan.grid.sample(far).max())
+    assert max(grown) > 0.5 * FARTHEST  # on the other side they still grow
 
 
 def test_a_copy_is_made_once_and_freed(type_1: Phantom, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,30 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid
-from cathsim.anatomy.wall.thickness import THINNEST, thicken_between_lumens
-
-SPACING = 1e-3
-LENGTH = 0.05  # m of the tubes, along z
-
-
-def tubes(*tubes_given: tuple[float, float], joined_below: float = 0.0) -> SignedDistanceGrid:
-    """Tubes along z at places x with radii, m; below a height they are one lumen."""
-    x, y, z = np.meshgrid(
-        np.arange(-0.02, 0.0201, SPACING), np.arange(-0.012, 0.0121, SPACING), np.arange(0, LENGTH, SPACING),
-        indexing="ij",
-    )  # fmt: skip
-    distance = np.max([radius - np.hypot(x - place, y) for place, radius in tubes_given], axis=0)
-    if joined_below:
-        distance = np.maximum(distance, np.minimum(0.009 - np.hypot(x, y), joined_below - z))
-    return SignedDistanceGrid(np.maximum(distance, OUTSIDE).astype(np.float32), [-0.02, -0.012, 0.0], SPACING)
-
-
-def wall_at(grid: SignedDistanceGrid, height: float) -> float:
-    """Thickness (m) of the wall across x = 0."""
-    x = np.arange(-0.004, 0.004, 2e-5)
-    outside = grid.sample(np.stack([x, np.zeros_like(x), np.full_like(x, height)], axis=1)) <= 0
-    return float(np.count_nonzero(outside) * 2e-5)
+from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.wall.thickness import THINNEST, thicken_between_lumens, walls_between_lumens
+from tests.cathsim.anatomy.wall.tubes import LENGTH, SPACING, tubes, wall_at
 
 
 @pytest.mark.parametrize("between", [0.6e-3, 1.4e-3, 2.5e-3])
@@ -74,3 +53,12 @@ def test_a_low_ridge_stays_and_the_wall_of_a_carina_is_thick_up_to_its_edge() ->
     ridge = np.maximum(np.abs(z - 0.025) - 0.5e-3, 0.006 - np.hypot(x, y))  # a ring of 2 mm, 1 mm thick
     grid = SignedDistanceGrid(np.minimum(vessel, ridge).astype(np.float32), [-0.012, -0.012, 0.0], SPACING)
     assert thicken_between_lumens(grid) is grid
+
+
+def test_the_balls_of_a_wall_lie_halfway_between_the_lumens() -> None:
+    centres, radii = walls_between_lumens(tubes((-0.006, 0.005), (0.006, 0.005)), 0.003)
+    assert len(centres) > 50
+    assert np.abs(centres[:, 0]).max() < 0.3e-3
+    assert radii.min() == pytest.approx(1e-3, abs=0.2e-3)
+    assert radii.max() < 1.6e-3
+    assert len(walls_between_lumens(tubes((0.0, 0.006)), 0.003)[0]) == 0

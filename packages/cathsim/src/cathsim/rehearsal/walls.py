@@ -13,11 +13,15 @@ from scipy.spatial import cKDTree
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import VesselTree
+from cathsim.anatomy.wall.thickness import THINNEST, walls_between_lumens
+from cathsim.lifetime_cache import kept_with_owner
 
 MODES = 24  # waves of which the displacement is the sum
 WAVES = 0.030, 0.080  # m: shortest and longest of them
 BAND = 0.004  # m: beyond this distance from the wall nothing changes
 NARROWEST = 0.4  # of a branch's radius at most is lost
+BESIDE = 0.004  # m from a wall between two lumens, over which they begin to grow again
+_NEIGHBOURS = 6  # balls of a wall that a node is compared with
 
 _copies: WeakValueDictionary[tuple[str, int, float], Phantom] = WeakValueDictionary()
 _making = threading.RLock()
@@ -26,9 +30,9 @@ _making = threading.RLock()
 def displaced_walls(phantom: Phantom, seed: int, farthest: float) -> Phantom:
     """A phantom with walls displaced outwards or inwards by a smooth random field.
 
-    The field is a sum of waves of 30 to 80 mm in all directions, cut at twice its standard deviation. No
-    branch loses more than 40 % of its radius. Targets, entries, centrelines and the distances along the lumen are those
-    of the scan.
+    The field is a sum of waves of 30 to 80 mm in all directions, cut at twice its standard deviation. No branch loses
+    more than 40 % of its radius. A wall between two lumens becomes no thinner, so that no way leads through it.
+    Targets, entries, centrelines and the distances along the lumen are those of the scan.
 
     Args:
         phantom: the scan.
@@ -67,6 +71,7 @@ def _displaced(phantom: Phantom, seed: int, farthest: float) -> Phantom:
     before = values[near]
     points = grid.coordinates(indices[near])
     moved = np.maximum(farthest * wall_field(points, seed), -NARROWEST * _radius_at(phantom.tree, points))
+    moved *= np.where(moved > 0, _room(grid, farthest), 1.0)
     # full at the wall, nothing at the band's edge, so that what lies farther off stays as it is
     values[near] = before + moved * (1.0 - np.square(before / BAND))
     displaced = SignedDistanceGrid.from_nodes(indices, values, grid.shape, grid.origin, grid.spacing, outside=clamp)
@@ -80,6 +85,21 @@ def _displaced(phantom: Phantom, seed: int, farthest: float) -> Phantom:
         _load_field=phantom.geodesic_field,
         _fields={},
     )
+
+
+@kept_with_owner
+def _room(grid: SignedDistanceGrid, farthest: float) -> NDArray[np.float32]:
+    """Which share of a displacement outwards the nodes near a scan's walls get: 0 at walls between lumens, else 1.
+
+    Shape (n,): those nearer than `BAND`, in the grid's order.
+    """
+    indices, values = grid.blocks.where(lambda value: np.abs(value) < BAND)
+    centres, radii = walls_between_lumens(grid, THINNEST + 2 * farthest)
+    if not len(centres):
+        return np.ones(len(values), np.float32)
+    away, nearest = cKDTree(centres).query(grid.coordinates(indices), k=range(1, _NEIGHBOURS + 1))
+    beyond = (away - np.append(radii, 0.0)[nearest]).min(axis=1)
+    return np.clip(beyond / BESIDE, 0.0, 1.0).astype(np.float32)
 
 
 def _radius_at(tree: VesselTree, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -56,6 +56,18 @@ def thicken_between_lumens(
     return grid.with_values(indices[changed], filled[changed])
 
 
+def walls_between_lumens(grid: SignedDistanceGrid, thickest: float) -> tuple[Array, Array]:
+    """Balls that fill the walls between two lumens that are no thicker than that.
+
+    Args:
+        thickest: m.
+
+    Returns:
+        Their centres (n, 3) m, halfway between the lumens, and their radii (n,) m.
+    """
+    return _balls(grid, thickest, np.inf)
+
+
 def _balls(grid: SignedDistanceGrid, thinnest: float, narrowest: float) -> tuple[Array, Array]:
     """Balls that fill every wall between lumens up to a thickness: centres (n, 3) m and radii (n,) m."""
     indices, _ = grid.blocks.where(lambda values: (values > 0) & (values < _SHELL * grid.spacing))
