@@ -43,10 +43,10 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
     Episodes whose file is there are not played again.
 
     Returns:
-        By the stem of a policy's file: episodes played, and how many of them arrived.
+        By the name of a policy: episodes played, and how many of them arrived.
     """
     map_simulations()
-    copies = job.training_cases
+    names, copies = _names(job.shown_by), job.training_cases
     cases = range(job.part, len(copies), PARTS)
     wanted = -(-job.settings.demonstrations // PARTS)
     tally: dict[Path, list[bool]] = {}
@@ -56,8 +56,8 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
         steered = None
         for case in cases:
             told = sum(map(sum, tally.values()))
-            report(min(told / wanted, 1.0), f"{path.stem}: {sum(outcomes)} of {len(outcomes)} episodes arrived")
-            file = job.folder / DEMONSTRATIONS / f"{path.stem}_{copies[case]}_{number}.npz"
+            report(min(told / wanted, 1.0), f"{names[path]}: {sum(outcomes)} of {len(outcomes)} episodes arrived")
+            file = job.folder / DEMONSTRATIONS / f"{names[path]}_{copies[case]}_{number}.npz"
             if not file.is_file():
                 steered = steered or _Steered(job, path, copies)
                 write_arrays(file, demonstration_arrays(steered.episode(case, number)))
@@ -75,7 +75,16 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
             if best is None or not sum(tally[best]) or sum(map(sum, tally.values())) >= wanted:
                 break
             play_round(best, number)
-    return {path.stem: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
+    return {names[path]: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
+
+
+def _names(policies: Sequence[Path]) -> dict[Path, str]:
+    """Stems of files; where several have one, all but the first get a number."""
+    names: dict[Path, str] = {}
+    for path in policies:
+        alike = sum(other.stem == path.stem for other in names)
+        names[path] = f"{path.stem}{alike + 1}" if alike else path.stem
+    return names
 
 
 class _Steered:

@@ -319,6 +319,16 @@ def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again
     }
 
 
+def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> None:
+    same = [tmp_path / folder / "policy.pt" for folder in ("a", "b")]
+    for file in same:
+        file.parent.mkdir()
+        shutil.copy(GENERALIST.with_name("generalist_simmons2_seed0.pt"), file)
+    job = dataclasses.replace(job_of(tmp_path, copies=1, catheter="simmons2"), shown_by=tuple(same), part=1)
+    assert record_demonstrations(job, Report()) == {"policy": [1, 0], "policy2": [1, 0]}  # after twelve steps
+    assert len(list((tmp_path / "demonstrations").iterdir())) == 2
+
+
 def test_a_navigator_by_images_plays_in_the_copies(tmp_path: Path) -> None:
     navigator = GENERALIST.with_name("navigator.pt")
     job = dataclasses.replace(job_of(tmp_path, copies=1, demonstrations=1), shown_by=(navigator,), part=0)
