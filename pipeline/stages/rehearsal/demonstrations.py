@@ -65,14 +65,17 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
         if steered is not None:
             steered.environment.close()
 
+    def enough() -> bool:
+        return sum(map(sum, tally.values())) >= wanted
+
     for path in job.shown_by:
         play_round(path, 0)
-        if path == job.start and sum(tally[path]) >= OFTEN * len(cases):
+        if enough() or (path == job.start and sum(tally[path]) >= OFTEN * len(cases)):
             break
     else:
         best = max(tally, key=lambda path: sum(tally[path]), default=None)
         for number in range(1, ROUNDS):
-            if best is None or not sum(tally[best]) or sum(map(sum, tally.values())) >= wanted:
+            if best is None or not sum(tally[best]) or enough():
                 break
             play_round(best, number)
     return {names[path]: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}

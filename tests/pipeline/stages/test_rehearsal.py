@@ -309,6 +309,10 @@ def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again
     rounds = [("generalist", 0), ("navigator", 0), ("navigator_seed1", 0), ("navigator", 1), ("navigator", 2)]
     assert played == [(name, case, number) for name, number in rounds for case in (0, 2)]
     assert len(read_demonstrations(tmp_path)) == 3
+    fewer = dataclasses.replace(job, settings=dataclasses.replace(job.settings, demonstrations=2))
+    played.clear()
+    assert record_demonstrations(fewer, Report()) == {"generalist": [2, 0], "navigator": [2, 1]}  # enough, so no third
+    assert not played  # all of them were there
     jobs = plan(job.settings, context(tmp_path, "rehearsal"), job.task, "bca", GENERALIST, asked)
     assert {one.key: one.after for one in jobs}["training"] == ("demonstrations0", "demonstrations1")
     assert shown_by(
