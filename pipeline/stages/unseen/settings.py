@@ -28,7 +28,7 @@ from pipeline.settings.kinds import (
     one_of,
 )
 from pipeline.stages.learning.starting_policy import StartingPolicySettings
-from pipeline.stages.unseen.task import TEST_PHANTOM, VARIETY
+from pipeline.stages.unseen.task import TEST_PHANTOM, TRAINING_KINDS, VARIETY
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
 
@@ -49,8 +49,9 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
 
     name: str = "unseen"
     own_entry: PathText = DESCENDING  # filled in: where wires come in in `phantoms`
-    # that policies are trained and tested in: arch_variety has six branching types, and targets are points of its own
-    arches: Annotated[str, one_of(TEST_PHANTOM, VARIETY)] = TEST_PHANTOM
+    # that policies are trained and tested in: random_steep and random_trunk have more arches of a rare shape, among
+    # others; arch_variety has six branching types, and targets are points of its own
+    arches: Annotated[str, one_of(*TRAINING_KINDS)] = TEST_PHANTOM
     points: Annotated[int, Ge(1), Le(20)] = 3  # that each arch of arch_variety has as targets
     targets: FolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])  # of every policy in random arches
     own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
@@ -133,7 +134,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
 
     def learnt_targets(self) -> tuple[str, ...]:
         """The targets of every policy."""
-        if self.arches == TEST_PHANTOM:
+        if self.arches != VARIETY:
             return tuple(self.targets)
         from cathsim.anatomy.point_target import drawn_point_name
 

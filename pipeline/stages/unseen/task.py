@@ -17,13 +17,17 @@ if TYPE_CHECKING:
 
 ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows: what a policy sees
 TEST_PHANTOM, VARIETY = "random", "arch_variety"
+STEEP, TRUNK = "random_steep", "random_trunk"
 _VARIETY_KINDS = tuple(f"{VARIETY}_{kind}" for kind in ("I", "II", "IV", "V", "VI", "VII"))
 # kinds of the training's arches by turns: as tested, with rare shapes as often as common ones, and like scans
 TRAINING_KINDS = {
     TEST_PHANTOM: (TEST_PHANTOM, "random_wide", TEST_PHANTOM, "random_scan", "random_scan"),
+    STEEP: (STEEP, "random_scan", STEEP, "random_wide", TRUNK),
+    TRUNK: (TRUNK, "random_scan", TRUNK, "random_wide", TEST_PHANTOM),
     VARIETY: _VARIETY_KINDS,
 }
-TEST_KINDS = {TEST_PHANTOM: (TEST_PHANTOM,), VARIETY: _VARIETY_KINDS}  # of the tests' arches by turns
+# of the tests' arches by turns
+TEST_KINDS = {TEST_PHANTOM: (TEST_PHANTOM,), STEEP: (STEEP,), TRUNK: (TRUNK,), VARIETY: _VARIETY_KINDS}
 ROADMAP_KEYS = ("roadmap", "history")  # what a policy with a roadmap sees
 RESOLUTION = 1e-3  # m: at 1.5 mm thin walls open, and ways become short cuts
 
@@ -32,7 +36,7 @@ def training_arch(seed: int, arches: str = TEST_PHANTOM) -> tuple[str, int]:
     """The training anatomy of a seed: its kind and the seed.
 
     Args:
-        arches: `random` or `arch_variety`.
+        arches: a name of TRAINING_KINDS.
     """
     kinds = TRAINING_KINDS[arches]
     return kinds[seed % len(kinds)], seed
@@ -52,7 +56,7 @@ class UnseenTask:
         targets: names, each as likely in training; "point_1" and so on are points that each arch has of its own.
         task: wire, images, limits and start; the wires of the tests are as long as its own.
         accuracy: of the training's physics; tests always have the accurate one.
-        arches: that it takes place in, `random` or `arch_variety`.
+        arches: that it takes place in, a name of TRAINING_KINDS.
     """
 
     targets: tuple[str, ...]
@@ -74,7 +78,7 @@ class UnseenTask:
 
     def kept_targets(self) -> tuple[str, ...]:
         """The targets whose ways are kept in the cache of phantoms; those to an arch's own points are not."""
-        return self.targets if self.arches == TEST_PHANTOM else ()
+        return self.targets if self.arches != VARIETY else ()
 
     def _catheter(self) -> dict[str, Any]:
         return {name: value for name, value in self.task.devices().items() if name != "wire"}

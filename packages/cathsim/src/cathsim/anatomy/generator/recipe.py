@@ -13,7 +13,7 @@ from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
 from cathsim.anatomy.generator.random_arch import sample_parameters
-from cathsim.anatomy.generator.scan_arch import ScanArch, build_scan_arch, drawn_relief
+from cathsim.anatomy.generator.scan_arch import COMMON, STEEP, TRUNK, ScanArch, build_scan_arch, drawn_relief
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
 from cathsim.anatomy.generator.variety.variety_arch import VarietyArch, build_variety_arch, drawn_type
 from cathsim.anatomy.lumen import build_lumen
@@ -26,7 +26,8 @@ SCAN_VERSION = 1  # ... and for arches as scans show them
 FILLET = 2.5e-3  # m, rounding of the ostia where no measure says it
 SCAN, VARIETY = "random_scan", "arch_variety"
 _OF_TYPE = {f"{VARIETY}_{arch_type}": arch_type for arch_type in ARCH_TYPES}
-RANDOM = ("random", "random_wide", SCAN, VARIETY, *_OF_TYPE)  # names that need a seed
+_SCANS = {SCAN: COMMON, "random_steep": STEEP, "random_trunk": TRUNK}
+RANDOM = ("random", "random_wide", *_SCANS, VARIETY, *_OF_TYPE)  # names that need a seed
 
 Recipe = ArchParameters | VarietyArch | ScanArch
 
@@ -34,8 +35,8 @@ Recipe = ArchParameters | VarietyArch | ScanArch
 @lru_cache(maxsize=1024)  # those of a training come again and again, and take longer than reading the arch
 def draw_recipe(name: str, seed: int) -> Recipe:
     """The arch of a name of RANDOM and a seed."""
-    if name == SCAN:
-        return ScanArch(seed)
+    if name in _SCANS:
+        return ScanArch(seed, _SCANS[name])
     if name == VARIETY:
         return VarietyArch(drawn_type(seed), seed)
     if name in _OF_TYPE:

@@ -21,6 +21,7 @@ from cathsim.validation import Seed, settings
 LEAST_WALL = 1.2e-3  # m between the lumens of vessels that do not meet
 CHILDREN = 0.3  # share of arches smaller than an adult's
 ADULT, CHILD = (0.85, 1.15), (0.36, 0.85)  # sizes, as factors on the generated arch
+LARGE = (0.85, 1.25)  # of elongated aortas, which are those of elderly adults
 LONG_SHARE = 0.2  # of scans that show the aorta down to the diaphragm
 SHORT, LONG = (0.095, 0.150), (0.150, 0.265)  # m of height of the arch over the descending end
 _BRANCHES_GROW = 0.7  # exponent of the size in the branches' diameters: a child's are less small than its aorta
@@ -43,6 +44,24 @@ RANGES: dict[str, tuple[float, float]] = {
     "subclavian_length": (0.045, 0.105),
 }
 
+COMMON, STEEP, TRUNK = "common", "steep", "trunk"
+SHAPES = (COMMON, STEEP, TRUNK)
+# an elongated aorta: its branches leave the ascending limb, far below the top of the arch, and run upwards
+_ELONGATED: dict[str, tuple[float, float]] = {
+    "apex_ratio": (3.0, 6.0),
+    "arch_skew": (0.0, 0.6),
+    "ascending_height": (0.085, 0.110),
+    "bca_takeoff": (0.0, 0.7),
+    "lsa_takeoff": (0.0, 0.6),
+}
+# a common trunk from which the left common carotid turns off at up to a right angle
+_TRUNK: dict[str, tuple[float, float]] = {
+    "apex_ratio": (0.0, 2.2),
+    "bca_takeoff": (0.0, 0.7),
+    "lcca_takeoff": (0.9, 1.55),
+    "bca_diameter": (0.0145, 0.0190),
+}
+
 Array = NDArray[np.float64]
 
 
@@ -51,17 +70,23 @@ class ScanArch:
     """The arch of a seed, as a scan might show it."""
 
     seed: Seed = 0
+    shape: str = COMMON  # or a rare one: "steep", branches far below the arch's top, "trunk", LCCA across its trunk
+
+    def __post_init__(self) -> None:
+        if self.shape not in SHAPES:
+            raise ValueError(f"shape of a scan's arch must be one of {', '.join(SHAPES)}, got {self.shape!r}.")
 
 
 def build_scan_arch(arch: ScanArch) -> VesselTree:
     """Builds the vessel tree, centred on the origin; its branches are those of `build_arch`."""
-    rng = np.random.default_rng([arch.seed, 19])
+    rng = np.random.default_rng([arch.seed, 19, *([SHAPES.index(arch.shape)] if arch.shape != COMMON else [])])
     for _ in range(_ATTEMPTS):
         try:
-            tree = _seen(build_arch(_drawn_measures(rng)), rng)
-        except ValueError:
+            tree = _seen(build_arch(_drawn_measures(rng, arch.shape)), rng, arch.shape)
+            wall = separation(tree)
+        except ValueError:  # no such arch can be built, or the cut took a branch's origin
             continue
-        if separation(tree) >= LEAST_WALL:
+        if wall >= LEAST_WALL:
             low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in tree], axis=0)
             high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
             return tree.translated(-(low + high) / 2)
@@ -80,18 +105,21 @@ def drawn_relief(arch: ScanArch) -> tuple[WallRelief, np.random.Generator]:
     return relief, rng
 
 
-def _drawn_measures(rng: np.random.Generator) -> ArchParameters:
-    drawn: dict[str, Any] = {name: float(rng.uniform(low, high)) for name, (low, high) in RANGES.items()}
-    if rng.random() < BOVINE_SHARE:
+def _drawn_measures(rng: np.random.Generator, shape: str) -> ArchParameters:
+    ranges = RANGES | {STEEP: _ELONGATED, TRUNK: _TRUNK}.get(shape, {})
+    drawn: dict[str, Any] = {name: float(rng.uniform(low, high)) for name, (low, high) in ranges.items()}
+    if shape == TRUNK:
+        drawn["bovine"] = True
+    elif rng.random() < BOVINE_SHARE:
         drawn |= {"bovine": True, "bca_diameter": float(rng.uniform(0.0145, 0.0185))}
     drawn["descending_height"] = float(rng.uniform(*(LONG if rng.random() < LONG_SHARE else SHORT)))
     return replace(draw_parameters(rng), **drawn)
 
 
-def _seen(tree: VesselTree, rng: np.random.Generator) -> VesselTree:
+def _seen(tree: VesselTree, rng: np.random.Generator, shape: str) -> VesselTree:
     """The tree at another size, its aorta narrower in places and cut at both ends."""
-    child = rng.random() < CHILDREN
-    size = float(rng.uniform(*(CHILD if child else ADULT)))
+    child = rng.random() < CHILDREN and shape != STEEP
+    size = float(rng.uniform(*(CHILD if child else LARGE if shape == STEEP else ADULT)))
     aorta = tree.root
     leaving = [branch.parent_arc for branch in tree if branch.parent == aorta.name and branch.name != "sac"]
     narrow = float(rng.uniform(0.0, 0.55 if child else 0.3))
