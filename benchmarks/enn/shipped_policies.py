@@ -2,6 +2,7 @@
 
     python benchmarks/enn/shipped_policies.py [--policy generalist] [--arches 50] [--draw]
     python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --first 40400 --draw
+    python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --setting random_steep --max-steps 600 --draw
     python benchmarks/enn/shipped_policies.py --anatomies scan.stl labels.nii.gz --episodes 5 --max-steps 600 --draw
     python benchmarks/enn/shipped_policies.py --policy navigator --attempts 3
     python benchmarks/enn/shipped_policies.py --policy navigator --steep navigator_simmons2 --steep-from 13
@@ -46,7 +47,7 @@ from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
 from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
 from pipeline.clutter import clutter_of
-from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
+from pipeline.stages.unseen.task import STEEP, TEST_PHANTOM, TRUNK, UnseenTask, arch_of_test
 from pipeline.task import TASK, task_in_random_arches
 
 FIRST_ARCH, FIRST_SEED = 40_100, 5_000_000_000
@@ -72,6 +73,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--steep-from", type=float, default=CATHETER_BETTER_MM, metavar="MM", help="how far that is")
     parser.add_argument("--arches", type=int, default=50, help="random arches, one episode each and target")
     parser.add_argument("--first", type=int, default=FIRST_ARCH, help="seed of the first arch")
+    parser.add_argument("--setting", choices=(TEST_PHANTOM, STEEP, TRUNK), default=TEST_PHANTOM, help="of those arches")
     parser.add_argument(
         "--anatomies", type=Path, nargs="+", default=[], metavar="PATH", help="instead of random arches"
     )
@@ -114,7 +116,7 @@ def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int 
     for number, target in enumerate(GENERATED_TARGETS):
         if target in (given.targets or TARGETS):
             arches = range(given.first, given.first + (1 if given.quick else given.arches))
-            yield "random", target, [(arch, FIRST_SEED + 10 * arch + number) for arch in arches]
+            yield given.setting, target, [(arch, FIRST_SEED + 10 * arch + number) for arch in arches]
 
 
 def task_of(policy: Any, given: argparse.Namespace) -> UnseenTask:
@@ -123,7 +125,7 @@ def task_of(policy: Any, given: argparse.Namespace) -> UnseenTask:
     usual = task_in_random_arches()
     max_steps = steps_of_attempts(given.max_steps, given.attempts)
     rules = dataclasses.replace(usual, max_steps=max_steps, start_rotation_deg=180.0, catheter=catheter)
-    return UnseenTask(GENERATED_TARGETS, rules)
+    return UnseenTask(GENERATED_TARGETS, rules, arches=given.setting)
 
 
 def play(
@@ -177,9 +179,9 @@ def play_with(
     return outcome
 
 
-def ostium_set_back(place: int | AnatomyFile, target: str) -> float:
+def ostium_set_back(place: int | AnatomyFile, target: str, setting: str) -> float:
     """How far the target's ostium is set back, mm."""
-    phantom = load_anatomy(f"{TEST_PHANTOM}_{place}" if isinstance(place, int) else place)
+    phantom = load_anatomy("{}_{}".format(*arch_of_test(place, setting)) if isinstance(place, int) else place)
     return set_back_mm(phantom, target)
 
 
@@ -214,7 +216,7 @@ def main() -> None:
         in_turn = [[devices[0]] + devices[1:2] * given.exchange, devices[1:] + devices[:1] * given.exchange]
         rows, measured, tries = [], [], given.attempts * max(len(each) for each in in_turn)
         for name, target, episodes in cells(given):
-            backs = [ostium_set_back(place, target) for place, _ in episodes]
+            backs = [ostium_set_back(place, target, given.setting) for place, _ in episodes]
             chosen = [int(back >= given.steep_from) for back in backs]
             outcomes = [
                 play_with(in_turn[k], place, target, seed, given)

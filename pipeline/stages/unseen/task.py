@@ -119,7 +119,8 @@ class UnseenTask:
 
         Args:
             phantom: a named phantom, a file, or the seed of a random arch.
-            wire: as `wire` takes it; in a file's anatomy and from another entry longer, where the way asks for it.
+            wire: as `wire` takes it; in a file's anatomy, in arches of rare shapes and from another entry longer, where
+                the way asks for it.
             registration_noise: of the roadmap, m an axis.
         """
         from cathsim import NavigateEnv
@@ -128,7 +129,7 @@ class UnseenTask:
             phantom = "{}_{}".format(*arch_of_test(phantom, self.arches))
         place = load_anatomy(phantom)
         tried = replace(self, task=replace(self.task, entry=entry))
-        if isinstance(phantom, AnatomyFile) or entry != DESCENDING:
+        if isinstance(phantom, AnatomyFile) or entry != DESCENDING or self.arches in (STEEP, TRUNK):
             fitted = fitted_task(replace(tried.task, wire_length_mm=0.0), place, [target])
             if fitted.guidewire().length > tried.task.guidewire().length:
                 tried = replace(tried, task=fitted)

@@ -87,9 +87,10 @@ def load_phantom(
 
     Args:
         name: one of PHANTOMS; one of RANDOM, which need a seed: "random", "random_wide" (rare shapes as often as common
-            ones), "random_scan" (as scans show them: of any size, cut, not round, rough), "arch_variety" (six branching
-            types) or "arch_variety_IV" (one of them), or have it in their name, "random_7"; the path of a mesh (STL,
-            OBJ, PLY); or with `parameters` any name of your own.
+            ones), "random_scan" (as scans show them: of any size, cut, not round, rough), "random_steep" and
+            "random_trunk" (the same, branches far below the top of the arch; a left carotid that turns off a trunk),
+            "arch_variety" (six branching types) or "arch_variety_IV" (one of them), or have it in their name,
+            "random_7"; the path of a mesh (STL, OBJ, PLY); or with `parameters` any name of your own.
         seed: of the random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.

@@ -1,6 +1,7 @@
 """Random arches as scans show them: of any size, cut where a scan ends, narrow in places, with walls not quite round.
 
 The ranges are those of `random_wide`, widened to where measured aortas lie; `docs/results/real_aortas.md` says which.
+Two shapes that the ranges seldom give, and that scans have, are settings of their own.
 """
 
 from __future__ import annotations
