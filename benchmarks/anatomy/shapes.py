@@ -4,7 +4,8 @@
 
 Every PATH is an anatomy that imports, or a folder of such; what does not import is named and left out. N arches of a
 setting ("random", "random_wide", "random_scan", "random_steep", "random_trunk") are built at --resolution and measured
-with the same code. The table has a row a measure: the setting's percentiles 1, 50 and 99, then each aorta's value, marked * where it lies outside.
+with the same code. The table has a row a measure: the setting's percentiles 1, 50 and 99, then each aorta's value,
+marked * where it lies outside.
 The last line is one JSON object {"aortas", "arches", "outside": {measure: [names]}, "outside_pct", "seconds"}.
 """
 

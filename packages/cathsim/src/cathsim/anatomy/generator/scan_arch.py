@@ -29,7 +29,7 @@ _BRANCHES_GROW = 0.7  # exponent of the size in the branches' diameters: a child
 _LEAST_ROOT, _LEAST_DESCENDING = 0.020, 0.060  # m of aorta, at size 1, that a cut leaves beyond first and last branch
 _NARROWEST = 2.2e-3  # m of radius
 _LEAST_BRANCH = 0.047  # m of a branch that ends there beyond its ostium, at size 1
-_ATTEMPTS = 200
+_ATTEMPTS = 2_000  # of elongated aortas one draw of forty is an arch
 RANGES: dict[str, tuple[float, float]] = {
     **WIDE,
     "apex_ratio": (0.0, 3.8),
