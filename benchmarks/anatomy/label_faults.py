@@ -2,8 +2,8 @@
 
     python benchmarks/anatomy/label_faults.py [PATH] [--arches N] [--first SEED] [--faults gap,specks] [--seed N]
 
-Labels of N arches of `random_scan` (seeds from --first on, voxels of 0.8 x 0.8 x 1.5 mm), or those of the NIfTI file
-PATH, are written with one fault each and imported in a process of its own, without any cache:
+Labels of N arches of `random_scan` or another --setting (seeds from --first on, voxels of 0.8 x 0.8 x 1.5 mm), or those
+of the NIfTI file PATH, are written with one fault each and imported in a process of its own, without any cache:
 
     as_drawn       none
     ostium_gap     4 mm of every branch missing at its take-off
@@ -55,6 +55,7 @@ from benchmarks.anatomy.fault_cases import (
     run_cases,
 )
 from cathsim.anatomy import MeshRefusedError, import_anatomy, load_phantom
+from cathsim.anatomy.generator.recipe import RANDOM, SCAN
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
 from cathsim.anatomy.volume.rasterising import rasterise, save_nifti
@@ -254,9 +255,9 @@ FAULTS: dict[str, Fault] = {
 }
 
 
-def draw_arch(seed: int) -> Drawn:
+def draw_arch(setting: str, seed: int) -> Drawn:
     """Labels of a random arch; those without a name are not numbered."""
-    truth = load_phantom("random_scan", seed=seed)
+    truth = load_phantom(setting, seed=seed)
     numbers = {name: number for number, name in enumerate(truth.tree.names, 1)}
     labels, affine = rasterise(truth, SPACING, None, numbers)
     return Drawn(labels, affine, numbers, truth.tree, np.zeros(3))
@@ -315,9 +316,9 @@ def judge(path: Path, drawn: Drawn) -> dict[str, Any]:
     return {"right": not problems, "problems": problems, "notes": list(found.imported.notes)}
 
 
-def run_case(source: str, fault: str, seed: int) -> dict[str, Any]:
+def run_case(source: str, fault: str, seed: int, setting: str) -> dict[str, Any]:
     """One source with one fault, in this process."""
-    drawn = draw_arch(int(source)) if source.isdigit() else draw_file(Path(source))
+    drawn = draw_arch(setting, int(source)) if source.isdigit() else draw_file(Path(source))
     FAULTS[fault](drawn, np.random.default_rng(seed))
     with tempfile.TemporaryDirectory() as folder:
         names = {number: name for name, number in drawn.numbers.items() if name}
@@ -330,15 +331,17 @@ def main() -> None:
     parser.add_argument("path", nargs="?", help="a NIfTI file of TotalSegmentator's labels, instead of arches")
     parser.add_argument("--arches", type=int, default=3)
     parser.add_argument("--first", type=int, default=2000, help="seed of the first arch")
+    parser.add_argument("--setting", default=SCAN, choices=RANDOM, help="of the arches")
     parser.add_argument("--faults", default=",".join(FAULTS), help="some of them, with commas between")
     parser.add_argument("--seed", type=int, default=0, help="of what is random in a fault")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     options = parser.parse_args()
     faults = chosen_faults(parser, options, FAULTS)
     if options.one:
-        print(json.dumps(run_case(options.one, faults[0], options.seed)))
+        print(json.dumps(run_case(options.one, faults[0], options.seed, options.setting)))
         return
-    run_cases(__file__, faults, [options.path] if options.path else arches(options), ["--seed", str(options.seed)])
+    further = ["--seed", str(options.seed), "--setting", options.setting]
+    run_cases(__file__, faults, [options.path] if options.path else arches(options), further)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python benchmarks/anatomy/surface_faults.py [--arches N] [--first SEED] [--faults stairs,pieces] [--seed N]
 
-Surfaces of N arches of `random_scan` (seeds from --first on, marching cubes of 0.8 mm, mm) get one fault each and are
-imported from an STL in a process of its own, without any cache and without a word of what they are:
+Surfaces of N arches of `random_scan` or another --setting (seeds from --first on, marching cubes of 0.8 mm, mm) get one
+fault each and are imported from an STL in a process of its own, without any cache and without a word of what they are:
 
     as_drawn      none
     stairs        the faces of voxels of 0.8 x 0.8 x 1.5 mm, not smoothed
@@ -68,6 +68,7 @@ from benchmarks.anatomy.fault_cases import (
     run_cases,
 )
 from cathsim.anatomy import MeshRefusedError, import_anatomy, load_phantom
+from cathsim.anatomy.generator.recipe import RANDOM, SCAN
 from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 
@@ -134,9 +135,9 @@ def judge(path: Path, drawn: Drawn) -> dict[str, Any]:
     return {"right": not problems, "said": said, "problems": problems, "notes": notes}
 
 
-def run_case(seed: int, fault: str, random_seed: int, keep: Path | None) -> dict[str, Any]:
+def run_case(seed: int, fault: str, random_seed: int, keep: Path | None, setting: str) -> dict[str, Any]:
     """One arch with one fault, in this process."""
-    drawn = Drawn(load_phantom("random_scan", seed=seed), np.random.default_rng(random_seed))
+    drawn = Drawn(load_phantom(setting, seed=seed), np.random.default_rng(random_seed))
     FAULTS[fault](drawn)
     mesh = draw(drawn)
     with tempfile.TemporaryDirectory() as folder:
@@ -150,6 +151,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arches", type=int, default=3)
     parser.add_argument("--first", type=int, default=3000, help="seed of the first arch")
+    parser.add_argument("--setting", default=SCAN, choices=RANDOM, help="of the arches")
     parser.add_argument("--faults", default=",".join(FAULTS), help="some of them, with commas between")
     parser.add_argument("--seed", type=int, default=0, help="of what is random in a fault")
     parser.add_argument("--one", help=argparse.SUPPRESS)
@@ -157,9 +159,10 @@ def main() -> None:
     options = parser.parse_args()
     faults = chosen_faults(parser, options, FAULTS)
     if options.one:
-        print(json.dumps(run_case(int(options.one), faults[0], options.seed, options.keep)))
+        print(json.dumps(run_case(int(options.one), faults[0], options.seed, options.keep, options.setting)))
         return
-    further = ["--seed", str(options.seed), *(["--keep", str(options.keep)] if options.keep else [])]
+    kept = ["--keep", str(options.keep)] if options.keep else []
+    further = ["--seed", str(options.seed), "--setting", options.setting, *kept]
     run_cases(__file__, faults, arches(options), further)
 
 
