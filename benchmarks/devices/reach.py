@@ -1,7 +1,7 @@
 """Arches with a common trunk in which a wire alone, and one in a catheter, reaches the LCCA with one budget.
 
     python benchmarks/devices/reach.py [--arches N] [--devices wire,simmons2] [--searches N] [--seeds 33006,33009]
-                                       [--search patient|direct] [--output FILE.jsonl]
+                                       [--search patient|direct] [--steps N] [--output FILE.jsonl]
 
 Random arches with a common origin of BCA and LCCA, from seed 33000 on, target LCCA. An arch counts when the wire alone
 fails to be steered there by the direct search, with seed 0: at most 300 steps, no way out of local minima. Then every
@@ -37,11 +37,11 @@ from cathsim.planning.sampling import SamplingExpert
 
 TARGET, WIRE_LENGTH = "lcca", 0.36
 FIRST_SEED = 33_000
-WIRE = "wire"  # the device without a catheter
+WIRE, PATIENT = "wire", "patient"  # the device without a catheter; the search that compares devices
 # Search to settings and most steps: the one by which arches are chosen, and the one that is compared.
 SEARCHES = {
     "direct": (dataclasses.replace(TWO_DEVICES, confirm=0, patience=0), 300),
-    "patient": (TWO_DEVICES, 600),
+    PATIENT: (TWO_DEVICES, 600),
 }
 
 
@@ -50,9 +50,9 @@ def common_trunks() -> Iterator[int]:
     return (seed for seed in itertools.count(FIRST_SEED) if getattr(draw_recipe("random", seed), "bovine", False))
 
 
-def episode(arch: int, device: str, seed: int, search: str) -> dict[str, Any]:
+def episode(arch: int, device: str, seed: int, search: str, most_steps: int) -> dict[str, Any]:
     """Steers one device, or wire and catheter, to the target."""
-    settings, most_steps = SEARCHES[search]
+    settings, _ = SEARCHES[search]
     phantom = load_phantom("random", seed=arch)
     environment = NavigateEnv(
         phantom,
@@ -77,6 +77,7 @@ def episode(arch: int, device: str, seed: int, search: str) -> dict[str, Any]:
         "device": device,
         "seed": seed,
         "search": search,
+        "most_steps": most_steps,
         "success": bool(info["success"]),
         "steps": environment.steps,
         "nearest_mm": round(1e3 * nearest, 1),
@@ -91,17 +92,20 @@ def episode(arch: int, device: str, seed: int, search: str) -> dict[str, Any]:
 class Record:
     """Episodes in a file of one JSON object a line; those that it holds are not run again."""
 
-    def __init__(self, path: Path | None) -> None:
-        self._path = path
+    def __init__(self, path: Path | None, steps: int | None) -> None:
+        self._path, self._steps = path, steps
         rows = [json.loads(line) for line in path.read_text().splitlines()] if path and path.exists() else []
-        self.rows = {(row["phantom"], row["device"], row["seed"], row["search"]): row for row in rows}
+        self.rows = {
+            (row["phantom"], row["device"], row["seed"], row["search"], row["most_steps"]): row for row in rows
+        }
 
     def episode(self, arch: int, device: str, seed: int, search: str) -> dict[str, Any]:
         """The episode, run in a new process if it is not there: arches and models of many would fill the memory."""
-        key = (f"random_{arch}", device, seed, search)
+        most_steps = self._steps if self._steps and search == PATIENT else SEARCHES[search][1]
+        key = (f"random_{arch}", device, seed, search, most_steps)
         if key not in self.rows:
             with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-                row = self.rows[key] = pool.submit(episode, arch, device, seed, search).result()
+                row = self.rows[key] = pool.submit(episode, arch, device, seed, search, most_steps).result()
             print(json.dumps(row), flush=True)
             if self._path:
                 with self._path.open("a") as lines:
@@ -130,10 +134,11 @@ def main() -> None:
     parser.add_argument("--devices", default=f"{WIRE},simmons2", help="'wire' and names of the shelf of catheters")
     parser.add_argument("--searches", type=int, default=3, help="seeds of the search")
     parser.add_argument("--seeds", help="of these arches alone, whatever the wire does in them")
-    parser.add_argument("--search", choices=SEARCHES, default="patient", help="of the devices that are compared")
+    parser.add_argument("--search", choices=SEARCHES, default=PATIENT, help="of the devices that are compared")
+    parser.add_argument("--steps", type=int, help="at most, by the patient search; without it 600")
     parser.add_argument("--output", type=Path, help="file that episodes are added to, and taken from")
     arguments = parser.parse_args()
-    record = Record(arguments.output)
+    record = Record(arguments.output, arguments.steps)
     failing = (arch for arch in common_trunks() if not record.episode(arch, WIRE, 0, "direct")["success"])
     chosen = [int(seed) for seed in arguments.seeds.split(",")] if arguments.seeds else failing
     arches = list(itertools.islice(chosen, arguments.arches))
