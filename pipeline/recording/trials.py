@@ -53,6 +53,15 @@ def controllers(policy: Policy | ClonedPolicy, mode: str) -> Callable[[int], Con
     return lambda seed: policy.controller(deterministic=mode == MODES[0], seed=seed)
 
 
+def retrying(controller: Callable[[int], Controller], steps: int, attempts: int) -> Callable[[int], Controller]:
+    """The same, with so many attempts of so many steps at an episode, as of `enn.retrying`; one: as it was."""
+    if attempts == 1:
+        return controller
+    from enn.retrying import RetryingController
+
+    return lambda seed: RetryingController(controller, steps, attempts, seed)
+
+
 def run_trials(
     environment: NavigateEnv,
     controller: Callable[[int], Controller],

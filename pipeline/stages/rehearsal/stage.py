@@ -141,17 +141,18 @@ def _outcomes_of(outcomes: dict[str, Any], tested: str, kind: str) -> list[dict[
 
 
 def row(outcomes: dict[str, Any], tested: str, kind: str) -> dict[str, Any]:
-    """A row of the table: success with Wilson's 95 % interval, forces over all steps, length."""
+    """A row of the table: success in the first attempt with Wilson's 95 % interval, in any, forces over all steps."""
     from cathsim.metrics.intervals import wilson_interval
 
     parts = _outcomes_of(outcomes, tested, kind)
-    success = [one for part in parts for one in part["success"]]
+    success, within = ([one for part in parts for one in part[key]] for key in ("success", "within_attempts"))
     episodes = [forces for part in parts for forces in part["forces"]]
     forces = np.concatenate(episodes)
     low, high = wilson_interval(sum(success), len(success))
     return {
         "success_pct": 100.0 * float(np.mean(success)),
         "interval_pct": f"{100 * low:.0f} to {100 * high:.0f}",
+        "within_attempts_pct": 100.0 * float(np.mean(within)),
         "force_n": float(forces.mean()),
         "force_p95_n": float(np.percentile(forces, 95)),
         "force_max_n": float(forces.max()),

@@ -196,6 +196,22 @@ def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> Non
         starting_policy(RehearsalSettings(), tmp_path, 0, alone)
 
 
+def test_an_episode_of_the_tests_has_so_many_attempts(tmp_path: Path) -> None:
+    alone, again = (job_of(tmp_path / str(attempts), attempts=attempts) for attempts in (1, 2))
+    train(alone, Report())
+    policy = alone.own_folder / "policy.pt"
+    steps = alone.task.max_steps
+
+    def outcome(job: RehearsalJob) -> dict[str, Any]:
+        return play(dataclasses.replace(job, policy=policy, tested="after", copies=(FIRST, FIRST + 1)), Report())
+
+    once, twice = outcome(alone), outcome(again)
+    assert twice["success"] == once["success"]
+    for first, forces, more in zip(once["success"], once["forces"], twice["forces"], strict=True):
+        assert more[: len(forces)] == forces  # the first attempt is the episode without a second
+        assert first or len(more) > steps + 1
+
+
 def test_a_policy_of_other_devices_is_not_started_from(tmp_path: Path) -> None:
     for task in (Task(catheter="vertebral"), Task(catheter="jb2", wire="none"), Task(actions="tip_motors")):
         assert starting_policy(RehearsalSettings(), tmp_path, 0, task) is None
@@ -204,11 +220,13 @@ def test_a_policy_of_other_devices_is_not_started_from(tmp_path: Path) -> None:
 
 def test_a_row_pools_the_forces_of_all_steps() -> None:
     parts = {
-        "after/copies0": {"success": [True], "forces": [[0.0, 1.0]]},
-        "after/copies1": {"success": [False], "forces": [[2.0]]},
+        "after/copies0": {"success": [True], "within_attempts": [True], "forces": [[0.0, 1.0]]},
+        "after/copies1": {"success": [False], "within_attempts": [True], "forces": [[2.0]]},
     }
-    cells = row(parts | {"after/scan": {"success": [True], "forces": [[9.0]]}}, "after", "copies")
+    scan = {"after/scan": {"success": [True], "within_attempts": [True], "forces": [[9.0]]}}
+    cells = row(parts | scan, "after", "copies")
     assert cells["success_pct"] == 50.0
+    assert cells["within_attempts_pct"] == 100.0
     assert cells["force_n"] == 1.0
     assert cells["force_max_n"] == 2.0
     assert cells["episode_length_steps"] == 1.5
