@@ -6,6 +6,7 @@ The stage's folder draws as::
     demonstrations/<policy>_<copy>_<round>.npz     of the training, where other policies were asked, too
     seed<k>/{policy.pt, training.csv, training.json}
     {before,after}/<scan or copies>/<copy>/NNN.mcap
+    after.gif                                      an episode in the scan
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, validation_copies
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations
+from pipeline.stages.rehearsal.film import SCAN
 from pipeline.stages.rehearsal.settings import SAC
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
@@ -33,7 +35,7 @@ from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
 
 STARTS = "starts.npz"
-SCAN, COPIES = "scan", "copies"  # sets of tests
+COPIES = "copies"  # set of tests, beside that in the scan
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
 _LAID = 0.1  # of the training's job
 

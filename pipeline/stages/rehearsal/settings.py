@@ -58,6 +58,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     test_copies: Annotated[int, Ge(1), Le(1000)] = 30
     scan_episodes: Episodes = 10  # on the scan itself
     mode: Annotated[str, one_of("stochastic", "deterministic")] = "stochastic"  # of the tests' actions
+    film: bool = True  # of an episode in the scan after the training
     # of a test's episode: what has not arrived after its steps is drawn back and tried again
     attempts: Annotated[int, Ge(1), Le(10)] = 1
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none

@@ -21,17 +21,18 @@ from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.rehearsal.copies import RehearsalJob
 from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, PARTS, record_demonstrations
-from pipeline.stages.rehearsal.jobs import COPIES, PRELOAD, SCAN, play, train
+from pipeline.stages.rehearsal.film import SCAN, film_file, film_scan
+from pipeline.stages.rehearsal.jobs import COPIES, PRELOAD, play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.starting_policy import advising_policies, policy_hashes, starting_policy
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, require_feeder, require_known_task
 
 BEFORE, AFTER = "before", "after"
-TRAINING = "training"
+TRAINING, FILM = "training", "film"
 _LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
-_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 4.0}  # guesses
+_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 4.0, "film": 15.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
@@ -78,7 +79,12 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
     told = ", ".join(f"{name} {count}" for name, count in shown.items() if count) or "none"
     cost = outcomes[TRAINING] | {"starts_from": origin, "catheter": task.catheter or "none", "demonstrations": told}
     write_results(context.path, {"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}})
-    write_figures(context.path, [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)])
+    figures = [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)]
+    if FILM in outcomes:
+        outcome = "arrives" if outcomes[FILM]["arrived"] else "does not arrive"
+        caption = f"An episode in the scan, which {outcome}."
+        figures.append(Figure(f"{phantom.name}, {AFTER} the rehearsal, film", caption, film_file(AFTER)))
+    write_figures(context.path, figures)
 
 
 def plan(
@@ -102,7 +108,12 @@ def plan(
     weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
     jobs.append(Job(TRAINING, train, job, after=tuple(parts), weight=weight, gpu_gb=memory))
     jobs += [] if start is None else _tests(job, BEFORE, start, ())
-    return [*jobs, *_tests(job, AFTER, job.own_folder / POLICY, (TRAINING,))]
+    trained = job.own_folder / POLICY
+    jobs += _tests(job, AFTER, trained, (TRAINING,))
+    if settings.film:
+        filmed = replace(job, policy=trained, tested=AFTER)
+        jobs.append(Job(FILM, film_scan, filmed, after=(f"{AFTER}/{SCAN}",), weight=_SECONDS["film"]))
+    return jobs
 
 
 def shown_by(outcomes: dict[str, Any]) -> dict[str, int]:
@@ -188,6 +199,7 @@ STAGE = Stage(
         "seed<k>/{policy.pt, training.csv, training.json}",
         "{before,after}/<test set>/<copy>/NNN.mcap",
         "{before,after}.png",
+        "after.gif",
         "results.json",
     ),
     prepare=settle,

@@ -22,6 +22,7 @@ from pipeline.recording.trials import Origin
 from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
+from pipeline.stages.rehearsal.film import film_scan
 from pipeline.stages.rehearsal.jobs import play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal, shown_by
@@ -210,6 +211,22 @@ def test_an_episode_of_the_tests_has_so_many_attempts(tmp_path: Path) -> None:
     for first, forces, more in zip(once["success"], once["forces"], twice["forces"], strict=True):
         assert more[: len(forces)] == forces  # the first attempt is the episode without a second
         assert first or len(more) > steps + 1
+
+
+def test_the_film_repeats_the_first_episode_in_the_scan_that_arrived(tmp_path: Path) -> None:
+    from PIL import Image
+
+    job = job_of(tmp_path, scan_episodes=3)
+    train(job, Report())
+    tested = dataclasses.replace(job, policy=job.own_folder / "policy.pt", tested="after", copies=(0,))
+    arrived = play(tested, Report())["success"]
+    outcome = film_scan(tested, Report())
+    assert outcome["episode"] == (arrived.index(True) if any(arrived) else 0)
+    assert outcome["arrived"] == any(arrived)
+    with EpisodeReader(tmp_path / f"after/scan/0/{outcome['episode']:03d}.mcap") as log:
+        assert outcome["steps"] == log.last_step
+    with Image.open(tmp_path / "after.gif") as film:
+        assert film.n_frames >= outcome["steps"] // 2
 
 
 def test_a_policy_of_other_devices_is_not_started_from(tmp_path: Path) -> None:
