@@ -75,8 +75,8 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
     else:
         best = max(tally, key=lambda path: sum(tally[path]), default=None)
         for number in range(1, ROUNDS):
-            if best is None or not sum(tally[best]) or enough():
-                break
+            if best is None or not any(tally[best][-len(cases) :]) or enough():
+                break  # a round in which nobody arrives is the last one
             play_round(best, number)
     return {names[path]: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
 
