@@ -68,6 +68,12 @@ def test_a_name_and_a_seed_are_one_rare_arch() -> None:
         assert recipe == ScanArch(7, shape) == recipe_of(recipe_content(recipe))
 
 
+def test_an_arch_of_the_common_shape_is_described_as_before_there_were_others() -> None:
+    content = recipe_content(ScanArch(7))
+    assert content["scan"] == {"seed": 7}
+    assert recipe_of(content) == ScanArch(7)
+
+
 def test_a_shape_that_there_is_not() -> None:
     with pytest.raises(ValueError, match="common, steep, trunk, got 'flat'"):
         ScanArch(0, "flat")

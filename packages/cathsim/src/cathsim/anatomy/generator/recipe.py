@@ -72,6 +72,8 @@ def recipe_content(recipe: Recipe) -> dict[str, Any]:
     if isinstance(recipe, VarietyArch):
         return {"variety_generator": VARIETY_VERSION, "variety": values}
     if isinstance(recipe, ScanArch):
+        if recipe.shape == COMMON:
+            del values["shape"]  # logs of such arches are older than the other shapes, and name their hash
         return {"scan_generator": SCAN_VERSION, "generator": GENERATOR_VERSION, "scan": values}
     return {"generator": GENERATOR_VERSION, "parameters": values}
 
