@@ -32,7 +32,7 @@ BEFORE, AFTER = "before", "after"
 TRAINING, FILM = "training", "film"
 _LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
-_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 4.0, "film": 15.0}  # guesses
+_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 4.0, "film": 40.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
