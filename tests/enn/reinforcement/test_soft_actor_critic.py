@@ -11,9 +11,10 @@ import torch
 from stable_baselines3 import SAC
 
 from enn.networks.network import action_distribution
+from enn.reinforcement.replay import demonstration_replay
 from enn.reinforcement.sampling import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
-from tests.enn.reinforcement.small_training import SMALL
+from tests.enn.reinforcement.small_training import SMALL, demonstrated
 
 
 @pytest.mark.parametrize("ent_coef", ["auto_0.05", 0.2])
@@ -63,6 +64,36 @@ def test_one_update_is_the_librarys(ent_coef: str | float, point_env: Any) -> No
         assert library.log_ent_coef is not None
         assert model.log_ent_coef is not None
         torch.testing.assert_close(model.log_ent_coef, library.log_ent_coef, atol=1e-5, rtol=1e-4)
+
+
+def test_demonstrated_actions_are_cloned_where_the_critics_prefer_them(point_env: Any) -> None:
+    envs = SampledEnvs([point_env], seed=0)
+    shown = demonstration_replay(demonstrated(point_env), envs.observation_space, point_env.action_space)
+    settings = dataclasses.replace(SMALL, batch_size=64, demonstrations_in_replay=0.5, cloning_weight=50.0)
+    far = []
+    for weight in (0.0, settings.cloning_weight):
+        learner = SacLearner(dataclasses.replace(settings, cloning_weight=weight), envs, 0, shown)
+        observations = envs.reset()
+        for _ in range(60):
+            actions = learner.act(observations, explore=True)
+            after, rewards, dones, infos = envs.step(actions)
+            learner.observe(observations, rewards, dones, after, infos, explore=True)
+            observations = after
+        model = learner.model
+        data = learner.replay.sample(64)
+        assert learner.replay.shown_in(64) == 32
+        given = shown.gather(np.arange(shown.added), np.zeros(shown.added, int))
+        assert {tuple(one) for one in data.actions[-32:].tolist()} <= {tuple(one) for one in given.actions.tolist()}
+        # nothing is cloned where the policy's own actions are worth more, all of it where they are worth less
+        own = torch.full((64, 1), 1e6)
+        assert model._cloning_loss(data, own, 32).item() == 0.0
+        mean, _ = action_distribution(model.policy, {"place": data.observations["place"][-32:]})
+        expected = 1e6 * (mean.tanh() - data.actions[-32:]).square().sum(1).mean()
+        torch.testing.assert_close(model._cloning_loss(data, -own, 32), expected)
+        model.train(200, 64)
+        mean, _ = action_distribution(model.policy, given.observations)
+        far.append((mean.tanh() - given.actions).square().mean().item())
+    assert far[1] < 0.7 * far[0]
 
 
 def test_log_probability_is_that_of_the_squashed_gaussian(point_env: Any) -> None:

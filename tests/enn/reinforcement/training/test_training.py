@@ -152,6 +152,8 @@ def test_refusals_say_why() -> None:
         TrainingSettings(algorithm="ppo")
     with pytest.raises(ValueError, match="PPO keeps no replay buffer"):
         TrainingSettings(algorithm="ppo", ent_coef=0.0, demonstrations_in_replay=0.5)
+    with pytest.raises(ValueError, match="with cloning_weight give demonstrations_in_replay, too"):
+        TrainingSettings(cloning_weight=1.0)
     with pytest.raises(ValueError, match="unknown algorithm 'td3'; there are sac, ppo"):
         TrainingSettings(algorithm="td3")
     with pytest.raises(ValueError, match="gamma must be less than or equal to 1, got"):

@@ -26,8 +26,9 @@ Environment = gymnasium.Env[Any, Any]
 # decisions.
 SLOWER, FIRST = 0.2, 0.4  # share of the learning rate; share of the decisions that it only acts
 # With demonstrations there is something to learn that it does not do yet, and to learn it from: the same two, and the
-# share of each batch that is drawn from demonstrations.
+# share of each batch that is drawn from demonstrations. Their actions are cloned where the critics prefer them.
 SHOWN_SLOWER, SHOWN_FIRST, SHOWN_SHARE = 0.3, 0.05, 0.25
+SHOWN_CLONED = 1.0  # weight of that
 TEST_SEED = 0  # of the first episode of `play_cases`; the k-th has the k-th after it
 
 # The actor and the critics are as wide as those for many anatomies, whose weights it may start from.
@@ -100,7 +101,7 @@ def rehearse(
     env.close()
     changed = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
     if demonstrations and settings.algorithm == "sac" and not settings.demonstrations_in_replay:
-        changed = replace(changed, demonstrations_in_replay=SHOWN_SHARE)
+        changed = replace(changed, demonstrations_in_replay=SHOWN_SHARE, cloning_weight=SHOWN_CLONED)
     if policy is not None:
         first, slower = (SHOWN_FIRST, SHOWN_SLOWER) if demonstrations else (FIRST, SLOWER)
         changed = starting_from(replace(changed, action_repeat=policy.action_repeat), policy, first, slower)

@@ -151,12 +151,16 @@ class ReplayBuffer(BaseReplayBuffer):
             self._free = list(range(2 * rows - 1, rows - 1, -1))
         return self._free.pop()
 
+    def shown_in(self, batch_size: int) -> int:
+        """How many transitions of a batch are those of demonstrations: its last ones."""
+        return round(batch_size * self.demonstration_share) if self.demonstrations is not None else 0
+
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> Any:
-        """Draws transitions, each equally likely; the demonstrations' share of them from there."""
+        """Draws transitions, each equally likely; the demonstrations' share of them, the last ones, from there."""
         there = min(self.added, self.buffer_size)
         if there == 0:
             raise ValueError("the replay buffer is empty: nothing can be drawn from it")
-        borrowed = round(batch_size * self.demonstration_share) if self.demonstrations is not None else 0
+        borrowed = self.shown_in(batch_size)
         rows = self._generator.integers(0, there, batch_size - borrowed)
         envs = self._generator.integers(0, self.n_envs, batch_size - borrowed)
         parts = self._arrays(rows, envs)

@@ -31,6 +31,7 @@ class FastSAC(SAC):
 
     noise: torch.Generator | None = None
     actor_every: int = 1
+    cloning_weight: float = 0.0
     losses: dict[str, Tensor]
     _entropy_weight: Tensor | None = None
 
@@ -47,7 +48,8 @@ class FastSAC(SAC):
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """Updates critic, actor and entropy weight.
 
-        Source: Haarnoja et al. 2018, as stable-baselines3 has it.
+        Source: Haarnoja et al. 2018, as stable-baselines3 has it; cloning where the critics prefer what was
+        demonstrated: Nair et al. 2018, whose sum of losses is scaled by the values' magnitude here.
         """
         self.policy.set_training_mode(True)
         sources: list[Tensor] = list(self.critic.parameters())
@@ -72,26 +74,43 @@ class FastSAC(SAC):
             self.critic.optimizer.step()
 
             if acts:
-                self._learn_actor(data.observations, actions, log_prob, entropy_weight)
+                self._learn_actor(data, actions, log_prob, entropy_weight)
             if step % self.target_update_interval == 0:
                 with torch.no_grad():
                     torch._foreach_lerp_(targets, sources, self.tau)
             self.losses |= {"critic_loss": critic_loss.detach(), "ent_coef": entropy_weight}
         self._n_updates += gradient_steps
 
-    def _learn_actor(self, observations: Any, actions: Tensor, log_prob: Tensor, entropy_weight: Tensor) -> None:
+    def _learn_actor(self, data: Any, actions: Tensor, log_prob: Tensor, entropy_weight: Tensor) -> None:
         # the gradients of what the critic's optimiser learns would be thrown away here
         critic = [parameter for group in self.critic.optimizer.param_groups for parameter in group["params"]]
         for parameter in critic:
             parameter.requires_grad_(False)
-        value = torch.minimum(*self.critic(observations, actions))
+        value = torch.minimum(*self.critic(data.observations, actions))
         loss = (entropy_weight * log_prob - value).mean()
+        assert isinstance(self.replay_buffer, ReplayBuffer)
+        shown = self.replay_buffer.shown_in(len(actions)) if self.cloning_weight else 0
+        if shown:
+            loss = loss + self.cloning_weight * self._cloning_loss(data, value.detach(), shown)
         self.actor.optimizer.zero_grad()
         loss.backward()
         self.actor.optimizer.step()
         for parameter in critic:
             parameter.requires_grad_(True)
         self.losses |= {"actor_loss": loss.detach(), "entropy": -log_prob.detach().mean()}
+
+    def _cloning_loss(self, data: Any, value: Tensor, shown: int) -> Tensor:
+        """Squared distance of the best action to that of the last `shown` rows, where the critics prefer the latter."""
+        observations = data.observations
+        if isinstance(observations, dict):
+            observations = {name: rows[-shown:] for name, rows in observations.items()}
+        else:
+            observations = observations[-shown:]
+        mean, _ = action_distribution(self.policy, observations)
+        with torch.no_grad():
+            better = torch.minimum(*self.critic(observations, data.actions[-shown:])) > value[-shown:]
+        distance = (mean.tanh() - data.actions[-shown:]).square().sum(dim=1, keepdim=True)
+        return value.abs().mean() * (distance * better).mean()
 
     def _learn_entropy_weight(self, log_prob: Tensor) -> None:
         if self.ent_coef_optimizer is None or self.log_ent_coef is None:
@@ -140,6 +159,7 @@ class SacLearner:
         )
         self.model.noise = torch.Generator().manual_seed(seed)
         self.model.actor_every, self.model.losses = settings.actor_every, {}
+        self.model.cloning_weight = settings.cloning_weight
         self.policy = self.model.policy
         self.replay: ReplayBuffer = self.model.replay_buffer  # type: ignore[assignment]
         self._generator = np.random.default_rng(seed)

@@ -23,7 +23,6 @@ UNUSED = {
         "log_std_init",
         "log_std_final",
         "reward_scale",
-        "cloning_weight",
     ),
     "ppo": (
         "critic_layer_norm",
@@ -75,7 +74,8 @@ class TrainingSettings(NetworkSettings):
     log_std_final: Annotated[float, Interval(ge=-20, le=2)] | None = None
     # factor on the rewards of PPO, whose value's loss, clipped together with the policy's, should not be far larger
     reward_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
-    # of the mean squared distance to the demonstrations' actions: before PPO's first roll-out, and after each update
+    # of the squared distance to the demonstrations' actions: before PPO's first roll-out, and after each update; in the
+    # loss of SAC's actor where its critics prefer those actions, as a share of their values' magnitude
     cloning_weight: Weight = 0.0
     reset_bank_share: Share = 0.75  # share of the resets that start from the reset bank; 0: there is none
     reset_bank_capacity: Count = 4096  # states in the reset bank; with cases, of each of them
@@ -106,6 +106,7 @@ class TrainingSettings(NetworkSettings):
             if self.demonstrations_in_replay:
                 raise ValueError("PPO keeps no replay buffer: leave demonstrations_in_replay at 0")
         self._refuse_unused()
+        self._refuse_cloning_nothing()
         self._check_entropy()
         self.network  # noqa: B018 - refuses unknown names
 
@@ -121,6 +122,12 @@ class TrainingSettings(NetworkSettings):
             raise ValueError(
                 f"a fixed ent_coef of {self.ent_coef} aims at no entropy: leave target_entropy out, or learn the "
                 f"weight with ent_coef='auto_{self.ent_coef}'"
+            )
+
+    def _refuse_cloning_nothing(self) -> None:
+        if self.algorithm == "sac" and self.cloning_weight and not self.demonstrations_in_replay:
+            raise ValueError(
+                "SAC clones the demonstrations in its batches: with cloning_weight give demonstrations_in_replay, too"
             )
 
     def _refuse_unused(self) -> None:
