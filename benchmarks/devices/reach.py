@@ -95,9 +95,10 @@ class Record:
     def __init__(self, path: Path | None, steps: int | None) -> None:
         self._path, self._steps = path, steps
         rows = [json.loads(line) for line in path.read_text().splitlines()] if path and path.exists() else []
-        self.rows = {
-            (row["phantom"], row["device"], row["seed"], row["search"], row["most_steps"]): row for row in rows
-        }
+        self.rows = {}
+        for row in rows:  # before --steps there was, none was named
+            most_steps = row.get("most_steps", SEARCHES[row["search"]][1])
+            self.rows[row["phantom"], row["device"], row["seed"], row["search"], most_steps] = row
 
     def episode(self, arch: int, device: str, seed: int, search: str) -> dict[str, Any]:
         """The episode, run in a new process if it is not there: arches and models of many would fill the memory."""

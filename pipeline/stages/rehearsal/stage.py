@@ -184,7 +184,7 @@ def picture(outcomes: dict[str, Any], tested: str, phantom: Any, target: Any, fo
             episodes.append(episode.load_arrays(pictures=False))
     file = f"{tested}.png"
     draw_task(phantom, target, episodes, folder / file)
-    reached = sum(sum(part["success"]) for part in _outcomes_of(outcomes, tested, COPIES))
+    reached = sum(sum(part["within_attempts"]) for part in _outcomes_of(outcomes, tested, COPIES))
     caption = f"{reached} of {len(logs)} copies reached; the lumen is the scan's."
     return Figure(f"{phantom.name}, {tested} the rehearsal", caption, file)
 
