@@ -18,6 +18,8 @@ from pipeline.task import Task
 if TYPE_CHECKING:
     from cathsim.rehearsal.environment import NavigateCopiesEnv
 
+SCAN, COPIES = "scan", "copies"  # sets of tests, and their folders
+
 
 @dataclass(frozen=True)
 class RehearsalJob:

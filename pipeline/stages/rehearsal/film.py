@@ -8,10 +8,8 @@ from typing import Any
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import controllers, recorded, retrying
 from pipeline.seeds import held_out_seeds
-from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
+from pipeline.stages.rehearsal.copies import SCAN, RehearsalJob, copies_environment
 from pipeline.store.atomic_files import atomic_path
-
-SCAN = "scan"  # set of tests, and its folder
 
 
 def film_file(tested: str | None) -> str:

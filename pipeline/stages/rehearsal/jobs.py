@@ -25,9 +25,8 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import controllers, retrying, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, validation_copies
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
-from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
+from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations
-from pipeline.stages.rehearsal.film import SCAN
 from pipeline.stages.rehearsal.settings import SAC
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
@@ -35,7 +34,6 @@ from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
 
 STARTS = "starts.npz"
-COPIES = "copies"  # set of tests, beside that in the scan
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
 _LAID = 0.1  # of the training's job
 

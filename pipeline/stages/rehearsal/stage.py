@@ -19,10 +19,10 @@ from pipeline.recording.trials import POLICY, Origin
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.rehearsal.copies import RehearsalJob
+from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob
 from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, PARTS, record_demonstrations
-from pipeline.stages.rehearsal.film import SCAN, film_file, film_scan
-from pipeline.stages.rehearsal.jobs import COPIES, PRELOAD, play, train
+from pipeline.stages.rehearsal.film import film_file, film_scan
+from pipeline.stages.rehearsal.jobs import PRELOAD, play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.starting_policy import advising_policies, policy_hashes, starting_policy
 from pipeline.store.errors import ConfigurationError

@@ -17,17 +17,22 @@ from enn.reinforcement.soft_actor_critic import SacLearner
 from tests.enn.reinforcement.small_training import SMALL, demonstrated
 
 
-@pytest.mark.parametrize("ent_coef", ["auto_0.05", 0.2])
-def test_one_update_is_the_librarys(ent_coef: str | float, point_env: Any) -> None:
-    settings = dataclasses.replace(SMALL, ent_coef=ent_coef, normalise=False, batch_size=64)
-    envs = SampledEnvs([point_env] * 2, seed=0)
-    learner = SacLearner(settings, envs, 0)
+def _fill(learner: SacLearner, envs: SampledEnvs) -> None:
+    """Lets a learner remember sixty random decisions."""
     observations = envs.reset()
     for _ in range(60):
         actions = learner.act(observations, explore=True)
         after, rewards, dones, infos = envs.step(actions)
         learner.observe(observations, rewards, dones, after, infos, explore=True)
         observations = after
+
+
+@pytest.mark.parametrize("ent_coef", ["auto_0.05", 0.2])
+def test_one_update_is_the_librarys(ent_coef: str | float, point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, ent_coef=ent_coef, normalise=False, batch_size=64)
+    envs = SampledEnvs([point_env] * 2, seed=0)
+    learner = SacLearner(settings, envs, 0)
+    _fill(learner, envs)
     model = learner.model
     library = SAC(
         type(model.policy),
@@ -73,12 +78,7 @@ def test_demonstrated_actions_are_cloned_where_the_critics_prefer_them(point_env
     far = []
     for weight in (0.0, settings.cloning_weight):
         learner = SacLearner(dataclasses.replace(settings, cloning_weight=weight), envs, 0, shown)
-        observations = envs.reset()
-        for _ in range(60):
-            actions = learner.act(observations, explore=True)
-            after, rewards, dones, infos = envs.step(actions)
-            learner.observe(observations, rewards, dones, after, infos, explore=True)
-            observations = after
+        _fill(learner, envs)
         model = learner.model
         data = learner.replay.sample(64)
         assert learner.replay.shown_in(64) == 32
