@@ -1,9 +1,9 @@
-"""A second device on a machine that has none: its tensors are kept on the CPU, and must not be mixed with the CPU's.
+"""A second device: the GPU where there is one; elsewhere one whose tensors are kept on the CPU and must not be mixed.
 
-torch's place for devices that others write is given a device `elsewhere`. Inside `second_device()` networks can be
-brought there, computed with and trained; an operation on tensors of both devices fails as it does beside a GPU, and so
-does turning a tensor into an array that was not brought back first. What this cannot show: other rounding, kernels
-that a GPU lacks, its memory, and its random numbers.
+On a machine without a GPU torch's place for devices that others write is given a device `elsewhere`. Inside
+`second_device()` networks can be brought there, computed with and trained; an operation on tensors of both devices
+fails as it does beside a GPU, and so does turning a tensor into an array that was not brought back first.
+What this cannot show: other rounding, kernels that a GPU lacks, its memory, and its random numbers.
 """
 
 from __future__ import annotations
@@ -121,9 +121,34 @@ def _here(one: Any) -> Any:
 
 
 @contextmanager
+def _float32_on_gpu() -> Iterator[None]:
+    """Products in float32 as on the CPU, instead of its shorter form."""
+    kept = torch.backends.cudnn.allow_tf32
+    torch.backends.cudnn.allow_tf32 = False
+    try:
+        yield
+    finally:
+        torch.backends.cudnn.allow_tf32 = kept
+
+
+def tolerance(copied: float, gpu: float) -> float:
+    """How far results of two devices may differ.
+
+    Args:
+        copied: beside tensors that are kept on the CPU.
+        gpu: on a GPU, which rounds differently: many updates enlarge that.
+    """
+    return gpu if torch.cuda.is_available() else copied
+
+
+@contextmanager
 def second_device() -> Iterator[str]:
     """Inside, torch has a second device; gives its name."""
     global _registered
+    if torch.cuda.is_available():
+        with _float32_on_gpu():
+            yield "cuda:0"
+        return
     if not _registered:
         _setup_privateuseone_for_python_backend(NAME, backend_module=_Backend())
         _registered = True

@@ -1,20 +1,27 @@
-"""CPU time of what the thesis's trainings consist of: updates of SAC and PPO, and images through the networks and back.
+"""Time of what the thesis's trainings consist of: updates of SAC and PPO, and images through the networks and back.
 
-    python benchmarks/pipeline/thesis_updates.py [--quick] [--repeats N]
+    python benchmarks/pipeline/thesis_updates.py [--quick] [--repeats N] [--device cpu|cuda]
 
 Networks, batches and image sizes of `budget=thesis`, observations and images random, one thread. The estimate of
 `python -m pipeline.chain --estimate` is made from these (`jobs` in `conf/budget/thesis.yaml`). Prints tables and, in
 its last line, a JSON object: by row update_ms (median of the repeats) and the seconds per decision that it comes to; by
 network the seconds of an image (shape networks: of a clip of three), forward, backward, without augmentation.
+
+On a CPU the times are CPU time, and networks are given one image. With `--device cuda` they are wall time up to the
+end of the GPU's work; networks get the thesis's batch in mixed precision and in float32 (`float32_s`), with a step of
+the optimiser, as in a training. Of both the memory that torch reserved at most (gpu_gb) is given, with the context
+(measured) added, beside what `pipeline.jobs.gpu_memory` expects (expected_gb).
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import statistics
 import time
+from collections.abc import Callable
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -28,8 +35,10 @@ from benchmarks.enn.blank_environment import Blank
 from enn.networks.features import MultimodalExtractor, modality_keys
 from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 from guide3d.learning.build import SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, build_segmenter, build_shape_network
-from guide3d.learning.recipes import segmentation_recipe
+from guide3d.learning.recipes import segmentation_recipe, shape_recipe
+from pipeline.jobs.gpu_memory import network_gb, policy_gb
 from splineformer.build import build, size_of
+from splineformer.learning.recipes import recipe_of
 
 NETWORKS = ("unet", "transunet", "swinunet", "shape", "published", "ordered")
 PPO_EPOCHS = 10  # of stable-baselines3
@@ -59,8 +68,8 @@ def spaces_of(keys: tuple[str, ...], image_px: int) -> gymnasium.spaces.Dict:
     )
 
 
-def update_ms(row: str, repeats: int) -> tuple[float, float]:
-    """Median CPU time of an update, ms, and how many updates a decision needs."""
+def update_ms(row: str, repeats: int, device: str = "cpu") -> tuple[float, float]:
+    """Median time of an update, ms, and how many updates a decision needs."""
     keys, image_px, algorithm = ROWS[row]
     environment = Blank(spaces_of(keys, image_px), ACTIONS[row.partition(" ")[0]])
     preset = THESIS_SAC if algorithm == "sac" else THESIS_PPO
@@ -71,14 +80,14 @@ def update_ms(row: str, repeats: int) -> tuple[float, float]:
     }
     batch = preset.batch_size
     if algorithm == "sac":
-        sac = SAC("MultiInputPolicy", environment, policy_kwargs=arguments, seed=0, device="cpu", buffer_size=300,
+        sac = SAC("MultiInputPolicy", environment, policy_kwargs=arguments, seed=0, device=device, buffer_size=300,
                   batch_size=batch, learning_starts=280)  # fmt: skip
         sac.learn(280)
-        return measured(lambda: sac.train(1, batch), repeats), 1.0
-    ppo = PPO("MultiInputPolicy", environment, policy_kwargs=arguments, seed=0, device="cpu", n_steps=batch,
+        return measured(lambda: sac.train(1, batch), repeats, device), 1.0
+    ppo = PPO("MultiInputPolicy", environment, policy_kwargs=arguments, seed=0, device=device, n_steps=batch,
               batch_size=batch, n_epochs=1)  # fmt: skip
     ppo.learn(batch)  # fills the roll-out with one batch
-    return measured(ppo.train, repeats), PPO_EPOCHS / batch
+    return measured(ppo.train, repeats, device), PPO_EPOCHS / batch
 
 
 def network_s(name: str, repeats: int) -> float:
@@ -88,22 +97,52 @@ def network_s(name: str, repeats: int) -> float:
 
     def both_ways() -> None:
         network.zero_grad()
-        torch.stack([found.float().square().mean() for found in tensors(network(*inputs))]).sum().backward()
+        loss_of(network, inputs).backward()
 
     return measured(both_ways, repeats) / 1e3
 
 
-def built(name: str) -> tuple[torch.nn.Module, tuple[torch.Tensor, ...]]:
-    """A network at the thesis's size, and random inputs for one image."""
+def network_on_gpu_s(name: str, repeats: int, device: str, mixed: bool) -> float:
+    """Median time of an image in a step with a whole batch, s; out-of-memory is `torch.OutOfMemoryError`."""
+    batch = batch_of(name)
+    network, inputs = built(name, batch)
+    network, inputs = network.to(device).train(), tuple(one.to(device) for one in inputs)
+    optimiser = torch.optim.AdamW(network.parameters(), 1e-5, fused=True)
+
+    def step() -> None:
+        optimiser.zero_grad()
+        with torch.autocast(device, torch.bfloat16, enabled=mixed):
+            loss = loss_of(network, inputs)
+        loss.backward()
+        optimiser.step()
+
+    return measured(step, repeats, device) / 1e3 / batch
+
+
+def loss_of(network: torch.nn.Module, inputs: tuple[torch.Tensor, ...]) -> torch.Tensor:
+    """A loss on everything that a network gives."""
+    return torch.stack([found.float().square().mean() for found in tensors(network(*inputs))]).sum()
+
+
+def batch_of(name: str) -> int:
+    """Images (clips) of an update at the thesis's size."""
+    if name in ("published", "ordered"):
+        return int(recipe_of(name, "thesis").fit.batch_size)
+    recipe = segmentation_recipe(name, "thesis") if name in SEGMENTERS else shape_recipe("thesis")
+    return recipe.fit.batch_size
+
+
+def built(name: str, batch: int = 1) -> tuple[torch.nn.Module, tuple[torch.Tensor, ...]]:
+    """A network at the thesis's size, and random inputs."""
     if name in ("published", "ordered"):
         settings = size_of(name, "thesis")
-        image = 255 * torch.rand(1, 1, settings.image_px, settings.image_px)
-        return build(settings), (image, torch.rand(1, settings.limit - 1, 3)) if name == "published" else (image,)
+        image = 255 * torch.rand(batch, 1, settings.image_px, settings.image_px)
+        return build(settings), (image, torch.rand(batch, settings.limit - 1, 3)) if name == "published" else (image,)
     if name in SEGMENTERS:
         side = segmentation_recipe(name, "thesis").crop_px
-        return build_segmenter(name, side, **SEGMENTER_SIZES[name]["thesis"]), (torch.rand(1, 1, side, side),)
+        return build_segmenter(name, side, **SEGMENTER_SIZES[name]["thesis"]), (torch.rand(batch, 1, side, side),)
     size = SHAPE_SIZES["thesis"]
-    return build_shape_network(size, None, 60), (255 * torch.rand(1, size.frames, size.image_px, size.image_px),)
+    return build_shape_network(size, None, 60), (255 * torch.rand(batch, size.frames, size.image_px, size.image_px),)
 
 
 def tensors(found: Any) -> list[torch.Tensor]:
@@ -114,15 +153,43 @@ def tensors(found: Any) -> list[torch.Tensor]:
     return [tensor for part in parts for tensor in tensors(part)]
 
 
-def measured(work: Any, repeats: int) -> float:
-    """Median CPU time of a call after the first, ms."""
+def measured(work: Callable[[], object], repeats: int, device: str = "cpu") -> float:
+    """Median time of a call after the first, ms: CPU time, beside a GPU wall time."""
+    clock = time.process_time if device == "cpu" else time.perf_counter
+    finish = (lambda: None) if device == "cpu" else torch.cuda.synchronize
     work()
+    finish()
     times = []
     for _ in range(repeats):
-        start = time.process_time()
+        start = clock()
         work()
-        times.append(1e3 * (time.process_time() - start))
+        finish()
+        times.append(1e3 * (clock() - start))
     return statistics.median(times)
+
+
+def context_gb(device: str) -> float:
+    """Memory of a GPU that this process holds outside torch's own, GB."""
+    torch.zeros(1, device=device)
+    free, total = torch.cuda.mem_get_info()
+    return (total - free - torch.cuda.memory_reserved()) / 1e9
+
+
+def fresh_memory(device: str) -> None:
+    """Forgets what earlier rows took."""
+    if device != "cpu":
+        gc.collect()
+        torch.cuda.empty_cache()
+        torch.cuda.reset_peak_memory_stats()
+
+
+def expected_gb(row: str) -> float:
+    """What a job of this row is expected to need of a GPU."""
+    if row not in ROWS:
+        return network_gb(row, "thesis")
+    keys, image_px, algorithm = ROWS[row]
+    preset = THESIS_SAC if algorithm == "sac" else THESIS_PPO
+    return policy_gb(image_px, sum(CHANNELS.get(key, 0) for key in keys), preset.batch_size)
 
 
 def main() -> None:
@@ -130,20 +197,42 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="two rows, one repeat")
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     asked = parser.parse_args()
     torch.set_num_threads(1)
-    rows = ("enn I", "enn V") if asked.quick else tuple(ROWS)
-    results = {}
+    device, repeats = asked.device, 1 if asked.quick else asked.repeats
+    context = context_gb(device) if device != "cpu" else 0.0
+    results: dict[str, dict[str, float]] = {}
+    if context:
+        results["context"] = {"gpu_gb": round(context, 2)}
+
+    def with_memory(row: str) -> str:
+        if device == "cpu":
+            return ""
+        taken = torch.cuda.max_memory_reserved() / 1e9 + context
+        results[row] |= {"gpu_gb": round(taken, 2), "expected_gb": round(expected_gb(row), 2)}
+        return f"  {taken:.2f} GB of the GPU ({results[row]['expected_gb']:.2f} expected)"
+
     print(f"{'row':26s} {'update, ms':>10s} {'s a decision':>13s}")
-    for row in rows:
-        update, updates = update_ms(row, 1 if asked.quick else asked.repeats)
-        results[row] = {"update_ms": round(update, 1), "s_a_decision": round(update * updates / 1e3, 5)}
-        print(f"{row:26s} {update:10.1f} {results[row]['s_a_decision']:13.5f}", flush=True)
+    for row in ("enn I", "enn V") if asked.quick else tuple(ROWS):
+        fresh_memory(device)
+        update, updates = update_ms(row, repeats, device)
+        results[row] = {"update_ms": round(update, 2), "s_a_decision": round(update * updates / 1e3, 6)}
+        print(f"{row:26s} {update:10.2f} {results[row]['s_a_decision']:13.6f}{with_memory(row)}", flush=True)
     print(f"\n{'network':26s} {'s an image':>10s}")
     for network in ("shape",) if asked.quick else NETWORKS:
-        seconds = network_s(network, 1 if asked.quick else asked.repeats)
-        results[network] = {"s_an_image": round(seconds, 3)}
-        print(f"{network:26s} {seconds:10.3f}", flush=True)
+        fresh_memory(device)
+        if device == "cpu":
+            seconds = network_s(network, repeats)
+        else:
+            seconds = network_on_gpu_s(network, repeats, device, mixed=True)
+        results[network] = {"s_an_image": round(seconds, 6)}
+        line = f"{network:26s} {seconds:10.5f}{with_memory(network)}"
+        if device != "cpu":
+            fresh_memory(device)
+            results[network]["float32_s"] = round(network_on_gpu_s(network, repeats, device, mixed=False), 6)
+            line += f", in float32 {results[network]['float32_s']:.5f} s"
+        print(line, flush=True)
     print(json.dumps(results))
 
 

@@ -11,7 +11,7 @@ _GB = 1e9
 CONTEXT_GB = CUDA_CONTEXT_BYTES / _GB
 # Bytes kept for the way back of a pixel of an image through the thesis's convolutions (32 channels at a quarter of the
 # side, 64 at an eighth, twice, with what follows each), and how many such networks an update of SAC passes, twice.
-_BYTES_A_PIXEL = 40
+_BYTES_A_PIXEL = 16
 _PASSES = 8
 _LEAST_BATCH = 512  # images that pass a network together where nothing is learnt
 LEARNT_BATCH = 64  # samples an update of what learns from episodes
@@ -29,7 +29,7 @@ _DESK = {
 }  # fmt: skip
 _BYTES_A_WEIGHT = 20  # itself, its gradient, two moments, the best so far
 _SEGMENTATION, _SPLINEFORMER = ("unet", "transunet", "swinunet"), ("published", "ordered")  # keys of both tables
-_MORE = 1.5  # workspaces of convolutions, and what the allocator cannot use
+_MORE = 1.0  # what the allocator cannot use and workspaces of convolutions, beside half of it saved by mixed precision
 
 
 def policy_gb(image_px: int, channels: int, batch: int = 0) -> float:

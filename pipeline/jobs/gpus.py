@@ -17,7 +17,7 @@ from pipeline.store.errors import ConfigurationError, StageError
 
 CPU, CUDA, AUTO = "cpu", "cuda", "auto"
 VISIBLE = "CUDA_VISIBLE_DEVICES"
-CUDA_CONTEXT_BYTES = 600_000_000  # that a process uses of a GPU before it has any tensor there; an estimate
+CUDA_CONTEXT_BYTES = 650_000_000  # that a process uses of a GPU before it has any tensor there: on an H100
 _GB = 1e9
 _SECONDS_TO_LOOK = 120.0
 # In a process of its own, which ends: whoever asks a GPU for its memory keeps some of it for as long as it lives.

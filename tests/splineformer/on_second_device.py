@@ -11,12 +11,13 @@ import torch
 
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.training import fit
+from splineformer.attention import attention_map
 from splineformer.build import VARIANTS
 from splineformer.learning.recipes import recipe_of
 from splineformer.learning.samples import SplineObjective
 from splineformer.navigation.perception import PerceptionNetwork
 from splineformer.predictor import Predictor
-from tests.second_device import second_device
+from tests.second_device import second_device, tolerance
 from tests.splineformer.curves import image_of, wavy_wire
 from tests.splineformer.navigation.drawn_moments import perception_network
 
@@ -25,7 +26,7 @@ from tests.splineformer.navigation.drawn_moments import perception_network
 def test_reading_on_another_device(variant: str, tmp_path: Path) -> None:
     images = [image_of(wavy_wire(seed)) for seed in (0, 1)]
     here = perception_network(variant)
-    readings = here(images)
+    readings, seen = here(images), attention_map(here.network, images[0])
     here.predictor.save(tmp_path / "predictor.pt")
     with second_device() as device:
         network = PerceptionNetwork(Predictor.load(tmp_path / "predictor.pt", device=device))
@@ -33,6 +34,7 @@ def test_reading_on_another_device(variant: str, tmp_path: Path) -> None:
             for name in ("tokens", "points", "encoded"):
                 np.testing.assert_allclose(getattr(there, name), getattr(reading, name), atol=1e-4)
         drawn = network.predictor.batch(images)
+        np.testing.assert_allclose(attention_map(network.network, images[0]), seen, atol=1e-4)
     for there, here_too in zip(drawn, here.predictor.batch(images), strict=True):
         assert there.wires == here_too.wires
         assert there.confidence == pytest.approx(here_too.confidence, abs=1e-4)
@@ -62,4 +64,4 @@ def test_the_network_is_trained_further_on_another_device(variant: str, tmp_path
             ranks = Ranks(0, 1, torch.device(place))
             report = fit(network, objective, settings, folder=tmp_path / place[:3], seed=1, ranks=ranks)
             losses[place] = [report.rows[0]["loss"], report.rows[0]["validation"]]
-    assert losses["cpu"] == pytest.approx(losses[device], rel=1e-3)
+    assert losses["cpu"] == pytest.approx(losses[device], rel=tolerance(1e-3, gpu=0.02))  # mixed precision

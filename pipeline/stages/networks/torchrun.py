@@ -16,7 +16,7 @@ _SECONDS_BETWEEN_LOOKS = 1.0
 
 
 def train_together(module: str, words: Sequence[str], processes: int, report: Report) -> None:
-    """Starts torchrun and waits; stopping it leaves the checkpoint of the last epoch.
+    """Starts torchrun and waits; stopping it leaves the last checkpoint.
 
     Args:
         module: run by every process, as by `python -m`.

@@ -47,8 +47,9 @@ def attention_map(network: CurveNetwork, image: ArrayLike, discard: float = DISC
     network.eval()
     shape = np.shape(image)[:2]
     picture = picture_of(image, network.settings.image_px, max(shape))
-    weights, lengths = network.attention(torch.from_numpy(picture.pixels.astype(np.float32))[None, None])
+    levels = torch.from_numpy(picture.pixels.astype(np.float32))[None, None]
+    weights, lengths = network.attention(levels.to(next(network.parameters()).device))
     small = fused(weights[0, :, : int(lengths[0])], discard)
     side = int(picture.side_px)
     large = F.interpolate(small[None, None], (side, side), mode="bilinear", align_corners=False)[0, 0]
-    return large[: shape[0], : shape[1]].numpy()
+    return large[: shape[0], : shape[1]].cpu().numpy()

@@ -3,11 +3,13 @@
 One code path serves one process and many (torchrun), with and without GPUs; on GPUs numbers are mixed precision. In the
 folder of a training lie, while it goes on::
 
-    last.pt   weights, optimiser, schedule and table after the last finished epoch
-    best.pt   weights of the epoch with the best validation
+    last.pt   weights, optimiser, schedule and table after a finished epoch
+    best.pt   weights of the epoch with the best validation until then
 
-A process killed at any moment loses the epoch it was in: every epoch draws from generators of its own, seeded by the
-training's seed and the epoch's number, so what follows is what would have followed.
+They are written after every epoch, but for networks so large that this would take more than a twentieth of the time; a
+training that ends by an exception of its caller writes what it has. A process killed at any moment loses the epochs
+since: every epoch draws from generators of its own, seeded by the training's seed and the epoch's number, so what
+follows is what would have followed.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ FORMAT = "guide3d-training-1"
 LAST, BEST = "last.pt", "best.pt"
 _RISE = 0.2  # share of a one-cycle schedule in which the rate rises
 _PRIME = 1_000_003
+_BETWEEN_CHECKPOINTS = 20.0  # times what writing one took, at least
 # Order in memory: with channels last, convolutions are 1.0 to 1.5 times as fast on a processor.
 _CHANNELS_LAST: dict[str, Any] = {"memory_format": torch.channels_last}
 _CHANNELS_FIRST: dict[str, Any] = {"memory_format": torch.contiguous_format}
@@ -136,7 +139,7 @@ def fit(
         folder: for the checkpoints; `finished` removes them.
         seed: of shuffling, augmentation and dropout.
         ranks: that train together; None: this process alone, on the processor.
-        progress: called after every epoch, when its checkpoint is written; what it raises ends the training there.
+        progress: called after every epoch; what it raises ends the training there, with its checkpoint written.
 
     Raises:
         TrainingError: a checkpoint of another architecture, other items or other settings; a loss that is not finite.
@@ -155,6 +158,7 @@ def fit(
     if (folder / LAST).is_file():
         _resume(folder / LAST, identity, steps.parts, report)
     shared = ranks.wrapped(module)
+    checkpoint = _Checkpoint(folder, identity, steps, report)
     while len(report.rows) < settings.epochs and not _out_of_patience(report, settings):
         epoch, started = len(report.rows), time.process_time()
         torch.manual_seed((seed * _PRIME + epoch) * 64 + ranks.rank)
@@ -177,12 +181,14 @@ def fit(
         if better:
             report.best_epoch = epoch + 1
         if ranks.rank == 0:
-            if better:
-                write_content(folder / BEST, module.state_dict())
-            states = {name: part.state_dict() for name, part in steps.parts.items()}
-            write_content(folder / LAST, {"format": FORMAT, "identity": identity, "report": asdict(report), **states})
+            checkpoint.keep(better)
         if progress is not None:
-            progress(FitProgress(epoch + 1, settings.epochs, mean, validation))
+            try:
+                progress(FitProgress(epoch + 1, settings.epochs, mean, validation))
+            except BaseException:
+                checkpoint.write()
+                raise
+    checkpoint.write()
     ranks.wait()
     try:
         module.load_state_dict(read_content(folder / BEST))
@@ -190,6 +196,43 @@ def fit(
         raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start again") from error
     module.to(**_CHANNELS_FIRST).eval()
     return report
+
+
+class _Checkpoint:
+    """Files of a training, written as often as that costs little; the best weights wait in memory until then."""
+
+    def __init__(self, folder: Path, identity: dict[str, Any], steps: _Steps, report: FitReport) -> None:
+        self.folder, self.identity, self.steps, self.report = folder, identity, steps, report
+        self._best: dict[str, Tensor] | None = None
+        self._waits = False
+        self._written, self._took = time.perf_counter(), 0.0
+
+    def keep(self, better: bool) -> None:
+        """An epoch has ended.
+
+        Args:
+            better: its weights are the best so far.
+        """
+        if better:
+            weights = self.steps.module.state_dict()
+            self._best = {name: value.detach().to("cpu", copy=True) for name, value in weights.items()}
+        self._waits = True
+        if time.perf_counter() - self._written >= _BETWEEN_CHECKPOINTS * self._took:
+            self.write()
+
+    def write(self) -> None:
+        """Writes what has not been written."""
+        if not self._waits:
+            return
+        began = time.perf_counter()
+        if self._best is not None:
+            write_content(self.folder / BEST, self._best)
+        states = {name: part.state_dict() for name, part in self.steps.parts.items()}
+        content = {"format": FORMAT, "identity": self.identity, "report": asdict(self.report), **states}
+        write_content(self.folder / LAST, content)
+        self._best, self._waits = None, False
+        self._written = time.perf_counter()
+        self._took = self._written - began
 
 
 class _Steps:
