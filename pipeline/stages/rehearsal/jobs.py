@@ -35,6 +35,7 @@ from pipeline.task import TASK
 
 STARTS = "starts.npz"
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
+THREADS = 2  # of a training, unless the settings say
 _LAID = 0.1  # of the training's job
 
 
@@ -72,7 +73,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         hidden=(settings.hidden, settings.hidden),
         decisions=settings.decisions,
         n_envs=settings.environments,
-        threads=settings.threads or 2,
+        threads=settings.threads or THREADS,
         evaluate_every=max(settings.decisions // 4, 1),
         evaluation_episodes=settings.validation_copies + 1,
         device=report.device,
@@ -104,14 +105,24 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
 
 
 def _laid_starts(job: RehearsalJob, copies: Sequence[int], report: Report) -> list[np.ndarray]:
+    from enn.reinforcement.workers import Workers
+
     path = job.folder / STARTS
     if not path.is_file():
-        environment = copies_environment(job, copies, training=True)
-        arrays = {}
-        for case, copy in enumerate(copies):
-            report(_LAID * case / len(copies), f"starts in copy {copy}")
-            arrays[str(case)] = environment.laid_starts(case, job.origin.training_seed)
-        environment.close()
+        threads = min(job.settings.threads or THREADS, len(copies))
+        environments = [copies_environment(job, copies, training=True) for _ in range(threads)]
+        workers = Workers(threads)
+        arrays: dict[str, np.ndarray] = {}
+        for first in range(0, len(copies), threads):
+            report(_LAID * first / len(copies), f"starts in copy {copies[first]}")
+            cases = range(first, min(first + threads, len(copies)))
+            laid = workers.each(
+                lambda case: environments[case % threads].laid_starts(case, job.origin.training_seed), cases
+            )
+            arrays |= dict(zip(map(str, cases), laid, strict=True))
+        workers.close()
+        for environment in environments:
+            environment.close()
         write_arrays(path, arrays)
     with np.load(path) as kept:
         return [states for name in kept.files if len(states := kept[name])]

@@ -80,7 +80,10 @@ def _same(first: TrainingResult, second: TrainingResult) -> None:
         assert torch.equal(value, theirs[name]), name
 
 
-@pytest.mark.parametrize("settings", [SAC, PPO], ids=["sac", "ppo"])
+OVERLAPPING = dataclasses.replace(SAC, overlap=True, threads=2)
+
+
+@pytest.mark.parametrize("settings", [SAC, OVERLAPPING, PPO], ids=["sac", "sac_overlap", "ppo"])
 def test_interrupted_and_resumed_is_the_same_as_straight(
     settings: TrainingSettings, point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,7 @@ import torch
 from enn.policy import Policy
 from enn.reinforcement.evaluation import BestPolicy, EpisodeOutcome, EvaluationResult, run_episodes
 from enn.reinforcement.training import Training
+from enn.reinforcement.workers import Workers
 from tests.enn.reinforcement.small_training import SMALL
 
 
@@ -19,8 +20,9 @@ def test_evaluation_is_the_same_for_the_same_seeds(point_env: Any) -> None:
     assert result.evaluation is not None
     for count in (1, 3):  # environments side by side
         again = run_episodes(
-            result.policy, [point_env() for _ in range(count)], range(501_000, 501_005), deterministic=True
-        )
+            result.policy, [point_env() for _ in range(count)], range(501_000, 501_005), deterministic=True,
+            workers=Workers(count),
+        )  # fmt: skip
         assert (again.success, again.steps) == (result.evaluation["success"], result.evaluation["steps"])
         assert again.path_mm == pytest.approx(result.evaluation["path_mm"])
     drawn = run_episodes(result.policy, [point_env()], range(9), deterministic=False)
@@ -31,7 +33,7 @@ def test_evaluation_is_the_same_for_the_same_seeds(point_env: Any) -> None:
 def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     successes, weights = iter([1, 2, 2, 1]), []
 
-    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, **_: Any) -> EvaluationResult:
         if not deterministic:
             return EvaluationResult((EpisodeOutcome(True, 10, 0.0, 0.0, 0.0, 0.0),))
         assert len(seeds) == 3
@@ -59,7 +61,7 @@ def test_a_policy_to_start_from_stays_until_another_one_arrives(
 ) -> None:
     outcomes = iter([(False, 0.0), (False, 1.0), (True, 0.0)])
 
-    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, **_: Any) -> EvaluationResult:
         success, reward = next(outcomes) if deterministic else (True, 0.0)
         return EvaluationResult((EpisodeOutcome(success, 10, reward, 5.0, 0.0, 0.0),))
 
@@ -85,7 +87,7 @@ def test_stops_early_once_perfect_and_no_shorter(point_env: Any) -> None:
 def test_a_few_hard_episodes_do_not_end_an_evaluation(point_env: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     played: list[int] = []
 
-    def hard_first(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, tick: Any) -> EvaluationResult:
+    def hard_first(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, **_: Any) -> EvaluationResult:
         played.append(len(seeds))
         return EvaluationResult(tuple(EpisodeOutcome(seed - 500_000 >= 4, 9, 0.0, 1.0, 0.0, 0.0) for seed in seeds))
 

@@ -84,6 +84,18 @@ def test_the_same_seed_gives_the_same_training(point_env: Any) -> None:
     assert not torch.equal(weights[0], weights[2])
 
 
+def test_updates_beside_the_simulation_learn_and_do_not_depend_on_threads(point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, gradient_steps=1.0, overlap=True)
+    weights = []
+    for threads in (1, 3):
+        result = Training(dataclasses.replace(settings, threads=threads), point_env, None, seed=3).run()
+        assert result.evaluation is not None
+        assert result.evaluation["success"] == 1.0
+        assert result.timings["updates"] == pytest.approx(696, abs=8)
+        weights.append(torch.cat([value.flatten() for value in result.policy.module.actor.parameters()]))
+    assert torch.equal(*weights)
+
+
 def test_action_repeat_counts_steps_and_is_played_in_evaluation(point_env: Any) -> None:
     settings = dataclasses.replace(SMALL, action_repeat=2, decisions=400, evaluate_every=400)
     result = Training(settings, point_env, None, seed=0).run()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -11,6 +12,7 @@ import numpy as np
 from torch import nn
 
 from enn.policy import Policy
+from enn.reinforcement.workers import Workers
 
 EVALUATION_SEEDS, SEEDS_A_TRAINING = 500_000, 1_000  # of evaluations while training: tables need other ones
 SCOUTS, SCOUT_SHARE = 3, 0.25  # evaluation episodes, at least so many, of which one has to succeed for the others
@@ -77,20 +79,22 @@ def run_episodes(
     *,
     deterministic: bool,
     tick: Callable[[], None] | None = None,
+    workers: Workers | None = None,
 ) -> EvaluationResult:
     """Plays one episode from each seed, as many side by side as there are environments.
 
     Args:
         envs: environments to play in; they are reset.
         seeds: of the episodes; the same seeds give the same episodes.
+        workers: threads that step them; None: this one alone.
     """
+    workers = workers or Workers()
     generator = np.random.default_rng(list(seeds))
     outcomes: dict[int, EpisodeOutcome] = {}
     waiting = list(enumerate(seeds))
-    running: list[_RunningEpisode] = []
-    for env in envs:
-        if waiting:
-            running.append(_RunningEpisode(env, *waiting.pop(0)))
+    count = min(len(envs), len(waiting))
+    running: list[_RunningEpisode] = workers.each(lambda k: _RunningEpisode(envs[k], *waiting[k]), range(count))
+    del waiting[:count]
     while running:
         first = running[0].observation
         if isinstance(first, dict):
@@ -98,9 +102,9 @@ def run_episodes(
         else:
             batch = np.stack([one.observation for one in running])
         actions = policy.act_batch(batch, deterministic, generator)
+        held = workers.each(partial(_held, running, actions, policy.action_repeat), range(len(running)))
         still = []
-        for one, action in zip(running, actions, strict=True):
-            outcome = one.hold(action, policy.action_repeat)
+        for one, outcome in zip(running, held, strict=True):
             if outcome is None:
                 still.append(one)
             else:
@@ -111,6 +115,10 @@ def run_episodes(
         if tick is not None:
             tick()
     return EvaluationResult(tuple(outcomes[number] for number in range(len(seeds))))
+
+
+def _held(running: Sequence[_RunningEpisode], actions: Any, repeat: int, index: int) -> EpisodeOutcome | None:
+    return running[index].hold(actions[index], repeat)
 
 
 class _RunningEpisode:
@@ -174,24 +182,27 @@ class BestPolicy:
         envs: Sequence[gymnasium.Env[Any, Any]],
         decisions: int,
         tick: Callable[[], None] | None = None,
+        workers: Workers | None = None,
     ) -> dict[str, Any]:
         """Evaluates a policy and keeps its weights if it is the best so far.
 
         Args:
             envs: to play in; they are reset.
+            workers: threads that step them.
 
         Returns:
             Columns of the training's curve.
         """
         # failures last longest: a policy that fails a few times in a row is not worth the rest
         scouts = max(SCOUTS, round(SCOUT_SHARE * len(self.seeds)))  # over many anatomies three can be hard ones
-        mean = run_episodes(policy, envs, self.seeds[:scouts], deterministic=True, tick=tick)
+        play = partial(run_episodes, policy, envs, tick=tick, workers=workers)
+        mean = play(self.seeds[:scouts], deterministic=True)
         if mean.success > 0 and len(self.seeds) > scouts:
-            rest = run_episodes(policy, envs, self.seeds[scouts:], deterministic=True, tick=tick)
+            rest = play(self.seeds[scouts:], deterministic=True)
             mean = EvaluationResult((*mean.outcomes, *rest.outcomes))
         drawn: EvaluationResult | None = None
         if mean.success > 0 and mean.success >= (self.success or 0.0):
-            drawn = run_episodes(policy, envs, self.seeds, deterministic=False, tick=tick)
+            drawn = play(self.seeds, deterministic=False)
         stochastic = 0.0 if drawn is None else drawn.success
         shorter = self.best is None or mean.steps < SHORTER * self.best["evaluation"]["steps"]
         perfect = mean.success >= PERFECT and stochastic >= NEARLY

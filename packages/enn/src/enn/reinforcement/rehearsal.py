@@ -39,6 +39,7 @@ REHEARSAL = replace(
     batch_size=256,
     gradient_steps=0.5,
     n_envs=16,
+    overlap=True,
     decisions=20_000,
     buffer_size=20_000,
     demonstrations_in_replay=0.0,

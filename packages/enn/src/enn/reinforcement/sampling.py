@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import gymnasium
@@ -15,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from enn.networks.normalisation import select_keys
 from enn.reinforcement.reset_bank import RECORD_EVERY, ResetBank
+from enn.reinforcement.workers import SharedWork, Workers
 
 logger = logging.getLogger(__name__)
 
@@ -72,9 +72,8 @@ class SampledEnvs(VecEnv):
         spaces: dict[str, Any] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {"": space}
         self._names = [name for name in spaces if name]
         self._checked = [name for name, space in spaces.items() if np.issubdtype(space.dtype, np.floating)]
-        threads = min(threads, len(self.envs))
-        self._pool = ThreadPoolExecutor(threads - 1, "enn") if threads > 1 else None
-        self._threads = threads
+        self.workers = Workers(min(threads, len(self.envs)))
+        self._stepping: SharedWork | None = None
         self._env_seeds: list[int] = np.random.SeedSequence(seed).generate_state(self.num_envs).tolist()
         self._actions = np.zeros((self.num_envs, *(first.action_space.shape or ())))
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, int)
@@ -91,8 +90,13 @@ class SampledEnvs(VecEnv):
         return self._batch(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Takes the actions of the next `step_wait`. Shape (environments, actions)."""
+        """Takes the actions of the next `step_wait`, and begins with it where there are helpers.
+
+        Args:
+            actions: shape (environments, actions).
+        """
         self._actions = actions
+        self._stepping = self.workers.begin(self._advance, range(self.num_envs))
 
     def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Steps every environment with the actions of `step_async`.
@@ -100,7 +104,9 @@ class SampledEnvs(VecEnv):
         Raises:
             NotFiniteError: an observation or a reward is not finite.
         """
-        results = self._each(self._advance)
+        assert self._stepping is not None
+        results = self._stepping.finish()
+        self._stepping = None
         self.decisions += 1
         observations = [result[0] for result in results]
         rewards = np.array([result[1] for result in results], np.float32)
@@ -171,23 +177,7 @@ class SampledEnvs(VecEnv):
             self.reset_bank.add_episode(np.stack(self._paths[index]))
 
     def _each(self, work: Callable[[int], Any], indices: Sequence[int] | None = None) -> list[Any]:
-        indices = range(self.num_envs) if indices is None else indices
-        if self._pool is None or len(indices) == 1:
-            return [work(index) for index in indices]
-        results: dict[int, Any] = {}
-        queue = iter(indices)
-
-        def run() -> None:
-            for index in queue:
-                results[index] = work(index)
-
-        helpers = [self._pool.submit(run) for _ in range(self._threads - 1)]
-        try:
-            run()
-        finally:
-            for helper in helpers:
-                helper.result()
-        return [results[index] for index in indices]
+        return self.workers.each(work, range(self.num_envs) if indices is None else indices)
 
     def _batch(self, observations: list[Any]) -> Observations:
         if self._names:
@@ -264,8 +254,7 @@ class SampledEnvs(VecEnv):
 
     def close(self) -> None:
         """Ends the threads and closes the environments."""
-        if self._pool is not None:
-            self._pool.shutdown()
+        self.workers.close()
         for env in self.envs:
             env.close()
 

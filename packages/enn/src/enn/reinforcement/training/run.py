@@ -154,19 +154,26 @@ class TrainingRun:
         if self.inputs.initial is not None:  # it acts itself, and SAC waits until its replay buffer holds something
             explore, waiting = False, waiting and self.settings.algorithm == "sac"
         actions = self.learner.act(self.observations, explore=explore)
+        self.envs.step_async(actions)
+        if self.settings.overlap:
+            self._update(waiting or not self.decisions)
         clock = time.perf_counter()
-        after, rewards, dones, infos = self.envs.step(actions)
+        after, rewards, dones, infos = self.envs.step_wait()
         self.course.spent["simulation_s"] += time.perf_counter() - clock
         self.learner.observe(self.observations, rewards, dones, after, infos, explore=explore)
         self.observations = after
         self.decisions += self.sampled.num_envs
         self.here += self.sampled.num_envs
         self.course.observe(rewards.tolist(), infos)
+        if not self.settings.overlap:
+            self._update(waiting)
+        self.consistent = True
+
+    def _update(self, waiting: bool) -> None:
         clock = time.perf_counter()
         self.learner.anneal(min(self.decisions / self.settings.decisions, 1.0))
         self.learner.update(explore=waiting)
         self.course.spent["update_s"] += time.perf_counter() - clock
-        self.consistent = True
 
     def _pause(self) -> bool:
         """What is due between decisions; whether the training is over."""
@@ -195,7 +202,7 @@ class TrainingRun:
             self._evaluation_envs.append(without_checks((self.inputs.make_validation_env or self.inputs.make_env)()))
         self.policy.module.set_training_mode(False)
         self.course.evaluation = self.best_policy.evaluate(
-            self.policy, self._evaluation_envs, self.decisions, self._tick
+            self.policy, self._evaluation_envs, self.decisions, self._tick, self.sampled.workers
         )
         self.course.spent["evaluation_s"] += time.perf_counter() - clock
 

@@ -25,6 +25,7 @@ UNUSED = {
         "reward_scale",
     ),
     "ppo": (
+        "overlap",
         "critic_layer_norm",
         "gradient_steps",
         "actor_every",
@@ -47,6 +48,8 @@ class TrainingSettings(NetworkSettings):
     decisions: Count = 6000  # budget, all environments together
     n_envs: Annotated[int, Interval(ge=1, le=4096)] = 8
     threads: Annotated[int, Interval(ge=1, le=4096)] = 1  # that step them
+    # updates are made while the other threads step, from what was there before these decisions (SAC)
+    overlap: bool = False
     action_repeat: Count = 3  # environment steps a decision
     learning_rate: LearningRate = 1e-3  # of Adam
     # share of it that is left at the end of the budget, to which it falls evenly
