@@ -1,23 +1,26 @@
 """Demonstrations of a rehearsal: episodes in its training's copies in which some policy reached the target.
 
 The policy that a rehearsal starts from is asked first. Where it seldom arrives it has nothing to learn from, and every
-other policy of the same devices is asked, by a roadmap or by X-ray images, then the best of them again.
+other policy of the same devices is asked, by a roadmap or by X-ray images, then the best of them again. Where they show
+next to nothing, or there is none for these devices, the sampling expert plays an episode in each copy.
 
-One file an episode, ``demonstrations/<policy>_<copy>_<round>.npz`` in the stage's folder
+One file an episode, ``demonstrations/<policy or expert>_<copy>_<round>.npz`` in the stage's folder
 (`pipeline.recording.demonstration_files`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.worker import Report
-from pipeline.recording.demonstration_files import arrived, demonstration_arrays, read_demonstration
+from pipeline.recording.demonstration_files import ARRIVED, arrived, demonstration_arrays, read_demonstration
 from pipeline.seeds import rehearsal_demonstration_seed
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
+from pipeline.stages.rehearsal.hyperparameters import held_steps
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
@@ -35,6 +38,9 @@ DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
 PARTS = 2  # of the copies, beside each other
 OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its own
 ROUNDS = 4  # of one policy at most
+EXPERT = "expert"
+FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
+ROLLOUTS = 8000  # of the expert an episode
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
@@ -43,7 +49,7 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
     Episodes whose file is there are not played again.
 
     Returns:
-        By the name of a policy: episodes played, and how many of them arrived.
+        By the name of a policy, and "expert": episodes played, and how many of them arrived.
     """
     map_simulations()
     names, copies = _names(job.shown_by), job.training_cases
@@ -78,7 +84,38 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
             if best is None or not any(tally[best][-len(cases) :]) or enough():
                 break  # a round in which nobody arrives is the last one
             play_round(best, number)
-    return {names[path]: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
+    told = {names[path]: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
+    arrivals = sum(arrived for _, arrived in told.values())
+    if job.settings.ask_expert and arrivals * FEW < wanted:
+        told[EXPERT] = _shown_by_expert(job, cases, wanted - arrivals, report)
+    return told
+
+
+def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], wanted: int, report: Report) -> list[int]:
+    """An episode of the sampling expert in each case, until as many as wanted have arrived: played, arrived."""
+    from cathsim.planning.demonstration import demonstrate
+
+    held, copies, outcomes = held_steps(job), job.training_cases, list[bool]()
+    environment = copies_environment(job, copies, training=True, observe_every=held)
+    for case in cases:
+        if sum(outcomes) >= wanted:
+            break
+        file = job.folder / DEMONSTRATIONS / f"{EXPERT}_{copies[case]}_0.npz"
+        if not file.is_file():
+            share, text = len(outcomes) / len(cases), f"expert: {sum(outcomes)} of {len(outcomes)} episodes arrived"
+            shown = demonstrate(
+                environment,
+                case,
+                ROADMAP_KEYS,
+                hold=held,
+                seed=rehearsal_demonstration_seed(job.origin.training_seed, 0, case),
+                rollouts=ROLLOUTS,
+                tick=partial(report, share, text),
+            )
+            write_arrays(file, shown if shown[ARRIVED] else {ARRIVED: shown[ARRIVED]})
+        outcomes.append(arrived(file))
+    environment.close()
+    return [len(outcomes), sum(outcomes)]
 
 
 def _names(policies: Sequence[Path]) -> dict[Path, str]:

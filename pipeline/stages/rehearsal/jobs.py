@@ -24,18 +24,15 @@ from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import controllers, retrying, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, validation_copies
-from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations
-from pipeline.stages.rehearsal.settings import SAC
-from pipeline.stages.unseen.task import ROADMAP_KEYS
+from pipeline.stages.rehearsal.hyperparameters import THREADS, held_steps, training_settings
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
 
 STARTS = "starts.npz"
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
-THREADS = 2  # of a training, unless the settings say
 _LAID = 0.1  # of the training's job
 
 
@@ -47,42 +44,17 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     """
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
-    from enn.reinforcement.rehearsal import REHEARSAL, rehearse
-    from enn.reinforcement.training import DESK_PPO
+    from enn.reinforcement.rehearsal import rehearse
 
     map_simulations()
     settings, seed = job.settings, job.origin.training_seed
     begun = time.process_time()
     copies = job.training_cases
     starts, shown = _laid_starts(job, copies, report), read_demonstrations(job.folder)
-    # without demonstrations, whose actions would be cloned, it has to explore
-    preset = replace(
-        DESK_PPO,
-        keys=ROADMAP_KEYS,
-        learning_rate=3e-4,
-        log_std_init=0.0,
-        log_std_final=None,
-        reward_scale=1.0,
-        ent_coef=0.003,
-        cloning_weight=0.0,
-    )
-    if settings.algorithm == SAC:
-        preset = replace(REHEARSAL, buffer_size=max(settings.decisions, 1000))
-    training = replace(
-        preset,
-        hidden=(settings.hidden, settings.hidden),
-        decisions=settings.decisions,
-        n_envs=settings.environments,
-        threads=settings.threads or THREADS,
-        evaluate_every=max(settings.decisions // 4, 1),
-        evaluation_episodes=settings.validation_copies + 1,
-        device=report.device,
-    )
-    training = with_hyperparameters(training, settings.training)
+    training = training_settings(job, report.device)
     with stopping_the_stage(CheckpointError, ValueError):
         policy = None if job.start is None else Policy.load(job.start, report.device)
-        held = training.action_repeat if policy is None else policy.action_repeat
-        environment = partial(copies_environment, job, observe_every=held)
+        environment = partial(copies_environment, job, observe_every=held_steps(job))
         result = rehearse(
             partial(environment, copies, training=True),
             make_validation_env=partial(environment, (0, *validation_copies(settings.validation_copies))),

@@ -63,6 +63,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     attempts: Annotated[int, Ge(1), Le(10)] = 1
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
     demonstrations: Annotated[int, Ge(0), Le(1000)] = 24
+    ask_expert: bool = True  # the sampling expert, too, where policies show less than a sixth of them
     algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
     decisions: Decisions = 20_000
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training

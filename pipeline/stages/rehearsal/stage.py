@@ -20,7 +20,7 @@ from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob
-from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, PARTS, record_demonstrations
+from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, EXPERT, PARTS, record_demonstrations
 from pipeline.stages.rehearsal.film import film_file, film_scan
 from pipeline.stages.rehearsal.jobs import PRELOAD, play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
@@ -70,9 +70,10 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
     }
     origin = "nothing" if start is None else "a policy"
     shown = shown_by(outcomes)
-    if asked and not any(shown.values()):
+    if shown and not any(shown.values()):
         _LOGGER.warning(
-            "no policy of these devices brought them to %s in any copy of %s: nothing was shown to the training",
+            "%s brought these devices to %s in any copy of %s: nothing was shown to the training",
+            "neither a policy nor the sampling expert" if EXPERT in shown else "no policy",
             target,
             phantom.name,
         )
@@ -99,7 +100,8 @@ def plan(
     job = RehearsalJob(
         context.path, Origin("rehearsal", AFTER, context.seed, context.budget), settings, task, target, start
     )
-    parts = [f"{DEMONSTRATIONS}{part}" for part in range(PARTS if asked else 0)]
+    shown = settings.demonstrations > 0 and (bool(asked) or settings.ask_expert)
+    parts = [f"{DEMONSTRATIONS}{part}" for part in range(PARTS if shown else 0)]
     weight = _SECONDS["shown"] * len(job.training_cases) / PARTS
     jobs = [
         Job(key, record_demonstrations, replace(job, shown_by=tuple(asked), part=part), weight=weight)
@@ -195,7 +197,7 @@ STAGE = Stage(
     uses=("unseen",),
     writes=(
         "starts.npz",
-        "demonstrations/<policy>_<copy>_<round>.npz",
+        "demonstrations/<policy or expert>_<copy>_<round>.npz",
         "seed<k>/{policy.pt, training.csv, training.json}",
         "{before,after}/<test set>/<copy>/NNN.mcap",
         "{before,after}.png",

@@ -12,7 +12,7 @@ from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
 
-ROLLOUTS = 1200  # of the expert, after which a demonstration counts as failed
+ROLLOUTS = 1200  # of the expert with a wire alone, after which a demonstration counts as failed
 
 
 def demonstrate(
@@ -22,6 +22,7 @@ def demonstrate(
     *,
     hold: int,
     seed: int,
+    rollouts: int = ROLLOUTS,
     tick: Callable[[], None] = lambda: None,
 ) -> dict[str, np.ndarray]:
     """One episode of the sampling expert.
@@ -29,6 +30,7 @@ def demonstrate(
     Args:
         hold: steps for which an action is held.
         seed: of the start and of the expert.
+        rollouts: of the expert, after which the episode ends.
         tick: called after every step.
 
     Returns:
@@ -47,7 +49,7 @@ def demonstrate(
         "forces": [],
     }
     terminated = truncated = False
-    while not (terminated or truncated) and expert.rollouts < ROLLOUTS:
+    while not (terminated or truncated) and expert.rollouts < rollouts:
         action = expert.action()
         observation, reward, terminated, truncated, info = environment.step(action)
         for key in keys:

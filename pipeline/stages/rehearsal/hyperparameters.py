@@ -1,0 +1,55 @@
+"""Hyper-parameters of a rehearsal's training, from the stage's settings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from pipeline.stages.learning.hyperparameters import with_hyperparameters
+from pipeline.stages.rehearsal.copies import RehearsalJob
+from pipeline.stages.rehearsal.settings import SAC
+from pipeline.stages.unseen.task import ROADMAP_KEYS
+
+if TYPE_CHECKING:
+    from enn.reinforcement.training import TrainingSettings
+
+THREADS = 2  # of a training, unless the settings say
+
+
+def training_settings(job: RehearsalJob, device: str) -> TrainingSettings:
+    """Settings of the training, but for what the policy that it starts from brings."""
+    from enn.reinforcement.rehearsal import REHEARSAL
+    from enn.reinforcement.training import DESK_PPO
+
+    settings = job.settings
+    # without demonstrations, whose actions would be cloned, it has to explore
+    preset = replace(
+        DESK_PPO,
+        keys=ROADMAP_KEYS,
+        learning_rate=3e-4,
+        log_std_init=0.0,
+        log_std_final=None,
+        reward_scale=1.0,
+        ent_coef=0.003,
+        cloning_weight=0.0,
+    )
+    if settings.algorithm == SAC:
+        preset = replace(REHEARSAL, buffer_size=max(settings.decisions, 1000))
+    training = replace(
+        preset,
+        hidden=(settings.hidden, settings.hidden),
+        decisions=settings.decisions,
+        n_envs=settings.environments,
+        threads=settings.threads or THREADS,
+        evaluate_every=max(settings.decisions // 4, 1),
+        evaluation_episodes=settings.validation_copies + 1,
+        device=device,
+    )
+    return with_hyperparameters(training, settings.training)
+
+
+def held_steps(job: RehearsalJob) -> int:
+    """Steps for which the training holds an action: as the policy that it starts from does."""
+    from enn.policy import Policy
+
+    return training_settings(job, "cpu").action_repeat if job.start is None else Policy.load(job.start).action_repeat
