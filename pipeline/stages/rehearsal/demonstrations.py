@@ -2,7 +2,8 @@
 
 The policy that a rehearsal starts from is asked first. Where it seldom arrives it has nothing to learn from, and every
 other policy of the same devices is asked, by a roadmap or by X-ray images, then the best of them again. Where they show
-next to nothing, or there is none for these devices, the sampling expert plays an episode in each copy.
+next to nothing, or there is none for these devices, the sampling expert plays an episode in each copy; where the
+settings say so it does in any case, before the policies.
 
 One file an episode, ``demonstrations/<policy or expert>_<copy>_<round>.npz`` in the stage's folder
 (`pipeline.recording.demonstration_files`).
@@ -21,6 +22,7 @@ from pipeline.recording.demonstration_files import ARRIVED, arrived, demonstrati
 from pipeline.seeds import rehearsal_demonstration_seed
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.hyperparameters import held_steps
+from pipeline.stages.rehearsal.settings import ALWAYS, NEEDED
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
@@ -40,7 +42,8 @@ OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its
 ROUNDS = 4  # of one policy at most
 EXPERT = "expert"
 FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
-ROLLOUTS = 8000  # of the expert an episode
+ROLLOUTS = 20_000  # of the expert an episode
+TRIED = 3  # episodes of the expert, after which it gives up if none has arrived
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
@@ -57,12 +60,15 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
     wanted = -(-job.settings.demonstrations // PARTS)
     tally: dict[Path, list[bool]] = {}
 
+    def arrivals() -> int:
+        return sum(map(sum, tally.values()))
+
     def play_round(path: Path, number: int) -> None:
         outcomes = tally.setdefault(path, [])
         steered = None
         for case in cases:
-            told = sum(map(sum, tally.values()))
-            report(min(told / wanted, 1.0), f"{names[path]}: {sum(outcomes)} of {len(outcomes)} episodes arrived")
+            text = f"{names[path]}: {sum(outcomes)} of {len(outcomes)} episodes arrived"
+            report(min(arrivals() / wanted, 1.0), text)
             file = job.folder / DEMONSTRATIONS / f"{names[path]}_{copies[case]}_{number}.npz"
             if not file.is_file():
                 steered = steered or _Steered(job, path, copies)
@@ -71,34 +77,37 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
         if steered is not None:
             steered.environment.close()
 
-    def enough() -> bool:
-        return sum(map(sum, tally.values())) >= wanted
+    told: dict[str, list[int]] = {}
+    if job.settings.expert == ALWAYS:
+        told[EXPERT] = _shown_by_expert(job, cases, report)
+        wanted = max(wanted - told[EXPERT][1], 0)
 
     for path in job.shown_by:
+        if arrivals() >= wanted:
+            break
         play_round(path, 0)
-        if enough() or (path == job.start and sum(tally[path]) >= OFTEN * len(cases)):
+        if path == job.start and sum(tally[path]) >= OFTEN * len(cases):
             break
     else:
         best = max(tally, key=lambda path: sum(tally[path]), default=None)
         for number in range(1, ROUNDS):
-            if best is None or not any(tally[best][-len(cases) :]) or enough():
+            if best is None or not any(tally[best][-len(cases) :]) or arrivals() >= wanted:
                 break  # a round in which nobody arrives is the last one
             play_round(best, number)
-    told = {names[path]: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
-    arrivals = sum(arrived for _, arrived in told.values())
-    if job.settings.ask_expert and arrivals * FEW < wanted:
-        told[EXPERT] = _shown_by_expert(job, cases, wanted - arrivals, report)
+    told |= {names[path]: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
+    if job.settings.expert == NEEDED and arrivals() * FEW < wanted:
+        told[EXPERT] = _shown_by_expert(job, cases, report)
     return told
 
 
-def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], wanted: int, report: Report) -> list[int]:
-    """An episode of the sampling expert in each case, until as many as wanted have arrived: played, arrived."""
+def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
+    """An episode of the sampling expert in each case, unless none of the first arrives: played, arrived."""
     from cathsim.planning.demonstration import demonstrate
 
     held, copies, outcomes = held_steps(job), job.training_cases, list[bool]()
     environment = copies_environment(job, copies, training=True, observe_every=held)
     for case in cases:
-        if sum(outcomes) >= wanted:
+        if len(outcomes) == TRIED and not any(outcomes):
             break
         file = job.folder / DEMONSTRATIONS / f"{EXPERT}_{copies[case]}_0.npz"
         if not file.is_file():

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 SAC, PPO = "sac", "ppo"
+NEEDED, ALWAYS, NEVER = "needed", "always", "never"
 _Millimetres = Annotated[float, Ge(0), Le(20)]
 _Percent = Annotated[float, Ge(0), Le(90)]
 
@@ -63,7 +64,8 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     attempts: Annotated[int, Ge(1), Le(10)] = 1
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
     demonstrations: Annotated[int, Ge(0), Le(1000)] = 24
-    ask_expert: bool = True  # the sampling expert, too, where policies show less than a sixth of them
+    # an episode of the sampling expert in each copy: where policies show less than a sixth of them, always, or never
+    expert: Annotated[str, one_of(NEEDED, ALWAYS, NEVER)] = NEEDED
     algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
     decisions: Decisions = 20_000
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training

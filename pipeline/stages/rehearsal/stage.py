@@ -23,7 +23,7 @@ from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob
 from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, EXPERT, PARTS, record_demonstrations
 from pipeline.stages.rehearsal.film import film_file, film_scan
 from pipeline.stages.rehearsal.jobs import PRELOAD, play, train
-from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.rehearsal.settings import NEVER, RehearsalSettings
 from pipeline.stages.rehearsal.starting_policy import advising_policies, policy_hashes, starting_policy
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, require_feeder, require_known_task
@@ -100,7 +100,7 @@ def plan(
     job = RehearsalJob(
         context.path, Origin("rehearsal", AFTER, context.seed, context.budget), settings, task, target, start
     )
-    shown = settings.demonstrations > 0 and (bool(asked) or settings.ask_expert)
+    shown = settings.demonstrations > 0 and (bool(asked) or settings.expert != NEVER)
     parts = [f"{DEMONSTRATIONS}{part}" for part in range(PARTS if shown else 0)]
     weight = _SECONDS["shown"] * len(job.training_cases) / PARTS
     jobs = [

@@ -43,7 +43,7 @@ TINY: dict[str, Any] = {
     "hidden": 16,
     "accuracy": "fast",
     "fit_steps": False,
-    "ask_expert": False,
+    "expert": "never",
     "task": Task(start_rotation_deg=180.0, max_steps=12),
 }
 
@@ -390,7 +390,7 @@ def test_the_sampling_expert_shows_the_way_where_no_policy_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task = Task(start_rotation_deg=180.0, max_steps=300)
-    job = dataclasses.replace(job_of(tmp_path, demonstrations=2, ask_expert=True, task=task), part=0)
+    job = dataclasses.replace(job_of(tmp_path, demonstrations=2, expert="needed", task=task), part=0)
     assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
     (shown,) = read_demonstrations(tmp_path)
     assert shown.terminated
@@ -398,19 +398,30 @@ def test_the_sampling_expert_shows_the_way_where_no_policy_does(
     assert shown.simulation_states[0, -1] == 0  # the case
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)  # nothing is played again
     assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
+    always = dataclasses.replace(job.settings, expert="always")  # enough is shown, so that no policy is asked
+    asked = dataclasses.replace(job, settings=always, start=GENERALIST, shown_by=(GENERALIST,))
+    assert record_demonstrations(asked, Report()) == {"expert": [1, 1]}
     trained = train(job, Report())
     assert trained["decisions"] == 48
     record = json.loads((tmp_path / "seed0" / "training.json").read_text())
     assert record["settings"]["demonstrations_in_replay"] == 0.25
     jobs = plan(job.settings, context(tmp_path, "rehearsal"), task, "bca", None)
     assert {one.key: one.after for one in jobs}["training"] == ("demonstrations0", "demonstrations1")
-    alone = dataclasses.replace(job.settings, ask_expert=False)
+    alone = dataclasses.replace(job.settings, expert="never")
     assert "demonstrations0" not in [one.key for one in plan(alone, context(tmp_path, "rehearsal"), task, "bca", None)]
 
 
 def test_the_expert_is_not_asked_where_policies_show_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)
     task = Task(start_rotation_deg=180.0, max_steps=300)
-    job = job_of(tmp_path, demonstrations=4, ask_expert=True, task=task)
+    job = job_of(tmp_path, demonstrations=4, expert="needed", task=task)
     job = dataclasses.replace(job, start=GENERALIST, shown_by=(GENERALIST,), part=0)
     assert record_demonstrations(job, Report()) == {"generalist": [1, 1]}
+
+
+def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = {"terminated": np.array(False), "actions": np.zeros((3, 2))}
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", lambda *_, **__: failed)
+    job = dataclasses.replace(job_of(tmp_path, copies=9, demonstrations=4, expert="needed"), part=1)
+    assert record_demonstrations(job, Report()) == {"expert": [3, 0]}
+    assert read_demonstrations(tmp_path) == []
