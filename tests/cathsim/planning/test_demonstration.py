@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from cathsim import load_guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.planning.demonstration import demonstrate
+from cathsim.planning.expert_settings import ExpertSettings
 
 KEYS = ("roadmap", "history")
 
@@ -35,4 +37,22 @@ def test_a_demonstration_with_two_devices_has_four_actions_that_are_held() -> No
     assert made["actions"].shape == (8, 4)
     held = made["actions"].reshape(2, 4, 4)
     assert (held == held[:, :1]).all()
+    environment.close()
+
+
+@pytest.mark.parametrize(("catheter", "usual"), [(None, 1000.0), ("vertebral", 2.0)])
+def test_a_gentle_one_is_limited_in_force(catheter: str | None, usual: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Searches(Exception):
+        pass
+
+    def search(*_: object, settings: ExpertSettings, **__: object) -> None:
+        raise Searches(settings)
+
+    monkeypatch.setattr("cathsim.planning.demonstration.SamplingExpert", search)
+    environment = NavigateManyEnv(("type_1",), ("bca",), catheter=catheter, observation="tip", max_steps=8)
+    for gentle, most in ((False, usual), (True, 0.4)):
+        with pytest.raises(Searches) as raised:
+            demonstrate(environment, 0, (), hold=3, seed=0, gentle=gentle)
+        (settings,) = raised.value.args
+        assert (settings.most_force, settings.hold) == (most, 3)
     environment.close()

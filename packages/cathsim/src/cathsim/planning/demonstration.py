@@ -13,6 +13,7 @@ from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
 
 ROLLOUTS = 1200  # of the expert with a wire alone, after which a demonstration counts as failed
+GENTLE_FORCE, GENTLE_COST = 0.4, 0.02  # N, m/N: of `ExpertSettings`
 
 
 def demonstrate(
@@ -23,6 +24,7 @@ def demonstrate(
     hold: int,
     seed: int,
     rollouts: int = ROLLOUTS,
+    gentle: bool = False,
     tick: Callable[[], None] = lambda: None,
 ) -> dict[str, np.ndarray]:
     """One episode of the sampling expert.
@@ -31,6 +33,7 @@ def demonstrate(
         hold: steps for which an action is held.
         seed: of the start and of the expert.
         rollouts: of the expert, after which the episode ends.
+        gentle: presses with at most 0.4 N where it can, and takes longer ways for it: what learns from it presses less.
         tick: called after every step.
 
     Returns:
@@ -39,6 +42,8 @@ def demonstrate(
     observation, _ = environment.reset(seed=seed, options={"case": case})
     usual = TWO_DEVICES if environment.action_space.shape == (4,) else ExpertSettings()
     settings = dataclasses.replace(usual, horizon=5 * hold, hold=hold, execute=hold)
+    if gentle:
+        settings = dataclasses.replace(settings, most_force=GENTLE_FORCE, force_cost=GENTLE_COST)
     expert = SamplingExpert(environment.current, seed=seed, threads=1, settings=settings)
     rows: dict[str, list[Any]] = {
         **{key: [observation[key]] for key in keys},
