@@ -31,7 +31,6 @@ from pipeline.task import TASK
 if TYPE_CHECKING:
     import gymnasium
 
-    from cathsim.rehearsal.environment import NavigateCopiesEnv
     from enn.imitation.dagger import Act
     from enn.imitation.images.policy import ImagePolicy
     from enn.policy import Policy
@@ -43,8 +42,8 @@ OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its
 ROUNDS = 4  # of one policy at most
 EXPERT = "expert"
 FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
-ROLLOUTS = 20_000  # of the expert an episode
-TRIED = 3  # episodes of a round of the expert, after which it ends if none has arrived
+ROLLOUTS = 8000  # of the expert an episode
+TRIED = 3  # episodes of the expert, after which it gives up if none has arrived
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
@@ -102,44 +101,30 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
 
 
 def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
-    """An episode of the sampling expert in each case, gentle if it arrives so, else not: played, arrived."""
-    environment = copies_environment(job, job.training_cases, training=True, observe_every=held_steps(job))
-    outcomes: list[bool] = []
-    for gentle in (True, False):
-        if any(outcomes):
-            break
-        outcomes += _expert_round(job, environment, cases, gentle, report)
-    environment.close()
-    return [len(outcomes), sum(outcomes)]
-
-
-def _expert_round(
-    job: RehearsalJob, environment: NavigateCopiesEnv, cases: Sequence[int], gentle: bool, report: Report
-) -> list[bool]:
-    """Whether the episodes of a round arrived; it ends where none of the first does."""
+    """An episode of the sampling expert in each case, unless none of the first arrives: played, arrived."""
     from cathsim.planning.demonstration import demonstrate
 
-    outcomes: list[bool] = []
+    held, copies, outcomes = held_steps(job), job.training_cases, list[bool]()
+    environment = copies_environment(job, copies, training=True, observe_every=held)
     for case in cases:
         if len(outcomes) == TRIED and not any(outcomes):
             break
-        number = 0 if gentle else 1
-        file = job.folder / DEMONSTRATIONS / f"{EXPERT}_{job.training_cases[case]}_{number}.npz"
+        file = job.folder / DEMONSTRATIONS / f"{EXPERT}_{copies[case]}_0.npz"
         if not file.is_file():
             share, text = len(outcomes) / len(cases), f"expert: {sum(outcomes)} of {len(outcomes)} episodes arrived"
             shown = demonstrate(
                 environment,
                 case,
                 ROADMAP_KEYS,
-                hold=held_steps(job),
-                seed=rehearsal_demonstration_seed(job.origin.training_seed, number, case),
+                hold=held,
+                seed=rehearsal_demonstration_seed(job.origin.training_seed, 0, case),
                 rollouts=ROLLOUTS,
-                gentle=gentle,
                 tick=partial(report, share, text),
             )
             write_arrays(file, shown if shown[ARRIVED] else {ARRIVED: shown[ARRIVED]})
         outcomes.append(arrived(file))
-    return outcomes
+    environment.close()
+    return [len(outcomes), sum(outcomes)]
 
 
 def _names(policies: Sequence[Path]) -> dict[Path, str]:

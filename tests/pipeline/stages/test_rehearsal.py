@@ -423,5 +423,5 @@ def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatc
     failed = {"terminated": np.array(False), "actions": np.zeros((3, 2))}
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", lambda *_, **__: failed)
     job = dataclasses.replace(job_of(tmp_path, copies=9, demonstrations=4, expert="needed"), part=1)
-    assert record_demonstrations(job, Report()) == {"expert": [6, 0]}  # three gentle ones and three others
+    assert record_demonstrations(job, Report()) == {"expert": [3, 0]}
     assert read_demonstrations(tmp_path) == []
