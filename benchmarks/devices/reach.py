@@ -151,6 +151,8 @@ def main() -> None:
     parser.add_argument("--attempts", type=int, default=1, help="of an episode, each with another search seed")
     parser.add_argument("--output", type=Path, help="file that episodes are added to, and taken from")
     arguments = parser.parse_args()
+    if arguments.attempts < 1:
+        parser.error(f"--attempts must be at least 1, got {arguments.attempts}")
     record = Record(arguments.output, arguments.steps)
     failing = (arch for arch in common_trunks() if not record.episode(arch, WIRE, 0, "direct")["success"])
     chosen = [int(seed) for seed in arguments.seeds.split(",")] if arguments.seeds else failing

@@ -1,0 +1,64 @@
+"""Demonstrations of the sampling expert in a rehearsal: when it is asked, what it leaves, when it gives up."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.jobs.worker import Report
+from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
+from pipeline.stages.rehearsal.jobs import train
+from pipeline.stages.rehearsal.stage import plan
+from pipeline.task import Task
+from tests.pipeline.stages.small_expert import context
+from tests.pipeline.stages.test_rehearsal import GENERALIST, job_of
+
+
+@pytest.fixture(autouse=True)
+def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+
+
+def test_the_sampling_expert_shows_the_way_where_no_policy_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = Task(start_rotation_deg=180.0, max_steps=300)
+    job = dataclasses.replace(job_of(tmp_path, demonstrations=2, expert="needed", task=task), part=0)
+    assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
+    (shown,) = read_demonstrations(tmp_path)
+    assert shown.terminated
+    assert len(shown.actions) == len(shown.rewards) == len(shown.simulation_states) - 1
+    assert shown.simulation_states[0, -1] == 0  # the case
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)  # nothing is played again
+    assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
+    always = dataclasses.replace(job.settings, expert="always")  # enough is shown, so that no policy is asked
+    asked = dataclasses.replace(job, settings=always, start=GENERALIST, shown_by=(GENERALIST,))
+    assert record_demonstrations(asked, Report()) == {"expert": [1, 1]}
+    trained = train(job, Report())
+    assert trained["decisions"] == 48
+    record = json.loads((tmp_path / "seed0" / "training.json").read_text())
+    assert record["settings"]["demonstrations_in_replay"] == 0.25
+    jobs = plan(job.settings, context(tmp_path, "rehearsal"), task, "bca", None)
+    assert {one.key: one.after for one in jobs}["training"] == ("demonstrations0", "demonstrations1")
+    alone = dataclasses.replace(job.settings, expert="never")
+    assert "demonstrations0" not in [one.key for one in plan(alone, context(tmp_path, "rehearsal"), task, "bca", None)]
+
+
+def test_the_expert_is_not_asked_where_policies_show_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)
+    task = Task(start_rotation_deg=180.0, max_steps=300)
+    job = job_of(tmp_path, demonstrations=4, expert="needed", task=task)
+    job = dataclasses.replace(job, start=GENERALIST, shown_by=(GENERALIST,), part=0)
+    assert record_demonstrations(job, Report()) == {"generalist": [1, 1]}
+
+
+def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = {"terminated": np.array(False), "actions": np.zeros((3, 2))}
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", lambda *_, **__: failed)
+    job = dataclasses.replace(job_of(tmp_path, copies=9, demonstrations=4, expert="needed"), part=1)
+    assert record_demonstrations(job, Report()) == {"expert": [3, 0]}
+    assert read_demonstrations(tmp_path) == []
