@@ -11,6 +11,7 @@ One file an episode, ``demonstrations/<policy or expert>_<copy>_<round>.npz`` in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -42,8 +43,8 @@ OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its
 ROUNDS = 4  # of one policy at most
 EXPERT = "expert"
 FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
-ROLLOUTS = 8000  # of the expert an episode
-TRIED = 3  # episodes of the expert, after which it gives up if none has arrived
+STEPS = 100_000  # that the expert simulates for an episode at most
+TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
@@ -101,30 +102,46 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
 
 
 def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
-    """An episode of the sampling expert in each case, unless none of the first arrives: played, arrived."""
+    """Episodes of the sampling expert, a gentle one if it arrives in any of the first cases: played, arrived."""
+    told = [0, 0]
+    for number, gentle in enumerate((True, False)):
+        outcomes = _episodes_of_expert(job, cases, number, gentle, report)
+        told = [told[0] + len(outcomes), told[1] + sum(outcomes)]
+        if any(outcomes):
+            break
+    return told
+
+
+def _episodes_of_expert(
+    job: RehearsalJob, cases: Sequence[int], number: int, gentle: bool, report: Report
+) -> list[bool]:
+    """Whether it arrived, in each case; in the first ones alone where it arrives in none of them."""
     from cathsim.planning.demonstration import demonstrate
 
     held, copies, outcomes = held_steps(job), job.training_cases, list[bool]()
+    name = "expert, gently" if gentle else "expert"
     environment = copies_environment(job, copies, training=True, observe_every=held)
     for case in cases:
-        if len(outcomes) == TRIED and not any(outcomes):
+        if len(outcomes) == TRIED[gentle] and not any(outcomes):
             break
-        file = job.folder / DEMONSTRATIONS / f"{EXPERT}_{copies[case]}_0.npz"
+        file = job.folder / DEMONSTRATIONS / f"{EXPERT}_{copies[case]}_{number}.npz"
         if not file.is_file():
-            share, text = len(outcomes) / len(cases), f"expert: {sum(outcomes)} of {len(outcomes)} episodes arrived"
+            share, text = len(outcomes) / len(cases), f"{name}: {sum(outcomes)} of {len(outcomes)} episodes arrived"
             shown = demonstrate(
                 environment,
                 case,
                 ROADMAP_KEYS,
                 hold=held,
-                seed=rehearsal_demonstration_seed(job.origin.training_seed, 0, case),
-                rollouts=ROLLOUTS,
+                seed=rehearsal_demonstration_seed(job.origin.training_seed, number, case),
+                rollouts=math.inf,
+                steps=STEPS,
+                gentle=gentle,
                 tick=partial(report, share, text),
             )
             write_arrays(file, shown if shown[ARRIVED] else {ARRIVED: shown[ARRIVED]})
         outcomes.append(arrived(file))
     environment.close()
-    return [len(outcomes), sum(outcomes)]
+    return outcomes
 
 
 def _names(policies: Sequence[Path]) -> dict[Path, str]:

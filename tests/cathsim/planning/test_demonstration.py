@@ -40,6 +40,15 @@ def test_a_demonstration_with_two_devices_has_four_actions_that_are_held() -> No
     environment.close()
 
 
+def test_a_demonstration_ends_where_the_expert_has_simulated_enough() -> None:
+    environment = NavigateManyEnv(
+        ("type_1",), ("bca",), catheter="vertebral", observation="tip", accuracy="fast", max_steps=40
+    )
+    lengths = [len(demonstrate(environment, 0, (), hold=4, seed=3, steps=steps)["actions"]) for steps in (1, 1e9)]
+    assert lengths == [1, 40]
+    environment.close()
+
+
 @pytest.mark.parametrize(("catheter", "usual"), [(None, 1000.0), ("vertebral", 2.0)])
 def test_a_gentle_one_is_limited_in_force(catheter: str | None, usual: float, monkeypatch: pytest.MonkeyPatch) -> None:
     class Searches(Exception):

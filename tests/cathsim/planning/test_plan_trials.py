@@ -65,7 +65,7 @@ def test_threads_change_no_cost(make_env: MakeEnv) -> None:
     for threads in (1, 3):
         trials = PlanTrials(env, ExpertSettings(), ACCURACY["fast"], threads)
         costs.append(trials.costs(state, plans))
-        assert trials.rollouts == 5
+        assert (trials.rollouts, trials.steps) == (5, 20)
         trials.close()
     assert np.array_equal(*costs)
     assert len(set(costs[0].tolist())) == 5
@@ -82,3 +82,4 @@ def test_an_ending_is_confirmed_only_where_that_is_asked_for(make_env: MakeEnv) 
     cost, steps = checked.confirmed(state, tried, (0.5, 3))
     assert (cost, steps) != (0.5, 3)
     assert (found.rollouts, checked.rollouts) == (0, 1)
+    assert (found.steps, checked.steps) == (0, 8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,8 +58,14 @@ def test_the_expert_is_not_asked_where_policies_show_enough(tmp_path: Path, monk
 
 
 def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    failed = {"terminated": np.array(False), "actions": np.zeros((3, 2))}
-    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", lambda *_, **__: failed)
-    job = dataclasses.replace(job_of(tmp_path, copies=9, demonstrations=4, expert="needed"), part=1)
-    assert record_demonstrations(job, Report()) == {"expert": [3, 0]}
+    failed, gentle = {"terminated": np.array(False), "actions": np.zeros((3, 2))}, list[bool]()
+
+    def fail(*_: object, **given: Any) -> dict[str, np.ndarray]:
+        gentle.append(given["gentle"])
+        return failed
+
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", fail)
+    job = dataclasses.replace(job_of(tmp_path, copies=13, demonstrations=4, expert="needed"), part=1)
+    assert record_demonstrations(job, Report()) == {"expert": [8, 0]}
+    assert gentle == [True] * 5 + [False] * 3
     assert read_demonstrations(tmp_path) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -23,7 +24,8 @@ def demonstrate(
     *,
     hold: int,
     seed: int,
-    rollouts: int = ROLLOUTS,
+    rollouts: float = ROLLOUTS,
+    steps: float = math.inf,
     gentle: bool = False,
     tick: Callable[[], None] = lambda: None,
 ) -> dict[str, np.ndarray]:
@@ -33,6 +35,7 @@ def demonstrate(
         hold: steps for which an action is held.
         seed: of the start and of the expert.
         rollouts: of the expert, after which the episode ends.
+        steps: control steps of all roll-outs and manoeuvres, after which it ends.
         gentle: presses with at most 0.4 N where it can, and takes longer ways for it: what learns from it presses less.
         tick: called after every step.
 
@@ -54,7 +57,7 @@ def demonstrate(
         "forces": [],
     }
     terminated = truncated = False
-    while not (terminated or truncated) and expert.rollouts < rollouts:
+    while not (terminated or truncated) and expert.rollouts < rollouts and expert.steps < steps:
         action = expert.action()
         observation, reward, terminated, truncated, info = environment.step(action)
         for key in keys:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -50,6 +51,12 @@ class PlanTrials:
         self.confirming = real.stepped_by(real.numerics) if settings.confirm else None
         self._pool = ThreadPoolExecutor(count, "expert") if count > 1 else None
         self.rollouts = 0
+        self._steps: Counter[int] = Counter()  # of each copy, which one thread at a time steps
+
+    @property
+    def steps(self) -> int:
+        """Control steps that all plans took so far."""
+        return self._steps.total()
 
     def costs(self, state: np.ndarray, plans: np.ndarray) -> np.ndarray:
         """Costs of plans (n, horizon, actions) from a state, in metres. Shape (n,)."""
@@ -144,6 +151,7 @@ class PlanTrials:
 
     def _advance(self, copy: Simulation, action: Sequence[float]) -> None:
         pace, (translation, rotation, *catheter) = self._pace, action
+        self._steps[id(copy)] += 1
         if catheter:
             assert isinstance(copy, DualSimulation)
             along = pace.translation * catheter[0], pace.rotation * catheter[1]

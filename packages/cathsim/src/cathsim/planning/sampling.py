@@ -72,6 +72,11 @@ class SamplingExpert:
         return self.trials.rollouts
 
     @property
+    def steps(self) -> int:
+        """Control steps that all plans took so far, those of manoeuvres included."""
+        return self.trials.steps
+
+    @property
     def task(self) -> NavigationTask:
         """The environment's, of the episode."""
         return self.environment.task
