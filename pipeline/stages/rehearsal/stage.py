@@ -24,7 +24,12 @@ from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, EXPERT, PAR
 from pipeline.stages.rehearsal.film import film_file, film_scan
 from pipeline.stages.rehearsal.jobs import PRELOAD, play, train
 from pipeline.stages.rehearsal.settings import NEVER, RehearsalSettings
-from pipeline.stages.rehearsal.starting_policy import advising_policies, policy_hashes, starting_policy
+from pipeline.stages.rehearsal.starting_policy import (
+    advising_policies,
+    policy_hashes,
+    starting_policy,
+    with_devices_of,
+)
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, require_feeder, require_known_task
 
@@ -50,7 +55,8 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         target = settings.targets[0]
         phantom.entry(settings.task.entry)
         choose = settings.choose_catheter and settings.policy is None  # one that is given has its devices
-        task = with_catheter_where_steep(phantom, target, settings.task, choose=choose)
+        given = settings.task if settings.policy is None else with_devices_of(Path(settings.policy), settings.task)
+        task = with_catheter_where_steep(phantom, target, given, choose=choose)
         task = fitted_task(task, phantom, [target])
         task = fitted_steps(task, phantom, target) if settings.fit_steps else task
         start = starting_policy(settings, context.run_path, context.seed, task)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,8 @@ from pipeline.task import TASK, USUAL_PACE, Task, number_of_actions
 if TYPE_CHECKING:
     from enn.imitation.images.policy import ImagePolicy
     from enn.policy import Policy
+
+_LOGGER = logging.getLogger(__name__)
 
 
 def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task: Task) -> Path | None:
@@ -36,6 +40,29 @@ def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task
     if settings.algorithm != SAC:  # those policies have learnt by SAC
         return None
     return next((file for file in known_policies(run_path, seed) if _fits(file, task)), None)
+
+
+def with_devices_of(path: Path, task: Task) -> Task:
+    """A task with the catheter that a given policy was trained with, where the task names none.
+
+    A policy may start the training with another catheter than its own, if one is named.
+
+    Raises:
+        ValueError: it is no policy by a roadmap, or steers another number of devices than the task has.
+    """
+    from enn.policy import Policy
+
+    policy = Policy.load(path)
+    own = policy.metadata.get(TASK, {}).get("catheter")
+    if own is not None and task.catheter is None:
+        task = replace(task, catheter=own)
+        _LOGGER.info("%s was trained with a %s over the wire, which is taken here, too", path, own)
+    if policy.action_space.shape != (number_of_actions(task),):
+        raise ValueError(
+            f"stage.policy={path} steers {'both devices' if own else 'a wire alone'}, the task has "
+            f"{'a catheter, too' if task.catheter else 'other actions'}: give another policy or other devices"
+        )
+    return task
 
 
 def known_policies(run_path: Path, seed: int) -> list[Path]:

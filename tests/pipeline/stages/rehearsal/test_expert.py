@@ -15,8 +15,8 @@ from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record
 from pipeline.stages.rehearsal.jobs import train
 from pipeline.stages.rehearsal.stage import plan
 from pipeline.task import Task
+from tests.pipeline.stages.rehearsal.test_rehearsal import GENERALIST, job_of
 from tests.pipeline.stages.small_expert import context
-from tests.pipeline.stages.test_rehearsal import GENERALIST, job_of
 
 
 @pytest.fixture(autouse=True)

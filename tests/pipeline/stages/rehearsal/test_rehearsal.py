@@ -26,7 +26,7 @@ from pipeline.stages.rehearsal.film import film_scan
 from pipeline.stages.rehearsal.jobs import play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal, shown_by
-from pipeline.stages.rehearsal.starting_policy import advising_policies, policy_hashes, starting_policy
+from pipeline.stages.rehearsal.starting_policy import advising_policies
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
@@ -181,23 +181,6 @@ def test_the_anatomy_is_a_file_a_name_or_a_seed() -> None:
         RehearsalSettings(targets=["bca", "lcca"])
 
 
-def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> None:
-    alone, shipped = Task(), GENERALIST
-    assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == shipped
-    file = tmp_path / "unseen/roadmap/seed0/policy.pt"
-    file.parent.mkdir(parents=True)
-    shutil.copy(shipped, file)
-    assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == file
-    hashes = policy_hashes(tmp_path)
-    assert hashes["unseen/roadmap/seed0/policy.pt"] == hashes[f"shipped/{shipped.name}"]
-    assert policy_hashes(tmp_path / "elsewhere") == {k: v for k, v in hashes.items() if k.startswith("shipped/")}
-    assert starting_policy(RehearsalSettings(fresh=True), tmp_path, 0, alone) is None
-    assert starting_policy(RehearsalSettings(policy=str(shipped)), tmp_path, 0, alone) == shipped
-    file.write_bytes(b"x")
-    with pytest.raises(ValueError, match=r"policy\.pt"):
-        starting_policy(RehearsalSettings(), tmp_path, 0, alone)
-
-
 def test_an_episode_of_the_tests_has_so_many_attempts(tmp_path: Path) -> None:
     alone, again = (job_of(tmp_path / str(attempts), attempts=attempts) for attempts in (1, 2))
     train(alone, Report())
@@ -228,12 +211,6 @@ def test_the_film_repeats_the_first_episode_in_the_scan_that_arrived(tmp_path: P
         assert outcome["steps"] == log.last_step
     with Image.open(tmp_path / "after.gif") as film:
         assert film.n_frames >= outcome["steps"] // 2
-
-
-def test_a_policy_of_other_devices_is_not_started_from(tmp_path: Path) -> None:
-    for task in (Task(catheter="vertebral"), Task(catheter="jb2", wire="none"), Task(actions="tip_motors")):
-        assert starting_policy(RehearsalSettings(), tmp_path, 0, task) is None
-    assert starting_policy(RehearsalSettings(algorithm="ppo"), tmp_path, 0, Task()) is None
 
 
 def test_a_row_pools_the_forces_of_all_steps() -> None:

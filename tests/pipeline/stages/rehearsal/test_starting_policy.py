@@ -1,0 +1,54 @@
+"""The policy that a rehearsal starts from: which one, and the devices that come with one that is given."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from enn.shipped import weight_files
+from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.rehearsal.stage import run_rehearsal
+from pipeline.stages.rehearsal.starting_policy import policy_hashes, starting_policy, with_devices_of
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import Task
+from tests.pipeline.stages.rehearsal.test_rehearsal import GENERALIST, TINY
+from tests.pipeline.stages.small_expert import context
+
+OF_SIMMONS = next(file for file in weight_files() if file.stem == "generalist_simmons2")
+
+
+def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> None:
+    alone, shipped = Task(), GENERALIST
+    assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == shipped
+    file = tmp_path / "unseen/roadmap/seed0/policy.pt"
+    file.parent.mkdir(parents=True)
+    shutil.copy(shipped, file)
+    assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == file
+    hashes = policy_hashes(tmp_path)
+    assert hashes["unseen/roadmap/seed0/policy.pt"] == hashes[f"shipped/{shipped.name}"]
+    assert policy_hashes(tmp_path / "elsewhere") == {k: v for k, v in hashes.items() if k.startswith("shipped/")}
+    assert starting_policy(RehearsalSettings(fresh=True), tmp_path, 0, alone) is None
+    assert starting_policy(RehearsalSettings(policy=str(shipped)), tmp_path, 0, alone) == shipped
+    file.write_bytes(b"x")
+    with pytest.raises(ValueError, match=r"policy\.pt"):
+        starting_policy(RehearsalSettings(), tmp_path, 0, alone)
+
+
+def test_a_policy_of_other_devices_is_not_started_from(tmp_path: Path) -> None:
+    for task in (Task(catheter="vertebral"), Task(catheter="jb2", wire="none"), Task(actions="tip_motors")):
+        assert starting_policy(RehearsalSettings(), tmp_path, 0, task) is None
+    assert starting_policy(RehearsalSettings(algorithm="ppo"), tmp_path, 0, Task()) is None
+
+
+def test_a_given_policy_brings_its_catheter_where_none_is_named() -> None:
+    assert with_devices_of(GENERALIST, Task()) == Task()
+    assert with_devices_of(OF_SIMMONS, Task(max_steps=7)) == Task(catheter="simmons2", max_steps=7)
+    assert with_devices_of(OF_SIMMONS, Task(catheter="jb2")) == Task(catheter="jb2")
+
+
+def test_a_given_policy_of_a_wire_alone_does_not_steer_a_catheter(tmp_path: Path) -> None:
+    settings = RehearsalSettings(**TINY | {"policy": str(GENERALIST), "catheter": "jb2"})
+    with pytest.raises(ConfigurationError, match="steers a wire alone, the task has a catheter, too: give another"):
+        run_rehearsal(settings, context(tmp_path, "rehearsal"))
