@@ -43,6 +43,7 @@ OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its
 ROUNDS = 4  # of one policy at most
 EXPERT = "expert"
 FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
+ENOUGH = 6  # episodes of the expert that arrive, in each part
 STEPS = 100_000  # that the expert simulates for an episode at most
 TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
 
@@ -115,14 +116,14 @@ def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], report: Report) ->
 def _episodes_of_expert(
     job: RehearsalJob, cases: Sequence[int], number: int, gentle: bool, report: Report
 ) -> list[bool]:
-    """Whether it arrived, in each case; in the first ones alone where it arrives in none of them."""
+    """Whether it arrived, case by case, until enough have, or none of the first."""
     from cathsim.planning.demonstration import demonstrate
 
     held, copies, outcomes = held_steps(job), job.training_cases, list[bool]()
     name = "expert, gently" if gentle else "expert"
     environment = copies_environment(job, copies, training=True, observe_every=held)
     for case in cases:
-        if len(outcomes) == TRIED[gentle] and not any(outcomes):
+        if sum(outcomes) == ENOUGH or (len(outcomes) == TRIED[gentle] and not any(outcomes)):
             break
         file = job.folder / DEMONSTRATIONS / f"{EXPERT}_{copies[case]}_{number}.npz"
         if not file.is_file():
