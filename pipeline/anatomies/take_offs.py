@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 # mm; a policy of the wire alone reached most targets below it, and few of those far beyond (docs/results/generalist.md)
 STEEP_MM = 13.0
-CATHETER = "simmons2"  # that reaches further
+CATHETER = "jb2"  # that reaches further
+WITH_POLICIES = (CATHETER, "simmons2")  # catheters over the wire that shipped policies steer, the better ones first
 # mm; from here on the shipped policies of wire and catheter reach more targets than those of the wire alone (same page)
 CATHETER_BETTER_MM = 5.0
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.known import TARGETS
-from pipeline.anatomies.take_offs import CATHETER, CATHETER_BETTER_MM, set_back_mm
+from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, WITH_POLICIES, set_back_mm
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.store.errors import ConfigurationError
@@ -186,9 +186,10 @@ def open_scene(
     if chosen is None or chosen not in known:
         wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
         raise ConfigurationError(f"{described} has {wanted}: choose --target from {', '.join(known) or 'none'}")
-    if catheter and f"{model}_{CATHETER}" in enn.models() and _set_back(place, chosen) >= CATHETER_BETTER_MM:
-        model = f"{model}_{CATHETER}"
-        policy = enn.load(model)
+    known_models = enn.models()
+    of_both = next((name for one in WITH_POLICIES if (name := f"{model}_{one}") in known_models), None)
+    if catheter and of_both and _set_back(place, chosen) >= CATHETER_BETTER_MM:
+        model, policy = of_both, enn.load(of_both)
     if TASK not in policy.metadata:
         raise ConfigurationError(
             f"the model {model!r} does not say which task it was trained for: choose another model"

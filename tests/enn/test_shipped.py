@@ -55,6 +55,23 @@ def test_half_precision_acts_nearly_the_same_from_half_the_bytes(folder: Path) -
     assert {str(value.dtype) for value in weights.values()} == {"torch.float16"}
 
 
+def test_critics_in_half_precision_leave_the_actor_as_it_is(tmp_path: Path) -> None:
+    shipped_file = next(file for file in shipped.weight_files() if file.stem == "generalist")
+    whole = Policy.load(shipped_file)
+    whole.save(tmp_path / "policy.pt", critics=True, half_critics=True)
+    assert Policy.load(tmp_path / "policy.pt").critics
+    files = (decoded(path.read_bytes())["weights"] for path in (shipped_file, tmp_path / "policy.pt"))
+    before, after = ({key: value.numpy() for key, value in weights.items()} for weights in files)
+    assert before.keys() == after.keys()
+    assert any(key.startswith("critic") for key in after)
+    for key, value in after.items():
+        if key.startswith("actor."):
+            np.testing.assert_array_equal(value, before[key])
+        else:
+            assert value.dtype == np.float16
+            np.testing.assert_allclose(value, before[key], rtol=1e-3, atol=1e-6)
+
+
 def test_the_expert_network_reaches_its_target() -> None:
     pytest.importorskip("cathsim")
     steering = enn.load("type_1_lcca")

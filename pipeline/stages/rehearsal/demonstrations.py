@@ -2,8 +2,9 @@
 
 The policy that a rehearsal starts from is asked first. Where it seldom arrives it has nothing to learn from, and every
 other policy of the same devices is asked, by a roadmap or by X-ray images, then the best of them again. Where they show
-next to nothing, or there is none for these devices, the sampling expert plays an episode in each copy; where the
-settings say so it does in any case, before the policies.
+next to nothing, or there is none for these devices, the sampling expert plays copy by copy until enough episodes have
+arrived; where the settings say so it does in any case, before the policies. It presses gently, unless it seldom arrives
+so.
 
 One file an episode, ``demonstrations/<policy or expert>_<copy>_<round>.npz`` in the stage's folder
 (`pipeline.recording.demonstration_files`).

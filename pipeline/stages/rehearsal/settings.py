@@ -64,7 +64,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     attempts: Annotated[int, Ge(1), Le(10)] = 1
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
     demonstrations: Annotated[int, Ge(0), Le(1000)] = 24
-    # an episode of the sampling expert in each copy: where policies show less than a sixth of them, always, or never
+    # by the sampling expert: where policies show less than a sixth of them, always, or never
     expert: Annotated[str, one_of(NEEDED, ALWAYS, NEVER)] = NEEDED
     algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
     decisions: Decisions = 20_000

@@ -29,12 +29,12 @@ def test_a_steep_take_off_gets_a_catheter_or_a_word(steep: Phantom, caplog: pyte
     back = 1e3 * set_back(steep.tree, "lcca")
     assert back >= STEEP_MM
     with caplog.at_level(logging.WARNING):
-        assert with_catheter_where_steep(steep, "lcca", Task(), choose=True) == Task(catheter="simmons2")
+        assert with_catheter_where_steep(steep, "lcca", Task(), choose=True) == Task(catheter="jb2")
     assert f"lcca of steep leaves the aorta steeply: its ostium lies {back:.0f} mm behind" in caplog.text
     assert "stage.choose_catheter=false leaves it out" in caplog.text
     caplog.clear()
     assert with_catheter_where_steep(steep, "lcca", Task(), choose=False) == Task()
-    assert "stage.catheter=simmons2 reaches further" in caplog.text
+    assert "stage.catheter=jb2 reaches further" in caplog.text
 
 
 def test_elsewhere_the_devices_stay_and_nothing_is_said(steep: Phantom, caplog: pytest.LogCaptureFixture) -> None:

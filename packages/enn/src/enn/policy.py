@@ -152,13 +152,14 @@ class Policy:
             raise ValueError(f"{name} is not finite: look at what makes the observations")
         return torch.as_tensor(values).to(self.module.device)
 
-    def save(self, path: Path | str, *, critics: bool = False, half: bool = False) -> None:
+    def save(self, path: Path | str, *, critics: bool = False, half: bool = False, half_critics: bool = False) -> None:
         """Writes settings, spaces and weights into one file, atomically.
 
         Args:
             critics: with SAC's critics and their targets, which a training needs to start from the file
                 (`enn.reinforcement.training.Training(initial=…)`); acting does not need them.
             half: weights in half precision, as some are shipped: half the size.
+            half_critics: those of the critics alone, so that it acts as before.
 
         Raises:
             ValueError: critics are asked for and this policy has none.
@@ -167,13 +168,17 @@ class Policy:
             raise ValueError("this policy has no critics: it was read from a file without them")
         weights = self.module.state_dict().items()
 
-        def kept(value: Tensor) -> Tensor:
-            return value.half() if half and value.is_floating_point() else value
+        def kept(value: Tensor, shorter: bool = half) -> Tensor:
+            return value.half() if shorter and value.is_floating_point() else value
 
         content = {
             "format": FORMAT,
             "network": asdict(self.network),
-            "weights": {key: kept(value.cpu()) for key, value in weights if critics or _acts(self.network, key)},
+            "weights": {
+                key: kept(value.cpu(), half or (half_critics and not acts))
+                for key, value in weights
+                if (acts := _acts(self.network, key)) or critics
+            },
             "observation_space": _describe(self.observation_space),
             "network_space": _describe(self.module.observation_space),
             "action_space": _describe(self.action_space),

@@ -268,7 +268,8 @@ def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, m
         "generalist_simmons2_seed0",
         "navigator_simmons2",
     ]
-    assert advising_policies(tmp_path, 0, Task(catheter="jb2"), None) == []
+    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="jb2"), None)] == ["generalist_jb2"]
+    assert advising_policies(tmp_path, 0, Task(catheter="vertebral"), None) == []
 
     job = dataclasses.replace(
         job_of(tmp_path, copies=2, demonstrations=4, task=task), start=GENERALIST, shown_by=tuple(asked), part=0
