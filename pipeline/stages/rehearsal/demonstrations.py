@@ -3,8 +3,8 @@
 The policy that a rehearsal starts from is asked first. Where it seldom arrives it has nothing to learn from, and every
 other policy of the same devices is asked, by a roadmap or by X-ray images, then the best of them again. Where they show
 next to nothing, or there is none for these devices, the sampling expert plays copy by copy until enough episodes have
-arrived; where the settings say so it does in any case, before the policies. It presses gently, unless it seldom arrives
-so.
+arrived; where the settings say so it does in any case, before the policies. It presses gently, and plays as usual,
+too, where few of these episodes arrive.
 
 One file an episode, ``demonstrations/<policy or expert>_<copy>_<round>.npz`` in the stage's folder
 (`pipeline.recording.demonstration_files`).
@@ -44,7 +44,7 @@ OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its
 ROUNDS = 4  # of one policy at most
 EXPERT = "expert"
 FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
-ENOUGH = 6  # episodes of the expert that arrive, in each part
+ENOUGH, LEAST = 6, 3  # episodes of the expert that arrive, in each part; fewer gentle ones: it plays as usual, too
 STEPS = 100_000  # that the expert simulates for an episode at most
 TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
 
@@ -104,12 +104,12 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
 
 
 def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
-    """Episodes of the sampling expert, a gentle one if it arrives in any of the first cases: played, arrived."""
+    """Episodes of the sampling expert, usual ones only where few gentle ones arrive: played, arrived."""
     told = [0, 0]
     for number, gentle in enumerate((True, False)):
         outcomes = _episodes_of_expert(job, cases, number, gentle, report)
         told = [told[0] + len(outcomes), told[1] + sum(outcomes)]
-        if any(outcomes):
+        if told[1] >= min(LEAST, len(cases)):
             break
     return told
 

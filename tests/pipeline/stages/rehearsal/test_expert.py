@@ -69,3 +69,19 @@ def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatc
     assert record_demonstrations(job, Report()) == {"expert": [8, 0]}
     assert gentle == [True] * 5 + [False] * 3
     assert read_demonstrations(tmp_path) == []
+
+
+@pytest.mark.parametrize(("arriving", "told", "usual"), [(1, [14, 7], True), (3, [7, 3], False)])
+def test_it_plays_as_usual_where_few_gentle_episodes_arrive(
+    tmp_path: Path, arriving: int, told: list[int], usual: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of seven copies the gentle one arrives in the first so many, the usual one in all but the first."""
+
+    def play(_: object, case: int, *__: object, gentle: bool, **___: object) -> dict[str, np.ndarray]:
+        number = (case - 1) // 2  # of the second part
+        return {"terminated": np.array(number < arriving if gentle else number > 0)}
+
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", play)
+    job = dataclasses.replace(job_of(tmp_path, copies=14, demonstrations=20, expert="needed"), part=1)
+    assert record_demonstrations(job, Report()) == {"expert": told}
+    assert bool(list((tmp_path / "demonstrations").glob("expert_*_1.npz"))) == usual
