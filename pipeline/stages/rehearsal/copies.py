@@ -83,7 +83,10 @@ def copies_environment(
         breathing=settings.breathing_mm / 1e3,
         period=settings.breath_s,
     )
-    shaped: dict[str, Any] = {"force_penalty": settings.force_penalty, "path_penalty": settings.path_penalty}
+    shaped: dict[str, Any] = {
+        "force_penalty": settings.price_of_force(job.task),
+        "path_penalty": settings.path_penalty,
+    }
     return NavigateCopiesEnv(
         load_anatomy(settings.anatomy(settings.phantoms[0])),
         (job.target,),

@@ -23,13 +23,14 @@ from pipeline.settings.kinds import (
 )
 from pipeline.stages.learning.starting_policy import StartingPolicySettings
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import DeviceSettings
+from pipeline.task import DeviceSettings, Task
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 SAC, PPO = "sac", "ppo"
 NEEDED, ALWAYS, NEVER = "needed", "always", "never"
+PRICES_OF_FORCE = {False: 0.1, True: 0.3}  # 1/N, by whether there are two devices (docs/results/rehearsal.md)
 _Millimetres = Annotated[float, Ge(0), Le(20)]
 _Percent = Annotated[float, Ge(0), Le(90)]
 
@@ -71,7 +72,8 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
-    force_penalty: Weight = 0.1  # of the training's reward, a newton and step
+    # of the training's reward, a newton and step; null: 0.1 for a wire alone, 0.3 for both devices
+    force_penalty: Weight | None = None
     path_penalty: Weight = 40.0  # a metre of the tip's way
     accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # tests are accurate
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # that step the environments; 0: two
@@ -88,6 +90,10 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
                 raise ConfigurationError(f"stage.{key} names several: a rehearsal has one scan and one target")
         if self.policy is not None and self.fresh:
             raise ConfigurationError("stage.fresh=true starts from nothing: leave out stage.policy")
+
+    def price_of_force(self, task: Task) -> float:
+        """What a newton and step cost in the training's reward, with the devices of a task."""
+        return PRICES_OF_FORCE[task.two_devices] if self.force_penalty is None else self.force_penalty
 
     def fit(self, phantom: Phantom) -> None:
         """Leaves the wire to the stage, which fits it to the only target."""

@@ -153,6 +153,12 @@ def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
     assert training.perturbation.friction == 0.3
 
 
+def test_a_newton_costs_more_with_two_devices_unless_the_settings_say() -> None:
+    task, both = Task(), Task(catheter="jb2")
+    assert [RehearsalSettings().price_of_force(one) for one in (task, both)] == [0.1, 0.3]
+    assert [RehearsalSettings(force_penalty=0.0).price_of_force(one) for one in (task, both)] == [0.0, 0.0]
+
+
 def test_the_wire_becomes_as_long_as_the_way_asks_for() -> None:
     phantom = load_phantom("type_1")
     assert fitted_task(Task(), phantom, ["lsa_end"]) == Task()  # the preset's reaches it
