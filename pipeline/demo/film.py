@@ -123,11 +123,11 @@ class DemoFilm(Film):
         return (self._projectors[view].project(points) + 0.5) / VIEW_PX
 
     def _xray(self, environment: Any, view: str) -> np.ndarray:
-        from cathsim.observations.fluoroscopes import frame_of, wire_radius_of
+        from cathsim.observations.fluoroscopes import catheter_in, frame_of, wire_radius_of
         from cathsim.observations.xray import fluoroscope_of
 
-        radius = wire_radius_of(environment.simulation)
-        fluoroscope = fluoroscope_of(environment.phantom, VIEW_PX, radius, view=view, field=self.scene.field)
+        radius, catheter = wire_radius_of(environment.simulation), catheter_in(environment.simulation)
+        fluoroscope = fluoroscope_of(environment.phantom, VIEW_PX, radius, catheter, view, field=self.scene.field)
         return np.asarray(frame_of(environment.simulation, fluoroscope, self._noise, view).image)
 
     def _space(self, simulation: Any, goal: np.ndarray) -> np.ndarray | None:

@@ -74,3 +74,19 @@ def test_both_views_show_what_a_policy_of_two_reads(tmp_path: Path, monkeypatch:
         assert all(shows(panel, colour) for colour in (LUMEN, WAY, WIRE, TARGET))
     film.close()
     environment.close()
+
+
+def test_a_catheter_is_in_the_views_for_people() -> None:
+    scene = open_scene("generalist", seed=247, target="lcca")  # set back by 11 mm
+    assert scene.model == "generalist_jb2"
+    film, environment = DemoFilm(scene), scene.environment
+    observation, info = environment.reset(seed=scene.start_seed)
+    before = film._xray(environment, "frontal")
+    for _ in range(20):
+        observation, _, _, _, info = environment.step(scene.steer(observation, info))
+    assert environment.simulation.pair.both
+    assert (film._xray(environment, "frontal").astype(int) < before.astype(int) - 20).any()
+    film.add(environment)
+    assert len(film._frames) == 1
+    film.close()
+    environment.close()
