@@ -13,9 +13,9 @@ from gymnasium.wrappers import RecordEpisodeStatistics
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordStatisticsOfVector
 
 from cathsim import ENVIRONMENT, NavigateEnv
+from cathsim.contact.measured import MAX_CONTACTS
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.registration import MANY
-from cathsim.simulation import MAX_CONTACTS
 from cathsim.vector import ThreadedManyVectorEnv, ThreadedVectorEnv
 
 MakeEnv = Callable[..., NavigateEnv]

@@ -401,7 +401,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             info["lead"], info["feeder_forces"] = simulation.device_lead, simulation.feeder_forces()
         info.update(self.feeders.info())
         if self._contact_info:
-            contacts = simulation.padded_contacts()
+            contacts = simulation.measured.padded()
             info["contacts"] = simulation.summary.contacts
             info["contact_points"], info["contact_forces"] = contacts.points, contacts.forces
         return info

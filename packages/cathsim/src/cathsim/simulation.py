@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -20,6 +19,7 @@ from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import checked_wall_stiffness, stiffest_wall
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, decomposition
+from cathsim.contact.measured import Contacts, MeasuredContacts
 from cathsim.contact.native import StepSummary, address, engine, library
 from cathsim.contact.sdf import SHEATH_RADIUS, Vessel
 from cathsim.guidewire import TIP_SITE, Guidewire
@@ -30,18 +30,9 @@ from cathsim.robot.pace import CONTROL_STEP as CONTROL_STEP
 from cathsim.robot.pace import PACES, Pace
 from cathsim.rung import Rung
 
-MAX_CONTACTS = 512
 # The servo's target never runs further ahead of the wire than its force limit can use.
 LEAD_ADVANCE, LEAD_ROTATION = 0.004, 0.4
 SETTLE_STEPS = 3
-
-
-@dataclass(frozen=True)
-class Contacts:
-    """Wire-wall contacts of the substep in which their resultant was largest."""
-
-    points: np.ndarray  # world positions, m. Shape (k, 3).
-    forces: np.ndarray  # force of the wall on the wire, N, world frame. Shape (k, 3).
 
 
 @kept_with_owner
@@ -113,19 +104,14 @@ class Simulation:
         self.drag = Drag(blood_field(phantom, blood), wire) if blood else None
         self._rungs: dict[int, Rung] = {}
 
-        self._points, self._forces = np.zeros((MAX_CONTACTS, 3)), np.zeros((MAX_CONTACTS, 3))
-        self._scratch = np.zeros((4 * MAX_CONTACTS, 3))
-        self.depths = np.zeros(self.substeps)
+        self.measured = MeasuredContacts(self.substeps)
         self._from, self._to = np.zeros(2 + self.motors), np.zeros(2 + self.motors)
-        self.summary = StepSummary()
         self._native_step = library().cathsim_step
         self._arguments = (
             ctypes.byref(engine()),
             self.substeps,
             *(address(array) for array in (self._from, self._to)),
-            MAX_CONTACTS,
-            *(address(array) for array in (self._points, self._forces, self._scratch, self.depths)),
-            ctypes.byref(self.summary),
+            *self.measured.arguments(),
         )
         self._index = 0
         self._rung = self._rung_at(0)
@@ -242,7 +228,7 @@ class Simulation:
         for _ in range(SETTLE_STEPS):
             self.advance(0.0, 0.0)
         self.data.time = time
-        ctypes.memset(ctypes.byref(self.summary), 0, ctypes.sizeof(self.summary))
+        self.measured.clear()
 
     def _change_rung(self, index: int) -> None:
         """Goes on with more or fewer links, in the same state."""
@@ -368,17 +354,19 @@ class Simulation:
         """The simulated links' ends from the tip down to the sheath, m. Shape (active links + 1, 3)."""
         return np.concatenate((self._rung.tip[None], self._rung.nodes[::-1]))
 
+    @property
+    def summary(self) -> StepSummary:
+        """What the last control step was like as a whole."""
+        return self.measured.summary
+
+    @property
+    def depths(self) -> np.ndarray:
+        """Deepest penetration after each substep of the last control step, m, if it is measured. Shape (substeps,)."""
+        return self.measured.depths
+
     def contacts(self) -> Contacts:
         """Contacts of the last control step, where their resultant was largest."""
-        count = self.summary.contacts
-        return Contacts(self._points[:count].copy(), self._forces[:count].copy())
-
-    def padded_contacts(self) -> Contacts:
-        """`contacts`, followed by rows of zeros: always of shape (MAX_CONTACTS, 3)."""
-        count = self.summary.contacts
-        padded = Contacts(np.zeros((MAX_CONTACTS, 3)), np.zeros((MAX_CONTACTS, 3)))
-        padded.points[:count], padded.forces[:count] = self._points[:count], self._forces[:count]
-        return padded
+        return self.measured.contacts()
 
     def force(self) -> np.ndarray:
         """Resultant of the wall's contact forces on the wire, largest of the last control step, N. Shape (3,)."""
@@ -413,15 +401,12 @@ class Simulation:
         self._to[:] = state[3 * self.nq : -3]
         data.time, self._rung.struct.depth = state[-3], state[-2]
         mujoco.mj_kinematics(self.model, data)
-        ctypes.memset(ctypes.byref(self.summary), 0, ctypes.sizeof(self.summary))
+        self.measured.clear()
 
     def force_state(self) -> tuple[bytes, np.ndarray, np.ndarray]:
         """What the last control step measured: forces and contacts, which no continuation depends on."""
-        count = self.summary.contacts
-        return bytes(self.summary), self._points[:count].copy(), self._forces[:count].copy()
+        return self.measured.state()
 
     def restore_forces(self, state: tuple[bytes, np.ndarray, np.ndarray]) -> None:
         """Returns to a measurement of `force_state`."""
-        summary, points, forces = state
-        ctypes.memmove(ctypes.byref(self.summary), summary, ctypes.sizeof(self.summary))
-        self._points[: len(points)], self._forces[: len(forces)] = points, forces
+        self.measured.restore(state)

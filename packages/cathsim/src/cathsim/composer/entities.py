@@ -12,10 +12,11 @@ from dm_control.composer.observation.observable import MJCFFeature
 
 from cathsim.anatomy import Phantom
 from cathsim.arena import ADVANCE, FEEDER, PROTRUSION, ROTATE, max_insertion
+from cathsim.contact.measured import MAX_CONTACTS, Contacts
 from cathsim.contact.native import SimulationStruct, address, engine, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
-from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, MAX_CONTACTS, Contacts
+from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION
 from cathsim.viewing.camera_view import WALL
 
 SKY = [0.97, 0.97, 0.98]
