@@ -73,6 +73,7 @@ EPISODES = {
     "unseen, advised": SeedRange(100_000_000, 10_000_000, _RUNS, "advised episodes in random arches"),
     "unseen, demonstrations": SeedRange(300_000_000, 1_000, _RUNS, "demonstrations in random arches"),
     "rehearsal, demonstrations": SeedRange(400_000_000, 100_000, _TRAININGS, "demonstrations in copies"),
+    "rehearsal, trials of devices": SeedRange(500_000_000, 1_000, _TRAININGS, "trials of devices in copies"),
     "test": SeedRange(5_000_000_000, 1_000, _TRAININGS, "test episodes"),
 }
 RETIRED_EPISODES = (range(1_000_000, 2_000_000),)
@@ -187,6 +188,11 @@ def rehearsal_demonstration_seed(training_seed: int, number: int, case: int) -> 
         case: the copy's number among those of the training, from 0.
     """
     return EPISODES["rehearsal, demonstrations"].part(training_seed, 1, skip=number * _COPIES + case)[0]
+
+
+def device_trial_seed(training_seed: int) -> int:
+    """Seed of the first episode that is played with each of several devices, to choose among them."""
+    return EPISODES["rehearsal, trials of devices"].part(training_seed, 1)[0]
 
 
 def training_copies(training_seed: int, count: int) -> range:

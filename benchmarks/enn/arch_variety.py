@@ -2,6 +2,7 @@
 
     python benchmarks/enn/arch_variety.py --policy FILE [--steep FILE] [--arches 20] [--first 0] [--draw]
                                          [--attempt-steps 150] [--exchange-after 225]
+    python benchmarks/enn/arch_variety.py --among FILE FILE FILE --draw
 
 One episode in each of so many arches of the test seeds a type, of which nothing was trained on; episode k of a type
 begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. With `--steep`, that
@@ -9,8 +10,10 @@ policy steers with its own devices where the ostium of the target's branch is se
 the scan tells beforehand. With `--attempt-steps` devices that have not arrived after so many steps are drawn back and
 try again, within the same episode. With `--exchange-after` what has not arrived after so many steps is drawn out, which
 takes as many steps as the feeders need for what is inserted, and the devices of the other policy are tried, from the
-sheath, for what is left of the episode. Prints a row a type with Wilson's 95 % interval, which branches were missed,
-and one JSON object as its last line.
+sheath, for what is left of the episode. With `--among` each of those policies, which see a roadmap, first plays an
+episode in each of four copies of the arch, whose walls, place, motion and wire differ from it as a patient's may from a
+scan; that which arrives most often there, among equals soonest, steers the episode. Prints a row a type with Wilson's
+95 % interval, which branches were missed, and one JSON object as its last line.
 """
 
 from __future__ import annotations
@@ -32,15 +35,20 @@ import numpy as np
 import enn
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
 from cathsim.arch_variety.environment import TEST_SEEDS, ArchVarietyEnv
-from cathsim.arch_variety.task import TEST_STEPS
+from cathsim.arch_variety.task import TEST_STEPS, ArchVarietyTask
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
+from cathsim.rehearsal.environment import NavigateCopiesEnv
 from cathsim.robot.pace import PACES
 from enn.policy import Policy
 from enn.retrying import RetryingController
 from enn.shipped import read_policy
+from pipeline.anatomies.device_trials import TRIALS, Tried, soonest, try_in_copies
 from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
 from pipeline.task import TASK, task_in_random_arches
+
+FIRST_TRIAL = 1_000_000  # seed of the trials with --among, beyond those of the episodes
+VARIETY = "arch_variety"  # the wire and the pace of the task
 
 
 @dataclass(frozen=True)
@@ -51,6 +59,7 @@ class Outcome:
     branch: str  # that its target lies in
     steep: bool  # whether that is set back by as much
     forces: np.ndarray  # of each step, N
+    steered: int  # number of the policy that began it
 
 
 def arguments() -> argparse.Namespace:
@@ -59,6 +68,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--policy", default="generalist", help=f"a file, or among {', '.join(enn.models())}")
     parser.add_argument("--steep", metavar="POLICY", help="for targets that are set back far")
     parser.add_argument("--steep-from", type=float, default=CATHETER_BETTER_MM, metavar="MM", help="how far that is")
+    parser.add_argument(
+        "--among", nargs="+", metavar="POLICY", help="tried in copies of each arch; the best one steers"
+    )
     parser.add_argument("--types", default=",".join(ARCH_TYPES))
     parser.add_argument("--arches", type=int, default=20, help="a type, one episode each")
     parser.add_argument("--first", type=int, default=0, help="test seeds of a type that are left out")
@@ -84,13 +96,14 @@ class Player:
         self.steep_from = given.steep_from
         self.draw, self.attempt_steps = given.draw, given.attempt_steps or given.max_steps
         self.by_roadmap, side = isinstance(self.policy, Policy), task_in_random_arches().image_size_px
-        if self.draw and not self.by_roadmap:
-            raise ValueError("--draw: a policy that sees images always takes the best action")
-        catheter = self.policy.metadata.get(TASK, {}).get("catheter")
+        if (self.draw or given.among) and not self.by_roadmap:
+            option = "--draw: a policy that sees images always takes the best action"
+            raise ValueError(option if self.draw else "--among: a policy that sees images has no scan to try it in")
+        self.catheter = self.policy.metadata.get(TASK, {}).get("catheter")
         seeds = TEST_SEEDS[given.first : given.first + given.arches]
         self.bare = ArchVarietyEnv(
             given.types.split(","), seeds, max_steps=given.max_steps, image_size=side,
-            observation=self.policy.keys if self.by_roadmap else ("goal_image",), catheter=catheter,
+            observation=self.policy.keys if self.by_roadmap else ("goal_image",), catheter=self.catheter,
         )  # fmt: skip
         self.environment: Any = (
             self.bare if self.by_roadmap else XrayEnvironment(self.bare, side, **self.policy.imaging)
@@ -110,17 +123,30 @@ class Player:
 
         return RetryingController(attempt, self.attempt_steps, seed=seed)
 
+    def tried(self, seed: int) -> Tried:
+        """How the policy fares in copies of the present arch."""
+        task = ArchVarietyTask(max_steps=self.bare.task.max_steps)
+        copies = NavigateCopiesEnv(
+            self.bare.phantom, (self.bare.task.target,), copies=range(1, TRIALS + 1), wire=VARIETY, pace=VARIETY,
+            catheter=self.catheter, observation=self.policy.keys, task=task,
+        )  # fmt: skip
+        return try_in_copies(self.policy, copies, seed)
+
     def steep(self) -> bool:
         """Whether the ostium of the present target's branch is set back far."""
         return set_back_mm(self.bare.phantom, self.bare.task.target) >= self.steep_from
 
 
 def play(players: list[Player], case: int, seed: int, given: argparse.Namespace) -> Outcome:
-    """Plays one episode, by the last player where the target is steep, else by the first, then by the other one."""
-    players[0].begin(case, seed)
+    """Plays one episode: by the best player in trials, or the last where the target is steep, else by the first."""
+    for player in players:
+        player.begin(case, seed)
     goal, steep = players[0].bare.task.target, players[0].steep()
     branch = players[0].bare.phantom.target(goal).branch
-    in_turn = players[:1] if len(players) == 1 else players[::-1] if steep else players
+    if given.among:
+        in_turn = [players[soonest([player.tried(FIRST_TRIAL + seed) for player in players])]]
+    else:
+        in_turn = players[:1] if len(players) == 1 else players[::-1] if steep else players
     limits = [given.max_steps] if given.exchange_after is None else [given.exchange_after, given.max_steps]
     forces: list[float] = []
     success = False
@@ -135,7 +161,8 @@ def play(players: list[Player], case: int, seed: int, given: argparse.Namespace)
         if success:
             break
         forces += [0.0] * round(np.ceil(info["insertion"] / PACES["arch_variety"].translation))
-    return Outcome(bool(success), branch, steep, np.array(forces[: given.max_steps]))
+    begun_by = players.index(in_turn[0])
+    return Outcome(bool(success), branch, steep, np.array(forces[: given.max_steps]), begun_by)
 
 
 def row_of(name: str, outcomes: list[Outcome], seconds: float) -> dict[str, Any]:
@@ -164,10 +191,13 @@ def main() -> None:
     given = arguments()
     if not (0 <= given.first < len(TEST_SEEDS) and given.arches > 0):
         sys.exit(f"--first and --arches: there are {len(TEST_SEEDS)} test seeds of a type")
+    if given.among and (given.steep or given.exchange_after is not None):
+        sys.exit("--among: leave out --steep and --exchange-after, or --among")
     if given.exchange_after is not None and (given.steep is None or not 0 < given.exchange_after < given.max_steps):
         sys.exit("--exchange-after: name a policy of other devices with --steep, and steps below --max-steps")
     try:
-        players = [Player(name, given) for name in (given.policy, given.steep) if name is not None]
+        names = given.among or [name for name in (given.policy, given.steep) if name is not None]
+        players = [Player(name, given) for name in names]
     except (OSError, ValueError) as error:
         sys.exit(str(error))
     rows, together, began = [], [], time.process_time()
@@ -181,8 +211,9 @@ def main() -> None:
         if part := [one for one in together if one.steep == steep]:
             rows.append(row_of(name, part, 0.0))
     rows.append(row_of("all", together, time.process_time() - began))
-    asked = {name: getattr(given, name) for name in ("policy", "steep", "exchange_after")}
-    print(json.dumps(asked | {"drawn": given.draw, "rows": rows}))
+    asked = {name: getattr(given, name) for name in ("policy", "steep", "exchange_after", "among")}
+    steered = {name: sum(one.steered == number for one in together) for number, name in enumerate(names)}
+    print(json.dumps(asked | {"drawn": given.draw, "steered": steered, "rows": rows}))
 
 
 if __name__ == "__main__":

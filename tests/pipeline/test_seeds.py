@@ -60,6 +60,7 @@ def test_what_functions_give_lies_in_their_range() -> None:
         "force": [(seeds.force_seed(training, 0), seeds.force_seed(training, 99_999))],
         "unseen, advised": advised,
         "unseen, demonstrations": [(seeds.arch_demonstration_seed(run),)],
+        "rehearsal, trials of devices": [(seeds.device_trial_seed(training),)],
         "rehearsal, demonstrations": [
             [seeds.rehearsal_demonstration_seed(training, *last) for last in ((0, 0), (49, 1_999))]
         ],

@@ -21,6 +21,7 @@ from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob
 from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, EXPERT, PARTS, record_demonstrations
+from pipeline.stages.rehearsal.devices import with_chosen_devices
 from pipeline.stages.rehearsal.film import film_file, film_scan
 from pipeline.stages.rehearsal.jobs import PRELOAD, play, train
 from pipeline.stages.rehearsal.settings import NEVER, RehearsalSettings
@@ -56,9 +57,13 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         phantom.entry(settings.task.entry)
         choose = settings.choose_catheter and settings.policy is None  # one that is given has its devices
         given = settings.task if settings.policy is None else with_devices_of(Path(settings.policy), settings.task)
-        task = with_catheter_where_steep(phantom, target, given, choose=choose)
-        task = fitted_task(task, phantom, [target])
+        task = fitted_task(given, phantom, [target])
         task = fitted_steps(task, phantom, target) if settings.fit_steps else task
+        task = (
+            with_chosen_devices(settings, context, phantom, target, task)
+            if choose
+            else with_catheter_where_steep(phantom, target, task, choose=False)
+        )
         start = starting_policy(settings, context.run_path, context.seed, task)
         asked = advising_policies(context.run_path, context.seed, task, start) if settings.demonstrations else []
     except ValueError as error:

@@ -126,10 +126,11 @@ def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
 def test_a_catheter_is_chosen_unless_a_policy_is_given(
     changed: dict[str, Any], choose: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def asked(phantom: Any, target: Any, task: Task, *, choose: bool) -> Task:
+    def asked(*_: Any, choose: bool = True) -> Task:
         raise ValueError(f"choose is {choose}")
 
-    monkeypatch.setattr("pipeline.stages.rehearsal.stage.with_catheter_where_steep", asked)
+    for name in ("with_catheter_where_steep", "with_chosen_devices"):
+        monkeypatch.setattr(f"pipeline.stages.rehearsal.stage.{name}", asked)
     with pytest.raises(ConfigurationError, match=f"choose is {choose}"):
         run_rehearsal(RehearsalSettings(**TINY | changed), context(tmp_path, "rehearsal"))
 

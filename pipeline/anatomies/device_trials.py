@@ -1,0 +1,78 @@
+"""Which devices reach a target: policies that steer different devices play in copies of the scan.
+
+How far an ostium is set back tells it roughly (`pipeline.anatomies.take_offs`); a few episodes tell more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+    from enn.policy import Policy
+
+TRIALS = 4  # copies, and episodes of each policy
+
+
+@dataclass(frozen=True)
+class Tried:
+    """How a policy fared with its devices.
+
+    Attributes:
+        reached: episodes in which the target was reached.
+        episodes: all of them.
+        steps: mean of all episodes, of those that failed all of theirs.
+        force_p95: 95th percentile of the largest resultant force of each step, over all steps, N.
+    """
+
+    reached: int
+    episodes: int
+    steps: float
+    force_p95: float
+
+    def __str__(self) -> str:
+        return f"{self.reached} of {self.episodes}"
+
+
+def try_in_copies(
+    policy: Policy, environment: NavigateCopiesEnv, seed: int, tick: Callable[[float], None] = lambda done: None
+) -> Tried:
+    """Lets a policy by a roadmap play one episode in each copy of an environment, its actions drawn.
+
+    Args:
+        environment: with the devices of the policy and its observations, one target, and as many cases as copies.
+        seed: of the first episode; the next ones have the next seeds.
+        tick: is given the share of the episodes that are done.
+    """
+    copies = len(environment.phantoms)
+    successes: list[bool] = []
+    lengths: list[int] = []
+    forces: list[float] = []
+    for case in range(copies):
+        controller = policy.controller(deterministic=False, seed=seed + case)
+        observation, info = environment.reset(seed=seed + case, options={"case": case})
+        ended = reached = False
+        begun = len(forces)
+        while not ended:
+            observation, _, reached, truncated, info = environment.step(controller(observation, info))
+            forces.append(float(info["force"]))
+            ended = bool(reached or truncated)
+        successes.append(bool(reached))
+        lengths.append(len(forces) - begun)
+        tick((case + 1) / copies)
+    return Tried(sum(successes), copies, float(np.mean(lengths)), float(np.percentile(forces, 95)))
+
+
+def soonest(tried: Sequence[Tried]) -> int:
+    """Number of those that reached the target most often; among equals the soonest, then the first."""
+    return max(range(len(tried)), key=lambda number: (tried[number].reached, -tried[number].steps))
+
+
+def gentlest(tried: Sequence[Tried]) -> int:
+    """Number of those that press least among all that reach the target in half of the copies, or else `soonest`."""
+    often = [number for number, one in enumerate(tried) if 2 * one.reached >= one.episodes]
+    return min(often, key=lambda number: tried[number].force_p95) if often else soonest(tried)

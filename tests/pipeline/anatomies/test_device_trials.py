@@ -1,0 +1,56 @@
+"""Trials of devices: episodes in copies are counted as they went, and the choice among several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cathsim.rehearsal.environment import NavigateCopiesEnv
+from pipeline.anatomies.device_trials import Tried, gentlest, soonest, try_in_copies
+
+
+class Straight:
+    """Steers at full speed, and remembers the seeds of its controllers."""
+
+    def __init__(self, speed: float) -> None:
+        self.speed, self.seeds = speed, list[int]()
+
+    def controller(self, *, deterministic: bool, seed: int) -> Callable[[Any, Any], np.ndarray]:
+        assert not deterministic
+        self.seeds.append(seed)
+        return lambda observation, info: np.array([self.speed, 0.0])
+
+
+def copies(**changed: Any) -> NavigateCopiesEnv:
+    return NavigateCopiesEnv("type_1", ("bca",), copies=(1, 2, 3), observation="tip", accuracy="fast", **changed)
+
+
+def test_an_episode_in_each_copy_is_counted_as_it_went() -> None:
+    near = copies(max_steps=120, success_radius=0.05)  # half way is enough
+    policy, done = Straight(1.0), list[float]()
+    tried = try_in_copies(policy, near, 7, done.append)  # type: ignore[arg-type]
+    assert (tried.reached, tried.episodes) == (3, 3)
+    assert tried.steps < 120
+    assert 0 < tried.force_p95 < 2
+    assert policy.seeds == [7, 8, 9]
+    assert done == pytest.approx([1 / 3, 2 / 3, 1])
+    still = try_in_copies(Straight(0.0), copies(max_steps=5), 7)  # type: ignore[arg-type]
+    assert (still.reached, still.steps) == (0, 5)
+    assert str(still) == "0 of 3"
+
+
+def test_the_most_arrivals_win_then_the_soonest() -> None:
+    slow, quick, often = Tried(2, 4, 90.0, 0.1), Tried(2, 4, 80.0, 0.3), Tried(3, 4, 200.0, 0.9)
+    assert soonest([slow, quick]) == 1
+    assert soonest([slow, quick, often]) == 2
+    assert soonest([slow, slow]) == 0
+
+
+def test_the_gentlest_is_chosen_among_those_that_arrive_in_half_of_the_copies() -> None:
+    wire, both, never = Tried(2, 4, 90.0, 0.2), Tried(4, 4, 80.0, 0.4), Tried(0, 4, 300.0, 0.05)
+    assert gentlest([wire, both, never]) == 0
+    assert gentlest([never, both]) == 1
+    assert gentlest([never, Tried(1, 4, 250.0, 0.5)]) == 1  # none arrives as often

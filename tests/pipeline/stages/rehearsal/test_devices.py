@@ -1,0 +1,98 @@
+"""The devices of a rehearsal: which policies are tried, what is chosen from how they fare, and what is not tried."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cathsim import load_phantom
+from pipeline.anatomies.device_trials import TRIALS, Tried
+from pipeline.jobs.worker import Report
+from pipeline.seeds import training_copies
+from pipeline.stages.rehearsal import devices
+from pipeline.stages.rehearsal.devices import try_devices, with_chosen_devices
+from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.task import Task
+from tests.pipeline.stages.small_expert import context
+
+BY_SHAPE = Task(catheter="pigtail")  # what nothing else gives
+Outcomes = dict[str, Tried]
+
+
+@pytest.fixture
+def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Chooses with trials that end as said; also which were asked for, call by call."""
+    asked: list[list[str]] = []
+    phantom = load_phantom("type_1")
+
+    def choose(outcomes: Outcomes, task: Task = Task(), target: str = "lcca", **changed: Any) -> Task:  # noqa: B008
+        asked.clear()
+
+        def run(folder: Any, jobs: Any, **_: Any) -> dict[str, Any]:
+            asked.append([job.key for job in jobs])
+            return {job.key: dataclasses.asdict(outcomes[job.key.partition("/")[2]]) for job in jobs}
+
+        monkeypatch.setattr(devices, "run_jobs", run)
+        monkeypatch.setattr(devices, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
+        settings = RehearsalSettings(**changed)
+        return with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task)
+
+    return choose, asked
+
+
+def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: pytest.LogCaptureFixture) -> None:
+    choose, asked = chosen
+    outcomes = {
+        "wire alone": Tried(0, 4, 300.0, 0.2),
+        "jb2": Tried(3, 4, 150.0, 0.4),
+        "simmons2": Tried(2, 4, 150.0, 0.3),
+    }
+    with caplog.at_level(logging.INFO):
+        assert choose(outcomes) == Task(catheter="simmons2")
+    assert "reached lcca: wire alone 0 of 4, jb2 3 of 4, simmons2 2 of 4" in caplog.text
+    assert asked == [["devices/wire alone"], ["devices/wire alone", "devices/jb2", "devices/simmons2"]]
+
+
+def test_where_the_wire_alone_always_arrives_nothing_else_is_tried(chosen: Any) -> None:
+    choose, asked = chosen
+    assert choose({"wire alone": Tried(4, 4, 100.0, 0.2)}) == Task()
+    assert asked == [["devices/wire alone"]]
+
+
+def test_where_nothing_arrives_the_shape_decides(chosen: Any) -> None:
+    choose, _ = chosen
+    never = Tried(0, 4, 300.0, 0.2)
+    assert choose(dict.fromkeys(("wire alone", "jb2", "simmons2"), never)) == BY_SHAPE
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"task": Task(catheter="vertebral")},
+        {"task": Task(entry="ascending")},
+        {"task": Task(pace="arch_variety")},  # one policy alone has it, and critics
+        {"fresh": True},
+        {"algorithm": "ppo"},
+    ],
+    ids=["a catheter", "another entry", "another pace", "from nothing", "another algorithm"],
+)
+def test_without_a_choice_of_policies_nothing_is_tried(chosen: Any, changed: dict[str, Any]) -> None:
+    choose, asked = chosen
+    assert choose({}, **changed) == BY_SHAPE
+    assert asked == []
+
+
+def test_a_trial_plays_the_policy_in_copies_that_the_training_has_too(
+    tmp_path: Path, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    task = Task(max_steps=6)
+    (first, *_) = devices._jobs(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", task)
+    assert first.given.copies == tuple(training_copies(0, TRIALS))
+    assert first.given.start.stem == "generalist"
+    tried = Tried(**try_devices(dataclasses.replace(first.given, copies=first.given.copies[:1]), Report()))
+    assert (tried.reached, tried.episodes, tried.steps) == (0, 1, 6)
