@@ -4,6 +4,7 @@
     python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --first 40400 --draw
     python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --setting random_steep --max-steps 600 --draw
     python benchmarks/enn/shipped_policies.py --anatomies scan.stl labels.nii.gz --episodes 5 --max-steps 600 --draw
+    python benchmarks/enn/shipped_policies.py --anatomies scan.stl --draw --among generalist generalist_jb2
     python benchmarks/enn/shipped_policies.py --policy navigator --attempts 3
     python benchmarks/enn/shipped_policies.py --policy navigator --steep navigator_simmons2 --steep-from 13
 
@@ -11,6 +12,8 @@ Prints a row for each anatomy and target (all random arches together), with Wils
 the target's ostium is set back behind the top of the arch, and one JSON object as its last line. --steep names the
 policy for targets set back by --steep-from mm or more, which the scan tells beforehand; a policy of two devices steers
 its own.
+With --among each of those policies, which see a roadmap, first plays an episode in each of four copies of the anatomy
+(`pipeline.anatomies.device_trials`); that which arrives most often there, among equals soonest, plays the episodes.
 With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
 anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
 With --then what --steep has not reached in its last attempt is tried as often with another policy of its devices, and
@@ -29,8 +32,9 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -39,18 +43,25 @@ import numpy as np
 import enn
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
+from cathsim.rehearsal.environment import NavigateCopiesEnv
 from enn.imitation.images.policy import ImagePolicy
 from enn.policy import Policy
 from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
+from pipeline.anatomies.device_trials import TRIALS, soonest, try_in_copies
 from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
+from pipeline.anatomies.settings import fitted_task
 from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
 from pipeline.clutter import clutter_of
 from pipeline.stages.unseen.task import STEEP, TEST_PHANTOM, TRUNK, UnseenTask, arch_of_test
 from pipeline.task import TASK, task_in_random_arches
 
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
+
 FIRST_ARCH, FIRST_SEED = 40_100, 5_000_000_000
+FIRST_TRIAL = 6_000_000_000  # seed of the trials with --among
 SET_BACK = (0.0, 5.0, 10.0, 13.0, 16.0, 20.0)  # mm, between the rows by set-back
 
 
@@ -71,6 +82,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--steep", metavar="POLICY", help="for targets that are set back far")
     parser.add_argument("--then", metavar="POLICY", help="for what --steep has not reached")
     parser.add_argument("--steep-from", type=float, default=CATHETER_BETTER_MM, metavar="MM", help="how far that is")
+    parser.add_argument("--among", nargs="+", metavar="POLICY", help="tried in copies; the best one plays")
     parser.add_argument("--arches", type=int, default=50, help="random arches, one episode each and target")
     parser.add_argument("--first", type=int, default=FIRST_ARCH, help="seed of the first arch")
     parser.add_argument("--setting", choices=(TEST_PHANTOM, STEEP, TRUNK), default=TEST_PHANTOM, help="of those arches")
@@ -179,10 +191,31 @@ def play_with(
     return outcome
 
 
+def phantom_of(place: int | AnatomyFile, setting: str) -> Phantom:
+    """The anatomy of an episode."""
+    return load_anatomy("{}_{}".format(*arch_of_test(place, setting)) if isinstance(place, int) else place)
+
+
 def ostium_set_back(place: int | AnatomyFile, target: str, setting: str) -> float:
     """How far the target's ostium is set back, mm."""
-    phantom = load_anatomy("{}_{}".format(*arch_of_test(place, setting)) if isinstance(place, int) else place)
-    return set_back_mm(phantom, target)
+    return set_back_mm(phantom_of(place, setting), target)
+
+
+def best_in_trials(
+    devices: Sequence[tuple[UnseenTask, Any]], place: int | AnatomyFile, target: str, given: argparse.Namespace
+) -> int:
+    """Number of the task and policy that fare best in copies of the anatomy."""
+    phantom, tried = phantom_of(place, given.setting), []
+    for task, policy in devices:
+        rules = dataclasses.replace(task.task, max_steps=given.max_steps)
+        fitted = fitted_task(dataclasses.replace(rules, wire_length_mm=0.0), phantom, [target])
+        rules = max(rules, fitted, key=lambda one: one.guidewire().length)
+        copies = NavigateCopiesEnv(
+            phantom, (target,), copies=range(1, TRIALS + 1), observation=policy.keys, **rules.devices(), **rules.rules()
+        )
+        tried.append(try_in_copies(policy, copies, FIRST_TRIAL))
+        copies.close()
+    return soonest(tried)
 
 
 def rows_by_set_back(measured: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
@@ -203,10 +236,12 @@ def main() -> None:
     """Runs the command line."""
     given = arguments()
     try:
-        names = [given.policy, given.steep or given.policy] + ([given.then] if given.then else [])
+        names = given.among or [given.policy, given.steep or given.policy] + ([given.then] if given.then else [])
         policies = [load(name) for name in names]
         if given.draw and not all(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--draw: a policy that sees images always takes the best action")
+        if given.among and (given.steep or not all(isinstance(policy, Policy) for policy in policies)):
+            raise ValueError("--among: name policies that see a roadmap, and leave out --steep")
         if (given.exchange or given.then) and not given.steep:
             raise ValueError("--exchange and --then: name a policy of other devices with --steep")
         if given.clutter and any(isinstance(policy, Policy) for policy in policies):
@@ -214,10 +249,16 @@ def main() -> None:
         tasks = [task_of(policy, given) for policy in policies]
         devices = list(zip(tasks, policies, strict=True))
         in_turn = [[devices[0]] + devices[1:2] * given.exchange, devices[1:] + devices[:1] * given.exchange]
+        if given.among:
+            in_turn = [[each] for each in devices]
+        best = cache(lambda place, target: best_in_trials(devices, place, target, given))
         rows, measured, tries = [], [], given.attempts * max(len(each) for each in in_turn)
         for name, target, episodes in cells(given):
             backs = [ostium_set_back(place, target, given.setting) for place, _ in episodes]
-            chosen = [int(back >= given.steep_from) for back in backs]
+            chosen = [
+                best(place, target) if given.among else int(back >= given.steep_from)
+                for back, (place, _) in zip(backs, episodes, strict=True)
+            ]
             outcomes = [
                 play_with(in_turn[k], place, target, seed, given)
                 for k, (place, seed) in zip(chosen, episodes, strict=True)
@@ -235,11 +276,13 @@ def main() -> None:
                 "force_mean_n": round(float(np.mean([one.forces.mean() for one in outcomes])), 3),
                 "force_p95_n": round(float(np.mean([np.percentile(one.forces, 95) for one in outcomes])), 3),
                 "force_max_n": round(max(float(one.forces.max()) for one in outcomes), 2),
+                "played_by": {names[k]: chosen.count(k) for k in sorted(set(chosen))},
             }  # fmt: skip
             rows.append(row)
             share = f"{100 * won / len(outcomes):3.0f} % ({100 * low:.0f} to {100 * high:.0f})"
             force = ", ".join(f"{row[key]:.2f}" for key in ("force_mean_n", "force_p95_n", "force_max_n"))
             tried = f"  within attempts {row['within_attempts']}" if tries > 1 else ""
+            tried += f"  {', '.join(f'{name} {count}' for name, count in row['played_by'].items())}" * bool(given.among)
             print(
                 f"{name:24} {target:5} {won} of {len(outcomes)}  {share}  {row['steps']:.0f} steps  {force} N{tried}",
                 flush=True,
@@ -247,8 +290,8 @@ def main() -> None:
     except (OSError, ValueError) as error:
         sys.exit(str(error))
     found = {
-        "policy": given.policy, "steep": given.steep, "then": given.then, "steep_from_mm": given.steep_from,
-        "drawn": given.draw, "rows": rows, "set_back": rows_by_set_back(measured),
+        "policy": given.policy, "steep": given.steep, "among": given.among, "then": given.then,
+        "steep_from_mm": given.steep_from, "drawn": given.draw, "rows": rows, "set_back": rows_by_set_back(measured),
     }  # fmt: skip
     print(json.dumps(found))
 
